@@ -1,4 +1,4 @@
-"""Scenes and policy for the evaluations of ``eval``, ``transfer`` and ``inspect``.
+"""The scenes of one policy, for every command that evaluates.
 
 In: overrides, and a checkpoint or a controller's name. Out: a configuration and the policy's source
 for each scene.
@@ -11,12 +11,14 @@ from pathlib import Path
 
 from flipperctl.cli.hydra import compose, config_store
 from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.config import resolver
+from flipperctl.config import EvalConfig, resolver
 from flipperctl.config.defaults import CHOICES
-from flipperctl.evaluation.scenes import Scene
 from flipperctl.policies.source import PolicySource
 from flipperctl.runs.inherited import find_policy, policy_notes, read_config
 from flipperctl.terminal.streams import print_note
+
+Scene = tuple[EvalConfig, PolicySource]
+"""``config.eval`` holds the number of episodes and the seed."""
 
 
 def scenes(

@@ -1,101 +1,73 @@
 """The best of all stored policies on each scene, beside those that a call evaluates.
 
-In: a result, its scenes and a store. Out: the result with a further row for each scene on which
-another stored policy is better than all that were evaluated.
+In: a result and a store. Out: the result with a further row for each scene on which another stored
+policy is better than all that were evaluated.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
-from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from flipperctl.config import EvalConfig
 from flipperctl.config.identity import content_digest
-from flipperctl.evaluation.cells import ground, versions_here
-from flipperctl.evaluation.conditions import Conditions
-from flipperctl.evaluation.episode import EpisodeResult
-from flipperctl.evaluation.naming import SceneName
-from flipperctl.evaluation.results import EvaluationResult, SceneResult
-from flipperctl.evaluation.scenes import Scene
-from flipperctl.evaluation.statistics import summarise
-from flipperctl.evaluation.store import CellFolder, EpisodeStore
+from flipperctl.evaluation.evaluate import Played, Result
+from flipperctl.evaluation.plan import BEST_KNOWN
+from flipperctl.evaluation.rows import Episodes
+from flipperctl.evaluation.store import EpisodeStore, FolderStore, ground, versions_here
 
-BEST_KNOWN = "best known"
-"""How such rows are called, before the label of the policy in brackets."""
 _DIGITS = 8
 """Digits of a policy's digest in its label."""
 
 
-def is_best_known(label: str) -> bool:
-    """Return whether a row's label is that of the best stored policy."""
-    return label.startswith(f"{BEST_KNOWN} (")
-
-
-def with_best_known(
-    result: EvaluationResult, scenes: Sequence[Scene], store: EpisodeStore
-) -> EvaluationResult:
+def with_best_known(result: Result, store: EpisodeStore) -> Result:
     """Return the result with a row for the best stored policy, after the rows of each scene.
 
     The best has the highest success, and of those the smallest mean θ̂_R of the episodes that
     reached the finish. It must have every episode of the scene, with the same seed. There is no row
-    where one of the evaluated policies is the best, or without a folder of cells.
+    where one of the evaluated policies is the best, or without a folder of blocks.
     """
-    if not isinstance(store, CellFolder):
+    if not isinstance(store, FolderStore):
         return result
-    found: list[SceneResult] = []
-
-    def scene(one: SceneResult) -> tuple[object, ...]:
-        planned = None if one.index is None else scenes[one.index][0].eval.episodes
-        return one.name.scene, one.conditions.hash, one.seed, planned
-
-    for _, rows in groupby(result.scenes, scene):
-        together = list(rows)
-        first = together[0]
-        best = None
-        if first.index is not None:
-            best = _best(scenes[first.index][0], together, store)
+    found: list[Played] = []
+    scenes: dict[tuple[str, str, int, int], list[Played]] = {}
+    for one in result.played:
+        scenes.setdefault(one.entry.ground, []).append(one)
+    for together in scenes.values():
         found += together
-        if best is not None:
+        if (best := _best(together, store)) is not None:
             found.append(best)
-    return replace(result, scenes=tuple(found))
+    return replace(result, played=tuple(found))
 
 
-def _best(
-    config: EvalConfig, together: Sequence[SceneResult], store: CellFolder
-) -> SceneResult | None:
-    """Return the best stored policy with all episodes of a configuration.
+def _best(together: Sequence[Played], store: FolderStore) -> Played | None:
+    """Return the best stored policy with all episodes of a scene, of which these are the rows.
 
-    ``together``: the rows of the scene. None if there is none, or one of them is as good.
+    None if there is none, or one of the rows is as good.
     """
+    entry = together[0].entry
+    indices = range(entry.config.eval.episodes)
     complete = [
-        (headers, [episodes[index] for index in range(config.eval.episodes)])
-        for headers, episodes in store.stored_on(ground(config))
-        if all(index in episodes for index in range(config.eval.episodes))
+        (headers, Episodes(tuple(rows[index] for index in indices)))
+        for headers, rows in store.stored_on(ground(entry.config))
+        if all(index in rows for index in indices)
     ]
     if not complete:
         return None
     headers, episodes = max(complete, key=lambda one: _rank(one[1]))
     if any(_rank(row.episodes) >= _rank(episodes) for row in together):
         return None
-    here = versions_here(config)
+    here = versions_here(entry.config)
     for header in headers:
         store.count_versions(header, here)
-    label = _label(headers[0], {row.controller for row in together})
-    return SceneResult(
-        label,
-        summarise(config.terrain.plugin_name, episodes),
-        config.eval.seed,
-        Conditions.of(config),
-        (),
-        tuple(episodes),
-        SceneName(together[0].name.scene, f"{BEST_KNOWN} ({label})"),
-    )
+    label = _best_label(headers[0], {row.entry.label for row in together})
+    method = f"{BEST_KNOWN} ({label})"
+    stored = replace(entry, method=method, training_seed=None, is_baseline=False, stored=label)
+    return Played(stored, episodes)
 
 
-def _label(header: Mapping[str, Any], others: Collection[str]) -> str:
+def _best_label(header: Mapping[str, Any], others: Collection[str]) -> str:
     """Return the name of a stored policy; with its digest if another one has that name by now."""
     label, digest = str(header["controller"]), str(header["policy"])
     file = Path(label)
@@ -104,9 +76,9 @@ def _label(header: Mapping[str, Any], others: Collection[str]) -> str:
     return label
 
 
-def _rank(episodes: Sequence[EpisodeResult]) -> tuple[float, float]:
+def _rank(episodes: Episodes) -> tuple[float, float]:
     """Return what orders policies on equal episodes, the best last."""
-    reached = [e.pitch_variation_100hz for e in episodes if e.reached]
-    if not reached:
+    variations = episodes.reached.values("pitch_variation_100hz")
+    if not variations:
         return 0.0, float("-inf")
-    return len(reached) / len(episodes), -sum(reached) / len(reached)
+    return len(variations) / len(episodes), -sum(variations) / len(variations)

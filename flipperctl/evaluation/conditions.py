@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -80,24 +80,18 @@ class Conditions:
     def line(self) -> str:
         """Return one line of text: the randomised settings and those that differ from the defaults.
 
-        The terrain is left out, since the tables name it.
+        It is empty if there are none. The terrain is left out, since the tables name it.
         """
-        randomised = list(self._randomised())
-        shift, turn = (self.settings["episode"][name] for name in _START)
+        randomised = ", ".join(self._randomised())
         sections = {
+            "randomised": randomised,
+            "start": self._differences("episode", only=_START),
             "sensing": self._differences("perception"),
             "physics": self._differences("sim"),
             "robot": self._differences("robot"),
-            "episode": self._differences("episode", *_START),
+            "episode": self._differences("episode", without=_START),
         }
-        default = [name for name, text in sections.items() if not text]
-        parts = [
-            f"randomised {', '.join(randomised)}" if randomised else "nothing randomised",
-            f"start ±{shift:g} m" + (f", flippers ±{turn:g} rad" if turn else ""),
-            *(f"{name} {text}" for name, text in sections.items() if text),
-            *([f"default {', '.join(default)}"] if default else []),
-        ]
-        return "; ".join(parts)
+        return "; ".join(f"{name} {text}" for name, text in sections.items() if text)
 
     def _randomised(self) -> Iterator[str]:
         """Yield each sampled setting with its range; settings sampled by path include the path."""
@@ -109,14 +103,17 @@ class Conditions:
             elif value is not None:
                 yield _format_setting(Randomise, name, value)
 
-    def _differences(self, section: str, *excluded: str) -> str:
+    def _differences(
+        self, section: str, *, only: Collection[str] = (), without: Collection[str] = ()
+    ) -> str:
         default, values = self.defaults[section], self.settings[section]
         plain = {"name": values.get("name"), **to_dict(default)}
-        changed = [k for k, v in values.items() if v != plain[k] and k not in excluded]
+        chosen = [k for k in values if (not only or k in only) and k not in without]
+        changed = [k for k in chosen if values[k] != plain[k]]
         model = type(default)
-        chosen = [values["name"]] if values.get("name", DEFAULT_ENGINE) != DEFAULT_ENGINE else []
+        engine = [values["name"]] if values.get("name", DEFAULT_ENGINE) != DEFAULT_ENGINE else []
         return ", ".join(
-            [*chosen, *(_format_setting(model, name, values[name]) for name in changed)]
+            [*engine, *(_format_setting(model, name, values[name]) for name in changed)]
         )
 
 

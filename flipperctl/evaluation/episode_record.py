@@ -25,12 +25,14 @@ from flipperctl.api import Outcome
 from flipperctl.checkpoint.strict_json import decode
 from flipperctl.config import EnvConfig, EvalConfig, parse, to_dict
 from flipperctl.config.identity import content_digest
+from flipperctl.env.metrics import CORE
 from flipperctl.errors import CheckpointError, ConfigError, RequestError
 from flipperctl.evaluation.conditions import Conditions
-from flipperctl.evaluation.episode import EpisodeResult
+from flipperctl.evaluation.rows import DIGEST, Row, sampled
 from flipperctl.messages import explain
 from flipperctl.policies.identity import named_files
 from flipperctl.policies.source import PolicySource
+from flipperctl.rollout.risks import EpisodeRisks
 from flipperctl.sim.versions import engine_versions
 
 _FORMAT = 1
@@ -113,7 +115,7 @@ class EpisodeRecord(_Frozen):
     )
 
     @classmethod
-    def of(cls, config: EvalConfig, source: PolicySource, episode: EpisodeResult) -> EpisodeRecord:
+    def of(cls, config: EvalConfig, source: PolicySource, row: Row) -> EpisodeRecord:
         """Record an episode of an evaluation."""
         conditions = Conditions.of(config)
         return cls(
@@ -122,12 +124,12 @@ class EpisodeRecord(_Frozen):
             conditions={"name": conditions.name, "hash": conditions.hash},
             config=to_dict(config.environment()),
             evaluation_seed=config.eval.seed,
-            episode=episode.episode,
-            seed=episode.seed,
-            outcome=episode.outcome,
-            measures=measures(episode),
-            digest=episode.digest,
-            risks=None if episode.risks is None else episode.risks.told,
+            episode=row["episode"],
+            seed=row["seed"],
+            outcome=row["outcome"],
+            measures=measures(row),
+            digest=row.get(DIGEST),
+            risks=risks(row),
         )
 
     @model_serializer(mode="wrap")
@@ -184,17 +186,15 @@ class EpisodeRecord(_Frozen):
             )
 
 
-def measures(episode: EpisodeResult) -> dict[str, float]:
+def measures(row: Row) -> dict[str, float]:
     """Return the numbers of an episode that a replay must repeat, by name in SI units."""
-    return {
-        "decisions": episode.decisions,
-        "t_cost": episode.t_cost,
-        "pitch_variation": episode.pitch_variation,
-        "pitch_variation_100hz": episode.pitch_variation_100hz,
-        "max_pitch": episode.max_pitch,
-        "flipper_travel": episode.flipper_travel,
-        **episode.sampled,
-    }
+    return {name: row[name] for name in CORE} | sampled(row)
+
+
+def risks(row: Row) -> tuple[float, ...] | None:
+    """Return the risk at each decision; None of a policy that tells none."""
+    found = EpisodeRisks.pop(dict(row))
+    return None if found is None else found.told
 
 
 def used_versions(config: EnvConfig, source: PolicySource) -> dict[str, str]:

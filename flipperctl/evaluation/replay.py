@@ -13,10 +13,10 @@ from typing import Any
 from flipperctl.api import Profile, Transition
 from flipperctl.config import EvalConfig
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.evaluation.digest import EpisodeDigest
-from flipperctl.evaluation.episode import EpisodeResult
-from flipperctl.evaluation.episode_record import EpisodeRecord, measures, read_record
-from flipperctl.evaluation.judging import Progress, no_progress
+from flipperctl.evaluation.episode_record import EpisodeRecord, measures, read_record, risks
+from flipperctl.evaluation.play import Progress, no_progress
+from flipperctl.evaluation.rows import DIGEST, Row, arranged
+from flipperctl.evaluation.runner import EpisodeDigest
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import Decision, play
 
@@ -28,7 +28,7 @@ class Replay:
     record: EpisodeRecord
     config: EvalConfig
     source: PolicySource
-    episode: EpisodeResult
+    episode: Row
     transitions: tuple[Transition, ...]
     profile: Profile
 
@@ -37,19 +37,18 @@ class Replay:
         """What differs from the record; empty if the episode is bit-identical."""
         recorded, episode = self.record, self.episode
         found = []
-        if episode.outcome != recorded.outcome:
-            found.append(f"outcome {episode.outcome} ({recorded.outcome})")
+        if episode["outcome"] != recorded.outcome:
+            found.append(f"outcome {episode['outcome']} ({recorded.outcome})")
         ours = measures(episode)
         found += [
             f"{name} {ours.get(name)} ({value})"
             for name, value in recorded.measures.items()
             if ours.get(name) != value
         ]
-        if recorded.digest is not None and episode.digest != recorded.digest:
-            found.append(f"digest {episode.digest} ({recorded.digest})")
+        if recorded.digest is not None and episode[DIGEST] != recorded.digest:
+            found.append(f"digest {episode[DIGEST]} ({recorded.digest})")
         if recorded.risks is not None:
-            told = () if episode.risks is None else episode.risks.told
-            pairs = zip_longest(told, recorded.risks)
+            pairs = zip_longest(risks(episode) or (), recorded.risks)
             found += [f"risk {t}: {us} ({it})" for t, (us, it) in enumerate(pairs) if us != it][:1]
         return found
 
@@ -61,9 +60,9 @@ class Replay:
             "conditions": dict(self.record.conditions),
             "episode": self.record.episode,
             "seed": self.record.seed,
-            "outcome": str(self.episode.outcome),
+            "outcome": self.episode["outcome"],
             "measures": measures(self.episode),
-            "digest": self.episode.digest,
+            "digest": self.episode[DIGEST],
             "identical": not self.differences,
             "differences": self.differences,
         }
@@ -92,5 +91,5 @@ def replay(path: Path, checkpoint: Path | None = None, progress: Progress = no_p
 
     with progress(f"{config.terrain.plugin_name}, replay", 1) as report:
         row = play(env, policy, record.seed, watch=watch, report_progress=report)
-    episode = EpisodeResult.of(record.episode, row, digest.hexdigest())
+    episode = arranged({"episode": record.episode, **row}) | {DIGEST: digest.hexdigest()}
     return Replay(record, config, source, episode, tuple(transitions), env.profile)

@@ -1,24 +1,41 @@
 """Play any episode of an evaluation.
 
-In: an environment configuration, a policy's source and the seed of the evaluation. Out: the result
-of an episode, or its states.
+In: an environment configuration, a policy's source and the seed of the evaluation. Out: the row of
+an episode, or its transitions.
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
-from dataclasses import replace
 
-from flipperctl.api import Profile, RobotState, Transition
+import numpy as np
+
+from flipperctl.api import Profile, Transition
 from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.evaluation.digest import EpisodeDigest
-from flipperctl.evaluation.episode import EpisodeResult
+from flipperctl.evaluation.rows import DIGEST, RECORDED, Row, arranged
 from flipperctl.policies.demonstrating import DemonstratingPolicy
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import Decision, decisions, play
 from flipperctl.rollout.recording import EpisodeRecorder
 from flipperctl.rollout.seeds import EvaluationSeeds
+
+
+class EpisodeDigest:
+    """SHA-256 of each decision's action and of the poses at 100 Hz: equal for equal episodes."""
+
+    def __init__(self) -> None:
+        self._hash = hashlib.sha256()
+
+    def add(self, decision: Decision) -> None:
+        """Add the action and the poses (S + 1, 5) of a decision, as little-endian numbers."""
+        self._hash.update(int(decision.action).to_bytes(1, "little"))
+        self._hash.update(np.ascontiguousarray(decision.poses, dtype="<f8").tobytes())
+
+    def hexdigest(self) -> str:
+        """Return the digest of the decisions so far."""
+        return self._hash.hexdigest()
 
 
 class EpisodeRunner:
@@ -36,46 +53,38 @@ class EpisodeRunner:
         """Build the environment and the policy.
 
         ``seed`` is the seed of the evaluation. ``report_progress`` is called with the finished
-        fraction of an episode's search. ``record``: whether results include decisions.
+        fraction of an episode's search. ``record``: whether rows include the decisions.
 
         Raises:
             FlipperctlError: the policy cannot be built (see ``PolicySource.build``).
         """
-        self._env = FlipperEnv(config=config)
+        self.env = FlipperEnv(config=config)
         self._report_progress = report_progress
         self._policy = source.build(config)
         self._seeds = EvaluationSeeds.of(seed, config.terrain)
         self._record = record
 
-    def play(self, index: int) -> EpisodeResult:
-        """Play one episode, counted from 0, to its end."""
-        seed = self._seeds(index)
+    def play(self, index: int) -> Row:
+        """Play one episode, counted from 0, to its end; return its row."""
+        digest, watch, policy = EpisodeDigest(), None, self._policy
+        recorder = EpisodeRecorder()
         if self._record:
-            return self._recorded(index, seed)
-        digest, report = EpisodeDigest(), self._report_progress
-        row = play(self._env, self._policy, seed, watch=digest.add, report_progress=report)
-        return EpisodeResult.of(index, row, digest.hexdigest())
+            policy = labelled = DemonstratingPolicy(self._policy)
 
-    def _recorded(self, index: int, seed: int) -> EpisodeResult:
-        policy, recorder = DemonstratingPolicy(self._policy), EpisodeRecorder()
-        digest = EpisodeDigest()
+            def watch(d: Decision) -> None:
+                before, after = d.perception.observation, d.next_perception.observation
+                recorder.add(before, d.action, d.reward, after, labelled.label)
+                digest.add(d)
 
-        def watch(d: Decision) -> None:
-            before, after = d.perception.observation, d.next_perception.observation
-            recorder.add(before, d.action, d.reward, after, policy.label)
-            digest.add(d)
-
-        row = play(self._env, policy, seed, watch=watch, report_progress=self._report_progress)
-        episode = EpisodeResult.of(index, row, digest.hexdigest())
-        return replace(episode, recorded=recorder.finish(index, row))
-
-    def trace(self, index: int) -> tuple[list[RobotState], Profile]:
-        """Play one episode; return the states at all T + 1 decisions, and the ground."""
-        transitions, profile = self.transitions(index)
-        return [transitions[0].before, *(t.after for t in transitions)], profile
+        report = self._report_progress
+        row = play(
+            self.env, policy, self._seeds(index), watch=watch or digest.add, report_progress=report
+        )
+        recorded = {RECORDED: recorder.finish(index, row)} if self._record else {}
+        return arranged({"episode": index, **row}) | {DIGEST: digest.hexdigest()} | recorded
 
     def transitions(self, index: int) -> tuple[list[Transition], Profile]:
         """Play one episode; return its T transitions, and the ground."""
         seed = self._seeds(index)
-        made = decisions(self._env, self._policy, seed, report_progress=self._report_progress)
-        return [d.transition for d in made], self._env.profile
+        made = decisions(self.env, self._policy, seed, report_progress=self._report_progress)
+        return [d.transition for d in made], self.env.profile

@@ -12,10 +12,7 @@ from enum import StrEnum
 from flipperctl.config import EvalConfig, with_overrides
 from flipperctl.env.sensing import exact
 from flipperctl.errors import ConfigError
-from flipperctl.evaluation.episode import EpisodeResult
-
-Play = Callable[[EvalConfig, Sequence[int]], Sequence[EpisodeResult]]
-"""Plays the episodes with these indices under a configuration."""
+from flipperctl.evaluation.rows import Row, reached
 
 
 class SensingCause(StrEnum):
@@ -32,8 +29,8 @@ class SensingCause(StrEnum):
 def on_true_ground(config: EvalConfig) -> EvalConfig | None:
     """Return the configuration with the true ground and posture in place of the sensor.
 
-    None: the sensor is itself that of the true ground, apart from its settings, or a setting of it
-    is sampled, without which other values would be sampled differently.
+    None if the sensor is already exact, or if one of its settings is randomised (dropping it would
+    shift the other draws).
     """
     found = exact(config.perception)
     sampled = any(one.section == "perception" for one in config.randomise.sampled())
@@ -57,36 +54,31 @@ def at_true_pose(config: EvalConfig) -> EvalConfig | None:
 
 def causes(
     config: EvalConfig,
-    failed: Sequence[EpisodeResult],
-    play: Play,
-    true_ground: Sequence[EpisodeResult] | None = None,
+    failed: Sequence[Row],
+    play: Callable[[EvalConfig, Sequence[int]], Sequence[Row]],
+    true_ground: Sequence[Row] | None = None,
 ) -> dict[int, SensingCause]:
     """Return the cause of each failed episode by its index; nothing for other sensors.
 
-    ``true_ground``: the same episodes on the true ground, if they have been played already.
-    Episodes that ``play`` leaves out, since it was interrupted, are left out.
+    ``play`` plays the episodes with these indices under a configuration. ``true_ground``: the same
+    episodes on the true ground, if they have been played already. Episodes that ``play`` leaves
+    out, since it was interrupted, are left out.
     """
     exactly, posed = on_true_ground(config), at_true_pose(config)
     if not failed or exactly is None:
         return {}
-    left = [e.episode for e in failed]
+    left = [row["episode"] for row in failed]
     found: dict[int, SensingCause] = {}
     if posed is not None:
-        found = dict.fromkeys(_reached(play(posed, left)), SensingCause.DRIFT)
+        drifted = [row["episode"] for row in play(posed, left) if reached(row)]
+        found = dict.fromkeys(drifted, SensingCause.DRIFT)
         left = [index for index in left if index not in found]
-    known = [e for e in true_ground or () if e.episode in left]
-    played = known if true_ground is not None or not left else play(exactly, left)
-    crossed = _reached(played)
-    for e in played:
-        cause = SensingCause.PERCEPTION if e.episode in crossed else SensingCause.OTHER
-        found[e.episode] = cause
+    known = [row for row in true_ground or () if row["episode"] in left]
+    for row in known if true_ground is not None or not left else play(exactly, left):
+        found[row["episode"]] = SensingCause.PERCEPTION if reached(row) else SensingCause.OTHER
     return dict(sorted(found.items()))
 
 
-def counts(episodes: Iterable[EpisodeResult]) -> dict[str, int]:
+def counts(episodes: Iterable[Row]) -> dict[str, int]:
     """Return the number of failures by cause, the most frequent first; empty if none is known."""
-    return dict(Counter(e.failed_by for e in episodes if e.failed_by is not None).most_common())
-
-
-def _reached(episodes: Sequence[EpisodeResult]) -> set[int]:
-    return {e.episode for e in episodes if e.reached}
+    return dict(Counter(row["failed_by"] for row in episodes if "failed_by" in row).most_common())

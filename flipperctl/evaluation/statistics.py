@@ -1,187 +1,190 @@
-"""The summary of episodes, and the differences of two policies' episodes at equal seeds."""
+"""95 % intervals and exact tests: means, rates, paired differences, many comparisons.
+
+In: numbers or counts. Out: an ``Interval`` or a p-value. ``benchmarks/coverage.py`` simulates how
+often the intervals contain the truth.
+"""
 
 from __future__ import annotations
 
-from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from typing import Any
 
-from flipperctl.api import Measure, Outcome
-from flipperctl.env.metrics import occurring
-from flipperctl.evaluation.episode import EpisodeResult
-from flipperctl.evaluation.estimates import Estimate, Interval, PairedDifference
-from flipperctl.evaluation.intervals import interval, paired_success, proportion
-from flipperctl.evaluation.results import Differences, NotReached, Outcomes, Passable, Summary
-from flipperctl.evaluation.risk import summarise_risk
-
-Row = Mapping[str, Any]
-"""A flat row of ``rollout.episode.play``."""
-Pair = tuple[EpisodeResult, EpisodeResult]
+import numpy as np
 
 
-def reached(rows: Sequence[Row]) -> list[Row]:
-    """Return the rows of episodes that reached the finish."""
-    return [row for row in rows if row["outcome"] == Outcome.REACHED]
+@dataclass(frozen=True)
+class Interval:
+    """A mean or a rate and its 95 % interval, in the unit of the values."""
+
+    mean: float
+    low: float | None
+    """Lower end; None, like ``high``, if there are too few values for an interval."""
+    high: float | None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers by name."""
+        return asdict(self)
 
 
-def summarise(terrain: str, episodes: Sequence[EpisodeResult]) -> Summary:
-    """Return the summary of one policy's episodes on a terrain.
+@dataclass(frozen=True)
+class PairedSuccess(Interval):
+    """The difference of two success rates over equal seeds, a policy's minus its baseline's."""
 
-    Raises:
-        ValueError: there are no episodes.
-    """
-    parts = {label: _summary(label, part, {}) for label, part in _parts(episodes).items()}
-    return _summary(terrain, episodes, parts)
-
-
-def _parts(episodes: Sequence[EpisodeResult]) -> dict[str, list[EpisodeResult]]:
-    """Return the episodes of each kind of terrain, if there is more than one kind."""
-    labels = sorted({e.terrain for e in episodes})
-    if len(labels) < 2:
-        return {}
-    return {label: [e for e in episodes if e.terrain == label] for label in labels}
+    episodes: int
+    """Number of seeds."""
+    won: int
+    """Number of seeds with which only the policy reached the finish."""
+    lost: int
+    """Number of seeds with which only the baseline reached the finish."""
+    p: float
+    """Two-sided p-value of McNemar's exact test [-]."""
+    p_holm: float
+    """The same, corrected for all such comparisons that are shown together (Holm) [-]."""
 
 
-def _summary(
-    terrain: str, episodes: Sequence[EpisodeResult], parts: Mapping[str, Summary]
-) -> Summary:
-    success = _success(episodes)
-    good = [e for e in episodes if e.reached]
-    return Summary(
-        terrain,
-        len(episodes),
-        success_rate=len(good) / len(episodes),
-        success=success,
-        outcomes=Outcomes.of(e.outcome for e in episodes),
-        t_cost=_measure([e.t_cost for e in good]),
-        pitch_variation=_measure([e.pitch_variation for e in good]),
-        pitch_variation_100hz=_measure([e.pitch_variation_100hz for e in good]),
-        flipper_travel=_measure([e.flipper_travel for e in good]),
-        max_pitch=measure([e.max_pitch for e in episodes]),
-        episode_return=measure([e.episode_return for e in episodes]),
-        further={
-            m.plugin_name: _measure(_further(m, good if m.reached_only else episodes))
-            for m in occurring(e.further for e in episodes)
-        },
-        passable=_passable(episodes),
-        parts=parts,
-        not_reached=_not_reached([e for e in episodes if not e.reached]),
-        search=_search(episodes),
-        static_bound=_measure([e.static_bound for e in good if e.static_bound is not None]),
-        risk=summarise_risk([(e.risks, not e.reached) for e in episodes if e.risks is not None]),
-    )
+FEWEST = 5
+"""Smallest number of values whose mean has an interval [-]."""
+Z = 1.959963984540054
+"""97.5 % quantile of the standard normal distribution [-]."""
+_HALVINGS = 60
+"""Halvings of an interval of length 1 after which its ends are equal in double precision [-]."""
 
 
-def _search(episodes: Sequence[EpisodeResult]) -> dict[str, float | Mapping[str, int]]:
-    """Return the mean of each number that searches reported, and the counts of each word."""
-    found: dict[str, float | Mapping[str, int]] = {}
-    for name in episodes[0].search:
-        values = [e.search[name] for e in episodes if name in e.search]
-        words = [value for value in values if isinstance(value, str)]
-        numbers = [value for value in values if not isinstance(value, str)]
-        found[name] = dict(Counter(words).most_common()) if words else sum(numbers) / len(numbers)
-    return found
+def interval(values: Sequence[float]) -> Interval:
+    """Return the mean of (K,) values with the 95 % interval of Student's t (Student 1908).
 
-
-def _further(measure: type[Measure], episodes: Sequence[EpisodeResult]) -> list[float]:
-    return [e.further[measure.plugin_name] for e in episodes if measure.plugin_name in e.further]
-
-
-def _success(episodes: Sequence[EpisodeResult]) -> Interval:
-    return proportion(sum(e.reached for e in episodes), len(episodes))
-
-
-def _passable(episodes: Sequence[EpisodeResult]) -> Passable | None:
-    if all(e.crossed_by is None for e in episodes):
-        return None
-    # An episode that no reference crosses is no evidence against the policy.
-    fair = [e for e in episodes if e.crossed_by]
-    beyond = sum(e.reached for e in episodes if not e.crossed_by)
-    if not fair:
-        return Passable(0, None, None, beyond)
-    success = _success(fair)
-    return Passable(len(fair), success.mean, success, beyond)
-
-
-def _not_reached(failed: Sequence[EpisodeResult]) -> NotReached | None:
-    if not failed:
-        return None
-    return NotReached(
-        len(failed),
-        duration=measure([e.t_cost for e in failed]),
-        pitch_variation=measure([e.pitch_variation for e in failed]),
-        pitch_variation_100hz=measure([e.pitch_variation_100hz for e in failed]),
-        flipper_travel=measure([e.flipper_travel for e in failed]),
-        further={
-            m.plugin_name: measure(_further(m, failed))
-            for m in occurring(e.further for e in failed)
-            if m.reached_only
-        },
-    )
-
-
-def measure(values: Sequence[float]) -> Estimate:
-    """Return the mean, interval and range of (K,) values.
+    It is exact for normal data; ``benchmarks/coverage.py`` estimates it for others. Fewer than
+    ``FEWEST`` values have no interval: its ends are None.
 
     Raises:
         ValueError: there are no values.
     """
-    found = interval(values)
-    return Estimate(found.mean, found.low, found.high, float(max(values) - min(values)))
+    if len(values) == 0:
+        raise ValueError("an interval needs at least one value")
+    array = np.asarray(values, dtype=np.float64)
+    mean, count = float(array.mean()), len(array)
+    if count < FEWEST:
+        return Interval(mean, None, None)
+    from scipy.special import stdtrit
+
+    half = float(stdtrit(count - 1, 0.975) * array.std(ddof=1) / math.sqrt(count))
+    return Interval(mean, mean - half, mean + half)
 
 
-def _measure(values: Sequence[float]) -> Estimate | None:
-    return measure(values) if values else None
+def mean_p(values: Sequence[float]) -> float:
+    """Return the two-sided p-value for a mean of 0 (Student's t); 1 below ``FEWEST`` values."""
+    array = np.asarray(values, dtype=np.float64)
+    if len(array) < FEWEST or not array.any():
+        return 1.0
+    deviation = float(array.std(ddof=1))
+    if deviation == 0:
+        return 0.0
+    from scipy.special import stdtr
+
+    ratio = abs(float(array.mean())) / deviation * math.sqrt(len(array))
+    return 2 * float(stdtr(len(array) - 1, -ratio))
 
 
-def differences(ours: Sequence[EpisodeResult], theirs: Sequence[EpisodeResult]) -> Differences:
-    """Return the mean differences of success and measures at equal seeds, ours minus theirs.
+def proportion(count: int, total: int) -> Interval:
+    """Return the rate ``count / total`` with its 95 % score interval (Wilson 1927).
+
+    It exists for any number of outcomes: five of five give a lower end of 0.566.
 
     Raises:
-        ValueError: the episodes have no seed in common.
+        ValueError: there are no outcomes.
     """
-    pairs = {label: paired(part, theirs) for label, part in _parts(ours).items()}
-    parts = {label: _differences(found, {}) for label, found in pairs.items() if found}
-    return _differences(paired(ours, theirs), parts)
+    if total == 0:
+        raise ValueError("a rate needs at least one outcome")
+    rate, spread = count / total, Z**2 / total
+    centre = (rate + spread / 2) / (1 + spread)
+    half = Z * math.sqrt(rate * (1 - rate) / total + spread / (4 * total)) / (1 + spread)
+    # Set 0 and 1 exactly, since rounding errors could exceed them.
+    low = centre - half if count > 0 else 0.0
+    high = centre + half if count < total else 1.0
+    return Interval(rate, low, high)
 
 
-def paired(ours: Sequence[EpisodeResult], theirs: Sequence[EpisodeResult]) -> list[Pair]:
-    """Return the pairs of episodes of equal seeds."""
-    others = {e.seed: e for e in theirs}
-    return [(e, others[e.seed]) for e in ours if e.seed in others]
+def mean_of(parts: Sequence[Interval]) -> Interval:
+    """Return the mean of independent estimates with the interval that theirs imply.
 
-
-def _differences(played: Sequence[Pair], parts: Mapping[str, Differences]) -> Differences:
-    pairs = [(mine, other) for mine, other in played if mine.reached and other.reached]
-    shared = occurring(e.further for pair in played for e in pair)
-    return Differences(
-        success=paired_success(
-            sum(mine.reached and not other.reached for mine, other in played),
-            sum(other.reached and not mine.reached for mine, other in played),
-            len(played),
-        ),
-        t_cost=_difference(pairs, lambda e: e.t_cost),
-        pitch_variation=_difference(pairs, lambda e: e.pitch_variation),
-        pitch_variation_100hz=_difference(pairs, lambda e: e.pitch_variation_100hz),
-        further={m.plugin_name: _further_difference(m, played) for m in shared},
-        parts=parts,
+    The distances of their ends add up as squares (Zou & Donner 2008), so that rates of 0 and 1, in
+    which nothing varies, leave a width. Every part has both ends.
+    """
+    means, lows, highs = (
+        np.array([getattr(part, name) for part in parts]) for name in ("mean", "low", "high")
     )
+    mean = float(means.mean())
+    below, above = (float(np.linalg.norm(means - ends)) for ends in (lows, highs))
+    return Interval(mean, mean - below / len(parts), mean + above / len(parts))
 
 
-def _further_difference(measure: type[Measure], played: Sequence[Pair]) -> PairedDifference | None:
-    pairs = [
-        (mine, other)
-        for mine, other in played
-        if measure.plugin_name in mine.further and measure.plugin_name in other.further
-        if not measure.reached_only or (mine.reached and other.reached)
-    ]
-    return _difference(pairs, lambda e: e.further[measure.plugin_name])
+def paired_success(won: int, lost: int, total: int) -> PairedSuccess:
+    """Return the success rate of a policy minus that of another, over ``total`` equal seeds.
+
+    ``won`` and ``lost``: numbers of seeds with which only the policy or only the other succeeded.
+    The 95 % interval is the score interval for paired proportions (Tango 1998). Its width is
+    positive even if both are 0: [-0.434, 0.434] for five seeds. ``p`` is that of McNemar's exact
+    test: the probability, if both are equally good, that the seeds with which only one succeeded
+    are split at least as unevenly. ``views.summary.correct`` corrects ``p_holm``.
+
+    Raises:
+        ValueError: ``total`` is 0.
+    """
+    if total == 0:
+        raise ValueError("a difference needs at least one pair")
+    p = mcnemar_p(won, lost)
+    low = _difference_with_score(won, lost, total, Z) if lost < total else -1.0
+    high = _difference_with_score(won, lost, total, -Z) if won < total else 1.0
+    return PairedSuccess((won - lost) / total, low, high, total, won, lost, p, p_holm=p)
 
 
-def _difference(
-    pairs: Sequence[Pair], value: Callable[[EpisodeResult], float]
-) -> PairedDifference | None:
-    if not pairs:
-        return None
-    found = interval([value(mine) - value(other) for mine, other in pairs])
-    return PairedDifference(found.mean, found.low, found.high, len(pairs))
+def mcnemar_p(won: int, lost: int) -> float:
+    """Return the two-sided p-value of McNemar's exact test from the counts of paired_success."""
+    if won == lost:
+        return 1.0
+    from scipy.special import bdtr
+
+    return min(1.0, 2 * float(bdtr(min(won, lost), won + lost, 0.5)))
+
+
+def _difference_with_score(won: int, lost: int, total: int, score: float) -> float:
+    """Return the difference of paired rates at which the score statistic equals ``score``.
+
+    The statistic decreases with the difference and is 0 at the observed one.
+    """
+    low, high = (-1.0, (won - lost) / total) if score > 0 else ((won - lost) / total, 1.0)
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        if _score(won, lost, total, middle) > score:
+            low = middle
+        else:
+            high = middle
+    return (low + high) / 2
+
+
+def _score(won: int, lost: int, total: int, difference: float) -> float:
+    """Return Tango's statistic (1998): the error of ``difference`` in standard errors."""
+    # Constrained maximum-likelihood estimate of the rate at which only the other succeeds.
+    b = -won - lost + (2 * total - won + lost) * difference
+    c = -lost * difference * (1 - difference)
+    rate = (math.sqrt(max(0.0, b * b - 8 * total * c)) - b) / (4 * total)
+    variance = total * (2 * rate + difference * (1 - difference))
+    error = won - lost - total * difference
+    if variance <= 0:
+        return math.copysign(math.inf, error) if error else 0.0
+    return error / math.sqrt(variance)
+
+
+def holm(p_values: Sequence[float]) -> list[float]:
+    """Return the p-values of M comparisons, each corrected for the others (Holm 1979).
+
+    The probability that any of those up to 0.05 is a false discovery is at most 5 %.
+    """
+    found, largest = [1.0] * len(p_values), 0.0
+    order = sorted(range(len(p_values)), key=p_values.__getitem__)
+    for rank, at in enumerate(order):
+        largest = max(largest, min(1.0, (len(p_values) - rank) * p_values[at]))
+        found[at] = largest
+    return found

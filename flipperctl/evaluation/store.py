@@ -1,65 +1,214 @@
-"""Stores of episodes, which are played once: in memory, or in a folder that outlives the process.
+"""The store of episodes, which are played once: in memory, or in a folder that outlives the process.
 
-In: finished episodes of a series, cell by cell. Out: the same episodes, bit for bit. A cell's file
+In: finished episodes of a policy under a configuration, block by block. Out: the same rows, bit for
+bit. The key of a block is equal exactly where results are equal, whatever plays them. A block's file
 is written whole: JSON lines, a header and then a record for each episode.
 """
 
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 import json
+import subprocess
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import flipperctl
+from flipperctl.config import EvalConfig, to_dict
+from flipperctl.config.identity import content_digest, foreign_sources, read_files
+from flipperctl.env.metrics import CORE, measures
 from flipperctl.errors import FlipperctlError
-from flipperctl.evaluation.cells import FORMAT, Series, cell_name
-from flipperctl.evaluation.episode import EpisodeResult
+from flipperctl.evaluation.conditions import Conditions
+from flipperctl.evaluation.rows import DIGEST, RECORDED, Row
 from flipperctl.files import make_folder, write_bytes, write_chunks, write_json
+from flipperctl.policies.identity import PolicyIdentity
+from flipperctl.sim.versions import engine_versions
 
+FORMAT = 1
+"""Number of the format of a block's file."""
 FOLDER, VIEW = "cells", "cells.csv"
-"""The folder of the cells within that of the results, and the table of all their episodes."""
-_CELL, _FAILED = ".jsonl", ".failed.json"
+"""The folder of the blocks within that of the results, and the table of all their episodes."""
+_BLOCK, _FAILED = ".jsonl", ".failed.json"
 _VIEWED = ("controller", "training_seed", "scene", "conditions", "conditions_hash", "engine")
-"""Entries of a cell's header that the table of all episodes repeats."""
+"""Entries of a block's header that the table of all episodes repeats."""
+_LONG, _SHORT = 16, 8
+"""Digits of the hashes within a key."""
+_LIBRARIES = ("numpy", "torch")
+_GIT_PATIENCE = 5.0  # [s]
+_DAMAGE = (OSError, ValueError, LookupError, TypeError, AttributeError)
+"""What reading a damaged file may raise."""
+
+
+@dataclass(frozen=True)
+class StoreKey:
+    """What the episodes of one policy under one configuration and seed depend on."""
+
+    policy: PolicyIdentity
+    ground: str
+    """What is equal for all policies on equal episodes; see ``ground``."""
+    scoring: str
+    """SHA-256 of what else a result depends on: rewards, measures and the observation layout."""
+    config: EvalConfig = field(compare=False, repr=False)
+
+    @classmethod
+    def of(cls, config: EvalConfig, policy: PolicyIdentity) -> StoreKey:
+        """Return the key of a policy's episodes under a configuration.
+
+        Raises:
+            PluginError: a setting of the terrain cannot be written as JSON.
+        """
+        return cls(policy, ground(config), _digest(_scoring(config)), config)
+
+    @property
+    def text(self) -> str:
+        """The name of a block without its range of episodes."""
+        training = "x" if self.policy.training_seed is None else self.policy.training_seed
+        return f"{self.policy.digest[:_LONG]}.{training}.{self.ground}.{self.scoring[:_SHORT]}"
+
+    @property
+    def versions(self) -> dict[str, str]:
+        """Versions of the packages on which episodes that are played here depend, by name."""
+        return versions_here(self.config)
+
+    def header(self, first: int, last: int) -> dict[str, Any]:
+        """Return the header of the block with the episodes from ``first`` to ``last``."""
+        conditions = Conditions.of(self.config)
+        return {
+            "record": "cell",
+            "format": FORMAT,
+            "cell": block_name(self.text, first, last),
+            "policy": self.policy.digest,
+            "training_seed": self.policy.training_seed,
+            "training": self.policy.training,
+            "controller": self.policy.label,
+            "scene": self.config.terrain.plugin_name,
+            "conditions": conditions.name,
+            "conditions_hash": conditions.hash,
+            "engine": self.config.sim.plugin_name,
+            "evaluation_seed": self.config.eval.seed,
+            "first": first,
+            "last": last,
+            "settings": {**conditions.settings, **_scoring(self.config)},
+            "versions": self.versions,
+            "commit": commit(),
+        }
+
+
+def versions_here(config: EvalConfig) -> dict[str, str]:
+    """Return the versions of the packages on which the episodes depend if played here, by name."""
+    return {
+        "flipperctl": flipperctl.__version__,
+        **{name: version(name) for name in _LIBRARIES},
+        **engine_versions(config.sim),
+    }
+
+
+def ground(config: EvalConfig) -> str:
+    """Return the part of a key that is equal for all policies on equal episodes.
+
+    It has a hash of terrain, robot, physics, sensing, start and randomisation, and the seed of the
+    evaluation.
+    """
+    plugged = [config.terrain, config.sim, config.perception]
+    digest = _digest([Conditions.of(config).settings, foreign_sources(plugged)])
+    return f"{digest[:_LONG]}.{config.eval.seed}"
+
+
+def block_name(key: str, first: int, last: int) -> str:
+    """Return the name of the block with the episodes from ``first`` to ``last``."""
+    return f"{key}.{first:06d}-{last:06d}"
+
+
+def blocks(indices: Sequence[int], size: int) -> Iterator[list[int]]:
+    """Yield the blocks of ascending indices: runs without a gap that pass no multiple of ``size``.
+
+    The ends depend on the indices alone, so that any number of processes writes equal files.
+    """
+    block: list[int] = []
+    for index in indices:
+        if block and (index != block[-1] + 1 or index % size == 0):
+            yield block
+            block = []
+        block.append(index)
+    if block:
+        yield block
+
+
+@cache
+def commit() -> str | None:
+    """Return the commit of the checkout that runs; None for an installed package."""
+    root = Path(flipperctl.__file__).parents[1]
+    if not (root / ".git").exists():
+        return None
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40"]
+    try:
+        done = subprocess.run(  # noqa: S603 - all words are our own
+            command, capture_output=True, text=True, timeout=_GIT_PATIENCE, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return done.stdout.strip() or None
+
+
+def _scoring(config: EvalConfig) -> dict[str, Any]:
+    """Return what results depend on besides the conditions, as plain data."""
+    whole = to_dict(config.environment())
+    found = measures()
+    read = [file for one in [*config.rewards.values(), *found.values()] for file in read_files(one)]
+    return {
+        **({"files": [content_digest(file) for file in read]} if read else {}),
+        "rewards": whole["rewards"],
+        "layout": {name: whole["perception"][name] for name in ("bins", "bin_width")},
+        "measures": {name: to_dict(measure) for name, measure in found.items()},
+        "sources": foreign_sources([*config.rewards.values(), *found.values()]),
+    }
+
+
+def _digest(document: object) -> str:
+    text = json.dumps(document, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 class EpisodeStore:
-    """Episodes by series and index, in memory."""
+    """Episodes by key and index, in memory."""
 
     def __init__(self) -> None:
         self.other_versions: Counter[str] = Counter()
-        """Number of cells that were read and that were played with another version of a package,
+        """Number of blocks that were read and that were played with another version of a package,
         by the package and that version."""
-        self._episodes: dict[str, dict[int, EpisodeResult]] = {}
+        self._rows: dict[str, dict[int, Row]] = {}
 
-    def find(self, series: Series) -> dict[int, EpisodeResult]:
-        """Return the stored episodes of a series by index."""
-        return dict(self._episodes.get(series.key, {}))
+    def find(self, key: StoreKey) -> dict[int, Row]:
+        """Return the stored episodes of a key by index."""
+        return dict(self._rows.get(key.text, {}))
 
-    def add(self, series: Series, cell: Sequence[EpisodeResult]) -> None:
-        """Keep the episodes of a cell, whose indices have no gap.
+    def add(self, key: StoreKey, block: Sequence[Row]) -> None:
+        """Keep the episodes of a block, whose indices have no gap.
 
         Raises:
-            OutputError: the cell cannot be written.
+            OutputError: the block cannot be written.
             WriteError: writing it failed half way.
         """
-        kept = self._episodes.setdefault(series.key, {})
-        for episode in cell:
-            kept.setdefault(episode.episode, replace(episode, recorded=None))
+        kept = self._rows.setdefault(key.text, {})
+        for row in block:
+            kept.setdefault(row["episode"], {n: v for n, v in row.items() if n != RECORDED})
 
-    def fail(self, series: Series, first: int, last: int, error: FlipperctlError) -> None:
-        """Note that a cell could not be played; in memory, nothing is kept of it."""
+    def fail(self, key: StoreKey, first: int, last: int, error: FlipperctlError) -> None:
+        """Note that a block could not be played; in memory, nothing is kept of it."""
 
 
-class CellFolder(EpisodeStore):
-    """Cells as files in a folder; those that lie there already are read when they are asked for."""
+class FolderStore(EpisodeStore):
+    """Blocks as files in a folder; those that lie there already are read when they are asked for."""
 
     def __init__(self, folder: Path, tell: Callable[[str], None] = lambda text: None) -> None:
-        """``tell`` is called with a line about cells that are damaged, or of another version.
+        """``tell`` is called with a line about blocks that are damaged.
 
         Raises:
             OutputError: the folder cannot be created or written.
@@ -68,180 +217,166 @@ class CellFolder(EpisodeStore):
         self._folder, self._tell = make_folder(folder), tell
         self._files: dict[str, list[Path]] = {}
         self._read: set[str] = set()
-        for file in sorted(folder.glob(f"*{_CELL}")):
-            self._files.setdefault(file.name.removesuffix(_CELL).rpartition(".")[0], []).append(
-                file
-            )
+        for file in sorted(folder.glob(f"*{_BLOCK}")):
+            key = file.name.removesuffix(_BLOCK).rpartition(".")[0]
+            self._files.setdefault(key, []).append(file)
 
-    def find(self, series: Series) -> dict[int, EpisodeResult]:
-        """Return the stored episodes of a series by index; damaged files are told and left out."""
-        if series.key not in self._read:
-            self._read.add(series.key)
-            here = series.versions
+    def find(self, key: StoreKey) -> dict[int, Row]:
+        """Return the stored episodes of a key by index; damaged files are told and left out."""
+        if key.text not in self._read:
+            self._read.add(key.text)
             damaged: list[Path] = []
-            for file in self._files.get(series.key, ()):
-                if (cell := read_cell(file)) is None:
+            for file in self._files.get(key.text, ()):
+                if (block := read_block(file)) is None:
                     damaged.append(file)
                     continue
-                header, episodes = cell
-                self.count_versions(header, here)
-                super().add(series, episodes)
+                header, rows = block
+                self.count_versions(header, key.versions)
+                super().add(key, rows)
             for file in damaged:
-                if self._holds(series, file):  # other cells have its episodes
+                if self._holds(key, file):  # other blocks have its episodes
                     file.unlink(missing_ok=True)
-                    self._files[series.key].remove(file)
+                    self._files[key.text].remove(file)
                 else:
                     self._tell(f"{file} is damaged; its episodes are played again")
-        return super().find(series)
+        return super().find(key)
 
-    def _holds(self, series: Series, file: Path) -> bool:
-        """Return whether all episodes are stored that a cell's file has by its name."""
-        first, _, last = file.name.removesuffix(_CELL).rpartition(".")[2].partition("-")
+    def _holds(self, key: StoreKey, file: Path) -> bool:
+        """Return whether all episodes are stored that a block's file has by its name."""
+        first, _, last = file.name.removesuffix(_BLOCK).rpartition(".")[2].partition("-")
         if not (first.isdecimal() and last.isdecimal()):
             return False
-        return super().find(series).keys() >= set(range(int(first), int(last) + 1))
+        return super().find(key).keys() >= set(range(int(first), int(last) + 1))
 
-    def add(self, series: Series, cell: Sequence[EpisodeResult]) -> None:
-        """Write the cell's file; see ``EpisodeStore.add``."""
-        first, last = cell[0].episode, cell[-1].episode
-        name = cell_name(series.key, first, last)
-        lines = [series.header(first, last)]
-        lines += [_record(name, episode) for episode in cell]
-        text = "".join(
-            json.dumps(line, separators=(",", ":"), default=_plain) + "\n" for line in lines
-        )
-        file = self._folder / f"{name}{_CELL}"
-        write_bytes(file, text.encode())
-        self._files.setdefault(series.key, []).append(file)
-        for failed in self._folder.glob(f"{series.key}.{first:06d}-*{_FAILED}"):
+    def add(self, key: StoreKey, block: Sequence[Row]) -> None:
+        """Write the block's file; see ``EpisodeStore.add``."""
+        first, last = block[0]["episode"], block[-1]["episode"]
+        name = block_name(key.text, first, last)
+        lines = [key.header(first, last), *(_record(name, row) for row in block)]
+        texts = (json.dumps(one, separators=(",", ":"), default=_plain) + "\n" for one in lines)
+        file = self._folder / f"{name}{_BLOCK}"
+        write_bytes(file, "".join(texts).encode())
+        self._files.setdefault(key.text, []).append(file)
+        for failed in self._folder.glob(f"{key.text}.{first:06d}-*{_FAILED}"):
             failed.unlink(missing_ok=True)
-        super().add(series, cell)
+        super().add(key, block)
 
-    def fail(self, series: Series, first: int, last: int, error: FlipperctlError) -> None:
-        """Write a file that says why a cell could not be played, until it is played."""
-        document = series.header(first, last) | {
-            "record": "failure",
-            "error": type(error).__name__,
-            "text": str(error),
-        }
+    def fail(self, key: StoreKey, first: int, last: int, error: FlipperctlError) -> None:
+        """Write a file that says why a block could not be played, until it is played."""
+        why = {"record": "failure", "error": type(error).__name__, "text": str(error)}
+        document = key.header(first, last) | why
         write_json(self._folder / f"{document['cell']}{_FAILED}", document)
 
-    def stored_on(
-        self, ground: str
-    ) -> Iterator[tuple[list[dict[str, Any]], dict[int, EpisodeResult]]]:
-        """Yield the headers and the episodes of each stored policy on a ``cells.ground``."""
-        for key in list(self._files):
-            if f".{ground}." in key:
-                cells = [cell for file in self._files[key] if (cell := read_cell(file))]
-                if cells:
-                    headers = [header for header, _ in cells]
-                    yield headers, {e.episode: e for _, episodes in cells for e in episodes}
+    def stored_on(self, ground: str) -> Iterator[tuple[list[dict[str, Any]], dict[int, Row]]]:
+        """Yield the headers and the episodes by index of each stored policy on a ``ground``."""
+        for key, files in list(self._files.items()):
+            blocks = [block for file in files if (block := read_block(file))]
+            if f".{ground}." in key and blocks:
+                rows = {row["episode"]: row for _, part in blocks for row in part}
+                yield [header for header, _ in blocks], rows
 
     def count_versions(self, header: Mapping[str, Any], here: Mapping[str, str]) -> None:
-        """Count a cell that was played with other versions than those ``here``."""
-        for package, version in header["versions"].items():
-            if here.get(package) != version:
-                self.other_versions[f"{package} {version}"] += 1
+        """Count a block that was played with other versions than those ``here``."""
+        for package, played_with in header["versions"].items():
+            if here.get(package) != played_with:
+                self.other_versions[f"{package} {played_with}"] += 1
 
 
 @dataclass(frozen=True)
 class PlayedPolicy:
-    """Whose cells lie in a folder, under a label."""
+    """The policy that played the stored blocks of one label."""
 
     digest: str
     """SHA-256 of its weights or settings."""
     training_seed: int | None
     """Seed of its training; None for a rule."""
     training: Mapping[str, Any] | None = field(default=None, compare=False)
-    """Settings in which the trainings of its method agree; None for a rule or an exported file, and
-    in cells of version 0.2."""
+    """Settings in which the trainings of its method agree; None for a rule or an exported file."""
 
 
 def played_policies(folder: Path) -> dict[tuple[str, str], set[PlayedPolicy]]:
-    """Return the policies whose cells lie in a folder, by label and hash of the conditions."""
+    """Return the policies whose blocks lie in a folder, by label and hash of the conditions."""
     found: dict[tuple[str, str], set[PlayedPolicy]] = {}
-    for file in sorted(folder.glob(f"*{_CELL}")):
+    for file in sorted(folder.glob(f"*{_BLOCK}")):
         try:
             with file.open() as lines:
                 header = json.loads(lines.readline())
             key = header["controller"], header["conditions_hash"]
             policy = PlayedPolicy(header["policy"], header["training_seed"], header.get("training"))
-        except (OSError, ValueError, LookupError, TypeError):
-            continue  # it is damaged; an evaluation says so
+        except _DAMAGE:
+            continue  # an evaluation says so
         found.setdefault(key, set()).add(policy)
     return found
 
 
-def read_cell(file: Path) -> tuple[dict[str, Any], list[EpisodeResult]] | None:
-    """Return the header and the episodes of a cell's file; None if it is damaged."""
+def read_block(file: Path) -> tuple[dict[str, Any], list[Row]] | None:
+    """Return the header and the episodes of a block's file; None if it is damaged."""
     try:
-        header, rows = _read_records(file)
-        return header, list(map(_episode, rows))
-    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        header, *records = (json.loads(line) for line in file.read_text().splitlines())
+        indices = list(range(header["first"], header["last"] + 1))
+        whole = [row["episode"] for row in records] == indices and header["format"] == FORMAT
+        if not whole or f"{header['cell']}{_BLOCK}" != file.name:
+            return None
+        return header, list(map(_row, records))
+    except _DAMAGE:
         return None
 
 
-def _read_records(file: Path) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """Return the header and the records of a cell's file, or raise an error if it is damaged."""
-    header, *rows = (json.loads(line) for line in file.read_text().splitlines())
-    indices = list(range(header["first"], header["last"] + 1))
-    whole = [row["episode"] for row in rows] == indices and header["format"] == FORMAT
-    if not whole or f"{header['cell']}{_CELL}" != file.name:
-        raise ValueError(f"{file} is not the cell that its name says")
-    return header, rows
-
-
 def write_view(results: Path) -> None:
-    """Write the table of all episodes of all cells below a folder of results, if there are any.
+    """Write the table of all stored episodes below a folder of results, if there are any.
 
-    The cells are read one after the other, so that their number needs no memory.
+    The blocks are read one after the other, so that their number needs no memory.
 
     Raises:
         OutputError: the table cannot be written.
         WriteError: writing failed half way; an earlier table, if any, is kept.
     """
-    files = sorted((results / FOLDER).glob(f"*{_CELL}"))
+    files = sorted((results / FOLDER).glob(f"*{_BLOCK}"))
     if not files:
         return
-    columns: dict[str, None] = {}
-    for file in files:
-        for row in _viewed(file):
-            columns |= dict.fromkeys(row)
-    write_chunks(results / VIEW, _csv_lines(files, list(columns)))
+    columns = dict.fromkeys(name for file in files for row in _viewed(file) for name in row)
+    write_chunks(results / VIEW, _csv_chunks(map(_viewed, files), list(columns)))
 
 
-def _csv_lines(files: Sequence[Path], columns: Sequence[str]) -> Iterator[bytes]:
+def _csv_chunks(
+    parts: Iterable[Iterable[Mapping[str, Any]]], columns: Sequence[str]
+) -> Iterator[bytes]:
     text = io.StringIO()
     writer = csv.DictWriter(text, columns)
     writer.writeheader()
-    for file in files:
-        writer.writerows(_viewed(file))
+    for rows in parts:
+        writer.writerows(rows)
         yield text.getvalue().encode()
         text.seek(0)
         text.truncate()
 
 
-def _viewed(file: Path) -> Iterator[dict[str, Any]]:
-    """Yield the rows of a cell in the table of all episodes; none if it is damaged."""
-    try:
-        header, rows = _read_records(file)
-    except (OSError, ValueError, LookupError, TypeError, AttributeError):
-        return
-    who = {"cell": header["cell"], **{name: header[name] for name in _VIEWED}}
-    for row in rows:
-        yield who | {n: value for n, value in row.items() if n not in ("record", "digest")}
+def _viewed(file: Path) -> Iterator[Row]:
+    """Yield the rows of a block in the table of all episodes; none if it is damaged."""
+    if (block := read_block(file)) is not None:
+        header, rows = block
+        who = {"cell": header["cell"], **{name: header[name] for name in _VIEWED}}
+        for row in rows:
+            yield who | {n: value for n, value in row.items() if n != DIGEST}
 
 
-def _record(cell: str, episode: EpisodeResult) -> dict[str, Any]:
-    """Return the record of an episode in a cell."""
-    own = {} if episode.digest is None else {"digest": episode.digest}
-    return {"record": "episode", "cell": cell, **own, **episode.row()}
+def _record(name: str, row: Row) -> Row:
+    """Return the record of an episode in a block."""
+    own = {DIGEST: row[DIGEST]} if DIGEST in row else {}
+    rest = {n: value for n, value in row.items() if n not in (DIGEST, RECORDED)}
+    return {"record": "episode", "cell": name, **own, **rest}
 
 
-def _episode(row: dict[str, Any]) -> EpisodeResult:
-    """Return the episode of a record, without what describes the record."""
-    rest = {k: v for k, v in row.items() if k not in ("record", "cell", "episode", "digest")}
-    return EpisodeResult.of(row["episode"], rest, row.get("digest"))
+def _row(record: Row) -> Row:
+    """Return the episode of a record, without what describes the record.
+
+    Raises:
+        LookupError: it is no episode.
+    """
+    row = {n: value for n, value in record.items() if n not in ("record", "cell", DIGEST)}
+    for name in ("seed", "outcome", "terrain", *CORE, "return"):
+        row[name]  # raises if it is missing
+    return row | ({DIGEST: record[DIGEST]} if DIGEST in record else {})
 
 
 def _plain(value: Any) -> Any:

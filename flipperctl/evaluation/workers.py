@@ -1,25 +1,28 @@
-"""Worker processes of an evaluation, which play the episodes of one policy after the other.
+"""Worker processes, which play the episodes of one policy after the other.
 
-In: an environment configuration and a policy's source. Out: one result per episode, in order. A
-worker takes the next episode as soon as it is free.
+In: configurations, policies' sources and indices of episodes. Out: their rows, in order. A worker
+takes the next episode as soon as it is free; if it dies, its episode is played again, which the
+seed makes exact.
 """
 
 from __future__ import annotations
 
 import itertools
 import logging
+import os
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
-from types import TracebackType
+from pathlib import Path
 from typing import Any
 
 from flipperctl import plugins
-from flipperctl.config import EnvConfig, parse, to_dict
-from flipperctl.errors import FlipperctlError
-from flipperctl.evaluation.episode import EpisodeResult
+from flipperctl.config import EnvConfig, EvalConfig, parse, to_dict
+from flipperctl.errors import CheckpointError, FlipperctlError
+from flipperctl.evaluation.rows import Row
 from flipperctl.evaluation.runner import EpisodeRunner
+from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.pool import WorkerDiedError, WorkerPool
 
@@ -27,8 +30,8 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class _Task:
-    """The policy, environment and seed of the episodes that a worker plays."""
+class Task:
+    """The policy, environment and seed of episodes, as another process can be given them."""
 
     number: int
     """Identifies the task; a worker reuses the environment and policy that it built for it."""
@@ -40,12 +43,14 @@ class _Task:
 
 
 class EpisodeWorkers:
-    """``count`` processes, which start with the first episodes; a process that dies is replaced."""
+    """``count`` processes, which start with the first episodes; a process that dies is replaced.
+
+    One worker is this process.
+    """
 
     def __init__(self, count: int = 1, stop: Callable[[], bool] = lambda: False) -> None:
         """``stop`` is called before each episode; once it returns True, no other episode begins."""
-        self.count = count
-        self.stop = stop
+        self.count, self.stop = count, stop
         self.interrupted = False
         """Whether episodes were left out because of ``stop``."""
         self._pool: WorkerPool | None = None
@@ -54,42 +59,77 @@ class EpisodeWorkers:
     def __enter__(self) -> EpisodeWorkers:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self.close()
 
     def play(
         self,
-        config: EnvConfig,
+        config: EvalConfig,
         source: PolicySource,
         indices: Sequence[int],
-        seed: int,
+        *,
+        report_progress: Callable[[float], None] = lambda fraction: None,
+        record: bool = False,
+    ) -> Iterator[Row]:
+        """Yield the rows of these episodes, in order, each as soon as it is available.
+
+        Fewer are played, and ``interrupted`` is set, once ``stop`` returns True. A lone worker calls
+        ``report_progress`` with the finished fraction of an episode's search. ``record``: whether
+        rows include the decisions.
+
+        Raises:
+            FlipperctlError: the policy cannot be built or failed, or an episode killed its workers.
+        """
+        if self.count > 1 and len(indices) > 1:
+            requests = self.play_many([(config, source, indices)], record=record)
+            for _, rows in requests:
+                yield from rows
+            return
+        if indices and self.stop():
+            self.interrupted = True
+            return
+        if not indices:
+            return
+        runner = EpisodeRunner(config, source, config.eval.seed, report_progress, record=record)
+        for index in indices:
+            if self.stop():
+                self.interrupted = True
+                return
+            yield runner.play(index)
+
+    def play_many(
+        self,
+        requests: Sequence[tuple[EvalConfig, PolicySource, Sequence[int]]],
         *,
         record: bool = False,
-    ) -> Iterator[EpisodeResult]:
-        """Yield the results of these episodes, in order; see ``play_episodes``.
+    ) -> Iterator[tuple[int, Iterator[Row]]]:
+        """Yield the number of each request and its rows; all requests share the processes at once.
 
-        After a stop, finished results are yielded up to the first unfinished one.
+        See ``play``. The rows of a request must be taken before those of the next one.
         """
-        document = to_dict(config.environment())
-        paths = plugins.configured_paths()
-        task = _Task(next(self._numbers), document, source, seed, record, paths)
         if self._pool is None:
             self._pool = WorkerPool(self.count, _use_one_thread, ())
-        pool = self._pool
-        waiting = deque(pool.submit(_play_in_worker, task, index) for index in indices)
+        pool, paths = self._pool, plugins.configured_paths()
+        waiting: deque[tuple[Task, int, Future[Row]]] = deque()
+        for config, source, indices in requests:
+            document, seed = to_dict(config.environment()), config.eval.seed
+            task = Task(next(self._numbers), document, source, seed, record, paths)
+            waiting += ((task, i, pool.submit(_play_in_worker, task, i)) for i in indices)
         try:
-            for index in indices:
-                if self.stop() and not waiting[0].done():
-                    return
-                yield _result(pool, task, waiting.popleft(), index)
+            for number, (_, _, indices) in enumerate(requests):
+                yield number, self._rows(pool, waiting, len(indices))
         finally:  # after a failure, another policy's episodes come next
-            for job in waiting:
+            for _, _, job in waiting:
                 job.cancel()
+
+    def _rows(
+        self, pool: WorkerPool, waiting: deque[tuple[Task, int, Future[Row]]], count: int
+    ) -> Iterator[Row]:
+        for _ in range(count):
+            if self.interrupted or (self.stop() and not waiting[0][2].done()):
+                self.interrupted = True
+                return
+            yield _result(pool, *waiting.popleft())
 
     def use(self, count: int) -> None:
         """Change the number of processes; if it differs, running ones are stopped."""
@@ -104,8 +144,8 @@ class EpisodeWorkers:
             self._pool = None
 
 
-def _result(pool: WorkerPool, task: _Task, job: Future[EpisodeResult], index: int) -> EpisodeResult:
-    """Wait for an episode; replay it, which its seed makes exact, if its worker died."""
+def _result(pool: WorkerPool, task: Task, index: int, job: Future[Row]) -> Row:
+    """Wait for an episode; if its worker died, play it again (same seed, same result)."""
     for _ in range(pool.count + 2):  # all may have died at once
         try:
             return job.result()
@@ -115,7 +155,7 @@ def _result(pool: WorkerPool, task: _Task, job: Future[EpisodeResult], index: in
     raise FlipperctlError(f"episode {index} of the evaluation repeatedly killed its worker")
 
 
-_runner: tuple[int, EpisodeRunner] | None = None  # the newest task's, one per worker process
+_runner: tuple[object, EpisodeRunner] | None = None  # the newest task's, one per worker process
 
 
 def _use_one_thread() -> None:
@@ -124,10 +164,45 @@ def _use_one_thread() -> None:
     torch.set_num_threads(1)
 
 
-def _play_in_worker(task: _Task, index: int) -> EpisodeResult:
+def _play_in_worker(task: Task, index: int) -> Row:
+    return _worker_runner(task.number, task).play(index)
+
+
+def _worker_runner(key: object, task: Task) -> EpisodeRunner:
+    """Return the runner of a task in a worker process, built with its first episode."""
     global _runner
-    if _runner is None or _runner[0] != task.number:
+    if _runner is None or _runner[0] != key:
         plugins.load(task.plugin_paths)
         config = parse(EnvConfig, task.config)
-        _runner = task.number, EpisodeRunner(config, task.source, task.seed, record=task.record)
-    return _runner[1].play(index)
+        _runner = key, EpisodeRunner(config, task.source, task.seed, record=task.record)
+    return _runner[1]
+
+
+def play_block(key: str, digest: str, task: Task, block: Sequence[int], cwd: str) -> list[Row]:
+    """Play the episodes of a block in a process of a Ray cluster.
+
+    ``key``: store key; ``digest``: the policy's, another one is refused. ``cwd``: working directory
+    of the evaluation, if the machine has it.
+
+    Raises:
+        CheckpointError: the policy is missing or another one there.
+    """
+    if Path(cwd).is_dir():
+        os.chdir(cwd)
+    _use_one_thread()
+    runner = _worker_runner(key, task)
+    require_unchanged(task.source, digest)
+    return [runner.play(index) for index in block]
+
+
+def require_unchanged(source: PolicySource, digest: str) -> None:
+    """Refuse a policy that has not the ``digest`` any more, since its episodes would mix two.
+
+    Raises:
+        CheckpointError: its file was replaced, as a run that is trained replaces its best policy.
+    """
+    if PolicyIdentity.of(source).digest != digest:
+        raise CheckpointError(
+            f"{source.label()} has changed since the evaluation began; is it still being trained? "
+            "Evaluate it again when it is finished, or a copy of its file"
+        )

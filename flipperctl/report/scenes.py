@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from flipperctl.errors import FlipperctlError, InterruptedRunError
-from flipperctl.evaluation.conditions import Conditions
-from flipperctl.evaluation.files import picture_names
-from flipperctl.evaluation.judging import Progress, no_progress
+from flipperctl.evaluation.plan import Entry
+from flipperctl.evaluation.play import Progress, no_progress
 from flipperctl.evaluation.runner import EpisodeRunner
-from flipperctl.evaluation.scenes import Scene
 from flipperctl.report.drawn_film import film_episode
 from flipperctl.report.episode import episode_figure
 from flipperctl.report.figure import save
@@ -20,12 +18,11 @@ from flipperctl.report.mapped import mapped
 
 
 def draw_scenes(
-    folder: Path,
-    scenes: Sequence[Scene],
+    scenes: Mapping[Path, Entry],
     progress: Progress = no_progress,
     stop: Callable[[], bool] = lambda: False,
 ) -> None:
-    """Replay the first episode of each scene and write its picture into the folder.
+    """Replay the first episode of each scene and write its picture, by the picture's path.
 
     If a picture fails, the others are still drawn.
 
@@ -33,47 +30,45 @@ def draw_scenes(
         FlipperctlError: a picture could not be drawn or written; the text names all that failed.
         InterruptedRunError: ``stop``, called before each picture, returned True.
     """
-    names = picture_names([config for config, _ in scenes])
+    names = [file.name for file in scenes]
     failed: list[tuple[str, FlipperctlError]] = []
-    for index, (name, scene) in enumerate(zip(names, scenes, strict=True)):
+    for index, (file, entry) in enumerate(scenes.items()):
         if stop():
             raise InterruptedRunError(f"interrupted: {', '.join(names[index:])} not drawn")
         try:
-            _draw(folder / name, scene, progress)
+            _draw(file, entry, progress)
         except FlipperctlError as error:
-            failed.append((name, error))
+            failed.append((file.name, error))
     if failed:
         others = ", ".join(name for name, _ in failed[1:])
         first = failed[0][1]
         raise type(first)(f"{first}; also not drawn: {others}") if others else first
 
 
-def _draw(path: Path, scene: Scene, progress: Progress) -> None:
-    config, source = scene
-    terrain = config.terrain.plugin_name
+def _draw(path: Path, entry: Entry, progress: Progress) -> None:
+    config, source, terrain = entry.config, entry.source, entry.terrain
     with progress(f"{terrain}, picture", 1) as report:
         made, profile = EpisodeRunner(config, source, config.eval.seed, report).transitions(0)
     title = (
         f"{source.label()} on {terrain}: {made[-1].outcome}\n"
-        f"episode 0 of {config.eval.episodes}, conditions {Conditions.of(config).label}"
+        f"episode 0 of {config.eval.episodes}, conditions {entry.conditions.label}"
     )
     states = [made[0].before, *(t.after for t in made)]
     robot = made[0].robot
     save(episode_figure(states, profile, robot, title, mapped(made), samples(made)), path)
 
 
-def film_scene(path: Path, scene: Scene, progress: Progress = no_progress) -> None:
+def film_scene(path: Path, entry: Entry, progress: Progress = no_progress) -> None:
     """Replay the first episode of the scene and write its film.
 
     Raises:
         OutputError: the film cannot be written.
         WriteError: writing failed half way.
     """
-    config, source = scene
+    config, source, terrain = entry.config, entry.source, entry.terrain
     if config.sim.films_itself:
         film_episode(config, source, 0, path)
         return
-    terrain = config.terrain.plugin_name
     with progress(f"{terrain}, film", 2) as report:
         made, profile = EpisodeRunner(config, source, config.eval.seed, report).transitions(0)
         title = f"{source.label()} on {terrain}: {made[-1].outcome}"

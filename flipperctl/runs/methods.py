@@ -12,8 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from flipperctl import checkpoint as checkpoints
+from flipperctl.api import registry
+from flipperctl.api.plugin import registered_names
 from flipperctl.config import resolver
-from flipperctl.errors import FlipperctlError, RequestError
+from flipperctl.errors import ConfigError, FlipperctlError, RequestError
+from flipperctl.messages import close_match
 from flipperctl.policies.exported import ExportedPolicy, is_exported
 from flipperctl.policies.identity import method_settings, without_sources
 from flipperctl.runs import folder as run_folder
@@ -35,30 +38,64 @@ class Entrant:
     """Seed of the training; None for a controller."""
 
 
-def entrants(
-    given: Sequence[Path], controllers: str | None, tell: Callable[[str], None]
-) -> list[Entrant]:
+def entrants(names: Sequence[str], tell: Callable[[str], None]) -> list[Entrant]:
     """Return the policies of all methods, each once.
 
-    A folder with the runs of a sweep stands for them all: for one method, if they differ in their
-    seeds alone. ``tell`` is called with a line for each run that has no checkpoint, repeats
-    another one, or is not finished.
+    A name is that of a controller or a shipped policy, or the path of a run, a checkpoint or an
+    exported file; names of controllers may be joined by commas. A folder with the runs of a sweep
+    stands for them all: for one method, if they differ in their seeds alone. ``tell`` is called
+    with a line for each run that has no checkpoint, repeats another one, or is not finished.
 
     Raises:
         RequestError: a name is empty, or a folder has no run with a checkpoint.
-        ConfigError: there is no such controller.
+        ConfigError: there is no such policy.
         CheckpointError: a checkpoint is missing or damaged.
     """
     found: dict[Entrant, None] = {}
-    for path in given:
-        found |= dict.fromkeys(_of_path(path, tell))
-    names = [] if controllers is None else [name.strip() for name in controllers.split(",")]
-    if not all(names):
-        raise RequestError(f"--controller: names between commas are allowed; got {controllers!r}")
-    for name in names:
-        resolver.get("controller", name, "--controller")
-        found[Entrant(name)] = None
+    for name in (part for text in names for part in _split(text)):
+        if ("controller", name) in registry and not Path(name).exists():
+            found[Entrant(name)] = None
+        else:
+            found |= dict.fromkeys(_of_path(find_path(name), tell))
     return list(found)
+
+
+def _split(text: str) -> list[str]:
+    """Return the names that commas join; a path may have commas of its own."""
+    if Path(text).exists() or "," not in text:
+        return [text]
+    names = [name.strip() for name in text.split(",")]
+    if not all(names):
+        raise RequestError(f"names between commas are allowed, as in okada,level; got {text!r}")
+    return names
+
+
+def find_path(name: str) -> Path:
+    """Return the path of a policy's run or file, or the name of a shipped policy.
+
+    Raises:
+        ConfigError: there is no policy of this name.
+        CheckpointError: it can only be a path, and nothing is there.
+    """
+    path = Path(name)
+    if path.exists() or name in checkpoints.shipped_policies():
+        return path
+    if path.suffix or len(path.parts) > 1:
+        checkpoints.find(path)  # raises the error that names a close match
+    known = [*checkpoints.shipped_policies(), *registered_names("controller")]
+    raise ConfigError(
+        f"there is no run, file, shipped policy or controller {name!r}{close_match(name, known)}; "
+        f"shipped policies and controllers: {', '.join(sorted(known))}"
+    )
+
+
+def split_policies(words: Sequence[str] | None) -> tuple[list[str], list[str]]:
+    """Return the policies among the words of a command, and the overrides."""
+    policies, overrides = [], []
+    for word in words or ():
+        plain = "=" not in word and not word.startswith(("~", "+"))
+        (policies if plain or Path(word).exists() else overrides).append(word)
+    return policies, overrides
 
 
 def standing(baseline: str | None, present: Sequence[Entrant]) -> list[Entrant]:

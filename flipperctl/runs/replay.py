@@ -10,7 +10,7 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
-from flipperctl.evaluation.judging import Progress, no_progress
+from flipperctl.evaluation.play import Progress, no_progress
 from flipperctl.evaluation.replay import Replay, replay
 from flipperctl.files import write_json
 from flipperctl.runs.results import ResultFolder, result_folder
@@ -79,5 +79,5 @@ def title(found: Replay) -> str:
     conditions = f"{record.conditions['name']} {record.conditions['hash']}"
     return (
         f"{record.policy.label} on {found.config.terrain.plugin_name}, conditions {conditions}, "
-        f"episode {record.episode}: {found.episode.outcome}"
+        f"episode {record.episode}: {found.episode['outcome']}"
     )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from flipperctl.evaluation.replay import Replay
+from flipperctl.evaluation.rows import DIGEST
 from flipperctl.runs.replay import title
 from flipperctl.terminal.console import console, print_lines
 
@@ -12,12 +13,11 @@ def print_replay(found: Replay) -> None:
     episode = found.episode
     lines = [
         title(found),
-        f"{episode.decisions} decisions, {episode.t_cost:.2f} s, θ̂_R "
-        f"{episode.pitch_variation_100hz:.3f} rad, largest pitch {episode.max_pitch:.3f} rad",
+        f"{episode['decisions']} decisions, {episode['t_cost']:.2f} s, pitch variation "
+        f"{episode['pitch_variation_100hz']:.3f} rad, largest pitch {episode['max_pitch']:.3f} rad",
     ]
     if found.record.digest is None and not found.differences:
         lines.append("equal to the recorded episode by its measures; it has no digest of the poses")
     elif not found.differences:
-        digest = f", digest {episode.digest:.16}…" if episode.digest else ""
-        lines.append(f"bit-identical to the recorded episode{digest}")
+        lines.append(f"bit-identical to the recorded episode, digest {episode[DIGEST]:.16}…")
     print_lines(console(), lines)

@@ -1,43 +1,54 @@
-"""The output of ``flipperctl eval``: tables or one JSON document, and a warning if they mislead."""
+"""The output of ``flipperctl eval``: its tables, and notes where something is unusual."""
 
 from __future__ import annotations
 
-from flipperctl.evaluation.results import EvaluationResult
-from flipperctl.terminal.conditions import condition_lines
+from collections.abc import Iterator, Sequence
+
+from flipperctl.evaluation.evaluate import Result
+from flipperctl.evaluation.show import print_table
+from flipperctl.evaluation.views import evaluation, published, risk
+from flipperctl.evaluation.views.summary import Document, named, short
 from flipperctl.terminal.console import console, print_lines
-from flipperctl.terminal.document import show
-from flipperctl.terminal.evaluation import (
-    comparisons,
-    group_tables,
-    risk_lines,
-    search_lines,
-    table,
-)
-from flipperctl.terminal.published import published_table
 from flipperctl.terminal.streams import print_note
 
 
-def print_result(result: EvaluationResult, label: str | None) -> None:
-    """Print the tables with the policy's ``label``, or the JSON document if ``label`` is None."""
+def print_result(result: Result, document: Document, columns: Sequence[str] = ()) -> None:
+    """Print the tables of a document, with further ``columns``, and the notes of its result."""
     told: set[str] = set()  # once for all methods
-    for scene in result.scenes:
-        if scene.has_identical_episodes and not (
-            scene.name.method and scene.conditions.hash in told
-        ):
-            told.add(scene.conditions.hash)
+    for one in result.rows:
+        entry = one.entry
+        if one.identical and not (entry.method and entry.conditions.hash in told):
+            told.add(entry.conditions.hash)
             print_note(
-                f"{scene.terrain}: all {len(scene.episodes)} episodes are identical, since nothing "
+                f"{entry.terrain}: all {len(one.episodes)} episodes are identical, since nothing "
                 "is random; their intervals are meaningless (episode.start_noise, "
                 "perception.noise, randomise or conditions=varied make episodes differ)"
             )
-    show(result.to_dict(), lambda: _print_tables(result, label or ""), as_json=label is None)
-
-
-def _print_tables(result: EvaluationResult, label: str) -> None:
     out = console()
-    for shown in (table(result, label), *comparisons(result), *group_tables(result)):
-        shown.print(out)
-    if beside := published_table(result, label):
-        beside.print(out)
-    conditions = condition_lines((s.terrain, s.seed, s.conditions) for s in result.scenes)
-    print_lines(out, (*search_lines(result), *risk_lines(result), *conditions))
+    for table in evaluation.tables(document, result.plan.title, columns):
+        print_table(table, out)
+    if beside := published.table(document):
+        print_table(beside, out)
+    print_lines(out, (*_conditions(result), *_risks(document), "95 % intervals; more columns: --columns all"))
+
+
+def _conditions(result: Result) -> Iterator[str]:
+    """Yield a line for each set of conditions with a setting that is not the default."""
+    found: dict[str, dict[str, None]] = {}
+    for one in result.rows:
+        entry = one.entry
+        if words := entry.conditions.line():
+            text = f"conditions {entry.conditions.name}: {words}"
+            found.setdefault(text, {})[entry.terrain] = None
+    for text, terrains in found.items():
+        yield text if len(found) == 1 else f"{', '.join(terrains)}: {text}"
+
+
+def _risks(document: Document) -> Iterator[str]:
+    """Yield a line for each policy that told its risk, if it failed or warned."""
+    scenes = named(document)
+    for name, scene in scenes:
+        found = scene.get("risk")
+        if found is not None and (found["failures"] or found["false_alarms"]):
+            who = short(scene.get("method") or scene["controller"])
+            yield f"risk, {who} on {name}: {risk.text(found)}"

@@ -9,21 +9,26 @@ The variance of the mean has a part of each, and neither an interval over the se
 over episodes contains both. The parts are estimated by themselves and combined with Satterthwaite's
 degrees of freedom, as is usual where readers × cases are crossed (Obuchowski and Rockette 1995);
 below five seeds each part keeps its own quantile of Student's t, which is cautious.
-``benchmarks/seed_coverage.py`` simulates how often the intervals contain the truth.
+``benchmarks/seed_coverage.py`` simulates how often the intervals contain the truth. The aggregates
+are those of rliable (Agarwal et al., NeurIPS 2021), which ``benchmarks/agreement.py`` compares.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from flipperctl.api import FloatArray
-from flipperctl.evaluation.aggregates import Statistic, percentile_ends
-from flipperctl.evaluation.estimates import Interval
+from flipperctl.evaluation.statistics import Interval
 
+TRIM = 0.25
+"""Fraction of the scores that an interquartile mean leaves out at each end [-]."""
+
+Statistic = Callable[[FloatArray], FloatArray]
+"""Returns one number for each matrix of scores, (..., R, T) → (...)."""
 RESAMPLES = 2000
 """Number of bootstrap samples [-]."""
 FEWEST_SEEDS = 5
@@ -119,7 +124,7 @@ def bootstrap(
     the same for all seeds. It contains the truth too rarely below ten seeds: 72 % at three.
     """
     values = statistic(resampled(scores, rng, resamples))
-    low, high = percentile_ends(values)
+    low, high = np.percentile(values, [2.5, 97.5])
     return Interval(float(statistic(_seed_means(scores))), float(low), float(high))
 
 
@@ -253,3 +258,39 @@ def _cautious(found: float, parts: Sequence[Part], rest: float) -> tuple[float, 
 def _wins(ours: FloatArray, theirs: FloatArray) -> FloatArray:
     gap = theirs[None, :, :] - ours[:, None, :]
     return np.asarray((gap > 0) + 0.5 * (gap == 0))
+
+
+def mean(scores: FloatArray) -> FloatArray:
+    """Return the mean over runs and tasks, (..., R, T) → (...)."""
+    return np.asarray(scores.mean(axis=(-2, -1)))
+
+
+def interquartile_mean(scores: FloatArray) -> FloatArray:
+    """Return the mean of the middle half of all runs and tasks, (..., R, T) → (...).
+
+    The ⌊R·T/4⌋ smallest and equally many of the largest scores are left out, so it equals the mean
+    for up to three scores.
+    """
+    flat = np.sort(scores.reshape(*scores.shape[:-2], -1), axis=-1)
+    cut = int(TRIM * flat.shape[-1])
+    return np.asarray(flat[..., cut : flat.shape[-1] - cut].mean(axis=-1))
+
+
+def improvement(ours: FloatArray, theirs: FloatArray) -> FloatArray:
+    """Return the probability that a run of ours beats one of theirs, where greater is better.
+
+    It is P(X > Y) + P(X = Y) / 2 over all pairs of runs (Mann and Whitney's U over R·R'), averaged
+    over the tasks: (..., R, T) and (..., R', T) → (...).
+    """
+    gap = ours[..., :, None, :] - theirs[..., None, :, :]  # (..., R, R', T)
+    return np.asarray(((gap > 0) + 0.5 * (gap == 0)).mean(axis=(-3, -2, -1)))
+
+
+def profile(scores: FloatArray, levels: FloatArray) -> FloatArray:
+    """Return the fraction of all scores above each of L levels, (L,): the performance profile.
+
+    ``scores`` may have any shape: runs × tasks, as in rliable, or runs × episodes.
+    """
+    ordered = np.sort(scores, axis=None)
+    below = np.searchsorted(ordered, levels, side="right")
+    return np.asarray(1.0 - below / ordered.size)

@@ -1,0 +1,287 @@
+"""Evaluate a plan: play what the store lacks, and return the episodes of each of its entries.
+
+In: a plan. Out: a ``Result``, of which every view is a pure function; nothing is printed or written
+here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+from flipperctl.config import EvalConfig
+from flipperctl.errors import FlipperctlError, InterruptedRunError
+from flipperctl.evaluation.plan import Entry, Plan
+from flipperctl.evaluation.play import NOT_A_POLICYS, Player, Progress, no_progress
+from flipperctl.evaluation.rows import Episodes, reached
+from flipperctl.evaluation.sensing import causes
+from flipperctl.evaluation.store import EpisodeStore
+from flipperctl.evaluation.workers import EpisodeWorkers
+from flipperctl.policies.source import PolicySource
+
+_SHOWN = 12
+"""Largest number of scenes that the sentence on an interruption names."""
+
+
+@dataclass(frozen=True)
+class Played:
+    """The episodes of one entry of a plan."""
+
+    entry: Entry
+    episodes: Episodes
+
+    @property
+    def identical(self) -> bool:
+        """Whether there are several episodes whose outcomes and measures are all identical."""
+        names = ("outcome", "t_cost", "pitch_variation_100hz", "max_pitch", "return")
+        measured = {tuple(row[name] for name in names) for row in self.episodes}
+        return len(self.episodes) > 1 == len(measured)
+
+
+@dataclass(frozen=True)
+class Interruption:
+    """The finished part of an interrupted evaluation, baselines included."""
+
+    finished: int
+    """Number of finished episodes."""
+    planned: int
+    """Number of episodes that were planned."""
+    not_begun: tuple[str, ...]
+    """Scenes without a finished episode."""
+
+    @property
+    def text(self) -> str:
+        """One sentence for the user."""
+        begun = f"interrupted: {self.finished} of {self.planned} episodes are finished"
+        if not self.not_begun:
+            return begun
+        more = len(self.not_begun) - _SHOWN
+        named = ", ".join(self.not_begun[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
+        return f"{begun}; not begun: {named}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data."""
+        return {
+            "interrupted": True,
+            "finished_episodes": self.finished,
+            "planned_episodes": self.planned,
+            "not_begun": list(self.not_begun),
+        }
+
+
+@dataclass(frozen=True)
+class PolicyError:
+    """A policy that could not play all episodes of a scene."""
+
+    controller: str
+    """Label of the policy."""
+    terrain: str
+    error: FlipperctlError
+
+    def to_dict(self) -> dict[str, str]:
+        """Return plain data."""
+        return {"controller": self.controller, "terrain": self.terrain, "error": str(self.error)}
+
+
+@dataclass(frozen=True)
+class Result:
+    """The episodes of a plan, as far as they were played."""
+
+    plan: Plan
+    played: tuple[Played, ...]
+    """The entries with a finished episode, in the order of the plan."""
+    interruption: Interruption | None = None
+    """None if every episode was played."""
+    failures: tuple[PolicyError, ...] = ()
+    """Policies that failed on a scene; their episodes are left out, since the rest would favour
+    them."""
+
+    @property
+    def rows(self) -> list[Played]:
+        """The scenes of the result; baselines are so beside several methods."""
+        methods = self.plan.has_methods
+        return [one for one in self.played if methods or not one.entry.is_baseline]
+
+    def baselines(self, one: Played) -> list[Played]:
+        """Return the baselines on the episodes of a policy, of its rewards if there are such."""
+        found: dict[str, Played] = {}
+        if one.entry.is_baseline or one.entry.stored:
+            return []
+        for other in self.played:
+            if other.entry.is_baseline and other.entry.ground == one.entry.ground:
+                same = other.entry.config.rewards == one.entry.config.rewards
+                if other.entry.label not in found or same:
+                    found[other.entry.label] = other
+        return list(found.values())
+
+    def error(self) -> FlipperctlError | None:
+        """Return the error of an evaluation in which policies failed; None if none did."""
+        if not self.failures:
+            return None
+        first = self.failures[0]
+        text = f"{first.controller} failed on {first.terrain}: {first.error}"
+        if len(self.failures) > 1:
+            text += f"; {len(self.failures) - 1} more failed"
+        return type(first.error)(f"{text}; all other results are complete")
+
+
+def evaluate(
+    plan: Plan,
+    *,
+    references: Sequence[PolicySource] = (),
+    progress: Progress = no_progress,
+    record: bool = False,
+    stop: Callable[[], bool] = lambda: False,
+    store: EpisodeStore | None = None,
+    planned: Callable[[int], None] = lambda episodes: None,
+) -> Result:
+    """Play the episodes of a plan, in as many processes as its scenes ask for.
+
+    ``references`` determine which episodes can be crossed at all: each plays those that no earlier
+    reference crossed. ``record``: whether rows include the decisions. Once ``stop``, called before
+    each episode, returns True, the evaluation ends with the finished episodes. Episodes that the
+    ``store`` has are not played again; new ones are added to it. ``planned`` is called once with
+    the number of episodes that the store lacks. A policy that fails on a scene is listed in
+    ``failures``; if every policy fails, the first error is raised.
+
+    Raises:
+        FlipperctlError: every policy cannot be built or failed, or an episode killed its workers.
+        InterruptedRunError: it was stopped before any episode was finished.
+        OutputError, WriteError: the store cannot be written.
+        ValueError: the plan is empty.
+    """
+    if not plan.entries:
+        raise ValueError("an evaluation needs at least one scene")
+    found: list[Played] = []
+    failures: list[PolicyError] = []
+    with EpisodeWorkers(stop=stop) as workers:
+        player = Player(EpisodeStore() if store is None else store, workers, progress)
+        planned(_lacking(player, plan.entries))
+        address = plan.entries[0].config.eval.ray
+        if address is not None and not record:
+            player.play_over_ray([(e.config, e.source) for e in plan.entries], address)
+        for entry in plan.entries:
+            if entry.is_baseline and not any(p.entry.ground == entry.ground for p in found):
+                continue  # there is nothing to compare with it
+            scene = _Scene(entry, player, failures)
+            label = entry.named if plan.has_methods or entry.is_baseline else ""
+            label = f"{entry.terrain}, {label}" if label else entry.terrain
+            rows = scene.play(entry.source, label, record=record and not entry.is_baseline)
+            if not rows:
+                continue
+            if plan.has_methods or not entry.is_baseline:
+                rows = scene.with_causes(rows)
+                rows = scene.with_references(rows, references)
+            found.append(Played(entry, rows))
+    if failures and not any(not one.entry.is_baseline for one in found):
+        raise failures[0].error
+    interruption = _interruption(plan, found) if workers.interrupted else None
+    return Result(plan, tuple(found), interruption, tuple(failures))
+
+
+def _lacking(player: Player, entries: Iterable[Entry]) -> int:
+    """Return the number of episodes that the store lacks, without those of references."""
+    found: dict[tuple[str, int], None] = {}
+    for entry in entries:
+        with suppress(FlipperctlError):  # which playing raises again, where it is noted
+            key = player.key(entry.config, entry.source).text
+            missing = player.missing(entry.config, entry.source)
+            found |= dict.fromkeys((key, index) for block in missing for index in block)
+    return len(found)
+
+
+def _interruption(plan: Plan, played: Sequence[Played]) -> Interruption:
+    """Return the finished and planned episodes of the policies and their baselines."""
+    planned = sum(entry.config.eval.episodes for entry in plan.entries)
+    finished = sum(len(one.episodes) for one in played)
+    if not finished:
+        raise InterruptedRunError(f"interrupted: none of {planned} episodes is finished")
+    several = any(entry.source != plan.rows[0].source for entry in plan.rows)
+    begun = {id(one.entry) for one in played}
+    missing = [
+        f"{entry.label} on {entry.terrain}" if several else entry.terrain
+        for entry in plan.rows
+        if id(entry) not in begun
+    ]
+    return Interruption(finished, planned, tuple(missing))
+
+
+class _Scene:
+    """The scene of an entry, played by several policies."""
+
+    def __init__(self, entry: Entry, player: Player, failures: list[PolicyError]) -> None:
+        """``failures`` takes each policy that fails on the scene."""
+        self._entry, self._player, self._failures = entry, player, failures
+
+    def play(
+        self,
+        source: PolicySource,
+        label: str,
+        indices: Sequence[int] | None = None,
+        *,
+        config: EvalConfig | None = None,
+        record: bool = False,
+    ) -> Episodes:
+        """Return the episodes of a policy; none of one that fails, since the rest would favour it.
+
+        ``config``: another sensing of the same episodes.
+        """
+        chosen = self._entry.config if config is None else config
+        try:
+            return self._player.play(chosen, source, label, indices, record=record)
+        except NOT_A_POLICYS:
+            raise
+        except FlipperctlError as error:
+            self._failures.append(PolicyError(source.label(), self._entry.terrain, error))
+            return Episodes()
+
+    def with_causes(self, episodes: Episodes) -> Episodes:
+        """Return the episodes, the failed ones with their cause if the sensor maps the ground."""
+
+        def again(config: EvalConfig, indices: Sequence[int]) -> Episodes:
+            label = f"{self._entry.terrain}, failed episodes again"
+            return self.play(self._entry.source, label, indices, config=config)
+
+        if self._player.workers.interrupted:
+            return episodes
+        found = causes(self._entry.config, episodes.failed, again)
+        return _with(episodes, "failed_by", {at: str(cause) for at, cause in found.items()})
+
+    def with_references(self, episodes: Episodes, references: Sequence[PolicySource]) -> Episodes:
+        """Return the episodes, each with the first reference that crosses it, or an empty text.
+
+        They stay as they are if a reference was stopped or failed, since untried episodes are then
+        unknown.
+        """
+        if not references:
+            return episodes
+        failed = len(self._failures)
+        config = self._entry.config
+        crossed = dict.fromkeys(range(config.eval.episodes), "")
+        for reference in references:
+            name = reference.label()
+            try:
+                rows = self._player.known(config, reference)
+            except FlipperctlError:  # which playing raises again, where it is noted
+                rows = None
+            if rows is None:
+                left = [index for index, label in crossed.items() if not label]
+                label = f"{self._entry.terrain}, {name} on episodes not crossed yet"
+                rows = self.play(reference, label, left)
+            crossed |= {
+                row["episode"]: name for row in rows if reached(row) and not crossed[row["episode"]]
+            }
+        whole = not self._player.workers.interrupted and len(self._failures) == failed
+        return _with(episodes, "crossed_by", crossed) if whole else episodes
+
+
+def _with(episodes: Episodes, column: str, values: Mapping[int, str]) -> Episodes:
+    """Return the episodes with a further column, by their index."""
+    return Episodes(
+        tuple(
+            {**row, column: values[row["episode"]]} if row["episode"] in values else row
+            for row in episodes
+        )
+    )

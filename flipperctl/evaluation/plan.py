@@ -1,0 +1,114 @@
+"""The plan of an evaluation: which policies play which scenes, and how they are called.
+
+In: a configuration and a policy's source for each entry. Out: a ``Plan``, which ``evaluate`` plays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+from flipperctl.config import EvalConfig
+from flipperctl.evaluation.conditions import Conditions
+from flipperctl.policies.source import PolicySource
+
+BEST_KNOWN = "best known"
+"""How a row of the best stored policy is called, before its label in brackets."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One policy on one scene."""
+
+    config: EvalConfig
+    """``config.eval`` holds the number of episodes and the seed."""
+    source: PolicySource
+    scene: str = ""
+    """Name of the scene within its suite."""
+    method: str = ""
+    """Name of the method, whose policies differ in their training seeds; empty for one policy."""
+    training_seed: int | None = None
+    """Seed of the policy's training; None for a controller, or if there is one seed alone."""
+    is_baseline: bool = False
+    """Whether the policy plays for comparison alone."""
+    stored: str = ""
+    """Label of the policy whose stored episodes of an earlier evaluation these are, else empty."""
+
+    @property
+    def terrain(self) -> str:
+        """Name of the terrain plugin."""
+        return self.config.terrain.plugin_name
+
+    @property
+    def label(self) -> str:
+        """Label of the policy: a shipped policy's or a controller's name, else a path."""
+        return self.stored or self.source.label()
+
+    @property
+    def row_label(self) -> str:
+        """Label of the policy in files; a row of stored episodes says so."""
+        return self.named if self.stored else self.label
+
+    @property
+    def named(self) -> str:
+        """Name of the policy for tables: its method with the training seed, else its label."""
+        seed = "" if self.training_seed is None else f", seed {self.training_seed}"
+        return f"{self.method}{seed}" if self.method else self.label
+
+    @cached_property
+    def conditions(self) -> Conditions:
+        """The settings that determine how the episodes are sampled and simulated."""
+        return Conditions.of(self.config)
+
+    @property
+    def ground(self) -> tuple[str, str, int, int]:
+        """What is equal for the entries that play equal episodes."""
+        numbers = self.config.eval
+        return self.scene, self.conditions.hash, numbers.seed, numbers.episodes
+
+    @property
+    def names(self) -> dict[str, Any]:
+        """Names beyond those of the terrain and of the policy's file, without what is empty."""
+        found = {"suite_scene": self.scene, "method": self.method}
+        seed = {} if self.training_seed is None else {"training_seed": self.training_seed}
+        return {**{name: text for name, text in found.items() if text}, **seed}
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The entries of an evaluation, in the order in which they are played and shown."""
+
+    entries: tuple[Entry, ...]
+    title: str = ""
+    """What is evaluated, as the user called it."""
+    with_best_known: bool = False
+    """Whether a row of the best stored policy stands beside them, where it is better than all."""
+
+    @classmethod
+    def of_one(
+        cls,
+        scenes: Sequence[tuple[EvalConfig, PolicySource]],
+        baselines: Sequence[PolicySource] = (),
+        title: str = "",
+    ) -> Plan:
+        """Return the plan of one policy, whose baselines play each of its scenes after it."""
+        entries: list[Entry] = []
+        for config, source in scenes:
+            entries.append(Entry(config, source))
+            for other in baselines:
+                entry = Entry(config, other, is_baseline=True)
+                if entry not in entries:
+                    entries.append(entry)
+        return cls(tuple(entries), title)
+
+    @property
+    def has_methods(self) -> bool:
+        """Whether it is a plan of several methods, or of a suite, whose baselines have rows."""
+        return any(entry.method for entry in self.entries)
+
+    @property
+    def rows(self) -> list[Entry]:
+        """The entries that are scenes of the result; baselines are so beside several methods."""
+        return [e for e in self.entries if self.has_methods or not e.is_baseline]

@@ -1,0 +1,146 @@
+"""The episode table: a flat row for each episode that was played.
+
+In: rows of ``rollout.episode.play``. Out: ``Episodes``, which views select, group and pair. A row
+has the columns of ``episodes.csv``: the episode's index and seed, its outcome, measures, rewards
+and what was drawn for it, in SI units; ``digest`` tells equal episodes bit for bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from flipperctl.api import Outcome
+from flipperctl.env.metrics import CORE, DRAWN, other_measures
+from flipperctl.rollout.episode import SEARCH
+
+Row = dict[str, Any]
+DIGEST = "digest"
+RECORDED = "recorded"
+"""Column of an episode's decisions, if it was played to be recorded; it is never stored."""
+REWARD = "reward_"
+"""Prefix of the columns of reward terms."""
+_FIRST = ("episode", "seed", "outcome", "terrain", *CORE)
+_LAST = ("crossed_by", "failed_by", "risk_horizon", "risk_threshold", "risks")
+_MOST_BINS = 8
+"""Largest number of different values that have a group each; more are split at their quartiles."""
+
+
+def arranged(row: Mapping[str, Any]) -> Row:
+    """Return a row with its columns in the order of ``episodes.csv``."""
+    measures = [name for cls in other_measures() if (name := cls.plugin_name) in row]
+    first = [name for name in _FIRST if name in row]
+    last = [name for name in _LAST if name in row]
+    known = {*first, *measures, "return", *last}
+    rest = [name for name in row if name not in known]
+    prefixed = {p: [n for n in rest if n.startswith(p)] for p in (REWARD, DRAWN, SEARCH)}
+    sampled = [name for name in rest if not name.startswith((REWARD, DRAWN, SEARCH))]
+    paid = ["return"] if "return" in row else []
+    order = [*first, *measures, *paid, *prefixed[REWARD], *sampled]
+    return {n: row[n] for n in (*order, *prefixed[DRAWN], *prefixed[SEARCH], *last)}
+
+
+def sampled(row: Mapping[str, Any]) -> dict[str, float]:
+    """Return the values that were sampled for the start and by ``randomise``, by name; SI units."""
+    known = {*_FIRST, *_LAST, "return", DIGEST, RECORDED}
+    known |= {cls.plugin_name for cls in other_measures()}
+    prefixes = (REWARD, DRAWN, SEARCH)
+    return {n: v for n, v in row.items() if n not in known and not n.startswith(prefixes)}
+
+
+def reached(row: Mapping[str, Any]) -> bool:
+    """Return whether the episode reached the finish."""
+    return bool(row["outcome"] == Outcome.REACHED)
+
+
+def number(row: Mapping[str, Any], name: str) -> float | None:
+    """Return a number that the terrain drew, or else a sampled value; None if there is none."""
+    found: float | None = row.get(f"{DRAWN}{name}", row.get(name))
+    return found
+
+
+@dataclass(frozen=True)
+class Episodes(Sequence[Row]):
+    """Rows of played episodes, usually those of one policy on one scene."""
+
+    rows: tuple[Row, ...] = ()
+
+    def __getitem__(self, at: Any) -> Any:
+        return Episodes(self.rows[at]) if isinstance(at, slice) else self.rows[at]
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def where(self, chosen: Callable[[Row], bool]) -> Episodes:
+        """Return the rows that ``chosen`` accepts."""
+        return Episodes(tuple(row for row in self.rows if chosen(row)))
+
+    @property
+    def reached(self) -> Episodes:
+        """The episodes that reached the finish."""
+        return self.where(reached)
+
+    @property
+    def failed(self) -> Episodes:
+        """The episodes that did not reach the finish."""
+        return self.where(lambda row: not reached(row))
+
+    def values(self, name: str) -> list[float]:
+        """Return the numbers of a column, without the rows that lack it."""
+        return [row[name] for row in self.rows if row.get(name) is not None]
+
+    def columns(self, prefix: str) -> list[str]:
+        """Return the names of the columns with a prefix, in their order, without it."""
+        names = dict.fromkeys(n for row in self.rows for n in row if n.startswith(prefix))
+        return [name.removeprefix(prefix) for name in names]
+
+    def measures(self) -> list[Any]:
+        """Return the classes of the measures beyond ``CORE`` that occur, sorted by name."""
+        names = {name for row in self.rows for name in row}
+        return [cls for cls in other_measures() if cls.plugin_name in names]
+
+    def paired(self, others: Iterable[Row]) -> list[tuple[Row, Row]]:
+        """Return the pairs of episodes of equal seeds."""
+        theirs = {row["seed"]: row for row in others}
+        return [(row, theirs[row["seed"]]) for row in self.rows if row["seed"] in theirs]
+
+    def kinds(self) -> dict[str, Episodes]:
+        """Return the episodes of each kind of terrain by label, if there is more than one kind."""
+        labels = sorted({row["terrain"] for row in self.rows})
+        if len(labels) < 2:
+            return {}
+        return {one: self.where(lambda row, k=one: row["terrain"] == k) for one in labels}  # type: ignore[misc]
+
+    def binned(
+        self, names: Sequence[str]
+    ) -> Iterator[tuple[dict[str, tuple[float, float]], Episodes]]:
+        """Yield the smallest and largest of the numbers ``names`` in each group, and its episodes.
+
+        A number with more than eight different values is split at its quartiles. Episodes without
+        one of the numbers, such as other parts of a mix, are in no group.
+        """
+        every = [(row, [number(row, name) for name in names]) for row in self.rows]
+        whole = [(row, values) for row, values in every if None not in values]
+        if not whole:
+            return
+        table = np.array([values for _, values in whole], dtype=float)  # (episodes, names)
+        bins = np.column_stack([_bins(column) for column in table.T])
+        for key in product(*(np.unique(column) for column in bins.T)):
+            chosen = np.flatnonzero((bins == key).all(axis=1))
+            if chosen.size:
+                part = table[chosen]
+                ends = zip(part.min(axis=0).tolist(), part.max(axis=0).tolist(), strict=True)
+                ranges = dict(zip(names, ends, strict=True))
+                yield ranges, Episodes(tuple(whole[at][0] for at in chosen))
+
+
+def _bins(values: Any) -> Any:
+    """Return the number of each value's bin, (K,)."""
+    distinct, found = np.unique(values, return_inverse=True)
+    if len(distinct) <= _MOST_BINS:
+        return found
+    return np.searchsorted(np.quantile(values, [0.25, 0.5, 0.75]), values, side="left")

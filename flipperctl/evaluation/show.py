@@ -1,0 +1,223 @@
+"""Show a table: on the terminal, as LaTeX, as Markdown or as rows of a CSV file.
+
+In: a ``Table``, which every view makes. Out: text. On the terminal no number is truncated: names are
+folded, headings break at spaces, and columns that are still too wide continue below.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from rich.cells import cell_len
+from rich.console import Console
+from rich.text import Text
+
+from flipperctl.evaluation.statistics import Interval
+from flipperctl.terminal.console import plain
+
+_GAP = "  "
+_NARROWEST = 14
+"""Smallest width to which a column of names is folded [columns]."""
+_ESCAPES = str.maketrans(
+    {
+        **{char: f"\\{char}" for char in "&%$#_{}"},
+        "\\": r"\textbackslash{}",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+    }
+)
+NONE = "–"
+"""Text of a missing number."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table."""
+
+    key: str
+    """Key of its values in the rows."""
+    heading: str
+    digits: int = 2
+    """Decimals of its numbers."""
+    sign: str = ""
+    """``+`` shows the sign of positive numbers too."""
+    latex: str = ""
+    """Heading in LaTeX; empty for the escaped heading."""
+    named: bool = False
+    """Whether its texts are names, which may be folded."""
+
+
+@dataclass
+class Table:
+    """Columns and rows; a value is a text, a number, an interval or None."""
+
+    columns: Sequence[Column]
+    rows: list[dict[str, Any]]
+    """Values by key. ``dim`` dims a row, ``line`` leaves a line free above it."""
+    title: str = ""
+    notes: list[str] = field(default_factory=list)
+    """Lines below the table."""
+
+    def texts(self) -> list[list[str]]:
+        """Return the cells of all rows as text."""
+        return [[value_text(row.get(c.key), c) for c in self.columns] for row in self.rows]
+
+
+def value_text(value: Any, column: Column) -> str:
+    """Return a value as a cell's text."""
+    if isinstance(value, str):
+        return value
+    if isinstance(value, int) and not isinstance(value, bool):
+        return str(value)
+    if isinstance(value, float):
+        return f"{value:{column.sign}z.{column.digits}f}"
+    return interval_text(value, column.digits, sign=column.sign)
+
+
+def interval_text(
+    found: Interval | Mapping[str, Any] | None, digits: int = 2, *, sign: str = ""
+) -> str:
+    """Return ``mean [low, high]``.
+
+    A mean without an interval is followed by ``[–]``, and ``–`` stands for None.
+    ``sign`` as in a format specification: ``+`` shows the sign of positive numbers too.
+    """
+    if found is None:
+        return NONE
+    ends = found if isinstance(found, Mapping) else found.to_dict()
+    mean, low, high = ends["mean"], ends["low"], ends["high"]
+    if low is None or high is None:
+        return f"{mean:{sign}z.{digits}f} [–]"
+    mean, low, high = (f"{n:{sign}z.{digits}f}" for n in (mean, low, high))
+    return f"{mean} [{low}, {high}]"
+
+
+def print_table(table: Table, to: Console) -> None:
+    """Print a table and its notes within the width of the console."""
+    for line in lines(table, to):
+        to.print(line, highlight=False, markup=False, soft_wrap=True)
+    for note in table.notes:
+        for text in _folded(plain(note, to), to.width):
+            to.print(text, highlight=False, markup=False, soft_wrap=True)
+
+
+def lines(table: Table, to: Console) -> Iterator[Text]:
+    """Yield the lines of a table without its notes."""
+    if table.title:
+        for text in _folded(plain(table.title, to), to.width):
+            yield Text(text, "bold")
+    cells = [[plain(text, to) for text in row] for row in table.texts()]
+    headings = [plain(column.heading, to) for column in table.columns]
+    columns = [[row[at] for row in cells] for at in range(len(headings))]
+    widths = [
+        max(_longest_word(heading), *map(cell_len, column), 1)
+        for heading, column in zip(headings, columns, strict=True)
+    ]
+    names = [at for at, column in enumerate(table.columns) if column.named]
+    for at in names:
+        over = sum(widths) + len(_GAP) * (len(widths) - 1) - to.width
+        if over > 0:
+            widths[at] = max(min(widths[at], _NARROWEST), widths[at] - over)
+    for part in _parts(widths, names, to.width):
+        yield from _block([_folded(headings[at], widths[at]) for at in part], part, widths, "dim")
+        for row, texts in zip(table.rows, cells, strict=True):
+            if row.get("line"):
+                yield Text("")
+            folded = [_folded(texts[at], widths[at]) for at in part]
+            yield from _block(folded, part, widths, "dim" if row.get("dim") else "")
+
+
+def _parts(widths: Sequence[int], names: Sequence[int], width: int) -> Iterator[list[int]]:
+    """Yield the columns that stand side by side; each part begins with the names."""
+    first = [at for at in names if at == names.index(at)]  # the leading ones
+    part, used = list(first), sum(widths[at] + len(_GAP) for at in first)
+    for at in range(len(widths)):
+        if at in first:
+            continue
+        if used + widths[at] > width and len(part) > len(first):
+            yield part
+            part, used = list(first), sum(widths[i] + len(_GAP) for i in first)
+        part.append(at)
+        used += widths[at] + len(_GAP)
+    yield part
+
+
+def _block(
+    cells: Sequence[Sequence[str]], part: Sequence[int], widths: Sequence[int], style: str
+) -> Iterator[Text]:
+    """Yield the lines of one row, whose cells may be folded."""
+    for at in range(max(len(cell) for cell in cells)):
+        texts = [cell[at] if at < len(cell) else "" for cell in cells]
+        padded = [
+            text + " " * (widths[column] - cell_len(text))
+            for text, column in zip(texts, part, strict=True)
+        ]
+        yield Text(_GAP.join(padded).rstrip(), style)
+
+
+def _longest_word(text: str) -> int:
+    return max((cell_len(word) for word in text.split()), default=1)
+
+
+def _folded(text: str, width: int) -> list[str]:
+    """Return the lines of a text, broken at spaces, and within words that are too long."""
+    found, line = [], ""
+    indent = " " * (len(text) - len(text.lstrip()))
+    for word in text.split():
+        while cell_len(word) > width:
+            if line:
+                found.append(line)
+                line = ""
+            found.append(word[:width])
+            word = word[width:]
+        if line and cell_len(f"{line} {word}") > width:
+            found.append(line)
+            line = ""
+        line = f"{line} {word}" if line else f"{indent if not found else ''}{word}"
+    return [*found, line] if line or not found else found
+
+
+def latex(table: Table) -> str:
+    """Return a table for LaTeX with booktabs; its notes are comments."""
+    names = sum(column.named for column in table.columns)
+    head = [column.latex or latex_text(column.heading) for column in table.columns]
+    found = [
+        *(f"% {latex_text(note)}" for note in table.notes),
+        "% needs \\usepackage{booktabs}",
+        r"\begin{tabular}{" + "l" * names + "r" * (len(head) - names) + "}",
+        r"\toprule",
+        _latex_row(head),
+        r"\midrule",
+    ]
+    for at, (row, texts) in enumerate(zip(table.rows, table.texts(), strict=True)):
+        if row.get("line") and at:
+            found.append(r"\addlinespace")
+        # LaTeX's own dash, which every font has; names keep theirs.
+        cells = [
+            latex_text(text) if column.named else latex_text(text.replace(NONE, "--"))
+            for text, column in zip(texts, table.columns, strict=True)
+        ]
+        found.append(_latex_row(cells))
+    return "\n".join([*found, r"\bottomrule", r"\end{tabular}", ""])
+
+
+def _latex_row(cells: Iterable[str]) -> str:
+    return " & ".join(cells) + r" \\"
+
+
+def latex_text(text: str) -> str:
+    """Return the text for LaTeX, on one line."""
+    return " ".join(text.split()).translate(_ESCAPES)
+
+
+def markdown(table: Table) -> list[str]:
+    """Return the lines of a table in Markdown."""
+    head = [column.heading for column in table.columns]
+    rows = (_markdown_row(texts) for texts in table.texts())
+    return [_markdown_row(head), "|" + "---|" * len(head), *rows]
+
+
+def _markdown_row(cells: Iterable[str]) -> str:
+    return f"| {' | '.join(cells)} |"

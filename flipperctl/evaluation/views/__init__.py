@@ -1,0 +1,1 @@
+"""Views of played episodes, one file each: rows → document → table."""

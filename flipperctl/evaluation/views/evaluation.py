@@ -1,0 +1,329 @@
+"""The document and the tables of ``flipperctl eval``.
+
+In: the result of an evaluation. Out: the document of ``eval --json``, whose numbers are plain data,
+and from such a document the tables of the terminal, ``table.csv`` and ``table.tex``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from flipperctl.api import Measure, Outcome
+from flipperctl.env.metrics import heading, other_measures
+from flipperctl.errors import RequestError
+from flipperctl.evaluation.evaluate import Played, Result
+from flipperctl.evaluation.plan import BEST_KNOWN
+from flipperctl.evaluation.rows import Row
+from flipperctl.evaluation.sensing import counts
+from flipperctl.evaluation.show import Column, Table
+from flipperctl.evaluation.views import pooled, strata, summary
+from flipperctl.evaluation.views.summary import (
+    VARIATION,
+    Document,
+    baselines,
+    compared,
+    correct,
+    named,
+    p_text,
+    rate_text,
+    short,
+)
+from flipperctl.messages import close_match
+
+_LINES = 6
+"""Largest number of differences that are lines; more are a table."""
+
+
+def document(result: Result, by: Sequence[Sequence[str]] = ()) -> Document:
+    """Return the results as plain data, without individual episodes.
+
+    ``by``: numbers whose combinations are groups (see ``strata``).
+    """
+    scenes = [_scene(one, result.baselines(one)) for one in result.rows]
+    correct(scenes)
+    if by:
+        for scene, one in zip(scenes, result.rows, strict=True):
+            scene["by"] = strata.groups(one, result.baselines(one), by)
+        correct([group for scene in scenes for found in scene["by"].values() for group in found])
+    methods = pooled.methods(result)
+    correct(methods)
+    controllers = dict.fromkeys(one.entry.label for one in result.rows)
+    stopped = result.interruption
+    return {
+        "controller": ", ".join(controllers),
+        **({} if stopped is None else stopped.to_dict()),
+        **({"failed": [f.to_dict() for f in result.failures]} if result.failures else {}),
+        "scenes": scenes,
+        **({"methods": methods} if methods else {}),
+    }
+
+
+def _scene(one: Played, others: Sequence[Played]) -> Document:
+    entry = one.entry
+    return {
+        **summary.summary(entry.terrain, one.episodes),
+        "controller": entry.label,
+        "seed": entry.config.eval.seed,
+        "conditions": entry.conditions.to_dict(),
+        **({"failed_by": failed} if (failed := counts(one.episodes)) else {}),
+        **entry.names,
+        **baselines(entry.terrain, one.episodes, {o.entry.label: o.episodes for o in others}),
+    }
+
+
+# Tables of a document
+
+
+def tables(found: Document, title: str, columns: Sequence[str] = ()) -> Iterator[Table]:
+    """Yield the table of policies, that of differences if they are many, and those of groups.
+
+    ``title`` names what was evaluated; ``columns``: further ones, of ``known_columns``.
+    """
+    table = policies(found, title, columns)
+    rows = list(_difference_rows(found, "scene" in {column.key for column in table.columns}))
+    if 0 < len(rows) <= _LINES and not any(row["scene"] for row in rows):
+        table.notes += [
+            _sentence(row, several=len({r["policy"] for r in rows}) > 1) for row in rows
+        ]
+    yield table
+    if rows and not table.notes:
+        yield _differences(rows)
+    for name, scene in named(found):
+        yield from strata.tables(name, scene)
+
+
+def policies(found: Document, title: str, columns: Sequence[str] = ()) -> Table:
+    """Return a row for each policy and baseline on each scene, methods pooled over their seeds."""
+    rows = list(_rows(found))
+    scenes = dict.fromkeys(row["scene"] for row in rows)
+    single = len(scenes) == 1 and not any(row.get("dim") for row in rows)
+    several = len({row["policy"] for row in rows}) > 1
+    head = []
+    if not single:
+        head.append(Column("scene", "scene", named=True))
+    if several:
+        head.append(Column("policy", "policy", named=True))
+    head.append(Column("success_text", "success"))
+    if any(row["failures"] for row in rows):
+        head.append(Column("failures", "failures", named=True))
+    if any(row.get("passable_text") for row in rows):
+        head.append(Column("passable_text", "of passable"))
+    latex = r"pitch variation $\hat\theta_R$ [rad]"
+    head.append(Column("pitch_variation_100hz", VARIATION, latex=latex))
+    head.append(Column("t_cost", "time [s]", 1))
+    head += _chosen(found, columns)
+    counts = dict.fromkeys(f"{row['episodes']} episodes" for row in rows)
+    parts = [title, *([next(iter(scenes))] if single else [])]
+    text = " on ".join(part for part in dict.fromkeys(parts) if part)
+    stopped = f" (interrupted: {found['finished_episodes']} of {found['planned_episodes']})"
+    text += stopped if found.get("interrupted") else ""
+    shown = rows if single else list(_without_repeats(rows))
+    return Table(head, shown, f"{text} · {', '.join(counts)}" if len(counts) == 1 else text)
+
+
+def _without_repeats(rows: Sequence[Row]) -> Iterator[Row]:
+    """Yield the rows with the name of a scene in the first one alone."""
+    last = None
+    for row in rows:
+        new = row["scene"] != last and not row.get("dim")
+        repeated = row["scene"] == last
+        if not row.get("dim"):
+            last = row["scene"]
+        yield row | {"scene": "" if repeated else row["scene"], "line": new}
+
+
+def _rows(found: Document) -> Iterator[Row]:
+    """Yield the rows of the table of policies; parts of a mix are dim."""
+    methods = {pooled.key_of(one): one for one in found.get("methods", ())}
+    shown: set[object] = set()
+    for name, scene in named(found):
+        key = pooled.key_of(scene)
+        if key in methods and "training_seed" in scene:
+            if key not in shown:
+                shown.add(key)
+                one = methods[key]
+                label = f"{short(one['method'])} ({one['seeds']} seeds)"
+                yield _row(name, label, one)
+            continue
+        label = scene.get("method") or scene["controller"]
+        yield _row(name, short(label), scene)
+        for part, inner in scene.get("parts", {}).items():
+            yield _row(f"  {part}", short(label), inner) | {"dim": True}
+        if "method" not in scene:  # else they have rows of their own
+            for other in compared(scene):
+                yield _row(name, other["controller"], other)
+
+
+def _row(name: str, policy: str, found: Document) -> Row:
+    passable = found.get("passable")
+    inner = {} if passable is None or passable["success"] is None else passable["success"]
+    outcomes = found.get("outcomes", {})
+    failures = [f"{n} {name}" for name, n in outcomes.items() if n and name != Outcome.REACHED]
+    failures += [f"by {cause} {n}" for cause, n in found.get("failed_by", {}).items()]
+    return {
+        **found,
+        "scene": name,
+        "policy": policy,
+        "success_text": rate_text(found["success"]),
+        "failures": ", ".join(failures),
+        "passable_text": rate_text(inner) if inner else "",
+        "outcomes": " ".join(f"{name} {n}" for name, n in outcomes.items() if n),
+        "not_reached_variation": (found.get("not_reached") or {}).get("pitch_variation_100hz"),
+        "search": _search_text(found.get("search", {})),
+    }
+
+
+def _search_text(found: Mapping[str, Any]) -> str:
+    parts = []
+    for key, value in found.items():
+        counts = value.items() if isinstance(value, Mapping) else ()
+        words = ", ".join(f"{word} {count}" for word, count in counts)
+        parts.append(f"{key} {words}" if words else f"{key} {value:.6g}")
+    return "; ".join(parts)
+
+
+_OPTIONAL = {
+    "episodes": Column("episodes", "episodes"),
+    "outcomes": Column("outcomes", "outcomes", named=True),
+    "pitch_variation": Column("pitch_variation", "pitch variation at decisions [rad]"),
+    "max_pitch": Column("max_pitch", "largest pitch [rad]"),
+    "flipper_travel": Column("flipper_travel", "flipper travel [rad]"),
+    "return": Column("return", "return"),
+    "not_reached": Column("not_reached_variation", "pitch variation where not reached [rad]"),
+    "search": Column("search", "search", named=True),
+}
+"""Columns of the table of policies that are shown on request, by name."""
+
+
+def known_columns() -> dict[str, Column]:
+    """Return the columns that ``--columns`` chooses, by name, further measures included."""
+    further = {m.plugin_name: _measure_column(m) for m in other_measures()}
+    return {**_OPTIONAL, **further}
+
+
+def _measure_column(measure: type[Measure]) -> Column:
+    return Column(measure.plugin_name, heading(measure), measure.digits)
+
+
+def parse_columns(text: str | None) -> list[str]:
+    """Return the names of ``--columns``; ``all`` stands for every one.
+
+    Raises:
+        RequestError: there is no such column.
+    """
+    names = [] if text is None else [name.strip() for name in text.split(",")]
+    known = known_columns()
+    if names == ["all"]:
+        return list(known)
+    for name in names:
+        if name not in known:
+            raise RequestError(
+                f"--columns: there is no column {name!r}{close_match(name, known)}; known: all, "
+                f"{', '.join(known)}"
+            )
+    return list(dict.fromkeys(names))
+
+
+def _chosen(found: Document, names: Sequence[str]) -> Iterator[Column]:
+    """Yield the further columns that a document has values for."""
+    rows = list(_rows(found))
+    for name, column in known_columns().items():
+        if name in names and any(row.get(column.key) is not None for row in rows):
+            yield column
+
+
+def _difference_rows(found: Document, with_scene: bool) -> Iterator[Row]:
+    """Yield a row for each difference of a policy to a baseline."""
+    methods = {pooled.key_of(one): one for one in found.get("methods", ())}
+    shown: set[object] = set()
+    for name, scene in named(found):
+        key = pooled.key_of(scene)
+        one = methods.get(key) if "training_seed" in scene else None
+        if one is not None and key in shown:
+            continue
+        shown.add(key)
+        label = scene.get("method") or scene["controller"]
+        for other in compared(scene if one is None else one):
+            gap = other["difference"]
+            yield {
+                "scene": name if with_scene else "",
+                "policy": short(label),
+                "against": other["controller"],
+                "variation": gap["pitch_variation_100hz"],
+                "success": gap["success"],
+                "p": gap["success"].get("p_holm", gap["success"].get("p")),
+            }
+
+
+def _sentence(row: Row, *, several: bool) -> str:
+    gap = row["variation"]
+    text = "no episode that both reach"
+    if gap is not None:
+        low, high = gap["low"], gap["high"]
+        ends = "" if low is None else f" [{low:+.2f}, {high:+.2f}]"
+        text = f"{gap['mean']:+z.2f} rad{ends}"
+    who = f"{row['policy']} against {row['against']}" if several else f"against {row['against']}"
+    return f"{who}, same episodes: pitch variation {text}, success {_gap_text(row)}"
+
+
+def _gap_text(row: Row) -> str:
+    """Return a difference of success in percent, with its p-value where it is not 0."""
+    mean, p = row["success"]["mean"], row["p"]
+    if mean == 0:
+        return "±0"
+    return f"{100 * mean:+.3g} %" + ("" if p is None else f" (p {p_text(p)})")
+
+
+def _differences(rows: Sequence[Row]) -> Table:
+    head = [
+        *([Column("scene", "scene", named=True)] if any(row["scene"] for row in rows) else []),
+        Column("policy", "policy", named=True),
+        Column("against", "against", named=True),
+        Column("variation", "Δ pitch variation [rad]", sign="+"),
+        Column("success_text", "Δ success (p, Holm)"),
+    ]
+    shown = [row | {"success_text": _gap_text(row)} for row in rows]
+    return Table(head, list(_without_repeats(shown)), "Differences on the same episodes")
+
+
+# Files
+
+
+def csv_rows(found: Document, digits: int | None = None) -> Iterator[Row]:
+    """Yield the rows of ``table.csv``: one for each scene and policy, with the ends of intervals.
+
+    ``digits``: decimals of the numbers; None leaves them as they are.
+    """
+    further = [m.plugin_name for m in other_measures()]
+    names = ("success", "t_cost", "pitch_variation_100hz", "pitch_variation", "max_pitch")
+    for scene in found["scenes"]:
+        method = scene.get("method", "")
+        stored = method.startswith(f"{BEST_KNOWN} (")
+        others = [] if method else compared(scene)
+        first = method if stored else scene["controller"]
+        for label, one in ((first, scene), *((other["controller"], other) for other in others)):
+            row: Row = {
+                "scene": scene["terrain"],
+                "method": label,
+                "n": one["episodes"],
+                "reached": one["outcomes"]["reached"],
+            }
+            for name in (*names, "flipper_travel", *(m for m in further if m in one)):
+                row |= _ends(name, one[name], digits)
+            failed = (one["not_reached"] or {}).get("pitch_variation_100hz")
+            row |= _ends("not_reached_pitch_variation_100hz", failed, digits)
+            rest = {n: scene[n] for n in ("suite_scene", "training_seed") if n in scene}
+            conditions = scene["conditions"]
+            hashed = {"conditions": conditions["name"], "conditions_hash": conditions["hash"]}
+            yield {**row, "seed": scene["seed"], **hashed, **rest}
+
+
+def _ends(name: str, found: Mapping[str, Any] | None, digits: int | None) -> Row:
+    """Return the mean and the ends of its interval, each None where there is none."""
+    ends = {n: None if found is None else found[n] for n in ("mean", "low", "high")}
+    keys = (name, f"{name}_low", f"{name}_high")
+    return {
+        key: value if value is None or digits is None else round(value, digits)
+        for key, value in zip(keys, ends.values(), strict=True)
+    }

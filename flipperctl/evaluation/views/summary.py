@@ -1,0 +1,230 @@
+"""Success and measures of a policy, and its differences from baselines, as plain data.
+
+In: the episodes of policies on one scene. Out: what ``eval --json`` has of the scene.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from flipperctl.api import Outcome
+from flipperctl.env.metrics import CORE
+from flipperctl.evaluation.rows import Episodes, Row, reached
+from flipperctl.evaluation.statistics import holm, interval, paired_success, proportion
+from flipperctl.evaluation.views import risk
+from flipperctl.rollout.episode import SEARCH
+
+Document = dict[str, Any]
+_MEASURED = tuple(name for name in CORE if name not in ("decisions", "max_pitch"))
+"""Measures over the episodes that reached the finish alone."""
+_COMPARED = ("t_cost", "pitch_variation", "pitch_variation_100hz")
+VARIATION = "pitch variation [rad]"
+"""Heading of the first figure, θ̂_R at 100 Hz."""
+
+
+def baselines(terrain: str, ours: Episodes, others: Mapping[str, Episodes]) -> Document:
+    """Return the entry ``baseline``, the first one, and ``baselines`` if there are several."""
+    found = [
+        {"controller": label, **summary(terrain, played), "difference": difference(ours, played)}
+        for label, played in others.items()
+        if ours.paired(played)
+    ]
+    first = {"baseline": found[0]} if found else {}
+    return first | ({"baselines": found} if len(found) > 1 else {})
+
+
+def compared(scene: Mapping[str, Any]) -> list[Document]:
+    """Return the baselines of a scene in a document."""
+    first = [scene["baseline"]] if "baseline" in scene else []
+    return list(scene.get("baselines", first))
+
+
+def summary(terrain: str, episodes: Episodes) -> Document:
+    """Return the summary of one policy's episodes on a terrain, with that of each kind of a mix.
+
+    Raises:
+        ValueError: there are no episodes.
+    """
+    parts = {label: _summary(label, part) for label, part in episodes.kinds().items()}
+    return _summary(terrain, episodes) | ({"parts": parts} if parts else {})
+
+
+def _summary(terrain: str, episodes: Episodes) -> Document:
+    good, failed = episodes.reached, episodes.failed
+    counts = Counter(row["outcome"] for row in episodes)
+    success = proportion(len(good), len(episodes))
+    found: Document = {
+        "terrain": terrain,
+        "episodes": len(episodes),
+        "success_rate": success.mean,
+        "success": success.to_dict(),
+        "outcomes": {str(outcome): counts[outcome] for outcome in Outcome},
+    }
+    for name in _MEASURED:
+        found[name] = estimate(good.values(name))
+    for measure in episodes.measures():
+        name = measure.plugin_name
+        found[name] = estimate((good if measure.reached_only else episodes).values(name))
+    if any("crossed_by" in row for row in episodes):
+        found["passable"] = _passable(episodes)
+    found["not_reached"] = _not_reached(failed)
+    found["max_pitch"] = estimate(episodes.values("max_pitch"))
+    found["return"] = estimate(episodes.values("return"))
+    if search := _search(episodes):
+        found["search"] = search
+    if (told := risk.summary(episodes)) is not None:
+        found["risk"] = told
+    return found
+
+
+def estimate(values: Sequence[float]) -> Document | None:
+    """Return the mean, interval and range of (K,) values; None without values."""
+    if not values:
+        return None
+    return interval(values).to_dict() | {"range": float(max(values) - min(values))}
+
+
+def _passable(episodes: Episodes) -> Document:
+    """Return the success over the episodes that a reference crosses.
+
+    An episode that no reference crosses is no evidence against the policy.
+    """
+    fair = episodes.where(lambda row: bool(row.get("crossed_by")))
+    beyond = sum(reached(row) for row in episodes if not row.get("crossed_by"))
+    if not fair:
+        return {"episodes": 0, "success_rate": None, "success": None, "beyond": beyond}
+    success = proportion(len(fair.reached), len(fair))
+    rates = {"success_rate": success.mean, "success": success.to_dict()}
+    return {"episodes": len(fair), **rates, "beyond": beyond}
+
+
+def _not_reached(failed: Episodes) -> Document | None:
+    """Return the measures over the episodes that did not reach the finish, until their end."""
+    if not failed:
+        return None
+    names = {"duration": "t_cost"} | {name: name for name in _MEASURED[1:]}
+    names |= {m.plugin_name: m.plugin_name for m in failed.measures() if m.reached_only}
+    values = {key: estimate(failed.values(name)) for key, name in names.items()}
+    return {"episodes": len(failed), **values}
+
+
+def _search(episodes: Episodes) -> Document:
+    """Return the mean of each number that searches reported, and the counts of each word."""
+    found: Document = {}
+    for key in [name for name in episodes[0] if name.startswith(SEARCH)]:
+        values: list[Any] = episodes.values(key)
+        words = [value for value in values if isinstance(value, str)]
+        mean = None if words else sum(values) / len(values)
+        name = key.removeprefix(SEARCH)
+        found[name] = dict(Counter(words).most_common()) if words else mean
+    return found
+
+
+def difference(ours: Episodes, theirs: Sequence[Row]) -> Document:
+    """Return the mean differences of success and measures at equal seeds, ours minus theirs.
+
+    Raises:
+        ValueError: the episodes have no seed in common.
+    """
+    pairs = {label: part.paired(theirs) for label, part in ours.kinds().items()}
+    parts = {label: _difference(found) for label, found in pairs.items() if found}
+    return _difference(ours.paired(theirs)) | ({"parts": parts} if parts else {})
+
+
+def _difference(pairs: Sequence[tuple[Row, Row]]) -> Document:
+    won = sum(reached(mine) and not reached(other) for mine, other in pairs)
+    lost = sum(reached(other) and not reached(mine) for mine, other in pairs)
+    names = dict.fromkeys(_COMPARED, True)
+    shared = Episodes(tuple(row for pair in pairs for row in pair)).measures()
+    names |= {measure.plugin_name: measure.reached_only for measure in shared}
+    return {
+        "success": paired_success(won, lost, len(pairs)).to_dict(),
+        **{name: paired_difference(pairs, name, only) for name, only in names.items()},
+    }
+
+
+def paired_difference(
+    pairs: Sequence[tuple[Row, Row]], name: str, only_reached: bool = True
+) -> Document | None:
+    """Return the mean difference of a measure; None without a pair of episodes that have it."""
+    values = [
+        mine[name] - other[name]
+        for mine, other in pairs
+        if name in mine and name in other
+        if not only_reached or (reached(mine) and reached(other))
+    ]
+    return interval(values).to_dict() | {"episodes": len(values)} if values else None
+
+
+def correct(scenes: Sequence[Document]) -> None:
+    """Correct the p-values of success of all comparisons that are shown together (Holm 1979)."""
+    found = [
+        one["success"]
+        for scene in scenes
+        for baseline in compared(scene)
+        for one in _with_parts(baseline["difference"])
+        if "p" in one["success"]
+    ]
+    for one, p in zip(found, holm([one["p"] for one in found]), strict=True):
+        one["p_holm"] = p
+
+
+def _with_parts(difference: Document) -> Iterator[Document]:
+    yield difference
+    yield from difference.get("parts", {}).values()
+
+
+def named(found: Document) -> list[tuple[str, Document]]:
+    """Return each scene with its name; those on equal episodes share it.
+
+    The name is that within the suite, or the terrain, with the conditions if a terrain has several.
+    Scenes of one policy that are equal in all of these, as of several of its settings, are numbered.
+    """
+    scenes = found["scenes"]
+    keys = [
+        (
+            s.get("suite_scene", ""),
+            s["terrain"],
+            f"{s['conditions']['name']} {s['conditions']['hash']}",
+        )
+        for s in scenes
+    ]
+    distinct = dict.fromkeys(keys)
+    terrains = Counter((suite, terrain) for suite, terrain, _ in distinct)
+    several = len({suite for suite, _, _ in distinct}) > 1
+    names = {}
+    for key in distinct:
+        suite, terrain, conditions = key
+        whole = terrain if terrains[suite, terrain] == 1 else f"{terrain}, {conditions}"
+        names[key] = f"{whole}, {suite}" if several and suite else whole
+    texts = [names[key] for key in keys]
+    if not any("method" in scene for scene in scenes):
+        texts = [
+            text if texts.count(text) == 1 else f"{text} ({texts[: at + 1].count(text)})"
+            for at, text in enumerate(texts)
+        ]
+    return list(zip(texts, scenes, strict=True))
+
+
+def short(label: str) -> str:
+    """Return a policy's label without the parts of its path that say nothing."""
+    return label.removesuffix("/checkpoints/best.safetensors").removesuffix(
+        "/checkpoints/last.safetensors"
+    )
+
+
+def rate_text(found: Mapping[str, Any]) -> str:
+    """Return a rate in percent, with its interval unless all succeeded."""
+    mean, low, high = (
+        None if (n := found[k]) is None else 100 * n for k in ("mean", "low", "high")
+    )
+    if mean == 100 or low is None or high is None:
+        return f"{mean:.3g} %"
+    return f"{mean:.3g} % [{low:.3g}, {high:.3g}]"
+
+
+def p_text(p: float) -> str:
+    """Return a p-value with three decimals."""
+    return "<0.001" if p < 0.001 else f"{p:.3f}"
