@@ -132,9 +132,7 @@ def _of_each_reward(entries: Sequence[Entry]) -> list[EvalConfig]:
 class _Composer:
     """Composes the scenes of policies, once for those that inherit equal settings."""
 
-    def __init__(
-        self, names: Sequence[str], sections: Sequence[Sequence[str]], tell: Tell
-    ) -> None:
+    def __init__(self, names: Sequence[str], sections: Sequence[Sequence[str]], tell: Tell) -> None:
         self._names, self._sections = names, sections
         self._known: list[tuple[Inherited | None, list[tuple[str, EvalConfig]]]] = []
         self._told: set[str] = set()

@@ -21,6 +21,8 @@ from flipperctl.messages import unit
 _SECTIONS = ("robot", "sim", "perception", "episode", "randomise")
 _START = ("start_noise", "start_angle_noise")
 _DIGITS = 8
+_SHOWN = 3
+"""Largest number of randomised settings that a line names."""
 
 
 @dataclass(frozen=True)
@@ -82,9 +84,10 @@ class Conditions:
 
         It is empty if there are none. The terrain is left out, since the tables name it.
         """
-        randomised = ", ".join(self._randomised())
+        randomised = list(self._randomised())
+        more = f" and {len(randomised) - _SHOWN} more" if len(randomised) > _SHOWN else ""
         sections = {
-            "randomised": randomised,
+            "randomised": ", ".join(randomised[:_SHOWN]) + more,
             "start": self._differences("episode", only=_START),
             "sensing": self._differences("perception"),
             "physics": self._differences("sim"),

@@ -111,22 +111,26 @@ def lines(table: Table, to: Console) -> Iterator[Text]:
     cells = [[plain(text, to) for text in row] for row in table.texts()]
     headings = [plain(column.heading, to) for column in table.columns]
     columns = [[row[at] for row in cells] for at in range(len(headings))]
-    widths = [
-        max(_longest_word(heading), *map(cell_len, column), 1)
-        for heading, column in zip(headings, columns, strict=True)
-    ]
+    cell_widths = [max([1, *map(cell_len, column)]) for column in columns]
+    widths = [max(pair) for pair in zip(cell_widths, map(cell_len, headings), strict=True)]
+    if _total(widths) > to.width:  # headings break at spaces
+        words = map(_longest_word, headings)
+        widths = [max(pair) for pair in zip(cell_widths, words, strict=True)]
     names = [at for at, column in enumerate(table.columns) if column.named]
     for at in names:
-        over = sum(widths) + len(_GAP) * (len(widths) - 1) - to.width
-        if over > 0:
+        if (over := _total(widths) - to.width) > 0:
             widths[at] = max(min(widths[at], _NARROWEST), widths[at] - over)
     for part in _parts(widths, names, to.width):
         yield from _block([_folded(headings[at], widths[at]) for at in part], part, widths, "dim")
-        for row, texts in zip(table.rows, cells, strict=True):
-            if row.get("line"):
+        for number, (row, texts) in enumerate(zip(table.rows, cells, strict=True)):
+            if row.get("line") and number:
                 yield Text("")
             folded = [_folded(texts[at], widths[at]) for at in part]
             yield from _block(folded, part, widths, "dim" if row.get("dim") else "")
+
+
+def _total(widths: Sequence[int]) -> int:
+    return sum(widths) + len(_GAP) * (len(widths) - 1)
 
 
 def _parts(widths: Sequence[int], names: Sequence[int], width: int) -> Iterator[list[int]]:

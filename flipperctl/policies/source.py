@@ -56,6 +56,11 @@ class PolicySource:
             return shipped.get(self.checkpoint, str(self.checkpoint))
         return str((self.settings or {})["name"])
 
+    @property
+    def controller_name(self) -> str | None:
+        """Name of the controller plugin; None for a file."""
+        return None if self.settings is None else str(self.settings["name"])
+
     def baselines(self) -> tuple[str, ...]:
         """Return the controllers that this policy is compared with by default."""
         if self.checkpoint is not None:

@@ -47,16 +47,18 @@ def run(
     references: Sequence[PolicySource] = (),
     by: Sequence[Sequence[str]] = (),
     outputs: Mapping[str, Path | None],
-    show: Callable[[Result, Document], None],
+    show: Callable[[Result, Document], None] = lambda result, document: None,
     progress: Progress = no_progress,
     planned: Callable[[int], None] = lambda episodes: None,
     tell: Callable[[str], None] = lambda text: None,
+    raise_incomplete: bool = True,
 ) -> tuple[Result, Document]:
     """Evaluate a plan, show the results and write the outputs; return the results.
 
     ``references``: see ``evaluate``. ``by``: drawn numbers that make groups. ``outputs``: paths of
     ``folder``, ``film`` and ``record``. ``show`` is called with the results before they are
     written, so that a full disk does not lose them; ``tell`` with a line for each output.
+    ``raise_incomplete``: whether a stop, or a policy that failed, is an error after all is written.
 
     Raises:
         FlipperctlError: an output is wrong or could not be written, or every policy failed.
@@ -81,7 +83,9 @@ def run(
             show(result, document)
         finally:  # files are written even if the pipe is closed
             written.write(result, document)
-        written.draw(result, stop, progress)
+        whole = result.interruption is None and not result.failures
+        if whole or raise_incomplete:
+            written.draw(result, stop, progress)
     return result, document
 
 
@@ -209,7 +213,7 @@ class EvaluationFiles:
     def _draw_scenes(self, stop: Callable[[], bool], progress: Progress) -> None:
         if self._folder is None or not self._pictures:
             return
-        from flipperctl.report.scenes import draw_scenes
+        from flipperctl.evaluation.pictures import draw_scenes
 
         files = [self._folder.path / name for name in self._pictures]
         draw_scenes(dict(zip(files, self._plan.rows, strict=True)), progress, stop)
@@ -219,7 +223,7 @@ class EvaluationFiles:
             return
         if stop():
             raise InterruptedRunError(f"interrupted: {self._film} is not drawn")
-        from flipperctl.report.scenes import film_scene
+        from flipperctl.evaluation.pictures import film_scene
 
         film_scene(self._film, self._plan.rows[0], progress)
         self._tell(f"wrote {self._film}")

@@ -1,30 +1,30 @@
-"""Evaluate a policy, as ``flipperctl eval`` does."""
+"""Evaluate policies, as ``flipperctl eval`` does."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from contextlib import ExitStack
 from pathlib import Path
 
-from flipperctl.cli.scenes import scenes
+from flipperctl.cli.plan import make_plan
 from flipperctl.errors import RequestError
-from flipperctl.evaluation import scenes as evaluation
-from flipperctl.evaluation.groups import grouped, parse
-from flipperctl.runs.evaluation import EvaluationFiles
-from flipperctl.runs.interrupts import interrupts
+from flipperctl.evaluation.views import strata
+from flipperctl.runs import evaluation
+from flipperctl.runs.methods import Entrant, entrants
 from flipperctl.runs.named_policies import controllers
 from flipperctl.scripting import progress as shown
 from flipperctl.scripting.beginning import Paths, begin, short_errors
-from flipperctl.scripting.policy import LoadedPolicy, find
+from flipperctl.scripting.policy import LoadedPolicy
 from flipperctl.scripting.result import Evaluation
 from flipperctl.scripting.settings import words
 from flipperctl.scripting.workers import check_evaluation
 
+Named = str | os.PathLike[str] | LoadedPolicy
+
 
 @short_errors()
 def evaluate(
-    policy: str | os.PathLike[str] | LoadedPolicy,
+    policy: Named | Sequence[Named],
     *,
     episodes: int | None = None,
     seed: int | None = None,
@@ -40,70 +40,65 @@ def evaluate(
     progress: bool = True,
     **settings: object,
 ) -> Evaluation:
-    """Evaluate a policy on scenes, with 95 % intervals; return the result.
+    """Evaluate one or several policies on scenes, with 95 % intervals; return the result.
 
-    ``policy``: a run (``train`` returns one), a checkpoint, an exported ``.onnx`` file, the name of
-    a shipped policy or a controller, or what ``load`` returned. ``episodes`` per scene (100),
-    ``seed`` of the episodes (0), processes (``jobs``, 1). ``baselines``: controllers that play the
-    same episodes; None takes those of the policy, if it has any, and an empty list none.
-    ``passable``: references that find out which episodes can be crossed. ``by``: drawn numbers to
-    show results by, as in ``["steps", "slope+up"]``. ``output``: folder for
-    tables and pictures; ``record``: file for the episodes, to teach from; ``film``: file for a
-    ``.gif`` of the first episode. ``settings`` and ``overrides`` are as in ``train`` and apply to
-    the evaluation; several names are several scenes, as in ``terrain=["stair", "step"]`` or
-    ``conditions=["nominal", "wide"]``. ``plugins``: files or folders of plugins. ``progress``:
-    whether progress is shown, on stderr or in the notebook.
+    ``policy``: a run (``train`` returns one), a checkpoint, an exported ``.onnx`` file, the folder
+    of a sweep, the name of a shipped policy or a controller, or what ``load`` returned; several in
+    a list are compared on the same episodes. ``episodes`` per scene (100), ``seed`` of the episodes
+    (0), processes (``jobs``, 1). ``baselines``: controllers that play the same episodes; None takes
+    those of the policy, if it has any, and an empty list none. ``passable``: references that find
+    out which episodes can be crossed. ``by``: drawn numbers to show results by, as in ``["steps",
+    "slope+up"]``. ``output``: folder for tables and pictures; ``record``: file for the episodes, to
+    teach from; ``film``: file for a ``.gif`` of the first episode. ``settings`` and ``overrides``
+    are as in ``train`` and apply to the evaluation; several names are several scenes, as in
+    ``terrain=["stair", "step"]``, and ``suite="robustness"`` chooses those of a suite. ``plugins``:
+    files or folders of plugins. ``progress``: whether progress is shown, on stderr or in the
+    notebook.
+
+    Once it is stopped, or if a policy failed, the result has what was played; its ``interruption``
+    and its ``failures`` say so.
 
     Raises:
-        InterruptedRunError: the evaluation was stopped; ``output`` and ``record`` have the
-            episodes that are finished.
+        InterruptedRunError: the evaluation was stopped before any episode was finished.
         RequestError: the policy, a setting or a plugin is wrong, or a file cannot be written
             (CheckpointError, ConfigError, PluginError, PolicyError, OutputError).
-        FlipperctlError: a policy or plugin failed.
+        FlipperctlError: every policy or a plugin failed.
     """
     begin(plugins)
-    path, controller, own = _named(policy)
-    numbers = {"eval.episodes": episodes, "eval.seed": seed, "eval.jobs": jobs}
-    given = {key: number for key, number in numbers.items() if number is not None}
-    found = scenes([*words(own), *words(settings | given, overrides)], path, controller)
-    for config, _ in found:
-        check_evaluation(config, config.eval.jobs, controller)
-    against = controllers(_names("baselines", baselines), "baselines", found[0][1].baselines())
-    references = controllers(_names("passable", passable or None), "passable")
-    groups = parse(_names("by", by or None), "by", [config for config, _ in found])
     show, tell = shown.episodes(progress), shown.notes(progress)
-    files = {
-        name: None if file is None else Path(file)
-        for name, file in (("folder", output), ("film", film), ("record", record))
-    }
-    with ExitStack() as stack:
-        written = EvaluationFiles(found, stack, **files, tell=tell)
-        stop = stack.enter_context(interrupts("finishing the episode; Ctrl-C again stops at once"))
-        result = evaluation.evaluate(
-            found,
-            baselines=against,
-            references=references,
-            progress=show,
-            record=record is not None,
-            stop=stop,
-            store=written.store,
-        )
-        result = grouped(result, groups)
-        written.write(result)
-        written.draw(result, stop, show)
-    return Evaluation(result.scenes, result.interruption)
-
-
-def _named(
-    policy: str | os.PathLike[str] | LoadedPolicy,
-) -> tuple[Path | None, str | None, dict[str, object]]:
-    """Return the file of a policy, or its controller, and the settings that were given for it."""
-    if not isinstance(policy, LoadedPolicy):
-        return *find(policy), {}
-    own: dict[str, object] = {"controller": policy.fields} if policy.fields else {}
-    if policy.source.checkpoint is not None:
-        return policy.source.checkpoint, None, own
-    return None, policy.name, own
+    given = [policy] if isinstance(policy, str | os.PathLike | LoadedPolicy) else list(policy)
+    found: dict[Entrant, None] = {}
+    own: dict[str, object] = {}
+    for one in given:
+        if isinstance(one, LoadedPolicy):
+            file = one.source.checkpoint
+            found[Entrant(one.name, file)] = None
+            own |= {"controller": one.fields} if one.fields else {}
+        else:
+            found |= dict.fromkeys(entrants([os.fspath(one)], tell))
+    numbers = {"eval.episodes": episodes, "eval.seed": seed, "eval.jobs": jobs}
+    chosen = settings | {key: number for key, number in numbers.items() if number is not None}
+    plan = make_plan(
+        [*words(own), *words(chosen, overrides)],
+        list(found),
+        _names("baselines", baselines),
+        tell,
+    )
+    for entry in plan.rows:
+        check_evaluation(entry.config, entry.config.eval.jobs, entry.source.controller_name)
+    result, document = evaluation.run(
+        plan,
+        references=controllers(_names("passable", passable or None), "passable"),
+        by=strata.parse(_names("by", by or None), "by", [entry.config for entry in plan.rows]),
+        outputs={
+            name: None if file is None else Path(file)
+            for name, file in (("folder", output), ("film", film), ("record", record))
+        },
+        progress=show,
+        tell=tell,
+        raise_incomplete=False,
+    )
+    return Evaluation(result, document)
 
 
 def _names(argument: str, names: Sequence[str] | None) -> str | None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
-from flipperctl.evaluation.files import episode_rows
-from flipperctl.evaluation.results import EvaluationResult
-from flipperctl.evaluation.tables import interval_text, scene_rows
+from flipperctl.evaluation.evaluate import Interruption, PolicyError, Result
+from flipperctl.evaluation.views.evaluation import csv_rows, parse_columns
+from flipperctl.evaluation.views.summary import Document, rate_text
+from flipperctl.runs.evaluation import episode_rows
 from flipperctl.scripting.frames import data_frame
 from flipperctl.terminal.results import print_result
 
@@ -16,37 +18,58 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, repr=False)
-class Evaluation(EvaluationResult):
-    """Policies on their scenes, as typed values in ``scenes``; SI units throughout.
+class Evaluation:
+    """Policies on their scenes; SI units throughout."""
 
-    ``to_dict()`` returns plain data, the document of ``flipperctl eval --json``.
-    """
+    result: Result
+    """The plan and the episodes."""
+    document: Document = field(compare=False)
+    """Plain data: what ``flipperctl eval --json`` prints."""
 
     def __repr__(self) -> str:
         scenes = ", ".join(
-            f"{s.terrain}: success {interval_text(s.summary.success)}" for s in self.scenes
+            f"{s['terrain']}: success {rate_text(s['success'])}" for s in self.scenes
         )
-        return f"Evaluation({self.controller}; {scenes})"
+        return f"Evaluation({self.document['controller']}; {scenes})"
 
-    def show(self) -> None:
-        """Print the tables that ``flipperctl eval`` prints."""
-        print_result(self, self.controller)
+    @property
+    def scenes(self) -> list[Document]:
+        """The results on each scene, as plain data (see ``to_dict``)."""
+        found: list[Document] = self.document["scenes"]
+        return found
+
+    @property
+    def interruption(self) -> Interruption | None:
+        """How far the evaluation came before it was stopped; None if it was not."""
+        return self.result.interruption
+
+    @property
+    def failures(self) -> tuple[PolicyError, ...]:
+        """Policies that failed on a scene; their results are left out."""
+        return self.result.failures
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data: what ``flipperctl eval --json`` prints."""
+        return self.document
+
+    def show(self, columns: Sequence[str] = ()) -> None:
+        """Print the tables that ``flipperctl eval`` prints, with further ``columns``."""
+        print_result(self.result, self.document, parse_columns(",".join(columns) or None))
 
     def scenes_frame(self) -> DataFrame:
-        """Return a row for each scene and method: means with their 95 % intervals.
+        """Return a row for each scene and policy: means with their 95 % intervals.
 
-        The columns are those of ``table.csv``, not rounded; the methods of a scene are the policy
-        and its baselines.
+        The columns are those of ``table.csv``, not rounded.
 
         Raises:
             MissingExtraError: pandas is not installed.
         """
-        return data_frame(scene_rows(self))
+        return data_frame(csv_rows(self.document))
 
     def episodes_frame(self) -> DataFrame:
-        """Return a row for each episode of the policy and its baselines, as in ``episodes.csv``.
+        """Return a row for each episode of the policies and baselines, as in ``episodes.csv``.
 
         Raises:
             MissingExtraError: pandas is not installed.
         """
-        return data_frame(episode_rows(self))
+        return data_frame(episode_rows(self.result))

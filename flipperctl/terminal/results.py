@@ -25,11 +25,15 @@ def print_result(result: Result, document: Document, columns: Sequence[str] = ()
                 "perception.noise, randomise or conditions=varied make episodes differ)"
             )
     out = console()
-    for table in evaluation.tables(document, result.plan.title, columns):
-        print_table(table, out)
+    tables = list(evaluation.tables(document, result.plan.title, columns))
     if beside := published.table(document):
-        print_table(beside, out)
-    print_lines(out, (*_conditions(result), *_risks(document), "95 % intervals; more columns: --columns all"))
+        tables.append(beside)
+    for at, table in enumerate(tables):
+        if at:
+            out.print()
+        print_table(table, out)
+    more = () if columns else ("95 % intervals. More columns: --columns all",)
+    print_lines(out, (*_conditions(result), *_risks(document), *more))
 
 
 def _conditions(result: Result) -> Iterator[str]:

@@ -111,13 +111,14 @@ def policies(found: Document, title: str, columns: Sequence[str] = ()) -> Table:
         head.append(Column("passable_text", "of passable"))
     latex = r"pitch variation $\hat\theta_R$ [rad]"
     head.append(Column("pitch_variation_100hz", VARIATION, latex=latex))
-    head.append(Column("t_cost", "time [s]", 1))
+    head.append(Column("time", "time [s]", 1))
     head += _chosen(found, columns)
     counts = dict.fromkeys(f"{row['episodes']} episodes" for row in rows)
     parts = [title, *([next(iter(scenes))] if single else [])]
     text = " on ".join(part for part in dict.fromkeys(parts) if part)
-    stopped = f" (interrupted: {found['finished_episodes']} of {found['planned_episodes']})"
-    text += stopped if found.get("interrupted") else ""
+    if found.get("interrupted"):
+        finished, planned = found["finished_episodes"], found["planned_episodes"]
+        text += f" (interrupted: {finished} of {planned} episodes)"
     shown = rows if single else list(_without_repeats(rows))
     return Table(head, shown, f"{text} · {', '.join(counts)}" if len(counts) == 1 else text)
 
@@ -165,6 +166,7 @@ def _row(name: str, policy: str, found: Document) -> Row:
         **found,
         "scene": name,
         "policy": policy,
+        "time": (found["t_cost"] or {}).get("mean"),
         "success_text": rate_text(found["success"]),
         "failures": ", ".join(failures),
         "passable_text": rate_text(inner) if inner else "",
@@ -186,6 +188,7 @@ def _search_text(found: Mapping[str, Any]) -> str:
 _OPTIONAL = {
     "episodes": Column("episodes", "episodes"),
     "outcomes": Column("outcomes", "outcomes", named=True),
+    "t_cost": Column("t_cost", "time [s]", 1),
     "pitch_variation": Column("pitch_variation", "pitch variation at decisions [rad]"),
     "max_pitch": Column("max_pitch", "largest pitch [rad]"),
     "flipper_travel": Column("flipper_travel", "flipper travel [rad]"),

@@ -19,7 +19,7 @@ from flipperctl.config.effect import check_effect
 from flipperctl.errors import ConfigError, RequestError
 from flipperctl.messages import close_match
 
-CELLS = 20
+VALUES = 20
 """Number of values of an axis without a number of its own [-]."""
 _MOST = 100
 """Largest number of values of an axis [-]."""
@@ -27,7 +27,7 @@ _SECTIONS = ("terrain", "robot", "sim", "perception", "episode")
 _ENDS = ("_low", "_high")
 """Endings of two settings that are the range of a drawn number."""
 _BOUND = re.compile(r"([≥>≤<]) ([-+.\de]+)")
-_EXAMPLE = "terrain.height=0.1:0.6,sim.friction=0.4:1.0"
+EXAMPLE = "terrain.height=0.1:0.6,sim.friction=0.4:1.0"
 
 
 @dataclass(frozen=True)
@@ -52,11 +52,11 @@ class Axis:
         return dict.fromkeys(self.keys, self.values[index])
 
 
-def parse_axes(text: str, config: EvalConfig, option: str = "--map") -> tuple[Axis, Axis]:
+def parse_axes(text: str, config: EvalConfig, option: str = "--over") -> tuple[Axis, Axis]:
     """Return the horizontal and the vertical axis that ``text``, given with ``option``, names.
 
     Each is a setting of the terrain, robot, engine, sensor or episode with a range ``LOW:HIGH`` or
-    ``LOW:HIGH:CELLS``, both ends included. Settings joined by ``+`` have one common value;
+    ``LOW:HIGH:VALUES``, both ends included. Settings joined by ``+`` have one common value;
     ``terrain.height`` stands for ``terrain.height_low+terrain.height_high`` where these exist.
     Without a range, an axis leads from half to one and a half times the present value, within the
     bounds of the setting, or over the bounds if the value is 0 or null.
@@ -68,7 +68,7 @@ def parse_axes(text: str, config: EvalConfig, option: str = "--map") -> tuple[Ax
     parts = text.split(",")
     if len(parts) != 2:
         raise RequestError(
-            f"{option}: two settings are allowed, as in {option} {_EXAMPLE}; got {text!r}"
+            f"{option}: two settings are allowed, as in {option} {EXAMPLE}; got {text!r}"
         )
     known = {
         s.path: s
@@ -81,8 +81,8 @@ def parse_axes(text: str, config: EvalConfig, option: str = "--map") -> tuple[Ax
     return first, second
 
 
-def cell_config(config: EvalConfig, axes: tuple[Axis, Axis], at: tuple[int, int]) -> EvalConfig:
-    """Return the configuration of the cell at two indices, one for each axis.
+def grid_config(config: EvalConfig, axes: tuple[Axis, Axis], at: tuple[int, int]) -> EvalConfig:
+    """Return the configuration of the grid point at two indices, one for each axis.
 
     Raises:
         ConfigError: a value is out of the bounds of its setting, or not possible with the others.
@@ -141,9 +141,9 @@ def _typed_values(ends: str, text: str, option: str) -> list[float]:
     """Return the values of a typed range."""
     try:
         low, high, *rest = (float(end) for end in ends.split(":"))
-        (cells,) = rest or [float(CELLS)]
+        (cells,) = rest or [float(VALUES)]
     except ValueError as error:
-        raise RequestError(f"{option} {text}: LOW:HIGH or LOW:HIGH:CELLS is allowed") from error
+        raise RequestError(f"{option} {text}: LOW:HIGH or LOW:HIGH:VALUES is allowed") from error
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise RequestError(f"{option} {text}: a range from a lower to a higher number is allowed")
     if not (cells.is_integer() and 2 <= cells <= _MOST):
@@ -161,10 +161,10 @@ def _default_values(found: Sequence[Setting], option: str) -> list[float]:
         low, high = max(low, near), min(high, far)
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise RequestError(
-            f"{option} {found[0].path}: give a range, as in {option} {_EXAMPLE}; its bounds and "
+            f"{option} {found[0].path}: give a range, as in {option} {EXAMPLE}; its bounds and "
             "its present value give none"
         )
-    return [float(v) for v in np.linspace(low, high, CELLS)]
+    return [float(v) for v in np.linspace(low, high, VALUES)]
 
 
 def _limits(setting: Setting) -> tuple[float, float]:

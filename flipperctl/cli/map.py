@@ -1,0 +1,94 @@
+"""``flipperctl map``."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from flipperctl.cli import options
+
+HELP = """Map where a policy succeeds, over two settings.
+
+A coarse grid is played first, and then the points where success changes. --over names two settings
+with their ranges, LOW:HIGH or LOW:HIGH:VALUES; + joins settings with one common value. Repeat a
+command with the same --output to play only what is missing.
+
+[bold]Examples[/]
+
+  flipperctl map okada terrain=uplift --over terrain.height,sim.friction=0.4:1.0
+
+  flipperctl map generalist terrain=step --over terrain.height=0.1:0.6:8,robot.track_speed --output m
+"""
+
+
+def run(
+    words: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="POLICY [SETTING...]", help="A policy; key=value."),
+    ] = None,
+    over: Annotated[
+        str | None,
+        typer.Option(metavar="SETTINGS", help="Two settings, such as terrain.height=0.1:0.6,seed."),
+    ] = None,
+    checkpoint: options.CheckpointFile = None,
+    controller: options.ControllerName = None,
+    episodes: Annotated[
+        str | None, typer.Option(metavar="N", help="Episodes at each point [10].")
+    ] = None,
+    seed: options.Seed = None,
+    jobs: options.Jobs = None,
+    output: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for the map and its picture.")
+    ] = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
+) -> None:
+    """See HELP."""
+    from flipperctl.cli.one import one_scene
+    from flipperctl.config.words import with_default, with_flags
+    from flipperctl.errors import InterruptedRunError, RequestError
+    from flipperctl.evaluation.play import Player
+    from flipperctl.evaluation.store import FOLDER, EpisodeStore, FolderStore
+    from flipperctl.evaluation.views import map as view
+    from flipperctl.evaluation.views.axes import parse_axes
+    from flipperctl.evaluation.workers import EpisodeWorkers
+    from flipperctl.runs.interrupts import interrupts
+    from flipperctl.runs.results import result_folder
+    from flipperctl.terminal.console import console, print_lines
+    from flipperctl.terminal.document import show
+    from flipperctl.terminal.progress import episodes_progress
+    from flipperctl.terminal.streams import print_note
+
+    if over is None:
+        raise RequestError(f"name two settings, as in --over {view.EXAMPLE}")
+    flagged = with_flags([], episodes=episodes, seed=seed, jobs=jobs)
+    flagged = with_default(flagged, "eval.episodes", view.EPISODES)
+    entry = one_scene(words, checkpoint, controller, flagged, "map")
+    if entry.config.eval.ray is not None:
+        raise RequestError("eval.ray: a map is played here; leave it out")
+    axes = parse_axes(over, entry.config)
+    store, folder = EpisodeStore(), None
+    with ExitStack() as stack:
+        if output is not None:
+            folder = stack.enter_context(result_folder(output, "map", view.NAMES))
+            store = FolderStore(output / FOLDER, print_note)
+        stop = stack.enter_context(interrupts("finishing the episode; Ctrl-C again stops at once"))
+        workers = stack.enter_context(EpisodeWorkers(stop=stop))
+        for note in view.notes(entry, axes):
+            print_note(note)
+        found = view.capability_map(entry, axes, Player(store, workers, episodes_progress))
+
+        def printed() -> None:
+            print_lines(console(), view.lines(found))
+
+        try:
+            show(found.to_dict(), printed, as_json=as_json)
+        finally:  # files are written even if the pipe is closed
+            if folder is not None:
+                folder.replace(lambda part: view.write(part, found))
+                print_note(f"saved to {folder.path}")
+        if found.interrupted:
+            raise InterruptedRunError(f"interrupted: {found.played} points are finished")

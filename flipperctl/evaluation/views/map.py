@@ -1,0 +1,466 @@
+"""A map of capability: where in the plane of two settings a policy reaches the finish.
+
+In: a scene, axes, and a player of episodes. Out: success and pitch variation of every point of the
+grid. A coarse grid is played first, and then the points where success changes; points between equal
+ones are interpolated and marked as such.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from flipperctl.api import FloatArray
+from flipperctl.errors import InterruptedRunError
+from flipperctl.evaluation.episode_record import EpisodeRecord
+from flipperctl.evaluation.plan import Entry
+from flipperctl.evaluation.play import Player
+from flipperctl.evaluation.rows import Episodes, Row
+from flipperctl.evaluation.views.axes import EXAMPLE as EXAMPLE
+from flipperctl.evaluation.views.axes import Axis, grid_config
+from flipperctl.files import write_csv, write_json
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Index = tuple[int, int]
+"""Indices of a grid point: along the horizontal and along the vertical axis."""
+Play = Callable[[Sequence[Index], str], Iterator[tuple[Index, Episodes]]]
+"""Plays the episodes of grid points, shown under a label, and yields them as they are finished;
+fewer points if it was stopped."""
+NAMES = ("map.json", "map.csv", "map.png")
+"""Names of the files of a map."""
+EPISODES = 10
+"""Episodes of a grid point, unless the user chooses another number [-]."""
+TOLERANCE = 0.1
+"""Largest distance of success from 0 or 1 at which points between are not played [-]."""
+BOUNDARY = 0.5
+"""Success at the boundary [-]."""
+MOST_FAILURES = 20
+"""Largest number of failures that are recorded [-]."""
+_COARSE = 4
+"""Least number of intervals of the coarse grid along an axis with enough values [-]."""
+_DIGITS = 6
+"""Digits that the values of an axis are rounded to [-]."""
+_EMPTY, _LINE = "#E4E4E8", "crimson"
+"""Colours of points without a value, and of the boundary."""
+
+
+@dataclass(frozen=True)
+class GridPoint:
+    """The result of one point of a map."""
+
+    episodes: int
+    """Number of episodes that were played; 0 if the point is interpolated."""
+    success: float
+    """Fraction of the episodes that reached the finish, 0 to 1."""
+    pitch_variation: float | None
+    """Mean θ̂_R at 100 Hz of the episodes that reached the finish [rad]; None if none did."""
+    outcomes: Mapping[str, int] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, episodes: Episodes) -> GridPoint:
+        """Return the result of a point's episodes."""
+        reached = episodes.reached.values("pitch_variation_100hz")
+        return cls(
+            len(episodes),
+            len(reached) / len(episodes),
+            sum(reached) / len(reached) if reached else None,
+            dict(Counter(row["outcome"] for row in episodes)),
+        )
+
+
+@dataclass(frozen=True)
+class CapabilityMap:
+    """The points of a policy's map."""
+
+    entry: Entry
+    """The policy and the scene, to which the values of the axes are applied."""
+    axes: tuple[Axis, Axis]
+    """The horizontal and the vertical axis."""
+    points: Mapping[Index, GridPoint]
+    """Every point of the grid; those that were played alone if the map was interrupted."""
+    interrupted: bool = False
+    failures: Mapping[Index, Row] = field(default_factory=dict)
+    """The first failure of each point that has one."""
+
+    @property
+    def played(self) -> int:
+        """Number of points whose episodes were played."""
+        return sum(point.episodes > 0 for point in self.points.values())
+
+    @property
+    def size(self) -> Index:
+        """Number of values along the horizontal and along the vertical axis."""
+        first, second = self.axes
+        return len(first.values), len(second.values)
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """Yield a flat row for each point, from the lowest values on."""
+        first, second = self.axes
+        outcomes = sorted({name for point in self.points.values() for name in point.outcomes})
+        for (i, j), point in sorted(self.points.items(), key=lambda item: item[0][::-1]):
+            yield {
+                first.name: first.values[i],
+                second.name: second.values[j],
+                "episodes": point.episodes,
+                "success_rate": point.success,
+                "pitch_variation_100hz": point.pitch_variation,
+                **{name: point.outcomes.get(name, 0) for name in outcomes},
+            }
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data."""
+        axes = [
+            {"name": a.name, "settings": list(a.keys), "unit": a.unit, "values": list(a.values)}
+            for a in self.axes
+        ]
+        numbers = self.entry.config.eval
+        return {
+            "controller": self.entry.label,
+            "terrain": self.entry.terrain,
+            **({"interrupted": True} if self.interrupted else {}),
+            "axes": axes,
+            "episodes_per_cell": numbers.episodes,
+            "seed": numbers.seed,
+            "cells_played": self.played,
+            "conditions": self.entry.conditions.to_dict(),
+            "cells": list(self.rows()),
+        }
+
+
+def capability_map(entry: Entry, axes: tuple[Axis, Axis], player: Player) -> CapabilityMap:
+    """Return the map of a policy; ``entry.config.eval`` has the episodes of a point.
+
+    A point's episodes are those of an evaluation with the values of the axes as overrides. Once a
+    stop is asked for, the map has the finished points alone.
+
+    Raises:
+        ConfigError: a point is not possible; this is found before any episode.
+        InterruptedRunError: it was stopped before any point was finished.
+        FlipperctlError: the policy cannot be built or failed, or a point killed its workers.
+    """
+    first, second = axes
+    size = len(first.values), len(second.values)
+    configs = {
+        (i, j): grid_config(entry.config, axes, (i, j))
+        for i in range(size[0])
+        for j in range(size[1])
+    }
+    failures: dict[Index, Row] = {}
+    entry.source.build(configs[0, 0])  # raises for a wrong layout or robot
+
+    def play(points: Sequence[Index], label: str) -> Iterator[tuple[Index, Episodes]]:
+        requests = [(configs[point], entry.source) for point in points]
+        for point, episodes in zip(points, player.play_many(requests, label), strict=False):
+            if failed := episodes.failed:
+                failures[point] = failed[0]
+            yield point, episodes
+
+    points, complete = _sample(size, play)
+    if not points:
+        raise InterruptedRunError("interrupted: no point of the map is finished")
+    return CapabilityMap(entry, axes, points, interrupted=not complete, failures=failures)
+
+
+def notes(entry: Entry, axes: tuple[Axis, Axis]) -> Iterator[str]:
+    """Yield what the controller does otherwise than its settings name, in a part of the map."""
+    first, second = (range(len(axis.values)) for axis in axes)
+    border = [*((i, 0) for i in first), *((0, j) for j in second)]
+    source = entry.source
+    found = {n: at for at in border for n in source.notes(grid_config(entry.config, axes, at))}
+    known = set(source.notes(entry.config))
+    new = [(note, at) for note, at in found.items() if note not in known]
+    if new:
+        note, at = new[0]
+        where = ", ".join(f"{a.name}={a.values[i]:g}" for a, i in zip(axes, at, strict=True))
+        more = f", and {len(new) - 1} like it at other points" if len(new) > 1 else ""
+        yield f"in a part of the map, such as {where}: {note}{more}"
+
+
+@dataclass(frozen=True)
+class _Block:
+    """A rectangle of points, with the indices of its sides."""
+
+    left: int
+    right: int
+    low: int
+    high: int
+
+    @property
+    def corners(self) -> tuple[Index, Index, Index, Index]:
+        """Lower left, lower right, upper left and upper right point."""
+        left, right, low, high = self.left, self.right, self.low, self.high
+        return (left, low), (right, low), (left, high), (right, high)
+
+    @property
+    def divisible(self) -> bool:
+        return self.right - self.left > 1 or self.high - self.low > 1
+
+    def contains(self, index: Index) -> bool:
+        return self.left <= index[0] <= self.right and self.low <= index[1] <= self.high
+
+    def parts(self) -> Iterator[_Block]:
+        """Yield the two or four blocks into which the block is divided."""
+        for left, right in _halves(self.left, self.right):
+            for low, high in _halves(self.low, self.high):
+                yield _Block(left, right, low, high)
+
+
+def _sample(
+    size: Index, play: Play, tolerance: float = TOLERANCE
+) -> tuple[dict[Index, GridPoint], bool]:
+    """Return the points of a grid of ``size`` values along each axis, and whether it is complete.
+
+    The grid is divided into blocks, whose corners are played. A block is divided further unless
+    the success of all its played points is within ``tolerance`` of 1, or of all within it of 0; a
+    negative tolerance plays every cell. The other points are interpolated between the corners of
+    their block. If the playing was stopped, only points that were played are returned.
+    """
+    points: dict[Index, GridPoint] = {}
+    columns, rows = (_coarse(count) for count in size)
+    blocks = [_Block(*column, *row) for column in columns for row in rows]
+    while True:
+        missing = sorted({c for block in blocks for c in block.corners if c not in points})
+        label = f"map, {len(points)} of at most {size[0] * size[1]} points played"
+        points |= {index: GridPoint.of(episodes) for index, episodes in play(missing, label)}
+        if any(index not in points for index in missing):
+            return points, False
+        divided = [b for b in blocks if b.divisible and _changes(b, points, tolerance)]
+        if not divided:
+            return points | _interpolated(blocks, points), True
+        blocks = [b for b in blocks if b not in divided] + [p for b in divided for p in b.parts()]
+
+
+def _coarse(count: int) -> list[tuple[int, int]]:
+    """Return the intervals of the coarse grid along an axis of ``count`` values."""
+    step = 1
+    while 2 * step * _COARSE <= count - 1:
+        step *= 2
+    ends = [*range(0, count - 1, step), count - 1]
+    return list(pairwise(ends))
+
+
+def _halves(first: int, last: int) -> list[tuple[int, int]]:
+    middle = (first + last) // 2
+    return [(first, middle), (middle, last)] if last - first > 1 else [(first, last)]
+
+
+def _changes(block: _Block, points: Mapping[Index, GridPoint], tolerance: float) -> bool:
+    """Return whether success changes within a block; neighbours may have played points inside it."""
+    found = [point.success for index, point in points.items() if block.contains(index)]
+    return not (min(found) >= 1 - tolerance or max(found) <= tolerance)
+
+
+def _interpolated(
+    blocks: Iterable[_Block], points: Mapping[Index, GridPoint]
+) -> dict[Index, GridPoint]:
+    """Return the points that were not played, each linear between the corners of its block."""
+    found = {}
+    for block in blocks:
+        corners = [points[corner] for corner in block.corners]
+        for i in range(block.left, block.right + 1):
+            for j in range(block.low, block.high + 1):
+                if (i, j) not in points:
+                    found[i, j] = _between(corners, _weights(block, i, j))
+    return found
+
+
+def _weights(block: _Block, i: int, j: int) -> list[float]:
+    """Return the weights of the corners of a block at the point (i, j); their sum is 1."""
+    x = (i - block.left) / (block.right - block.left)
+    y = (j - block.low) / (block.high - block.low)
+    return [(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y]
+
+
+def _between(corners: Sequence[GridPoint], weights: Sequence[float]) -> GridPoint:
+    pairs = list(zip(corners, weights, strict=True))
+    success = sum(point.success * weight for point, weight in pairs)
+    near = [(c.pitch_variation, weight) for c, weight in pairs if weight > 0]
+    swings = [value * weight for value, weight in near if value is not None]
+    return GridPoint(0, success, sum(swings) if len(swings) == len(near) else None)
+
+
+def write(folder: Path, found: CapabilityMap) -> int:
+    """Write all files of a map into an existing folder; return the number of recorded failures.
+
+    Failures nearest to the boundary come first: at points whose success is closest to one half.
+
+    Raises:
+        OutputError: a file cannot be written.
+        WriteError: writing failed half way.
+    """
+    from flipperctl.report.figure import save
+
+    write_json(folder / "map.json", found.to_dict())
+    write_csv(folder / "map.csv", list(found.rows()))
+    save(figure(found), folder / "map.png")
+    points = sorted(found.failures, key=lambda at: (abs(found.points[at].success - 0.5), at))
+    for i, j in points[:MOST_FAILURES]:
+        row, config = found.failures[i, j], grid_config(found.entry.config, found.axes, (i, j))
+        record = EpisodeRecord.of(config, found.entry.source, row)
+        name = f"failure_map_{i}_{j}_{row['episode']}.json"
+        write_json(folder / name, record.model_dump(mode="json"))
+    return len(points[:MOST_FAILURES])
+
+
+def lines(found: CapabilityMap) -> Iterator[str]:
+    """Yield the success of each point as text; a dot marks those that are interpolated."""
+    first, second = found.axes
+    columns, rows = found.size
+    heads, below = _heads(second.values), _heads(first.values)
+    indent, width = max(map(len, heads)), max(4, 1 + max(map(len, below)))
+    yield f"{found.entry.label} on {found.entry.terrain}: success [%]"
+    yield f"columns: {first.label}; rows: {second.label}"
+    for j in reversed(range(rows)):
+        texts = "".join(f"{_text(found, i, j):>{width}}" for i in range(columns))
+        yield f"{heads[j]:>{indent}} {texts}"
+    yield f"{'':{indent}} " + "".join(f"{value:>{width}}" for value in below)
+    yield (
+        f"{found.played} of {columns * rows} points played, {found.entry.config.eval.episodes} "
+        "episodes each; dots: interpolated"
+    )
+    if words := found.entry.conditions.line():
+        yield f"conditions {found.entry.conditions.name}, but for the axes: {words}"
+
+
+def _heads(values: Sequence[float]) -> list[str]:
+    """Return the values with the fewest digits, two or more, that tell them apart."""
+    for digits in range(2, _DIGITS):
+        heads = [f"{value:.{digits}g}" for value in values]
+        if len(set(heads)) == len(heads):
+            return heads
+    return [f"{value:.{_DIGITS}g}" for value in values]
+
+
+def _text(found: CapabilityMap, i: int, j: int) -> str:
+    point = found.points.get((i, j))
+    if point is None:
+        return "–"
+    mark = "" if point.episodes else "·"
+    return f"{mark}{100 * point.success:.0f}"
+
+
+def figure(found: CapabilityMap) -> Figure:
+    """Draw success and θ̂_R of a map side by side; points without a value are grey.
+
+    Raises:
+        ValueError: the map has no point.
+    """
+    if not found.points:
+        raise ValueError("a map needs at least one point")
+    from matplotlib.figure import Figure
+
+    from flipperctl.report.figure import WIDTH
+    from flipperctl.report.render import INK
+
+    drawn = Figure(figsize=(WIDTH, 4.6), layout="constrained")
+    left, right = drawn.subplots(1, 2)
+    success = _grid(found, lambda point: point.success)
+    swing = _grid(found, lambda point: point.pitch_variation)
+    _panel(drawn, left, found, success, "success", "viridis", (0.0, 1.0))
+    finite = swing[np.isfinite(swing)]
+    limits = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+    _panel(drawn, right, found, swing, "pitch variation where reached [rad]", "magma_r", limits)
+    lines = boundary(found.axes, success)
+    for axes in (left, right):
+        for line in lines:
+            axes.plot(line[:, 0], line[:, 1], color=_LINE, linewidth=2)
+    columns, rows = found.size
+    _explain(drawn, found, bool(lines), missing=int(np.isnan(swing).sum()))
+    title = f"{found.entry.label} on {found.entry.terrain}"
+    if found.interrupted:
+        title += f", interrupted: {len(found.points)} of {columns * rows} points"
+    drawn.suptitle(title, fontsize=11, color=INK, wrap=True)
+    return drawn
+
+
+def boundary(axes: tuple[Axis, Axis], success: FloatArray) -> list[FloatArray]:
+    """Return the lines (K, 2) along which success is ``BOUNDARY``, in the units of the axes.
+
+    ``success`` has shape (rows, columns), NaN where it is unknown; it is linear between points.
+    """
+    if min(success.shape) < 2 or not np.nanmin(success) < BOUNDARY < np.nanmax(success):
+        return []
+    from matplotlib.figure import Figure
+
+    scratch = Figure().subplots()
+    first, second = axes
+    lines = scratch.contour(first.values, second.values, success, levels=[BOUNDARY])
+    return [np.asarray(line, np.float64) for line in lines.allsegs[0] if len(line) > 1]
+
+
+def _explain(figure: Figure, found: CapabilityMap, bounded: bool, missing: int) -> None:
+    """Add a legend of what the panels show; ``missing``: number of points without a pitch variation."""
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    from flipperctl.report.render import INK
+
+    dots = f"{found.entry.config.eval.episodes} episodes played"
+    handles: list[Any] = [
+        Line2D([], [], color="white", markeredgecolor=INK, marker="o", ls="", label=dots)
+    ]
+    if bounded:
+        handles.append(Line2D([], [], color=_LINE, linewidth=2, label=f"success {BOUNDARY:g}"))
+    if missing:
+        columns, rows = found.size
+        unplayed = len(found.points) < columns * rows
+        label = "none reached, or not played" if unplayed else "none reached"
+        handles.append(Patch(color=_EMPTY, label=label))
+    figure.legend(
+        handles=handles, loc="outside lower center", ncols=len(handles), fontsize=8, frameon=False
+    )
+
+
+def _grid(found: CapabilityMap, value: Callable[[GridPoint], float | None]) -> FloatArray:
+    columns, rows = found.size
+    grid = np.full((rows, columns), np.nan)
+    for (i, j), point in found.points.items():
+        number = value(point)
+        grid[j, i] = np.nan if number is None else number
+    return grid
+
+
+def _panel(
+    figure: Figure,
+    panel: Axes,
+    found: CapabilityMap,
+    grid: FloatArray,
+    title: str,
+    colours: str,
+    limits: tuple[float, float],
+) -> None:
+    """Draw one quantity of each point in its colour, with a colour bar."""
+    from flipperctl.report.figure import style_axes
+    from flipperctl.report.render import INK
+
+    first, second = found.axes
+    panel.set_facecolor(_EMPTY)
+    masked = np.ma.masked_invalid(grid)
+    mesh = panel.pcolormesh(
+        _edges(first.values), _edges(second.values), masked, cmap=colours,
+        vmin=limits[0], vmax=limits[1],
+    )  # fmt: skip
+    figure.colorbar(mesh, ax=panel)
+    played = [index for index, point in found.points.items() if point.episodes]
+    panel.scatter(
+        [first.values[i] for i, _ in played], [second.values[j] for _, j in played], s=5,
+        color="white", edgecolors=INK, linewidths=0.4,
+    )  # fmt: skip
+    style_axes(panel, title, first.label, second.label)
+    panel.grid(False)
+
+
+def _edges(values: tuple[float, ...]) -> FloatArray:
+    """Return the K + 1 edges of areas whose centres are K values."""
+    centres = np.asarray(values, np.float64)
+    middle = (centres[1:] + centres[:-1]) / 2
+    return np.concatenate([[2 * centres[0] - middle[0]], middle, [2 * centres[-1] - middle[-1]]])
