@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from flipperctl.api import FloatArray, RewardTerm, Transition, Transitions
+from flipperctl.api import FloatArray, RewardTerm, Shaping, Transition, Transitions
 from flipperctl.errors import (
     ConfigError,
     FlipperctlError,
@@ -229,3 +229,12 @@ def _value_error(
         f"{where} returned {value:g} {at}; its bounds say {low:g} to {high:g} "
         f"({definition(term, method)})"
     )
+
+
+def paying_terms(terms: Mapping[str, RewardTerm]) -> list[str]:
+    """Return the names of the terms whose rewards count in a return.
+
+    Potential-based shaping is left out: its discounted sum is the same for every behaviour, but
+    the plain sum is not.
+    """
+    return [name for name, term in terms.items() if not isinstance(term, Shaping)]

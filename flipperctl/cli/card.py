@@ -38,9 +38,8 @@ def run(
     """See HELP."""
     from flipperctl.cli.card_commands import evaluation_commands
     from flipperctl.errors import RequestError
+    from flipperctl.evaluation.views.card import card_facts, card_text
     from flipperctl.files import check_writable, write_bytes
-    from flipperctl.report.card import card_text
-    from flipperctl.runs.card import card_facts
     from flipperctl.runs.inherited import find_policy
     from flipperctl.terminal.streams import print_note
 

@@ -17,7 +17,8 @@ from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import DEFAULT_ENGINE
 from flipperctl.errors import FlipperctlError
 from flipperctl.evaluation.conditions import Conditions
-from flipperctl.evaluation.result_rows import summary_file
+from flipperctl.evaluation.views.markdown import summary_file
+from flipperctl.evaluation.views.summary import compared
 from flipperctl.runs.inherited import read_config
 
 _KINDS = ("sim", "perception")
@@ -39,7 +40,7 @@ def evaluation_commands(policy: Path, file: Path, results: Sequence[Path]) -> li
     commands = []
     for (found, exact), terrains in groups.items():
         terrain = f"terrain={','.join(dict.fromkeys(terrains))}"
-        command = ["flipperctl", "eval", "--checkpoint", str(policy), *found, terrain]
+        command = ["flipperctl", "eval", str(policy), *found, terrain]
         note = "" if exact else "  # and further settings: the hash of conditions differs"
         commands.append(shlex.join(command) + note)
     return commands
@@ -49,8 +50,7 @@ def _words(primary: str, scene: Mapping[str, Any]) -> tuple[list[str], bool]:
     """Return the options and overrides of a scene, and whether they give its conditions."""
     stored = scene["conditions"]
     options = ["--episodes", str(scene["episodes"]), "--seed", str(scene["seed"])]
-    first = [scene["baseline"]] if "baseline" in scene else []
-    if names := [other["controller"] for other in scene.get("baselines", first)]:
+    if names := [other["controller"] for other in compared(scene)]:
         options += ["--baseline", ",".join(names)]
     words = [f"conditions={stored['name']}"]
     words += [

@@ -19,7 +19,9 @@ from flipperctl.terminal.streams import log_to_stderr, plain_streams, reserved_s
 COMMANDS = (
     "train",
     "eval",
-    "transfer",
+    "map",
+    "replay",
+    "compare",
     "card",
     "export",
     "convert",

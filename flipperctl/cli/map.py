@@ -20,7 +20,7 @@ command with the same --output to play only what is missing.
 
   flipperctl map okada terrain=uplift --over terrain.height,sim.friction=0.4:1.0
 
-  flipperctl map generalist terrain=step --over terrain.height=0.1:0.6:8,robot.track_speed --output m
+  flipperctl map generalist terrain=step --over terrain.height=0.1:0.6:8,sim.friction --output map
 """
 
 
@@ -84,11 +84,14 @@ def run(
         def printed() -> None:
             print_lines(console(), view.lines(found))
 
+        def written(part: Path) -> None:
+            view.write(part, found)
+
         try:
             show(found.to_dict(), printed, as_json=as_json)
         finally:  # files are written even if the pipe is closed
             if folder is not None:
-                folder.replace(lambda part: view.write(part, found))
+                folder.replace(written)
                 print_note(f"saved to {folder.path}")
         if found.interrupted:
             raise InterruptedRunError(f"interrupted: {found.played} points are finished")

@@ -6,12 +6,14 @@ In: overrides, policies, baselines and a suite. Out: an entry for each policy on
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from flipperctl.cli.scenes import scenes
-from flipperctl.config import EvalConfig, resolver
+from flipperctl.config import DEFAULT_ENGINE, EvalConfig, resolver
 from flipperctl.config.words import key_of
 from flipperctl.evaluation.plan import Entry, Plan
+from flipperctl.evaluation.views.engines import steps
 from flipperctl.evaluation.views.summary import short
 from flipperctl.policies.source import PolicySource
 from flipperctl.runs.inherited import Inherited, find_policy, read_config
@@ -36,18 +38,45 @@ def make_plan(
         ConfigError: an override, a suite or a controller is wrong.
     """
     suite, arguments = split_suite(list(words))
+    arguments, engines = _split_engines(arguments)
     names = dict.fromkeys(entrant.method for entrant in entrants)
     title = ", ".join(map(short, names))
     if suite is None and len(entrants) == 1:
         (policy,) = entrants
         found = scenes(arguments, policy.run, None if policy.run else policy.method, tell)
-        against = controllers(baseline, "--baseline", found[0][1].baselines())
+        source = found[0][1]
+        against = controllers(baseline, "--baseline", source.baselines())
+        entries = [Entry(*scene) for scene in found]
         typed = policy.run is not None and policy.run.is_dir()
-        return Plan.of_one(found, against, str(policy.run) if typed else short(found[0][1].label()))
+        title = str(policy.run) if typed else short(source.label())
+        return Plan.of_one(_steps(entries) if engines else entries, against, title)
     parts = suite.scenes if suite else (SuiteScene("", ()),)
-    entries = _entries(arguments, entrants, standing(baseline, entrants), parts, tell)
+    beside = standing(baseline, entrants)
+    entries = _entries(arguments, entrants, beside, parts, tell, engines=engines)
     title = f"suite {suite.name}: {title}" if suite else title
     return Plan(tuple(entries), title, with_best_known=baseline != "none")
+
+
+def _split_engines(words: Sequence[str]) -> tuple[list[str], bool]:
+    """Return the words without the default engine among several, and whether it was there."""
+    found, several = [], False
+    for word in words:
+        key, _, value = word.partition("=")
+        names = value.split(",")
+        if key == "sim" and len(names) > 1 and DEFAULT_ENGINE in names:
+            several = True
+            word = f"sim={','.join(name for name in names if name != DEFAULT_ENGINE)}"
+        found.append(word)
+    return found, several
+
+
+def _steps(entries: Sequence[Entry]) -> list[Entry]:
+    """Return the entries, each preceded by the steps that lead to it from the default engine."""
+    return [
+        replace(entry, config=config, comparison=number)
+        for number, entry in enumerate(entries)
+        for config in steps(entry.config)
+    ]
 
 
 def _entries(
@@ -56,6 +85,8 @@ def _entries(
     beside: Sequence[Entrant],
     parts: Sequence[SuiteScene],
     tell: Tell,
+    *,
+    engines: bool,
 ) -> list[Entry]:
     """Return the entries of several methods or of a suite, scene by scene.
 
@@ -72,10 +103,16 @@ def _entries(
         if all(ours != (other.source, _scoring(other.config)) for other in rows):
             rows.append(entry)
 
-    for entrant in entrants:
-        seed = entrant.training_seed if entrant.method in several else None
-        for scene, config, source in composer.of(entrant):
-            add(Entry(config, source, scene, entrant.method, seed))
+    made = [
+        Entry(
+            *(config, source, scene, entrant.method),
+            entrant.training_seed if entrant.method in several else None,
+        )
+        for entrant in entrants
+        for scene, config, source in composer.of(entrant)
+    ]
+    for entry in _steps(made) if engines else made:
+        add(entry)
     _tell_unlike([entry for rows in found.values() for entry in rows], tell)
     keys = [key_of(word).rpartition("@")[2] for part in sections for word in part]
     chosen = any(key.startswith("rewards") for key in keys)

@@ -33,6 +33,8 @@ class Entry:
     """Seed of the policy's training; None for a controller, or if there is one seed alone."""
     is_baseline: bool = False
     """Whether the policy plays for comparison alone."""
+    comparison: int | None = None
+    """Number of the comparison of engines of which the entry is a step; None for none."""
     stored: str = ""
     """Label of the policy whose stored episodes of an earlier evaluation these are, else empty."""
 
@@ -40,6 +42,11 @@ class Entry:
     def terrain(self) -> str:
         """Name of the terrain plugin."""
         return self.config.terrain.plugin_name
+
+    @property
+    def sim(self) -> str:
+        """Name of the engine."""
+        return self.config.sim.plugin_name
 
     @property
     def label(self) -> str:
@@ -88,20 +95,22 @@ class Plan:
 
     @classmethod
     def of_one(
-        cls,
-        scenes: Sequence[tuple[EvalConfig, PolicySource]],
-        baselines: Sequence[PolicySource] = (),
-        title: str = "",
+        cls, entries: Sequence[Entry], baselines: Sequence[PolicySource] = (), title: str = ""
     ) -> Plan:
         """Return the plan of one policy, whose baselines play each of its scenes after it."""
-        entries: list[Entry] = []
-        for config, source in scenes:
-            entries.append(Entry(config, source))
+        found: list[Entry] = []
+        for entry in entries:
+            found.append(entry)
             for other in baselines:
-                entry = Entry(config, other, is_baseline=True)
-                if entry not in entries:
-                    entries.append(entry)
-        return cls(tuple(entries), title)
+                beside = Entry(entry.config, other, is_baseline=True)
+                if beside not in found:
+                    found.append(beside)
+        return cls(tuple(found), title)
+
+    @property
+    def engines(self) -> bool:
+        """Whether engines are compared."""
+        return any(entry.comparison is not None for entry in self.entries)
 
     @property
     def has_methods(self) -> bool:

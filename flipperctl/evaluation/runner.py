@@ -66,22 +66,20 @@ class EpisodeRunner:
 
     def play(self, index: int) -> Row:
         """Play one episode, counted from 0, to its end; return its row."""
-        digest, watch, policy = EpisodeDigest(), None, self._policy
-        recorder = EpisodeRecorder()
-        if self._record:
-            policy = labelled = DemonstratingPolicy(self._policy)
+        digest, report, seed = EpisodeDigest(), self._report_progress, self._seeds(index)
+        if not self._record:
+            row = play(self.env, self._policy, seed, watch=digest.add, report_progress=report)
+            return arranged({"episode": index, **row}) | {DIGEST: digest.hexdigest()}
+        policy, recorder = DemonstratingPolicy(self._policy), EpisodeRecorder()
 
-            def watch(d: Decision) -> None:
-                before, after = d.perception.observation, d.next_perception.observation
-                recorder.add(before, d.action, d.reward, after, labelled.label)
-                digest.add(d)
+        def watch(d: Decision) -> None:
+            before, after = d.perception.observation, d.next_perception.observation
+            recorder.add(before, d.action, d.reward, after, policy.label)
+            digest.add(d)
 
-        report = self._report_progress
-        row = play(
-            self.env, policy, self._seeds(index), watch=watch or digest.add, report_progress=report
-        )
-        recorded = {RECORDED: recorder.finish(index, row)} if self._record else {}
-        return arranged({"episode": index, **row}) | {DIGEST: digest.hexdigest()} | recorded
+        row = play(self.env, policy, seed, watch=watch, report_progress=report)
+        recorded = {DIGEST: digest.hexdigest(), RECORDED: recorder.finish(index, row)}
+        return arranged({"episode": index, **row}) | recorded
 
     def transitions(self, index: int) -> tuple[list[Transition], Profile]:
         """Play one episode; return its T transitions, and the ground."""

@@ -1,7 +1,7 @@
 """Show a table: on the terminal, as LaTeX, as Markdown or as rows of a CSV file.
 
-In: a ``Table``, which every view makes. Out: text. On the terminal no number is truncated: names are
-folded, headings break at spaces, and columns that are still too wide continue below.
+In: a ``Table``, which every view makes. Out: text. On the terminal no number is truncated: names
+are folded, headings break at spaces, and columns that are still too wide continue below.
 """
 
 from __future__ import annotations

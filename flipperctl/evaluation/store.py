@@ -1,8 +1,8 @@
-"""The store of episodes, which are played once: in memory, or in a folder that outlives the process.
+"""The store of episodes, which are played once: in memory, or in a folder that lasts.
 
-In: finished episodes of a policy under a configuration, block by block. Out: the same rows, bit for
-bit. The key of a block is equal exactly where results are equal, whatever plays them. A block's file
-is written whole: JSON lines, a header and then a record for each episode.
+In: finished episodes of a policy under a configuration, block by block. Out: the same rows, bit
+for bit. The key of a block is equal exactly where results are equal, whatever plays them. A block's
+file is written whole: JSON lines, a header and then a record for each episode.
 """
 
 from __future__ import annotations
@@ -205,7 +205,7 @@ class EpisodeStore:
 
 
 class FolderStore(EpisodeStore):
-    """Blocks as files in a folder; those that lie there already are read when they are asked for."""
+    """Blocks as files in a folder; earlier ones are read when they are asked for."""
 
     def __init__(self, folder: Path, tell: Callable[[str], None] = lambda text: None) -> None:
         """``tell`` is called with a line about blocks that are damaged.

@@ -73,9 +73,9 @@ class EpisodeWorkers:
     ) -> Iterator[Row]:
         """Yield the rows of these episodes, in order, each as soon as it is available.
 
-        Fewer are played, and ``interrupted`` is set, once ``stop`` returns True. A lone worker calls
-        ``report_progress`` with the finished fraction of an episode's search. ``record``: whether
-        rows include the decisions.
+        Fewer are played, and ``interrupted`` is set, once ``stop`` returns True. A lone worker
+        calls ``report_progress`` with the finished fraction of an episode's search. ``record``:
+        whether rows include the decisions.
 
         Raises:
             FlipperctlError: the policy cannot be built or failed, or an episode killed its workers.

@@ -25,6 +25,7 @@ from flipperctl.evaluation.play import Progress, no_progress
 from flipperctl.evaluation.rows import DIGEST, RECORDED, Row
 from flipperctl.evaluation.show import latex
 from flipperctl.evaluation.store import FOLDER, VIEW, EpisodeStore, FolderStore, write_view
+from flipperctl.evaluation.views import engines
 from flipperctl.evaluation.views import evaluation as view
 from flipperctl.evaluation.views.summary import Document, compared
 from flipperctl.files import check_writable, write_bytes, write_csv, write_json
@@ -45,7 +46,7 @@ def run(
     plan: Plan,
     *,
     references: Sequence[PolicySource] = (),
-    by: Sequence[Sequence[str]] = (),
+    by: Sequence[tuple[str, ...]] = (),
     outputs: Mapping[str, Path | None],
     show: Callable[[Result, Document], None] = lambda result, document: None,
     progress: Progress = no_progress,
@@ -76,6 +77,8 @@ def run(
             store=written.store,
             planned=planned,
         )
+        if plan.engines and result.interruption is None:
+            result = engines.explained(result)
         if plan.with_best_known:
             result = with_best_known(result, written.store)
         document = view.document(result, by)

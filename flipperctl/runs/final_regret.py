@@ -15,12 +15,13 @@ from flipperctl import checkpoint
 from flipperctl.api.controllers import is_rule
 from flipperctl.config import EnvConfig, Eval, EvalConfig, TrainConfig, to_dict
 from flipperctl.errors import FlipperctlError
-from flipperctl.evaluation.returns import paying_terms
+from flipperctl.evaluation.play import Player
+from flipperctl.evaluation.store import EpisodeStore
+from flipperctl.evaluation.views.regret import LEVEL, RegretScene, measure
 from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import PolicySource
+from flipperctl.reward_sum import paying_terms
 from flipperctl.runs.inherited import TRAINED
-from flipperctl.studies.regret import LEVEL
-from flipperctl.studies.regret_episodes import RegretScene, measure_regret
 
 SEED = 2_718_281_828
 """Seed of the evaluation, unlike the default one of ``eval``, so that who chooses among runs by
@@ -51,7 +52,7 @@ class FinalRegret:
             return None
         try:
             with EpisodeWorkers(stop=self._stop) as workers:
-                found = measure_regret(self._scene(), workers)
+                found = measure(self._scene(), Player(EpisodeStore(), workers))
                 self.interrupted = workers.interrupted
         except KeyboardInterrupt:  # a second Ctrl-C; the summary is still to be written
             self.interrupted = True
@@ -59,7 +60,10 @@ class FinalRegret:
         except FlipperctlError as error:
             self._tell(f"the return of the best policy is not measured: {error}")
             return None
-        return None if found is None else {"seed": SEED, **found.result()}
+        if found is None:
+            return None
+        kept = {k: v for k, v in found.items() if k not in ("terrain", "rewards", "conditions")}
+        return {"seed": SEED, **kept}
 
     def _scene(self) -> RegretScene:
         """Return the episodes in the conditions of the training, with its own reward terms."""

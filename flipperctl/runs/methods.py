@@ -91,7 +91,8 @@ def find_path(name: str) -> Path:
 
 def split_policies(words: Sequence[str] | None) -> tuple[list[str], list[str]]:
     """Return the policies among the words of a command, and the overrides."""
-    policies, overrides = [], []
+    policies: list[str] = []
+    overrides: list[str] = []
     for word in words or ():
         plain = "=" not in word and not word.startswith(("~", "+"))
         (policies if plain or Path(word).exists() else overrides).append(word)

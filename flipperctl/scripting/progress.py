@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from flipperctl.evaluation.judging import Progress, no_progress
+from flipperctl.evaluation.play import Progress, no_progress
 from flipperctl.runs.training import Reports
 from flipperctl.scripting import notebook
 from flipperctl.terminal.progress import episodes_progress

@@ -21,9 +21,9 @@ from flipperctl.core.observation import ANGLES
 from flipperctl.env.perceiving import Perceiver
 from flipperctl.env.world import place as place_guarded
 from flipperctl.errors import FlipperctlError
+from flipperctl.evaluation.views.engines import in_default_engine
 from flipperctl.policies.exported import ExportedPolicy
 from flipperctl.runtime.interface import Interface
-from flipperctl.studies.engines import in_default_engine
 
 _FLAT = Profile([(0.0, 0.0)])
 _SLOPE = math.radians(15)

@@ -10,7 +10,6 @@ import numpy as np
 from flipperctl.api import Profile
 from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.evaluation.bounds import episode_bound
 
 
 def sample(config: EnvConfig, seeds: Iterable[int]) -> list[tuple[Profile, dict[str, Any]]]:
@@ -23,8 +22,8 @@ def sample(config: EnvConfig, seeds: Iterable[int]) -> list[tuple[Profile, dict[
     found = []
     for seed in seeds:
         env.reset(seed=seed)  # as in an episode, so that invalid profiles are found here
-        own = {"drawn": dict(env.profile.drawn), "static_bound": episode_bound(env)}
-        description = {**describe(env.profile), **own, "points_drawn": env.points_drawn}
+        description = {**describe(env.profile), "drawn": dict(env.profile.drawn)}
+        description["points_drawn"] = env.points_drawn
         found.append((env.profile, {"seed": seed, **description}))
     return found
 

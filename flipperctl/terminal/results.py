@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from flipperctl.evaluation.evaluate import Result
 from flipperctl.evaluation.show import print_table
-from flipperctl.evaluation.views import evaluation, published, risk
+from flipperctl.evaluation.views import engines, evaluation, published, risk
 from flipperctl.evaluation.views.summary import Document, named, short
 from flipperctl.terminal.console import console, print_lines
 from flipperctl.terminal.streams import print_note
@@ -32,8 +32,9 @@ def print_result(result: Result, document: Document, columns: Sequence[str] = ()
         if at:
             out.print()
         print_table(table, out)
+    failures = engines.failure_lines(document.get("engines", ()))
     more = () if columns else ("95 % intervals. More columns: --columns all",)
-    print_lines(out, (*_conditions(result), *_risks(document), *more))
+    print_lines(out, (*failures, *_conditions(result), *_risks(document), *more))
 
 
 def _conditions(result: Result) -> Iterator[str]:

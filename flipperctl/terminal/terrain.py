@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from flipperctl.terminal.console import console
-from flipperctl.terminal.groups import BOUND
 from flipperctl.terminal.tables import Table
 
 
@@ -15,7 +14,7 @@ def print_terrain(name: str, numbers: list[dict[str, Any]], picture: Path | None
     """Print a row for each profile (``studies.profiles.sample``), and the picture's name."""
     headings = (
         *("seed", "length [m]", "lowest [m]", "highest [m]", "climb [m]"),
-        *("largest face [m]", "steepest slope [°]", "points", BOUND),
+        *("largest face [m]", "steepest slope [°]", "points"),
     )
     drawn = ["drawn"] if any(row["drawn"] for row in numbers) else []
     table = Table([*headings, *drawn], name, right=headings, words=drawn)
@@ -24,7 +23,6 @@ def print_terrain(name: str, numbers: list[dict[str, Any]], picture: Path | None
         [
             *(f"{row[key]:.3f}" for key in keys),
             str(len(row["points"])),
-            "–" if row["static_bound"] is None else f"{row['static_bound']:.3f}",
             *((_drawn_text(row["drawn"]),) if drawn else ()),
         ]
         for row in numbers

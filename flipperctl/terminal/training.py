@@ -9,13 +9,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from flipperctl.config import TrainConfig
-from flipperctl.evaluation.risk import risk_text
+from flipperctl.evaluation.views import regret, risk
 from flipperctl.runs.follow_up import command
 from flipperctl.runs.preflight import check_device
 from flipperctl.runs.training import Finished, Reports
 from flipperctl.terminal.notices import print_notices
 from flipperctl.terminal.progress import progress, way_text
-from flipperctl.terminal.regret import regret_line
 from flipperctl.terminal.streams import print_note
 
 
@@ -43,7 +42,7 @@ def print_best(run: Finished) -> None:
         f"\nBest validation at decision {best['decision']}: success {best['success_rate']:.0%}, "
         f"{way_text(best)}{_return_text(best)}. "
         f"{run.summary['decisions']} decisions in {run.summary['seconds']:.0f} s.\n"
-        f"{_risk_line(best)}{regret_line(run.summary.get('regret'))}"
+        f"{_risk_line(best)}{regret.line(run.summary.get('regret'))}"
         f"Evaluate: {command('eval', '--checkpoint', run.directory)}\n"
         f"Export:   {command('export', 'onnx', '--checkpoint', run.directory)}"
     )
@@ -53,7 +52,7 @@ def _risk_line(validation: Mapping[str, Any]) -> str:
     """Return a line about the policy's risk, if it learnt one."""
     start = "risk_"
     found = {n.removeprefix(start): v for n, v in validation.items() if n.startswith(start)}
-    return f"Its risk, there: {risk_text(found)}.\n" if "threshold" in found else ""
+    return f"Its risk, there: {risk.text(found)}.\n" if "threshold" in found else ""
 
 
 def _return_text(validation: Mapping[str, Any]) -> str:

@@ -16,7 +16,7 @@ from flipperctl.agent.risk import POSITIVES
 from flipperctl.api import FloatArray, Outcome
 from flipperctl.config import Agent
 from flipperctl.core.risk import RiskCalibration, RiskSign
-from flipperctl.evaluation.risk import Ended, summarise_risk, threshold_for, told_and_came
+from flipperctl.evaluation.views.risk import Ended, predicted_and_actual, summarise, threshold_for
 from flipperctl.rollout.episode import Row
 from flipperctl.rollout.risks import EpisodeRisks
 
@@ -42,7 +42,7 @@ def calibrated(
     episodes = [(risks, fails) for risks, fails in found if risks is not None]
     if not episodes:
         return None
-    told, came = told_and_came(episodes)
+    told, came = predicted_and_actual(episodes)
     slope, shift = fit(_log_odds(told), came, settings.risk_horizon)
     sign = RiskSign(settings.risk_horizon, 1.0)
     probabilities = [
@@ -98,15 +98,13 @@ def _probabilities(risks: EpisodeRisks, slope: float, shift: float) -> list[floa
 
 def _metrics(episodes: Sequence[Ended]) -> dict[str, float]:
     """Return the numbers of a summary that a validation keeps."""
-    found = summarise_risk(episodes)
+    found = summarise(episodes)
     assert found is not None  # there are episodes
+    counts = ("reached", "failures", "announced", "false_alarms")
     return {
-        "risk_reached": float(found.reached),
-        "risk_failures": float(found.failures),
-        "risk_announced": float(found.announced),
-        "risk_false_alarms": float(found.false_alarms),
-        "risk_false_warnings": found.false_warnings or 0.0,
-        "risk_brier": found.brier,
+        **{f"risk_{name}": float(found[name]) for name in counts},
+        "risk_false_warnings": found["false_warnings"] or 0.0,
+        "risk_brier": found["brier"],
     }
 
 

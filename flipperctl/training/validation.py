@@ -12,8 +12,8 @@ from flipperctl.checkpoint.document import BestBy, Validation
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.metrics import DRAWN
-from flipperctl.evaluation.returns import paying_terms
-from flipperctl.evaluation.statistics import reached
+from flipperctl.evaluation.rows import reached
+from flipperctl.reward_sum import paying_terms
 from flipperctl.rollout.collect import Collector
 from flipperctl.rollout.greedy import GreedyPlayer
 from flipperctl.rollout.seeds import validation_seed
@@ -74,7 +74,7 @@ class Validator:
         rows = collector.evaluate(weights, self._seeds, self._greedy.play)
         if rows is None:
             return None
-        reached_rows = reached(rows)
+        reached_rows = [row for row in rows if reached(row)]
         risk = calibrated(rows, self._learner)
         numbers = [n for n, v in rows[0].items() if isinstance(v, float | int) and n != "seed"]
         names = [n for n in numbers if not n.startswith(DRAWN)]  # parts of a mix draw others

@@ -1,11 +1,11 @@
-"""``flipperctl inspect``: views of plugins, terrains, rewards, runs, results, settings, engines."""
+"""``flipperctl inspect``: views of plugins, terrains, rewards, files, runs and settings."""
 
 from importlib import import_module
 
 from flipperctl.cli.command import App
 
 VIEWS = (
-    *("plugins", "terrain", "reward", "checkpoint", "run", "results", "config", "engines"),
+    *("plugins", "terrain", "reward", "checkpoint", "run", "config"),
     *("conventions", "perception"),
 )
 """Modules beside this one, each with a subcommand; help lists them in this order."""
@@ -15,7 +15,7 @@ def group() -> App:
     """Return the group with its subcommands."""
     views = App(
         name="inspect",
-        help="Look at plugins, terrains, rewards, files, runs, results, settings and engines.",
+        help="Look at plugins, terrains, rewards, files, runs and settings.",
         no_args_is_help=True,
         rich_markup_mode="rich",
     )

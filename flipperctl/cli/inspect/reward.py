@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from flipperctl.cli import options
 from flipperctl.errors import RequestError
+
+if TYPE_CHECKING:
+    from flipperctl.evaluation.play import Player
 
 HELP = """Audit the reward: the share of each term in the return, and how often it saturates.
 
@@ -40,6 +45,8 @@ at their end. With --checkpoint, controller.<field> applies to the controllers o
   flipperctl inspect reward --regret --checkpoint runs/stair/2026-01-31_12-00-00 terrain=stair,ramp
 """
 
+REFERENCES = "level,okada,mpc"
+
 
 def run(
     overrides: options.Overrides = None,
@@ -58,6 +65,9 @@ def run(
     ] = None,
     episodes: Annotated[
         str | None, typer.Option(metavar="N", help="Episodes to play [20].")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder that keeps the episodes of --regret.")
     ] = None,
     as_json: options.AsJson = False,
     plugins: options.PluginPaths = None,
@@ -78,12 +88,13 @@ def run(
         return
     if regret:
         named_policies.require_one_policy(checkpoint, controller, overrides)
-        _regret(arguments, checkpoint, controller, against or "level,okada,mpc", as_json)
+        _regret(arguments, checkpoint, controller, against or REFERENCES, output, as_json)
         return
     from flipperctl.cli.hydra.compose import only_one
     from flipperctl.cli.scenes import scenes
-    from flipperctl.studies.audit import audit
-    from flipperctl.terminal.audit import print_audit
+    from flipperctl.evaluation.show import print_table
+    from flipperctl.evaluation.views.audit import audit, table
+    from flipperctl.terminal.console import console
     from flipperctl.terminal.document import show
     from flipperctl.terminal.progress import episodes_progress
 
@@ -92,32 +103,75 @@ def run(
     count = config.eval.episodes
     with episodes_progress(label, count) as report:
         found = audit(config, source, episodes=count, report=report)
-    show(found.to_dict(), lambda: print_audit(found), as_json=as_json)
+    show(found, lambda: print_table(table(found), console()), as_json=as_json)
 
 
 def _compare(names: str, overrides: list[str], as_json: bool) -> None:
     from flipperctl.cli.reward_scenes import policies, reward_scenes
-    from flipperctl.studies.reward_comparison import rank_policies
+    from flipperctl.evaluation.show import print_table
+    from flipperctl.evaluation.views import ranking
+    from flipperctl.terminal.console import console, print_lines
     from flipperctl.terminal.document import show
-    from flipperctl.terminal.progress import episodes_progress
-    from flipperctl.terminal.rewards import print_comparison
 
     sources, others = policies(names, overrides)
-    found = rank_policies(reward_scenes(others, sources), sources, episodes_progress)
-    document = {"scenes": [scene.to_dict() for scene in found]}
-    show(document, lambda: print_comparison(found), as_json=as_json)
+    with _player(None) as player:
+        found = ranking.rank_policies(reward_scenes(others, sources), sources, player)
+
+    def printed() -> None:
+        out = console()
+        print_table(ranking.table(found), out)
+        print_lines(out, ranking.verdict_lines(found))
+
+    show({"scenes": found}, printed, as_json=as_json)
 
 
 def _regret(
-    words: list[str], checkpoint: Path | None, controller: str | None, against: str, as_json: bool
+    words: list[str],
+    checkpoint: Path | None,
+    controller: str | None,
+    against: str,
+    output: Path | None,
+    as_json: bool,
 ) -> None:
     from flipperctl.cli.reward_scenes import regret_scenes
-    from flipperctl.studies.regret_episodes import measure_regrets
+    from flipperctl.errors import InterruptedRunError
+    from flipperctl.evaluation.show import print_table
+    from flipperctl.evaluation.views import regret
+    from flipperctl.terminal.console import console
     from flipperctl.terminal.document import show
-    from flipperctl.terminal.progress import episodes_progress
-    from flipperctl.terminal.regret import print_regret
 
     scenes = regret_scenes(words, checkpoint, controller, against)
-    found = measure_regrets(scenes, episodes_progress)
-    document = {"scenes": [scene.to_dict() for scene in found]}
-    show(document, lambda: print_regret(found), as_json=as_json)
+    with _player(output) as player:
+        found = [one for scene in scenes if (one := regret.measure(scene, player)) is not None]
+    if not found:
+        raise InterruptedRunError("interrupted: no scene is finished")
+
+    def printed() -> None:
+        out = console()
+        print_table(regret.table(found), out)
+        for text, alarm in regret.sentences(found):
+            style = "bold red" if alarm else None
+            out.print(text, style=style, highlight=False, markup=False, soft_wrap=True)
+
+    show({"scenes": found}, printed, as_json=as_json)
+
+
+@contextmanager
+def _player(output: Path | None) -> Iterator[Player]:
+    """Yield a player whose episodes are kept below ``output``, if it is given."""
+    from flipperctl.evaluation.play import Player
+    from flipperctl.evaluation.store import FOLDER, EpisodeStore, FolderStore
+    from flipperctl.evaluation.workers import EpisodeWorkers
+    from flipperctl.runs.interrupts import interrupts
+    from flipperctl.runs.results import result_folder
+    from flipperctl.terminal.progress import episodes_progress
+    from flipperctl.terminal.streams import print_note
+
+    with ExitStack() as stack:
+        store = EpisodeStore()
+        if output is not None:
+            stack.enter_context(result_folder(output, "regret", []))
+            store = FolderStore(output / FOLDER, print_note)
+        stop = stack.enter_context(interrupts("finishing the episode; Ctrl-C again stops at once"))
+        workers = stack.enter_context(EpisodeWorkers(stop=stop))
+        yield Player(store, workers, episodes_progress)

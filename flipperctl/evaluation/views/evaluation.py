@@ -17,15 +17,15 @@ from flipperctl.evaluation.plan import BEST_KNOWN
 from flipperctl.evaluation.rows import Row
 from flipperctl.evaluation.sensing import counts
 from flipperctl.evaluation.show import Column, Table
-from flipperctl.evaluation.views import pooled, strata, summary
+from flipperctl.evaluation.views import engines, pooled, strata, summary
 from flipperctl.evaluation.views.summary import (
     VARIATION,
     Document,
     baselines,
     compared,
     correct,
+    gap_text,
     named,
-    p_text,
     rate_text,
     short,
 )
@@ -35,7 +35,7 @@ _LINES = 6
 """Largest number of differences that are lines; more are a table."""
 
 
-def document(result: Result, by: Sequence[Sequence[str]] = ()) -> Document:
+def document(result: Result, by: Sequence[strata.Names] = ()) -> Document:
     """Return the results as plain data, without individual episodes.
 
     ``by``: numbers whose combinations are groups (see ``strata``).
@@ -56,6 +56,7 @@ def document(result: Result, by: Sequence[Sequence[str]] = ()) -> Document:
         **({"failed": [f.to_dict() for f in result.failures]} if result.failures else {}),
         "scenes": scenes,
         **({"methods": methods} if methods else {}),
+        **({"engines": engines.document(result)} if result.plan.engines else {}),
     }
 
 
@@ -91,6 +92,7 @@ def tables(found: Document, title: str, columns: Sequence[str] = ()) -> Iterator
         yield _differences(rows)
     for name, scene in named(found):
         yield from strata.tables(name, scene)
+    yield from engines.tables(found.get("engines", ()))
 
 
 def policies(found: Document, title: str, columns: Sequence[str] = ()) -> Table:
@@ -255,7 +257,6 @@ def _difference_rows(found: Document, with_scene: bool) -> Iterator[Row]:
                 "against": other["controller"],
                 "variation": gap["pitch_variation_100hz"],
                 "success": gap["success"],
-                "p": gap["success"].get("p_holm", gap["success"].get("p")),
             }
 
 
@@ -267,15 +268,7 @@ def _sentence(row: Row, *, several: bool) -> str:
         ends = "" if low is None else f" [{low:+.2f}, {high:+.2f}]"
         text = f"{gap['mean']:+z.2f} rad{ends}"
     who = f"{row['policy']} against {row['against']}" if several else f"against {row['against']}"
-    return f"{who}, same episodes: pitch variation {text}, success {_gap_text(row)}"
-
-
-def _gap_text(row: Row) -> str:
-    """Return a difference of success in percent, with its p-value where it is not 0."""
-    mean, p = row["success"]["mean"], row["p"]
-    if mean == 0:
-        return "±0"
-    return f"{100 * mean:+.3g} %" + ("" if p is None else f" (p {p_text(p)})")
+    return f"{who}, same episodes: pitch variation {text}, success {gap_text(row['success'])}"
 
 
 def _differences(rows: Sequence[Row]) -> Table:
@@ -286,7 +279,7 @@ def _differences(rows: Sequence[Row]) -> Table:
         Column("variation", "Δ pitch variation [rad]", sign="+"),
         Column("success_text", "Δ success (p, Holm)"),
     ]
-    shown = [row | {"success_text": _gap_text(row)} for row in rows]
+    shown = [row | {"success_text": gap_text(row["success"])} for row in rows]
     return Table(head, list(_without_repeats(shown)), "Differences on the same episodes")
 
 

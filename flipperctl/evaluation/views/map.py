@@ -254,7 +254,7 @@ def _halves(first: int, last: int) -> list[tuple[int, int]]:
 
 
 def _changes(block: _Block, points: Mapping[Index, GridPoint], tolerance: float) -> bool:
-    """Return whether success changes within a block; neighbours may have played points inside it."""
+    """Return whether success changes within a block, where neighbours may have played points."""
     found = [point.success for index, point in points.items() if block.contains(index)]
     return not (min(found) >= 1 - tolerance or max(found) <= tolerance)
 
@@ -398,7 +398,7 @@ def boundary(axes: tuple[Axis, Axis], success: FloatArray) -> list[FloatArray]:
 
 
 def _explain(figure: Figure, found: CapabilityMap, bounded: bool, missing: int) -> None:
-    """Add a legend of what the panels show; ``missing``: number of points without a pitch variation."""
+    """Add a legend of the panels; ``missing``: number of points without a pitch variation."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 

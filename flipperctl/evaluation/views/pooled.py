@@ -85,7 +85,7 @@ def _measure(table: Sequence[Sequence[Row]], name: str) -> dict[str, Any] | None
 
 
 def _difference(group: Sequence[Played], other: Played) -> dict[str, Any]:
-    """Return the method minus a baseline, on the episodes that all played and, measures, reached."""
+    """Return the method minus a baseline on the same episodes; measures where all reached."""
     table = _table([*group, other])
     ours, theirs = _method("", table[:-1]), _method("", table[-1:])
     success, p = success_difference(ours, theirs)

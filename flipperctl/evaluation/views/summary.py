@@ -159,14 +159,13 @@ def paired_difference(
 
 
 def correct(scenes: Sequence[Document]) -> None:
-    """Correct the p-values of success of all comparisons that are shown together (Holm 1979)."""
-    found = [
-        one["success"]
-        for scene in scenes
-        for baseline in compared(scene)
-        for one in _with_parts(baseline["difference"])
-        if "p" in one["success"]
-    ]
+    """Correct the p-values of success of all baselines of documents that are shown together."""
+    correct_all([baseline["difference"] for scene in scenes for baseline in compared(scene)])
+
+
+def correct_all(differences: Sequence[Document]) -> None:
+    """Correct the p-values of success of differences that are shown together (Holm 1979)."""
+    found = [one["success"] for gap in differences for one in _with_parts(gap)]
     for one, p in zip(found, holm([one["p"] for one in found]), strict=True):
         one["p_holm"] = p
 
@@ -179,26 +178,20 @@ def _with_parts(difference: Document) -> Iterator[Document]:
 def named(found: Document) -> list[tuple[str, Document]]:
     """Return each scene with its name; those on equal episodes share it.
 
-    The name is that within the suite, or the terrain, with the conditions if a terrain has several.
-    Scenes of one policy that are equal in all of these, as of several of its settings, are numbered.
+    The name is that within the suite, or the terrain, with what tells several scenes of a terrain
+    apart: conditions, engine, sensor, or the hash of all. Scenes of one policy that are equal in
+    all of these, as of several of its settings, are numbered.
     """
     scenes = found["scenes"]
-    keys = [
-        (
-            s.get("suite_scene", ""),
-            s["terrain"],
-            f"{s['conditions']['name']} {s['conditions']['hash']}",
-        )
-        for s in scenes
-    ]
-    distinct = dict.fromkeys(keys)
-    terrains = Counter((suite, terrain) for suite, terrain, _ in distinct)
+    keys = [(s.get("suite_scene", ""), s["terrain"], s["conditions"]["hash"]) for s in scenes]
+    distinct = {key: scene["conditions"] for key, scene in zip(keys, scenes, strict=True)}
     several = len({suite for suite, _, _ in distinct}) > 1
     names = {}
-    for key in distinct:
-        suite, terrain, conditions = key
-        whole = terrain if terrains[suite, terrain] == 1 else f"{terrain}, {conditions}"
-        names[key] = f"{whole}, {suite}" if several and suite else whole
+    for key, conditions in distinct.items():
+        suite, terrain, _ = key
+        alike = [c for (s, t, _), c in distinct.items() if (s, t) == (suite, terrain)]
+        parts = [terrain, *_telling(conditions, alike), *([suite] if several and suite else [])]
+        names[key] = ", ".join(parts)
     texts = [names[key] for key in keys]
     if not any("method" in scene for scene in scenes):
         texts = [
@@ -206,6 +199,17 @@ def named(found: Document) -> list[tuple[str, Document]]:
             for at, text in enumerate(texts)
         ]
     return list(zip(texts, scenes, strict=True))
+
+
+def _telling(one: Document, alike: Sequence[Document]) -> list[str]:
+    """Return what tells the conditions of a scene from others of its terrain."""
+    chosen = [_places(conditions) for conditions in alike]
+    own = [text for at, text in enumerate(_places(one)) if len({c[at] for c in chosen}) > 1]
+    return own if len(set(chosen)) == len(alike) else [*own, one["hash"]]
+
+
+def _places(conditions: Document) -> tuple[str, str, str]:
+    return conditions["name"], conditions["sim"]["name"], conditions["perception"]["name"]
 
 
 def short(label: str) -> str:
@@ -228,3 +232,9 @@ def rate_text(found: Mapping[str, Any]) -> str:
 def p_text(p: float) -> str:
     """Return a p-value with three decimals."""
     return "<0.001" if p < 0.001 else f"{p:.3f}"
+
+
+def gap_text(success: Mapping[str, Any]) -> str:
+    """Return a difference of success in percent, with its p-value where it is not 0."""
+    mean, p = success["mean"], success["p_holm"]
+    return "±0" if mean == 0 else f"{100 * mean:+.3g} % (p {p_text(p)})"

@@ -6,6 +6,8 @@ methods with the episodes that all of them played.
 
 from __future__ import annotations
 
+import csv
+import json
 from collections.abc import Collection, Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,13 +15,75 @@ from typing import Any
 
 import numpy as np
 
+from flipperctl.api import Outcome
 from flipperctl.api.plugin import registered_names
 from flipperctl.errors import RequestError
-from flipperctl.evaluation import stored_episodes
+from flipperctl.evaluation.plan import BEST_KNOWN
 from flipperctl.evaluation.scores import Method
-from flipperctl.evaluation.store import PlayedPolicy
-from flipperctl.evaluation.stored_episodes import FILE, Episodes
-from flipperctl.evaluation.training_settings import tell_unlike
+from flipperctl.evaluation.store import FOLDER, PlayedPolicy, played_policies
+from flipperctl.messages import close_match
+from flipperctl.policies.identity import unlike_trainings
+
+FILE, SUMMARY = "episodes.csv", "summary.json"
+_KEYS = ("scene", "controller", "conditions_hash", "seed", "outcome")
+
+Episodes = Mapping[str, Mapping[str, tuple[float, bool]]]
+"""Of one policy: measure and whether the finish was reached, by scene and the episode's seed."""
+
+
+def _policies(path: Path, measure: str) -> dict[str, Episodes]:
+    """Return the episodes of each policy of a file, the evaluated one before its baselines."""
+    found: dict[str, dict[str, dict[str, tuple[float, bool]]]] = {}
+    try:
+        with path.open(newline="") as file:
+            reader = csv.DictReader(file)
+            columns = reader.fieldnames or ()
+            for key in (*_KEYS, measure):
+                if key not in columns:
+                    raise RequestError(
+                        f"{path}: there is no column {key!r}{close_match(key, columns)}"
+                    )
+            for row in reader:
+                if row["controller"].startswith(f"{BEST_KNOWN} ("):
+                    continue  # it stands only where it beats all others
+                scene = f"{row['scene']} {row['conditions_hash']}"
+                value = float(row[measure])
+                if not np.isfinite(value):
+                    raise ValueError(f"{measure} {row[measure]!r}")
+                played = found.setdefault(row["controller"], {}).setdefault(scene, {})
+                found_here = value, row["outcome"] == Outcome.REACHED
+                if played.setdefault(row["seed"], found_here) != found_here:
+                    raise RequestError(
+                        f"{path}: {row['controller']} has several results on {scene}, seed "
+                        f"{row['seed']}, as with several of its settings; a folder of "
+                        "eval --output for each of them, named as in METHOD=DIR, is allowed"
+                    )
+    except (OSError, UnicodeDecodeError, csv.Error, ValueError, TypeError) as error:
+        raise RequestError(f"{path}: cannot be read: {error}") from error
+    if not found:
+        raise RequestError(f"{path}: there is no episode in it")
+    return dict(found)
+
+
+def _played(folder: Path) -> dict[str, set[PlayedPolicy]]:
+    """Return the policies whose cells lie beside the episodes of a folder, by label."""
+    found: dict[str, set[PlayedPolicy]] = {}
+    for (label, _), policies in played_policies(folder / FOLDER).items():
+        found.setdefault(label, set()).update(policies)
+    return found
+
+
+def _methods(folder: Path) -> dict[str, str]:
+    """Return the method of each policy, by label, where one evaluation had several of its seeds."""
+    try:
+        scenes = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))["scenes"]
+        labels: dict[str, set[str]] = {}
+        for scene in scenes:
+            if method := scene.get("method"):
+                labels.setdefault(method, set()).add(scene["controller"])
+    except (OSError, ValueError, LookupError, TypeError, AttributeError):
+        return {}  # the episodes alone are needed
+    return {label: name for name, found in labels.items() if len(found) > 1 for label in found}
 
 
 @dataclass(frozen=True)
@@ -50,7 +114,7 @@ class _Run:
 
 
 @dataclass(frozen=True)
-class Evaluated:
+class Stored:
     """Methods on the episodes that all of their training seeds played."""
 
     methods: tuple[Method, ...]
@@ -60,7 +124,7 @@ class Evaluated:
     """What was left out, in sentences."""
 
 
-def read(words: Sequence[str], measure: str) -> Evaluated:
+def read(words: Sequence[str], measure: str) -> Stored:
     """Read the methods of ``DIR`` or ``METHOD=DIR``; ``measure`` is the column of the score.
 
     A folder with ``episodes.csv`` is one training seed of a method, which has the name of its
@@ -111,8 +175,8 @@ class _Reader:
 
         ``is_seed``: whether the folder is one of those of a method's training seeds.
         """
-        played, methods = stored_episodes.played(folder), stored_episodes.grouped(folder)
-        policies = stored_episodes.policies(folder / FILE, self._measure)
+        played, methods = _played(folder), _methods(folder)
+        policies = _policies(folder / FILE, self._measure)
         first = next(iter(policies))
         for label, episodes in policies.items():
             of_sweep = label in methods
@@ -164,7 +228,9 @@ class _Reader:
     def tell_other_settings(self) -> None:
         """Add a notice on each method whose policies were trained with different settings."""
         for method, known in self.runs.items():
-            if told := tell_unlike([run.training for run in known if run.training is not None]):
+            if told := unlike_trainings(
+                [run.training for run in known if run.training is not None]
+            ):
                 self.notices.append(f"{method}: {told}")
 
 
@@ -217,7 +283,7 @@ def _shared(
     rules: Container[str],
     untrained: Container[str],
     notices: list[str],
-) -> Evaluated:
+) -> Stored:
     """Return the methods on the scenes and episodes that every run has.
 
     ``rules``: those that count once if these episodes are equal; ``untrained``: those without a
@@ -255,7 +321,7 @@ def _shared(
         reached = {k: np.array([[r for _, r in row] for row in rows]) for k, rows in pairs.items()}
         methods.append(Method(method, values, reached, trained=method not in untrained))
     episodes = {names[scene]: len(seeds) for scene, seeds in shared.items()}
-    return Evaluated(tuple(methods), episodes, tuple(notices))
+    return Stored(tuple(methods), episodes, tuple(notices))
 
 
 def _unlike(found: Mapping[str, Sequence[_Run]]) -> str:

@@ -1,0 +1,289 @@
+"""A policy in several engines on the same episodes (``eval … sim=planar,mujoco``).
+
+In: the result of an evaluation whose scenes are played in the default engine and in another one,
+and there with a sensor if one maps the ground. Out: what is lost from one to the next, paired by
+seed, and why the episodes of the last one failed. Friction, gravity, ground and start are equal.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from enum import StrEnum
+from typing import Any, TypeVar
+
+from flipperctl.api import Outcome, RobotState, SharedSetting
+from flipperctl.config import DEFAULT_ENGINE, EnvConfig, EvalConfig, resolver, with_overrides
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import ConfigError
+from flipperctl.evaluation.evaluate import Played, Result
+from flipperctl.evaluation.rows import Episodes, Row, reached
+from flipperctl.evaluation.sensing import SensingCause, on_true_ground
+from flipperctl.evaluation.show import Column, Table
+from flipperctl.evaluation.views.summary import (
+    Document,
+    correct_all,
+    difference,
+    gap_text,
+    short,
+    summary,
+)
+from flipperctl.policies.source import PolicySource
+from flipperctl.rollout.episode import Decision, play
+
+Config = TypeVar("Config", bound=EnvConfig)
+CAUSE = "cause"
+"""Column of the cause of a failure, of rows in the last engine."""
+_END = ("x", "pitch", "roll", "yaw", "side")
+"""What the rows of failures have of the robot's end, behind ``end_``; [m] and [rad]."""
+_SHARED: tuple[SharedSetting, ...] = ("friction", "gravity")
+"""Settings that the default engine takes from the other one."""
+_OFF_HEADING = math.radians(30)
+"""Heading beyond which a stopped robot is off course [rad]."""
+_OFF_SIDE = 1.0
+"""Lateral distance beyond which a stopped robot is off course [m]."""
+_MAX_FRICTION = 10.0
+"""Largest friction that is tried [-]."""
+_FRICTION_FACTOR = 2.0
+"""Factor on friction that distinguishes a lack of traction from an obstacle [-]."""
+
+
+class Cause(StrEnum):
+    """Why an episode failed."""
+
+    OVERTURNED = "overturned"
+    """The robot fell over forwards or backwards."""
+    ROLL = "roll"
+    """The robot fell over sideways."""
+    HEADING = "heading"
+    """The robot turned away or left the ground sideways."""
+    TRACTION = "traction"
+    """The robot stopped, but reaches the finish with twice the friction."""
+    STUCK = "stuck"
+    """The robot stopped, even with twice the friction."""
+    DRIFT = SensingCause.DRIFT.value
+    """The robot reaches the finish with the true pose in place of the sensor's odometry."""
+    PERCEPTION = SensingCause.PERCEPTION.value
+    """The robot reaches the finish on the true ground, and not with the true pose alone."""
+
+
+def in_default_engine(config: Config) -> Config:
+    """Return the configuration in the default engine, with the same friction and gravity.
+
+    Raises:
+        ConfigError: it samples what that engine does not have.
+    """
+    sim = config.sim
+    if sim.plugin_name == DEFAULT_ENGINE:
+        return config
+    known = {name: sim.shared_setting(name) for name in _SHARED}
+    shared: dict[str, Any] = {name: value for name, value in known.items() if value is not None}
+    plane = resolver.create("sim", {"name": DEFAULT_ENGINE, **shared}, "sim")
+    sampled = (one for one in config.randomise.sampled() if one.section == "sim")
+    if foreign := [one.key for one in sampled if one.field not in type(plane).model_fields]:
+        raise ConfigError(
+            f"{', '.join(foreign)}: sim={DEFAULT_ENGINE}, the engine to compare with, has no such "
+            f"setting; add {' '.join(f'{key}=null' for key in foreign)}"
+        )
+    return config.model_copy(update={"sim": plane})
+
+
+def steps(config: EvalConfig) -> list[EvalConfig]:
+    """Return the configurations that lead from the default engine to ``config``.
+
+    With a sensor such as ``lidar``, both engines perceive the true ground, and the last step adds
+    the sensor.
+    """
+    exact = on_true_ground(config)
+    truly = config if exact is None else exact
+    return [in_default_engine(truly), truly, *([] if exact is None else [config])]
+
+
+def explained(result: Result) -> Result:
+    """Return the result with the cause of each failure in the last step, found by playing again."""
+    causes: dict[int, Played] = {}
+    for group in _groups(result):
+        first, last = group[0], group[-1]
+        ends = {row["seed"]: row for row in first.episodes}
+        rows = tuple(
+            row if reached(row) else row | _explain(last.entry.config, last.entry.source, row)
+            for row in last.episodes
+            if row["seed"] in ends
+        )
+        causes[id(last)] = replace(last, episodes=Episodes(rows))
+    return replace(result, played=tuple(causes.get(id(one), one) for one in result.played))
+
+
+def document(result: Result) -> list[Document]:
+    """Return what each policy loses from engine to engine on each terrain, as plain data."""
+    found = [_document(group) for group in _groups(result)]
+    sensed = [one["sensed"]["gap"] for one in found if "sensed" in one]
+    correct_all([*(one["gap"] for one in found), *sensed])
+    for one in found:
+        one["success_gap"] = one["gap"]["success"]
+    return found
+
+
+def _groups(result: Result) -> Iterator[list[Played]]:
+    """Yield the two or three steps of each policy on each terrain, if all were played."""
+    groups: dict[int, list[Played]] = {}
+    for one in result.played:
+        if one.entry.comparison is not None:
+            groups.setdefault(one.entry.comparison, []).append(one)
+    for number, group in groups.items():
+        planned = [e for e in result.plan.entries if e.comparison == number]
+        whole = all(len(one.episodes) == len(group[0].episodes) for one in group)
+        if len(group) == len(planned) and whole:
+            yield group
+
+
+def _document(group: Sequence[Played]) -> Document:
+    ours, theirs, *rest = group
+    entry, last = theirs.entry, group[-1]
+    failed = [_failure(ours, row) for row in last.episodes.failed]
+    counts = Counter(one["cause"] for one in failed).most_common()
+    found: Document = {
+        "terrain": entry.terrain,
+        "controller": entry.label,
+        "engines": [ours.entry.sim, entry.sim],
+        "seed": entry.config.eval.seed,
+        "conditions": last.entry.conditions.to_dict(),
+        ours.entry.sim: summary(entry.terrain, ours.episodes),
+        entry.sim: summary(entry.terrain, theirs.episodes),
+        "kept": _kept(ours, theirs),
+        "gap": difference(theirs.episodes, ours.episodes),
+        "causes": dict(counts),
+        "failures": failed,
+    }
+    for sensed in rest:
+        found["sensed"] = {
+            "sensor": sensed.entry.config.perception.plugin_name,
+            "summary": summary(entry.terrain, sensed.episodes),
+            "gap": difference(sensed.episodes, theirs.episodes),
+            "kept": _kept(theirs, sensed),
+        }
+    return found
+
+
+def _kept(first: Played, then: Played) -> float | None:
+    """Return the fraction of the episodes reached at first that are reached then."""
+    pairs = first.episodes.paired(then.episodes)
+    crossed = [reached(theirs) for ours, theirs in pairs if reached(ours)]
+    return sum(crossed) / len(crossed) if crossed else None
+
+
+def _failure(first: Played, row: Row) -> Document:
+    ((_, before),) = Episodes((row,)).paired(first.episodes)
+    return {
+        **{name: row[name] for name in ("episode", "seed", "terrain", "outcome")},
+        "cause": row[CAUSE],
+        "default_outcome": before["outcome"],
+        "time": row["t_cost"],
+        **{name: row[f"end_{name}"] for name in _END},
+    }
+
+
+def _explain(config: EvalConfig, source: PolicySource, row: Row) -> Row:
+    """Play a failed episode again; return its cause and the robot's posture at its end."""
+    states: list[RobotState] = []
+
+    def watch(decision: Decision) -> None:
+        states[:] = [decision.transition.after]
+
+    play(FlipperEnv(config=config), source.build(config), row["seed"], watch=watch)
+    (end,) = states
+    sensing = row.get("failed_by", SensingCause.OTHER.value)
+    if sensing != SensingCause.OTHER:
+        cause = Cause(sensing)
+    else:
+        cause = _cause(end, row["outcome"], config)
+        if cause is Cause.STUCK and _reached_with_friction(config, source, row["seed"]):
+            cause = Cause.TRACTION
+    posture = float(end.position[0]), end.pitch, end.roll, end.yaw, end.side
+    ends = {f"end_{name}": value for name, value in zip(_END, posture, strict=True)}
+    return {CAUSE: str(cause), **ends}
+
+
+def _cause(end: RobotState, outcome: str, config: EvalConfig) -> Cause:
+    overturn = config.episode.overturn
+    if outcome == Outcome.OVERTURNED:
+        if abs(end.pitch) >= overturn:
+            return Cause.OVERTURNED
+        limit = config.sim.shared_setting("roll_limit")
+        rolled = abs(end.roll) >= (overturn if limit is None else limit)
+        return Cause.ROLL if rolled else Cause.HEADING
+    astray = abs(end.yaw) > _OFF_HEADING or abs(end.side) > _OFF_SIDE
+    return Cause.HEADING if astray else Cause.STUCK
+
+
+def _reached_with_friction(config: EvalConfig, source: PolicySource, seed: int) -> bool:
+    """Return whether the episode reaches the finish with more friction."""
+    changed = with_friction(config)
+    if changed is None:
+        return False
+    return reached(play(FlipperEnv(config=changed), source.build(changed), seed))
+
+
+def with_friction(config: EvalConfig) -> EvalConfig | None:
+    """Return the configuration with twice the friction; None if the engine has no such setting."""
+    own = config.sim.shared_setting("friction")
+    if own is None:
+        return None
+    sampled = config.randomise.find("sim", "friction")
+    changed: dict[str, object] = {"sim.friction": min(_MAX_FRICTION, _FRICTION_FACTOR * own)}
+    if sampled is not None:  # with randomise.spread, samples lie between the friction and the ends
+        changed[sampled.key] = [min(_MAX_FRICTION, _FRICTION_FACTOR * mu) for mu in sampled.ends]
+    try:
+        return with_overrides(config, changed)
+    except ConfigError:  # beyond the engine's bounds
+        return None
+
+
+_COLUMNS = (
+    Column("terrain", "scene", named=True),
+    Column("policy", "policy", named=True),
+    Column("step", "step", named=True),
+    Column("success", "Δ success (p, Holm)"),
+    Column("variation", "Δ pitch variation [rad]", sign="+"),
+    Column("kept", "kept"),
+    Column("causes", "failures by cause", named=True),
+)
+
+
+def tables(found: Sequence[Mapping[str, Any]]) -> Iterator[Table]:
+    """Yield the table of losses; a row for each step of each policy on each terrain."""
+    rows = []
+    for one in found:
+        first, second = one["engines"]
+        who = {"terrain": one["terrain"], "policy": short(one["controller"])}
+        causes = ", ".join(f"{cause} {count}" for cause, count in one["causes"].items())
+        sensed = one.get("sensed")
+        last = "" if sensed else causes
+        rows.append({**who, "step": f"{first} → {second}", "causes": last, **_gap(one)})
+        if sensed:
+            rows.append({**who, "step": sensed["sensor"], "causes": causes, **_gap(sensed)})
+    if rows:
+        yield Table(_COLUMNS, rows, "From engine to engine, same episodes")
+
+
+def _gap(one: Mapping[str, Any]) -> Document:
+    gap, kept = one["gap"], one["kept"]
+    return {
+        "success": gap_text(gap["success"]),
+        "variation": gap["pitch_variation_100hz"],
+        "kept": "–" if kept is None else f"{kept:.1%}",
+    }
+
+
+def failure_lines(found: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Yield a line for each failure in the last step."""
+    for one in found:
+        for f in one["failures"]:
+            yield (
+                f"{one['terrain']}, episode {f['episode']}: {f['cause']} ({f['outcome']} after "
+                f"{f['time']:.1f} s at x {f['x']:.2f} m, pitch {f['pitch']:.2f}, roll "
+                f"{f['roll']:.2f}, yaw {f['yaw']:.2f} rad, {f['side']:.2f} m aside; "
+                f"{f['default_outcome']} in {one['engines'][0]})"
+            )

@@ -1,0 +1,283 @@
+"""Rank policies by return and by θ̂_R at 100 Hz on the same episodes, and find contradictions.
+
+In: the episodes of each policy with equal seeds, and one or several sets of reward terms. Out: a
+document, a table and verdicts. A reward contradicts the measure if a policy has a higher return
+than another but also a larger θ̂_R, with both paired differences beyond noise; ``decide`` corrects
+the tests of all pairs of policies, rewards and scenes together. The episodes are played once for
+all rewards, since the environment computes the terms of all of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import combinations
+from typing import Any
+
+from flipperctl.api import RewardTerm
+from flipperctl.config import EvalConfig
+from flipperctl.errors import ConfigError
+from flipperctl.evaluation.conditions import Conditions
+from flipperctl.evaluation.play import Player
+from flipperctl.evaluation.rows import REWARD, Episodes
+from flipperctl.evaluation.show import Column, Table, interval_text
+from flipperctl.evaluation.statistics import FEWEST, holm, interval, mean_p
+from flipperctl.evaluation.views.regret import returns
+from flipperctl.evaluation.views.summary import VARIATION, Document, named, short
+from flipperctl.policies.source import PolicySource
+from flipperctl.reward_sum import paying_terms
+
+Rewards = Mapping[str, RewardTerm]
+"""Reward terms by name."""
+_SIGNIFICANT = 0.05
+"""Largest corrected p-value of a contradiction [-]."""
+_MEASURES = ("pitch_variation_100hz", "pitch_variation", "t_cost")
+
+
+class Verdict(StrEnum):
+    """Whether a reward's ranking agrees with the one by θ̂_R."""
+
+    AGREES = "agrees"
+    """No contradiction was found; a small one may need more episodes."""
+    CONTRADICTS = "contradicts"
+    UNDECIDED = "undecided"
+    """Every policy crossed fewer than ``FEWEST`` common seeds, or ``decide`` was not called."""
+
+
+@dataclass(frozen=True)
+class RewardScene:
+    """A scene, and the rewards by which policies are ranked on it."""
+
+    config: EvalConfig
+    """``config.eval`` holds the number of episodes and the seed."""
+    rewards: Mapping[str, Rewards]
+    """Reward terms by the label of their set."""
+
+
+def rank_policies(
+    scenes: Sequence[RewardScene], policies: Mapping[str, PolicySource], player: Player
+) -> list[Document]:
+    """Rank the policies on every scene, and find the contradictions among all of them.
+
+    ``policies``: their sources by the labels that the result uses.
+
+    Raises:
+        FlipperctlError: a policy does not fit a scene, found before the first episode, or failed.
+    """
+    for scene in scenes:
+        for label, source in policies.items():
+            source.build(scene.config)  # raises for a wrong layout or robot
+            if len(scene.rewards) > 1 and source.plans_for_rewards:
+                raise ConfigError(
+                    f"--compare: {label} drives otherwise for each of the rewards "
+                    f"{', '.join(scene.rewards)}; one of them is allowed"
+                )
+    return decide([_scene(scene, policies, player) for scene in scenes])
+
+
+def _scene(scene: RewardScene, policies: Mapping[str, PolicySource], player: Player) -> Document:
+    config, terrain = scene.config, scene.config.terrain.plugin_name
+    every = {f"{at}.{n}": t for at, terms in scene.rewards.items() for n, t in terms.items()}
+    with_every_term = config.model_copy(update={"rewards": every})
+    played = {
+        label: player.play(with_every_term, source, f"{terrain}, {label}")
+        for label, source in policies.items()
+    }
+    measured = measures(played)
+    return {
+        "terrain": terrain,
+        "seed": config.eval.seed,
+        "conditions": Conditions.of(config).to_dict(),
+        "episodes": config.eval.episodes,
+        "common": len(next(iter(common_episodes(played).values()))),
+        "by_pitch_variation_100hz": list(measured),
+        "policies": measured,
+        "rankings": [
+            rank(label, terms, played, prefix=f"{label}.") for label, terms in scene.rewards.items()
+        ],
+    }
+
+
+def common_episodes(played: Mapping[str, Episodes]) -> dict[str, Episodes]:
+    """Return each policy's episodes with the seeds that every policy crossed."""
+    crossed = [{row["seed"] for row in episodes.reached} for episodes in played.values()]
+    seeds = set.intersection(*crossed)
+    return {label: own.where(lambda row: row["seed"] in seeds) for label, own in played.items()}
+
+
+def measures(played: Mapping[str, Episodes]) -> dict[str, Document]:
+    """Return success and measures of each policy, smallest θ̂_R at 100 Hz first.
+
+    Measures are means over the seeds that every policy crossed; None if there are none.
+    """
+    common = common_episodes(played)
+    found: dict[str, Document] = {
+        label: {
+            "success_rate": len(episodes.reached) / len(episodes),
+            **{name: _mean(common[label].values(name)) for name in _MEASURES},
+        }
+        for label, episodes in played.items()
+    }
+
+    def variation(label: str) -> float:
+        known = found[label][_MEASURES[0]]
+        return float(known["mean"]) if known else 0.0
+
+    return {label: found[label] for label in sorted(found, key=variation)}
+
+
+def rank(label: str, terms: Rewards, played: Mapping[str, Episodes], prefix: str = "") -> Document:
+    """Rank the policies by their return from ``terms`` and compare with θ̂_R at 100 Hz.
+
+    The contradictions are candidates until ``decide`` has corrected their p-values; ``tests`` is
+    the number of pairs. ``prefix`` precedes the terms' names in the columns of the rewards.
+    """
+    common = common_episodes(played)
+    names = paying_terms(terms)
+    paid = {one: returns(episodes, names, prefix).tolist() for one, episodes in common.items()}
+    means = {one: _mean(values) for one, values in paid.items()}
+    ordered = dict(sorted(means.items(), key=lambda item: -item[1]["mean"] if item[1] else 0.0))
+    enough = len(next(iter(common.values()))) >= FEWEST
+    pairs = list(combinations(common, 2)) if enough else []
+    tested = (_contradiction(pair, common, paid, names, prefix) for pair in pairs)
+    candidates = sorted(
+        (one for one in tested if one is not None),
+        key=lambda one: -one["pitch_variation_100hz_difference"]["mean"],
+    )
+    return {
+        "rewards": label,
+        "verdict": str(Verdict.UNDECIDED),
+        "by_return": list(ordered),
+        "returns": ordered,
+        "contradictions": candidates,
+        "tests": len(pairs),
+    }
+
+
+def decide(scenes: list[Document]) -> list[Document]:
+    """Return the rankings with verdicts, without contradictions that may be noise.
+
+    The p-values are corrected for all tests of all scenes together. A pair whose differences have
+    opposite signs has a p-value of 1.
+    """
+    rankings = [ranking for scene in scenes for ranking in scene["rankings"]]
+    found = [one for ranking in rankings for one in ranking["contradictions"]]
+    tests = sum(ranking["tests"] for ranking in rankings)
+    corrected = holm([*(one["p"] for one in found), *[1.0] * (tests - len(found))])
+    for one, p in zip(found, corrected, strict=False):
+        one["p_holm"] = p
+    for ranking in rankings:
+        kept = [one for one in ranking["contradictions"] if one["p_holm"] <= _SIGNIFICANT]
+        ranking["contradictions"] = kept
+        if ranking.pop("tests"):
+            ranking["verdict"] = str(Verdict.CONTRADICTS if kept else Verdict.AGREES)
+    return scenes
+
+
+def _contradiction(
+    pair: tuple[str, str],
+    common: Mapping[str, Episodes],
+    paid: Mapping[str, Sequence[float]],
+    names: Sequence[str],
+    prefix: str,
+) -> Document | None:
+    """Return the contradiction if one policy has the larger mean return and the larger θ̂_R.
+
+    ``p`` is the larger one of the paired t-tests, since both differences must be significant.
+    """
+
+    def differences(values: Mapping[str, Sequence[float]]) -> list[float]:
+        return [a - b for a, b in zip(*(values[label] for label in pair), strict=True)]
+
+    measured = {label: common[label].values(_MEASURES[0]) for label in pair}
+    if sum(differences(measured)) < 0:
+        pair = pair[::-1]
+    variation, gain = differences(measured), differences(paid)
+    if not (sum(variation) > 0 and sum(gain) > 0):
+        return None
+    parts = {}
+    for name in names:
+        column = f"{REWARD}{prefix}{name}"
+        values = differences({label: [row[column] for row in common[label]] for label in pair})
+        parts[name] = sum(values) / len(values)
+    p = max(mean_p(variation), mean_p(gain))
+    return {
+        "paid": pair[0],
+        "calm": pair[1],
+        "return_difference": interval(gain).to_dict(),
+        "pitch_variation_100hz_difference": interval(variation).to_dict(),
+        "terms": dict(sorted(parts.items(), key=lambda item: -item[1])),
+        "p": p,
+        "p_holm": p,
+    }
+
+
+def _mean(values: Sequence[float]) -> Document | None:
+    return interval(values).to_dict() if values else None
+
+
+def table(scenes: Sequence[Document]) -> Table:
+    """Return a table with a row for each policy on each scene, smallest θ̂_R first."""
+    labels = dict.fromkeys(one["rewards"] for s in scenes for one in s["rankings"])
+    rows: list[dict[str, Any]] = []
+    for name, scene in _named(scenes):
+        paid = {one["rewards"]: one["returns"] for one in scene["rankings"]}
+        for at, (label, one) in enumerate(scene["policies"].items()):
+            own = {
+                f"return_{reward}": found[label] and found[label]["mean"]
+                for reward, found in paid.items()
+            }
+            rows.append(
+                {
+                    "scene": f"{name} ({scene['common']} of {scene['episodes']})" if not at else "",
+                    "line": not at,
+                    "policy": short(label),
+                    "success": f"{100 * one['success_rate']:.3g} %",
+                    **{key: one[key] and one[key]["mean"] for key in _MEASURES},
+                    **own,
+                }
+            )
+    columns = (
+        Column("scene", "scene (crossed by all)", named=True),
+        Column("policy", "policy", named=True),
+        Column("success", "success"),
+        Column("pitch_variation_100hz", VARIATION),
+        Column("t_cost", "time [s]", 1),
+        *(Column(f"return_{label}", f"reward, {label}") for label in labels),
+    )
+    return Table(columns, rows, "Means over the episodes that every policy crossed")
+
+
+def verdict_lines(scenes: Sequence[Document]) -> Iterator[str]:
+    """Yield a line for each contradiction, and then the verdict on each set of reward terms."""
+    verdicts: dict[str, dict[str, list[str]]] = {}
+    for name, scene in _named(scenes):
+        for ranking in scene["rankings"]:
+            known = verdicts.setdefault(ranking["rewards"], {})
+            known.setdefault(ranking["verdict"], []).append(name)
+            for found in ranking["contradictions"]:
+                yield f"{ranking['rewards']} on {name}: {_describe(found)}"
+    for label, by_verdict in verdicts.items():
+        words = {
+            Verdict.CONTRADICTS: "CONTRADICTS pitch variation on",
+            Verdict.AGREES: "no contradiction to pitch variation on",
+            Verdict.UNDECIDED: f"undecided (fewer than {FEWEST} common episodes) on",
+        }
+        parts = [f"{words[v]} {', '.join(on)}" for v in words if (on := by_verdict.get(v))]
+        yield f"{label}: {'; '.join(parts)}"
+
+
+def _named(scenes: Sequence[Document]) -> list[tuple[str, Document]]:
+    return named({"scenes": scenes})
+
+
+def _describe(found: Mapping[str, Any]) -> str:
+    term, part = next(iter(found["terms"].items()))
+    gain = interval_text(found["return_difference"])
+    variation = interval_text(found["pitch_variation_100hz_difference"])
+    return (
+        f"the reward of {found['paid']} is {gain} larger than that of {found['calm']}, but its "
+        f"pitch variation is {variation} rad larger (p {found['p_holm']:.2g}); the term {term} "
+        f"contributes {part:+.2f}"
+    )

@@ -1,0 +1,247 @@
+"""The regret of a policy: how much more than its own return is known to be possible.
+
+In: the episodes of a policy and of references with equal seeds. Out: a document, a table and
+sentences. All episodes count, also those that did not reach the finish, since their returns include
+what the reward charges for that. Potential-based shaping is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+
+from flipperctl.config import EvalConfig
+from flipperctl.core.arrays import FloatArray
+from flipperctl.errors import ConfigError
+from flipperctl.evaluation.conditions import Conditions
+from flipperctl.evaluation.play import Player
+from flipperctl.evaluation.rows import REWARD, Episodes
+from flipperctl.evaluation.show import Column, Table, interval_text
+from flipperctl.evaluation.statistics import FEWEST, interval
+from flipperctl.evaluation.views.summary import Document, named, short
+from flipperctl.policies.source import PolicySource
+from flipperctl.reward_sum import paying_terms
+
+LEVEL = "level"
+"""The controller that holds the flippers still."""
+_ROUNDING = 1e-9
+"""Gain over ``LEVEL`` that rounding alone explains [-]."""
+_STILL = "holding the flippers still"
+
+
+class Verdict(StrEnum):
+    """How a policy's return compares with that of holding the flippers still, paired by seed."""
+
+    LESS = "less"
+    """The 95 % interval of the difference lies below 0."""
+    MORE = "more"
+    """The 95 % interval of the difference lies above 0."""
+    UNDECIDED = "undecided"
+    """The interval contains 0, or there are too few episodes for one."""
+
+
+_WORDS = {
+    Verdict.LESS: f"EARNS LESS THAN {_STILL.upper()}",
+    Verdict.MORE: f"earns more than {_STILL}",
+    Verdict.UNDECIDED: f"not shown to earn more than {_STILL}",
+}
+
+
+@dataclass(frozen=True)
+class RegretScene:
+    """A scene on which a policy is compared with references by its reward."""
+
+    config: EvalConfig
+    """``config.eval`` holds the number of episodes and the seed; its rewards make the return."""
+    rewards: str
+    """Label of the reward terms."""
+    name: str
+    """Name of the policy in the result."""
+    policy: PolicySource
+    references: Mapping[str, PolicySource]
+    """By name; ``LEVEL`` is added if it is missing, and the policy itself is left out."""
+
+
+def returns(episodes: Episodes, terms: Sequence[str], prefix: str = "") -> FloatArray:
+    """Return the sum of the terms over each episode, (K,) [-]."""
+    return np.array([sum(row[f"{REWARD}{prefix}{name}"] for name in terms) for row in episodes])
+
+
+def measure(scene: RegretScene, player: Player) -> Document | None:
+    """Play the scene's episodes with every policy; return the regret as plain data.
+
+    Return None if a stop was asked for, since the episodes are then not the same.
+
+    Raises:
+        FlipperctlError: a policy cannot be built or failed, or no reward term is left to judge by.
+    """
+    terms = paying_terms(scene.config.rewards)
+    if not terms:
+        raise ConfigError(f"rewards: {scene.rewards!r} leaves no term to judge a policy by")
+    terrain = scene.config.terrain.plugin_name
+    for source in scene.references.values():
+        source.build(scene.config)  # raises for a wrong layout or robot
+
+    def play(name: str, source: PolicySource) -> Episodes:
+        return player.play(scene.config, source, f"{terrain}, {name}")
+
+    sources = {LEVEL: PolicySource.of_plugin(LEVEL, "controller"), **scene.references}
+    own = play(scene.name, scene.policy)
+    others = {
+        name: play(name, source)
+        for name, source in sources.items()
+        if name == LEVEL or source != scene.policy
+    }
+    if player.workers.interrupted:
+        return None
+    conditions = Conditions.of(scene.config)
+    return {
+        "terrain": terrain,
+        "rewards": scene.rewards,
+        "seed": scene.config.eval.seed,
+        "conditions": conditions.to_dict(),
+        **regret(scene.name, own, others, terms),
+    }
+
+
+def regret(
+    name: str, own: Episodes, others: Mapping[str, Episodes], terms: Sequence[str]
+) -> Document:
+    """Compare the returns of a policy with those of references on the same episodes."""
+    ours = returns(own, terms)  # (K,) [-]
+    theirs = {label: returns(episodes, terms) for label, episodes in others.items()}
+    best = np.max([ours, *theirs.values()], axis=0)  # (K,) [-]
+    level = theirs[LEVEL]
+
+    def measured(values: FloatArray, episodes: Episodes) -> Document:
+        return {
+            "success_rate": len(episodes.reached) / len(episodes),
+            "return": _interval(values),
+            "regret": _interval(best - values),
+            "above_level": _interval(values - level),
+            "fraction": _fraction(values, best, level),
+            "returns": values.tolist(),
+        }
+
+    ordered = sorted(theirs, key=lambda label: -float(theirs[label].mean()))
+    top = ordered[0]
+    policy = measured(ours, own)
+    return {
+        "episodes": len(ours),
+        "verdict": str(_verdict(policy["above_level"])),
+        "name": name,
+        "policy": policy,
+        "references": {label: measured(theirs[label], others[label]) for label in ordered},
+        "best_known": {"return": _interval(best)},
+        "best_reference": {
+            "name": top,
+            "regret": _interval(theirs[top] - ours),
+            "fraction": _fraction(ours, theirs[top], level),
+        },
+    }
+
+
+def _interval(values: FloatArray) -> Document:
+    return interval(values.tolist()).to_dict()
+
+
+def _verdict(found: Mapping[str, Any]) -> Verdict:
+    if found["high"] is not None and found["high"] < 0:
+        return Verdict.LESS
+    more = found["low"] is not None and found["low"] > 0
+    return Verdict.MORE if more else Verdict.UNDECIDED
+
+
+def _fraction(values: FloatArray, best: FloatArray, level: FloatArray) -> float | None:
+    """Return the part of the mean gain of ``best`` over ``level`` that ``values`` have.
+
+    None if the gain is not positive, or no larger than noise: its 95 % interval contains 0. Divided
+    by such a gain, one lucky episode of a reference would make any number.
+    """
+    gain = interval((best - level).tolist())
+    if gain.mean <= _ROUNDING or (gain.low is not None and gain.low <= 0):
+        return None
+    return float((values - level).mean()) / gain.mean
+
+
+_COLUMNS = (
+    Column("scene", "scene", named=True),
+    Column("policy", "policy", named=True),
+    Column("success", "success"),
+    Column("return", "return"),
+    Column("above_level", f"return − {LEVEL}"),
+    Column("regret", "regret"),
+    Column("fraction", "share of the gain"),
+)
+
+
+def table(scenes: Sequence[Document]) -> Table:
+    """Return a table with a row for each policy on each scene, the judged one first."""
+    rows: list[dict[str, Any]] = []
+    for name, scene in _named(scenes):
+        every = [(scene["name"], scene["policy"]), *scene["references"].items()]
+        for label, one in every:
+            success = f"{100 * one['success_rate']:.3g} %"
+            row = {**one, "policy": short(label), "success": success}
+            rows.append({**row, "scene": name if one is scene["policy"] else ""})
+        best = {"return": scene["best_known"]["return"], "policy": "best of each episode"}
+        rows.append({"scene": "", "success": "", "above_level": "", "regret": "", **best})
+        rows[-len(every) - 1]["line"] = True
+    return Table(_COLUMNS, rows, "Rewards over all episodes, without shaping; paired by seed")
+
+
+def sentences(scenes: Sequence[Document]) -> Iterator[tuple[str, bool]]:
+    """Yield sentences that compare the policy with holding still, and whether each is an alarm."""
+    for name, scene in _named(scenes):
+        few = f" (fewer than {FEWEST} episodes)" if scene["episodes"] < FEWEST else ""
+        above, best = scene["policy"]["above_level"], scene["best_reference"]
+        gap = interval_text(_negative(best["regret"]), sign="+")
+        verdict = Verdict(scene["verdict"])
+        yield (
+            f"{scene['name']} on {name}: {_WORDS[verdict]}{few}, difference "
+            f"{interval_text(above, sign='+')}; to the best reference, {best['name']}: {gap}",
+            verdict is Verdict.LESS,
+        )
+    fractions = [f for s in scenes if (f := s["policy"]["fraction"]) is not None]
+    if len(scenes) > 1 and fractions:
+        mean = sum(fractions) / len(fractions)
+        yield f"share of the gain, mean of {len(fractions)}: {mean:.2f}", False
+    less = sum(scene["verdict"] == Verdict.LESS for scene in scenes)
+    if len(scenes) > 1 and less:
+        text = f"{scenes[0]['name']} {_WORDS[Verdict.LESS]} in {less} of {len(scenes)} comparisons"
+        yield text, True
+
+
+def _negative(found: Mapping[str, Any]) -> Document:
+    low, high = (None if found[end] is None else -found[end] for end in ("high", "low"))
+    return {"mean": -found["mean"], "low": low, "high": high}
+
+
+def _named(scenes: Sequence[Document]) -> Iterator[tuple[str, Document]]:
+    """Yield each scene and its name, with its rewards if they are several."""
+    several = len({scene["rewards"] for scene in scenes}) > 1
+    for name, scene in named({"scenes": [{**scene, "method": ""} for scene in scenes]}):
+        yield f"{name}, rewards {scene['rewards']}" if several else name, scene
+
+
+def line(found: Mapping[str, Any] | None) -> str:
+    """Return a sentence on the reward of a training's best policy, as in its ``summary.json``.
+
+    It ends with a line break; the text is empty if the return was not measured.
+    """
+    if found is None:
+        return ""
+    own, above = found["policy"]["return"], found["policy"]["above_level"]
+    rules = (
+        f"{'flippers held still' if name == LEVEL else name} {one['return']['mean']:.2f}"
+        for name, one in found["references"].items()
+    )
+    rewards = "; ".join([f"reward {own['mean']:.2f}", *rules])
+    return (
+        f"Check on {found['episodes']} new episodes: {rewards}. "
+        f"The policy {_WORDS[Verdict(found['verdict'])]} ({interval_text(above, sign='+')}).\n"
+    )
