@@ -70,9 +70,7 @@ def test_the_hash_covers_the_content_of_recorded_ground(tmp_path: Path) -> None:
 
 
 def test_the_line_says_what_is_drawn_and_what_differs_from_the_defaults() -> None:
-    assert of().line() == (
-        "nothing randomised; start ±0.05 m; default sensing, physics, robot, episode"
-    )
+    assert of().line() == ""
     changed = of(
         **{
             "randomise.bias": [-0.01, 0.01],
@@ -87,6 +85,9 @@ def test_the_line_says_what_is_drawn_and_what_differs_from_the_defaults() -> Non
     )
     assert changed.line() == (
         "randomised dropout 0 to 0.2, bias -0.01 to 0.01 m, perception.pitch_bias 0 to 0.1 rad; "
-        "start ±0.05 m, flippers ±0.1 rad; sensing noise 0.01 m, occlusion on; "
-        "physics friction 0.8; robot chassis_mass 60 kg; default episode"
+        "start start_angle_noise 0.1 rad; sensing noise 0.01 m, occlusion on; "
+        "physics friction 0.8; robot chassis_mass 60 kg"
     )
+    assert of(
+        **{f"randomise.{n}": [0, 0.1] for n in ("noise", "dropout", "delay", "angle_noise")}
+    ).line() == ("randomised delay 0 to 0.1 s, noise 0 to 0.1 m, dropout 0 to 0.1 and 1 more")

@@ -2,6 +2,7 @@
 
 import os
 import signal
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,11 +12,10 @@ import pytest
 from flipperctl import checkpoint
 from flipperctl.api import Outcome
 from flipperctl.api.plugin import registered_names
-from flipperctl.config import EnvConfig, resolver
+from flipperctl.config import EnvConfig, EvalConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError
-from flipperctl.evaluation.episode import EpisodeResult
-from flipperctl.evaluation.episodes import play_episodes
+from flipperctl.evaluation.rows import DIGEST, RECORDED, Row, arranged
 from flipperctl.evaluation.runner import EpisodeRunner
 from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import PolicySource
@@ -25,6 +25,24 @@ from flipperctl.rollout.seeds import EvaluationSeeds
 
 LEVEL = PolicySource(settings={"name": "level"})
 OKADA = PolicySource(settings={"name": "okada"})
+
+
+def play_episodes(
+    config: EnvConfig,
+    source: PolicySource,
+    *,
+    episodes: int | Sequence[int],
+    seed: int,
+    workers: EpisodeWorkers | None = None,
+    record: bool = False,
+) -> Iterator[Row]:
+    """Play episodes of an evaluation, in this process unless there are workers."""
+    sections = {name: getattr(config, name) for name in EnvConfig.model_fields}
+    chosen = EvalConfig(**sections, eval={"seed": seed})
+    indices = range(episodes) if isinstance(episodes, int) else episodes
+    yield from (workers or EpisodeWorkers()).play(chosen, source, indices, record=record)
+
+
 HIGH = {"name": "step", "low": 0.4, "high": 0.4}
 
 
@@ -36,8 +54,8 @@ def test_two_processes_give_the_results_of_one() -> None:
             assert one == list(play_episodes(config, OKADA, episodes=4, seed=3, workers=workers))
         level = list(play_episodes(config, LEVEL, episodes=4, seed=3, workers=workers))
     assert level == list(play_episodes(config, LEVEL, episodes=4, seed=3))
-    assert [result.episode for result in one] == [0, 1, 2, 3]
-    assert [result.seed for result in one] == EvaluationSeeds.of(3, config.terrain).first(4)
+    assert [result["episode"] for result in one] == [0, 1, 2, 3]
+    assert [result["seed"] for result in one] == EvaluationSeeds.of(3, config.terrain).first(4)
 
 
 def test_chosen_episodes_are_those_of_the_whole_evaluation() -> None:
@@ -72,43 +90,44 @@ def test_an_evaluation_survives_its_workers_and_keeps_its_numbers(
 
 def test_flippers_held_level_cross_flat_ground_at_belt_speed_without_a_swing() -> None:
     for result in play_episodes(EnvConfig(terrain="flat"), LEVEL, episodes=3, seed=0):
-        assert result.outcome is Outcome.REACHED
+        assert result["outcome"] == Outcome.REACHED
         # 1 m before, 2 m of flat ground and 1 m past it at 0.2 m/s, less the shift of the start;
         # an episode ends at a sample of 10 ms after that.
-        assert result.t_cost == pytest.approx((4.0 - result.sampled["start_shift"]) / 0.2, abs=0.03)
-        assert result.decisions == -(-round(100 * result.t_cost) // 60)
-        for swing in (result.pitch_variation, result.max_pitch, result.flipper_travel):
-            assert swing == pytest.approx(0.0, abs=1e-3)
-        assert result.episode_return == pytest.approx(sum(result.rewards.values()))
-        assert result.rewards["end"] == 10.0
+        assert result["t_cost"] == pytest.approx((4.0 - result["start_shift"]) / 0.2, abs=0.03)
+        assert result["decisions"] == -(-round(100 * result["t_cost"]) // 60)
+        for name in ("pitch_variation", "max_pitch", "flipper_travel"):
+            assert result[name] == pytest.approx(0.0, abs=1e-3)
+        paid = [value for name, value in result.items() if name.startswith("reward_")]
+        assert result["return"] == pytest.approx(sum(paid))
+        assert result["reward_end"] == 10.0
 
 
 def test_flippers_held_level_stop_at_a_step_that_okada_climbs() -> None:
     config = EnvConfig(terrain=HIGH)
     for source, outcome in ((LEVEL, Outcome.STUCK), (OKADA, Outcome.REACHED)):
         results = list(play_episodes(config, source, episodes=2, seed=0))
-        assert [result.outcome for result in results] == [outcome] * 2
+        assert [result["outcome"] for result in results] == [outcome] * 2
 
 
 def test_an_episode_that_nothing_else_ends_ends_at_its_last_decision() -> None:
     config = EnvConfig(terrain=HIGH, episode={"stuck_window": 200, "slack": 1.2})
     (result,) = play_episodes(config, LEVEL, episodes=1, seed=0)
-    assert result.outcome is Outcome.TIMEOUT
+    assert result["outcome"] == Outcome.TIMEOUT
     # From 1 m before the edge to 1 m past it at 0.2 m/s, in decisions of 0.6 s, 1.2 times.
-    assert result.decisions == pytest.approx(1.2 * 2.0 / 0.2 / 0.6, abs=1)
-    assert result.t_cost == pytest.approx(0.6 * result.decisions)
+    assert result["decisions"] == pytest.approx(1.2 * 2.0 / 0.2 / 0.6, abs=1)
+    assert result["t_cost"] == pytest.approx(0.6 * result["decisions"])
 
 
 def test_a_trained_policy_drives_another_terrain_greedily(short_run: Path) -> None:
     file = short_run / checkpoint.BEST
     config = EnvConfig(terrain="flat")
     (result,) = play_episodes(config, PolicySource(file), episodes=1, seed=5)
-    assert (result.terrain, result.outcome) == ("flat", Outcome.REACHED)
-    assert result.t_cost == pytest.approx(20.0, abs=0.5)
+    assert (result["terrain"], result["outcome"]) == ("flat", Outcome.REACHED)
+    assert result["t_cost"] == pytest.approx(20.0, abs=0.5)
     policy = PolicySource(file).build(config)
     row = play(FlipperEnv(config=config), policy, EvaluationSeeds.of(5, config.terrain)(0))
-    assert list(result.row().items()) == [("episode", 0), *row.items()]
-    assert EpisodeResult.of(0, row) == result
+    digest = {DIGEST: result[DIGEST]}
+    assert list(result.items()) == [("episode", 0), *row.items(), *digest.items()]
 
 
 def test_a_policy_refuses_another_observation_layout(short_run: Path) -> None:
@@ -124,18 +143,19 @@ def test_every_controller_is_a_source_by_its_name_and_crosses_flat_ground() -> N
         source = PolicySource(settings={"name": name, **little})
         assert source.label() == name
         (result,) = play_episodes(EnvConfig(terrain="flat"), source, episodes=1, seed=0)
-        assert result.outcome is Outcome.REACHED, name
+        assert result["outcome"] == Outcome.REACHED, name
 
 
 def test_a_trace_is_the_episode_at_its_decisions() -> None:
     runner = EpisodeRunner(EnvConfig(terrain="step"), OKADA, 3)
     result = runner.play(2)
-    states, profile = runner.trace(2)
-    assert len(states) == result.decisions + 1
-    assert (states[0].time, states[-1].time) == (0.0, result.t_cost)
+    made, profile = runner.transitions(2)
+    states = [made[0].before, *(t.after for t in made)]
+    assert len(states) == result["decisions"] + 1
+    assert (states[0].time, states[-1].time) == (0.0, result["t_cost"])
     assert profile.label == "step"
     swing = sum(abs(b.pitch - a.pitch) for a, b in pairwise(states))
-    assert swing == pytest.approx(result.pitch_variation)
+    assert swing == pytest.approx(result["pitch_variation"])
 
 
 def test_what_a_search_reports_stands_in_the_result_of_the_episode() -> None:
@@ -144,9 +164,7 @@ def test_what_a_search_reports_stands_in_the_result_of_the_episode() -> None:
     level.reset = lambda simulator: simulator.report_result(width=3, source="guess")
     row = play(env, level, seed=0)
     assert (row["search_width"], row["search_source"]) == (3, "guess")
-    result = EpisodeResult.of(0, row)
-    assert result.search == {"width": 3, "source": "guess"}
-    assert result.row() == {"episode": 0, **row}
+    assert arranged({"episode": 0, **row}) == {"episode": 0, **row}
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -157,18 +175,16 @@ def test_recorded_episodes_are_those_of_the_evaluation(jobs: int) -> None:
     with EpisodeWorkers(jobs) as workers:
         played = play_episodes(config, source, episodes=2, seed=3, workers=workers, record=True)
         found = list(played)
-    assert found == plain  # a policy that offers costs drives the same when it is recorded
-    assert [result.recorded for result in plain] == [None, None]
-    for result in found:
-        recorded = result.recorded
-        assert recorded is not None
-        assert (recorded.number, recorded.seed) == (result.episode, result.seed)
-        assert (recorded.terrain, recorded.outcome) == (result.terrain, result.outcome)
-        assert len(recorded.actions) == len(recorded.labels) == result.decisions
-        assert recorded.observations.shape == (result.decisions + 1, 18)
-        assert recorded.rewards.sum() == pytest.approx(result.episode_return)
+    assert [{k: v for k, v in row.items() if k != RECORDED} for row in found] == plain
+    for result in found:  # a policy that offers costs drives the same when it is recorded
+        recorded = result[RECORDED]
+        assert (recorded.number, recorded.seed) == (result["episode"], result["seed"])
+        assert (recorded.terrain, recorded.outcome) == (result["terrain"], result["outcome"])
+        assert len(recorded.actions) == len(recorded.labels) == result["decisions"]
+        assert recorded.observations.shape == (result["decisions"] + 1, 18)
+        assert recorded.rewards.sum() == pytest.approx(result["return"])
         assert (recorded.labels.argmax(axis=1) == recorded.actions).all()
         assert ((recorded.labels > 0).sum(axis=1) > 1).any()  # by costs, not by the action alone
     (rule,) = play_episodes(config, OKADA, episodes=1, seed=3, record=True)
-    assert rule.recorded is not None
-    assert (rule.recorded.labels == np.eye(9)[rule.recorded.actions]).all()
+    recorded = rule[RECORDED]
+    assert (recorded.labels == np.eye(9)[recorded.actions]).all()

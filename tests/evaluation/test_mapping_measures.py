@@ -10,8 +10,9 @@ from flipperctl.api import Transition
 from flipperctl.cli.scenes import scenes
 from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.evaluation.scenes import evaluate
-from flipperctl.evaluation.tables import scene_rows
+from flipperctl.evaluation.evaluate import evaluate
+from flipperctl.evaluation.plan import Entry, Plan
+from flipperctl.evaluation.views.evaluation import csv_rows, document
 from flipperctl.training.events import columns
 
 MAPPING = {"map_error", "map_error_below", "drift", "unseen"}
@@ -60,12 +61,12 @@ def test_a_constant_error_of_the_heights_is_the_map_error() -> None:
 def test_only_evaluations_of_mapping_sensors_have_them() -> None:
     words = ["terrain=flat", "terrain.length=0.5", "eval.episodes=1"]
     chosen = scenes([*words, "perception=planar,lidar"], None, "level")
-    result = evaluate([(c, source) for c, source in chosen])
-    planar, lidar = result.scenes
-    assert not MAPPING & planar.to_dict().keys()
-    assert lidar.to_dict().keys() > MAPPING
-    rows = list(scene_rows(result))
-    assert [row["map_error"] is None for row in rows] == [True, False]
+    found = document(evaluate(Plan.of_one([Entry(*scene) for scene in chosen])))
+    planar, lidar = found["scenes"]
+    assert not MAPPING & planar.keys()
+    assert lidar.keys() > MAPPING
+    rows = list(csv_rows(found))
+    assert ["map_error" not in row for row in rows] == [True, False]
     assert not MAPPING & {*columns()}
     assert measured(name="planar").keys() & MAPPING == set()
 

@@ -5,12 +5,11 @@ from pathlib import Path
 import pytest
 
 from flipperctl.checkpoint import shipped_policies
-from flipperctl.evaluation.episode import EpisodeResult
+from flipperctl.evaluation.rows import Row
 from flipperctl.evaluation.runner import EpisodeRunner
-from flipperctl.evaluation.scenes import evaluate
-from flipperctl.evaluation.store import CellFolder
+from flipperctl.evaluation.store import FolderStore
 from flipperctl.policies.source import PolicySource
-from tests.evaluation.test_store import LEVEL, config
+from tests.evaluation.test_store import LEVEL, config, evaluate
 
 
 def test_a_policy_that_is_replaced_meanwhile_is_refused(
@@ -21,7 +20,7 @@ def test_a_policy_that_is_replaced_meanwhile_is_refused(
     file.write_bytes(shipped["generalist_first"].read_bytes())
     play = EpisodeRunner.play
 
-    def replaced(self: EpisodeRunner, index: int) -> EpisodeResult:
+    def replaced(self: EpisodeRunner, index: int) -> Row:
         if index == 3:
             file.write_bytes(shipped["generalist"].read_bytes())
         return play(self, index)
@@ -29,8 +28,8 @@ def test_a_policy_that_is_replaced_meanwhile_is_refused(
     monkeypatch.setattr(EpisodeRunner, "play", replaced)
     learner = PolicySource(checkpoint=file)
     scenes = [(config(5), learner), (config(5, seed=5), learner), (config(5), LEVEL)]
-    found = evaluate(scenes, store=CellFolder(tmp_path / "cells"))
-    assert [(s.controller, len(s.episodes)) for s in found.scenes] == [("level", 5)]
+    found = evaluate(scenes, store=FolderStore(tmp_path / "cells"))
+    assert [(one.entry.label, len(one.episodes)) for one in found.rows] == [("level", 5)]
     assert len(found.failures) == 2
     assert all("has changed since the evaluation began" in str(f.error) for f in found.failures)
     names = [file.name for file in (tmp_path / "cells").iterdir()]

@@ -1,4 +1,4 @@
-"""Failures that are due to the sensing, in ``eval`` and ``transfer``."""
+"""Failures that are due to the sensing, in one engine and from engine to engine."""
 
 from collections.abc import Sequence
 from typing import Any, Literal
@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 
 from flipperctl.api import GroundSensor, Profile, RobotState, Sensor, sensor
+from flipperctl.cli.plan import make_plan
 from flipperctl.cli.scenes import scenes
 from flipperctl.config import EvalConfig
-from flipperctl.evaluation.scenes import evaluate
+from flipperctl.evaluation.evaluate import evaluate
+from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.sensing import SensingCause, at_true_pose, causes, on_true_ground
-from flipperctl.evaluation.workers import EpisodeWorkers
+from flipperctl.evaluation.views import engines, evaluation
+from flipperctl.runs.methods import Entrant
 from flipperctl.sim.planar.sensing import PlanarSensor, TerrainSensor
-from flipperctl.studies.transfer import transfer_scenes
-from flipperctl.terminal.evaluation import table
 from tests.evaluation.samples import sample
 
 HIGH = ["terrain=step", "terrain.low=0.35", "terrain.high=0.35", "eval.episodes=2"]
@@ -82,22 +83,24 @@ def test_sensors_of_the_true_ground_have_no_such_causes() -> None:
 
 @pytest.mark.parametrize(("blind", "cause"), [("false", "drift"), ("true", "perception")])
 def test_eval_tells_failures_apart_by_cause(blind: str, cause: str) -> None:
-    result = evaluate(asked("perception=mapper", f"perception.blind={blind}"))
-    (scene,) = result.scenes
-    assert not any(e.reached for e in scene.episodes)
-    assert [e.row()["failed_by"] for e in scene.episodes] == [cause, cause]
-    assert scene.to_dict()["failed_by"] == {cause: 2}
-    shown = table(result, "okada")
-    assert shown._rows[0][0][shown.headings.index("failures by cause")] == f"{cause} 2"
+    scenes = asked("perception=mapper", f"perception.blind={blind}")
+    result = evaluate(Plan.of_one([Entry(*scene) for scene in scenes], title="okada"))
+    (one,) = result.rows
+    assert not one.episodes.reached
+    assert [row["failed_by"] for row in one.episodes] == [cause, cause]
+    document = evaluation.document(result)
+    assert document["scenes"][0]["failed_by"] == {cause: 2}
+    (row,) = evaluation.policies(document, "okada").rows
+    assert f"by {cause} 2" in row["failures"]
 
 
-def test_transfer_has_a_third_column_with_the_sensor() -> None:
-    with EpisodeWorkers() as workers:
-        (found,) = transfer_scenes(asked("perception=mapper", "sim=mujoco"), workers, 0)
-    assert found.default.success_rate == found.other.success_rate == 1.0
-    assert found.sensed is not None
-    assert (found.sensed.sensor, found.sensed.summary.success_rate) == ("mapper", 0.0)
-    assert (found.sensed.kept, found.sensed.gap.success.lost) == (0.0, 1)
-    assert found.causes == {"drift": 1}
-    assert found.to_dict()["sensed"]["sensor"] == "mapper"
-    assert found.failures[0].default_outcome == "reached"
+def test_engines_have_a_third_step_with_the_sensor() -> None:
+    words = [*HIGH[:-1], "eval.episodes=1", "perception=mapper", "sim=planar,mujoco"]
+    plan = make_plan(words, [Entrant("okada")], "none", lambda text: None)
+    (found,) = evaluation.document(engines.explained(evaluate(plan)))["engines"]
+    assert found["planar"]["success_rate"] == found["mujoco"]["success_rate"] == 1.0
+    sensed = found["sensed"]
+    assert (sensed["sensor"], sensed["summary"]["success_rate"]) == ("mapper", 0.0)
+    assert (sensed["kept"], sensed["gap"]["success"]["lost"]) == (0.0, 1)
+    assert found["causes"] == {"drift": 1}
+    assert found["failures"][0]["default_outcome"] == "reached"

@@ -1,134 +1,141 @@
-"""Statistics of episodes, by hand."""
+"""Intervals and tests, by hand and against published or exact numbers."""
 
+import itertools
+import math
+
+import numpy as np
 import pytest
 
-from flipperctl.evaluation.intervals import paired_success, proportion
-from flipperctl.evaluation.results import Outcomes, Passable, Summary
 from flipperctl.evaluation.statistics import (
-    differences,
-    measure,
-    paired,
-    reached,
-    summarise,
+    FEWEST,
+    Interval,
+    Z,
+    holm,
+    interval,
+    mcnemar_p,
+    mean_of,
+    mean_p,
+    paired_success,
+    proportion,
 )
-from tests.evaluation.samples import sample
-
-pytestmark = pytest.mark.usefixtures("core_measures")
 
 
-def test_a_summary_counts_outcomes_and_averages_what_reached_the_finish() -> None:
-    episodes = [
-        sample(0, "reached", 1.0),
-        sample(1, "reached", 3.0),
-        sample(2, "stuck", 99.0),
-        sample(3, "timeout", 17.0),
-    ]
-    found = summarise("step", episodes)
-    assert (found.terrain, found.episodes, found.success_rate) == ("step", 4, 0.5)
-    assert found.success == proportion(2, 4)
-    assert found.outcomes == Outcomes(reached=2, overturned=0, stuck=1, timeout=1)
-    assert found.pitch_variation == measure([1.0, 3.0])
-    assert found.pitch_variation_100hz == measure([2.0, 6.0])
-    assert found.t_cost == measure([10.0, 30.0])
-    assert found.flipper_travel == measure([3.0, 9.0])
-    # These two are of all episodes.
-    assert found.max_pitch == measure([0.1 * value for value in (1.0, 3.0, 99.0, 17.0)])
-    assert found.episode_return == measure([-1.0, -3.0, -99.0, -17.0])
-    assert (found.episode_return.mean, found.episode_return.range) == (-30.0, 98.0)
-    assert found.passable is None
-    assert found.parts == {}
-    assert found.not_reached is not None
-    assert found.not_reached.episodes == 2
-    assert found.not_reached.pitch_variation_100hz == measure([198.0, 34.0])
-    assert found.not_reached.pitch_variation == measure([99.0, 17.0])
-    assert found.not_reached.flipper_travel == measure([297.0, 51.0])
-    assert found.not_reached.duration == measure([990.0, 170.0])
-    assert summarise("step", episodes[:2]).not_reached is None
+def test_the_interval_of_a_mean_is_students() -> None:
+    # Of 1 to 5: standard deviation √2.5, t(4) = 2.776445, so 3 ± 2.776445 · √(2.5 / 5).
+    found = interval([1.0, 2.0, 3.0, 4.0, 5.0])
+    assert found.mean == 3.0
+    assert found.low == pytest.approx(3 - 2.776445 * math.sqrt(0.5), abs=1e-6)
+    assert found.high == pytest.approx(3 + 2.776445 * math.sqrt(0.5), abs=1e-6)
+    # 50 zeros and 50 ones: standard error √(25 / 99) / 10, t(99) = 1.984217.
+    wide = interval([0.0] * 50 + [1.0] * 50)
+    assert wide.low == pytest.approx(0.5 - 1.984217 * math.sqrt(25 / 99) / 10, abs=1e-6)
 
 
-def test_what_only_a_crossing_gives_is_none_where_nobody_crossed() -> None:
-    found = summarise("step", [sample(0, "overturned", 1.0)])
-    assert (found.t_cost, found.pitch_variation, found.flipper_travel) == (None, None, None)
-    assert found.success == proportion(0, 1)
-    assert found.max_pitch.mean == pytest.approx(0.1)
-    with pytest.raises(ValueError, match="at least one outcome"):
-        summarise("step", [])
-
-
-def test_a_draw_is_passable_whatever_the_policy_does_on_it() -> None:
-    # References cross draws 0 to 2; the policy crosses 0, 1 and 3.
-    crossed = ("okada", "planner", "planner", "", "")
-    for reached_by_policy, passed, beyond in (((0, 1, 3), 2, 1), ((), 0, 0), ((3, 4), 0, 2)):
-        found = summarise(
-            "step",
-            [
-                sample(i, "reached" if i in reached_by_policy else "stuck", 1.0, crossed_by=label)
-                for i, label in enumerate(crossed)
-            ],
+def test_few_values_have_no_interval() -> None:
+    for count in range(1, FEWEST):
+        assert interval([1.0, 3.0, 2.0, 2.0][:count]) == Interval(
+            pytest.approx(sum([1.0, 3.0, 2.0, 2.0][:count]) / count), None, None
         )
-        assert found.passable == Passable(3, passed / 3, proportion(passed, 3), beyond)
-    nobody = summarise("step", [sample(0, "reached", 1.0, crossed_by="")])
-    assert nobody.passable == Passable(0, None, None, 1)
+    assert interval([2.0] * FEWEST) == Interval(2.0, 2.0, 2.0)
+    with pytest.raises(ValueError, match="at least one value"):
+        interval([])
 
 
-def test_a_summary_takes_a_mix_apart() -> None:
-    episodes = [
-        sample(0, "stuck", 9.0, "wave"),
-        sample(1, "reached", 1.0, "gap"),
-        sample(2, "reached", 3.0, "gap"),
-    ]
-    found = summarise("mix", episodes)
-    assert found.success_rate == pytest.approx(2 / 3)
-    assert list(found.parts) == ["gap", "wave"]
-    assert found.parts["gap"] == summarise("gap", episodes[1:])
-    assert found.parts["wave"] == summarise("wave", episodes[:1])
-    assert isinstance(found.parts["gap"], Summary)
-    assert (found.parts["gap"].episodes, found.parts["gap"].success_rate) == (2, 1.0)
-    assert (found.parts["wave"].episodes, found.parts["wave"].success_rate) == (1, 0.0)
+def test_the_p_value_of_a_mean_is_that_of_its_interval() -> None:
+    rng = np.random.default_rng(3)
+    for shift, count in itertools.product((0.0, 0.3, 0.8), (5, 9, 40)):
+        values = rng.normal(shift, 1.0, count).tolist()
+        found = interval(values)
+        assert found.low is not None
+        assert found.high is not None
+        assert (mean_p(values) <= 0.05) == (found.low >= 0 or found.high <= 0)
+    # t = 3 / √(2.5 / 5) = 4.242641 with four degrees of freedom.
+    assert mean_p([1.0, 2.0, 3.0, 4.0, 5.0]) == pytest.approx(0.0132356, abs=1e-6)
+    assert mean_p([1.0] * 4) == 1.0
+    assert mean_p([0.0] * 9) == 1.0
+    assert mean_p([1.0] * 9) == 0.0
 
 
-def test_pairs_are_equal_draws() -> None:
-    ours = [sample(0, "reached", 1.0), sample(1, "reached", 2.0), sample(2, "stuck", 9.0)]
-    theirs = [sample(2, "reached", 1.0), sample(1, "stuck", 0.0), sample(0, "reached", 1.5)]
-    assert paired(ours, theirs) == list(zip(ours, reversed(theirs), strict=True))
-    found = differences(ours, theirs)
-    assert found.success == paired_success(1, 1, 3)
-    assert found.pitch_variation is not None
-    assert (found.pitch_variation.mean, found.pitch_variation.episodes) == (-0.5, 1)
-    assert found.pitch_variation_100hz is not None
-    assert found.pitch_variation_100hz.mean == -1.0
-    assert found.t_cost is not None
-    assert found.t_cost.mean == -5.0
-    # Measures are compared where both reached the finish.
-    assert differences(ours[2:], theirs).pitch_variation is None
-    assert differences(ours[2:], theirs).success == paired_success(0, 1, 1)
+def test_the_interval_of_a_rate_is_wilsons() -> None:
+    # z² = 3.84146. Of 5 of 5: low = 5 / (5 + z²); of 0 of 5: high = z² / (5 + z²).
+    assert proportion(5, 5) == Interval(1.0, pytest.approx(0.56552, abs=1e-5), 1.0)
+    assert proportion(0, 5) == Interval(0.0, 0.0, pytest.approx(0.43448, abs=1e-5))
+    # Of 50 of 100: 0.5 ± z · √(0.25 / (100 + z²)) = 0.5 ± 0.09617.
+    assert proportion(50, 100).low == pytest.approx(0.40383, abs=1e-5)
+    assert proportion(50, 100).high == pytest.approx(0.59617, abs=1e-5)
+    # Of 9 of 10: centre (0.9 + 0.192073) / 1.384146 = 0.788987, half width 0.193136.
+    assert proportion(9, 10).low == pytest.approx(0.59585, abs=1e-5)
+    assert proportion(9, 10).high == pytest.approx(0.98212, abs=1e-5)
+    every = [proportion(k, n) for n in range(1, 60) for k in range(n + 1)]
+    assert all(0 <= (one.low or 0.0) <= one.mean <= (one.high or 0.0) <= 1 for one in every)
+    with pytest.raises(ValueError, match="at least one outcome"):
+        proportion(0, 0)
 
 
-def test_a_mix_is_compared_part_by_part_on_equal_draws() -> None:
-    labels = ("gap", "gap", "wave")
-    ours, theirs = (
-        [sample(i, "reached", v, t) for i, (v, t) in enumerate(zip(values, labels, strict=True))]
-        for values in ((1.0, 2.0, 3.0), (2.0, 3.0, 9.0))
-    )
-    found = differences(ours, theirs)
-    assert found.pitch_variation is not None
-    assert found.pitch_variation.mean == pytest.approx((-1 - 1 - 6) / 3)
-    gap, wave = (found.parts[label].pitch_variation for label in ("gap", "wave"))
-    assert gap is not None
-    assert wave is not None
-    assert (gap.mean, gap.episodes) == (-1.0, 2)
-    assert (wave.mean, wave.episodes) == (-6.0, 1)
-    assert differences(ours[:2], theirs[:2]).parts == {}
+@pytest.mark.parametrize("total", [5, 10, 40])
+def test_equal_pairs_prove_no_equality(total: int) -> None:
+    # With no unequal pair, n · d² = z² · |d| · (1 − |d|), so |d| = z² / (n + z²).
+    found = paired_success(0, 0, total)
+    assert found.mean == 0.0
+    assert found.high == pytest.approx(Z**2 / (total + Z**2), abs=1e-9)
+    assert found.low == pytest.approx(-(Z**2) / (total + Z**2), abs=1e-9)
 
 
-def test_rows_of_a_training_are_counted_alike() -> None:
-    rows = [{"outcome": "reached"}, {"outcome": "stuck"}, {"outcome": "reached"}, {"outcome": ""}]
-    assert reached(rows) == [rows[0], rows[2]]
+PAIRS = [(3, 1, 10), (0, 4, 12), (7, 7, 30), (5, 0, 5)]
 
 
-def test_a_part_that_the_other_did_not_play_is_not_compared() -> None:
-    """As when Ctrl-C ended a baseline on a mix."""
-    ours = [sample(0, "reached", 1.0), sample(1, "reached", 2.0, terrain="stair")]
-    found = differences(ours, [sample(0, "reached", 1.5)])
-    assert list(found.parts) == ["step"]
-    assert found.success.episodes == 1
+@pytest.mark.parametrize(("won", "lost", "total"), PAIRS)
+def test_the_ends_of_a_paired_difference_solve_the_score_equation(
+    won: int, lost: int, total: int
+) -> None:
+    """The rates under each end are found by trying 200,001 of them."""
+    found = paired_success(won, lost, total)
+    assert found.mean == (won - lost) / total
+    for end, sign in ((found.low, 1), (found.high, -1)):
+        assert end is not None
+        if abs(end) == 1:
+            continue
+        rates = np.linspace(max(0.0, -end), (1 - end) / 2, 200_001)[1:-1]  # the second's alone
+        either = total - won - lost
+        likelihood = (
+            won * np.log(rates + end)
+            + (lost * np.log(rates) if lost else 0.0)
+            + (either * np.log(1 - end - 2 * rates) if either else 0.0)
+        )
+        rate = float(rates[np.argmax(likelihood)])
+        score = (won - lost - total * end) / math.sqrt(total * (2 * rate + end - end**2))
+        assert score == pytest.approx(sign * Z, abs=2e-3)
+
+
+def test_swapping_the_policies_swaps_the_interval() -> None:
+    for won, lost, total in ((3, 1, 10), (0, 4, 12), (5, 0, 5)):
+        one, other = paired_success(won, lost, total), paired_success(lost, won, total)
+        assert (one.low, one.high) == pytest.approx((-(other.high or 0), -(other.low or 0)))
+        assert one.p == other.p
+    with pytest.raises(ValueError, match="at least one pair"):
+        paired_success(0, 0, 0)
+
+
+def test_mcnemars_test_is_exact() -> None:
+    for won, lost in ((0, 5), (2, 8), (1, 1), (0, 1), (10, 30)):
+        count, few = won + lost, min(won, lost)
+        tail = sum(math.comb(count, k) for k in range(few + 1)) / 2**count
+        assert mcnemar_p(won, lost) == pytest.approx(min(1.0, 2 * tail))
+    assert mcnemar_p(0, 0) == 1.0
+    assert mcnemar_p(0, 5) == pytest.approx(2 / 32)
+
+
+def test_holm_corrects_each_p_value_for_the_others() -> None:
+    # In order 0.01 · 4, 0.03 · 3, 0.04 · 2 (raised to the one before), 0.5.
+    assert holm([0.01, 0.04, 0.03, 0.5]) == pytest.approx([0.04, 0.09, 0.09, 0.5])
+    assert holm([0.5, 0.6]) == [1.0, 1.0]
+    assert holm([]) == []
+
+
+def test_a_mean_of_rates_without_variation_has_the_width_of_their_intervals() -> None:
+    none, all_of_them = proportion(0, 100), proportion(100, 100)
+    found = mean_of([none, all_of_them, all_of_them])
+    assert found.mean == pytest.approx(2 / 3)
+    assert found.low == pytest.approx(2 / 3 - math.sqrt(2 * (1 - (all_of_them.low or 0)) ** 2) / 3)
+    assert found.high == pytest.approx(2 / 3 + (none.high or 0) / 3)
+    assert mean_of([none]) == none

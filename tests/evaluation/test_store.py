@@ -5,7 +5,7 @@ import json
 import os
 import signal
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -16,16 +16,33 @@ from flipperctl.api import Policy
 from flipperctl.checkpoint import shipped_policies
 from flipperctl.config import EvalConfig, with_overrides
 from flipperctl.errors import PluginFailedError, WriteError
-from flipperctl.evaluation.cells import Series, cut
-from flipperctl.evaluation.episode import EpisodeResult
+from flipperctl.evaluation.evaluate import Result
+from flipperctl.evaluation.evaluate import evaluate as play_plan
+from flipperctl.evaluation.plan import Entry, Plan
+from flipperctl.evaluation.rows import DIGEST, Row
 from flipperctl.evaluation.runner import EpisodeRunner
-from flipperctl.evaluation.scenes import evaluate
-from flipperctl.evaluation.store import FOLDER, VIEW, CellFolder, played_policies, write_view
+from flipperctl.evaluation.store import (
+    FOLDER,
+    VIEW,
+    EpisodeStore,
+    FolderStore,
+    StoreKey,
+    blocks,
+    played_policies,
+    write_view,
+)
+from flipperctl.evaluation.views import evaluation
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout import ray_cluster
 
 LEVEL, OKADA = (PolicySource.of_plugin(name, "here") for name in ("level", "okada"))
+
+
+def evaluate(
+    scenes: Sequence[tuple[EvalConfig, PolicySource]], store: EpisodeStore | None = None
+) -> Result:
+    return play_plan(Plan.of_one([Entry(*scene) for scene in scenes]), store=store)
 
 
 def config(episodes: int = 5, terrain: str = "flat", **more: object) -> EvalConfig:
@@ -40,7 +57,7 @@ def played(monkeypatch: pytest.MonkeyPatch) -> list[int]:
     found: list[int] = []
     play = EpisodeRunner.play
 
-    def counted(self: EpisodeRunner, index: int) -> EpisodeResult:
+    def counted(self: EpisodeRunner, index: int) -> Row:
         found.append(index)
         return play(self, index)
 
@@ -52,22 +69,22 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {file.name: file.read_bytes() for file in folder.iterdir()}
 
 
-def test_cells_end_at_multiples_and_at_gaps() -> None:
-    assert list(cut([0, 1, 2, 3, 4], 2)) == [[0, 1], [2, 3], [4]]
-    assert list(cut([1, 2, 3, 7, 9, 10], 4)) == [[1, 2, 3], [7], [9, 10]]
-    assert list(cut([], 4)) == []
+def test_blocks_end_at_multiples_and_at_gaps() -> None:
+    assert list(blocks([0, 1, 2, 3, 4], 2)) == [[0, 1], [2, 3], [4]]
+    assert list(blocks([1, 2, 3, 7, 9, 10], 4)) == [[1, 2, 3], [7], [9, 10]]
+    assert list(blocks([], 4)) == []
 
 
 def test_more_episodes_play_only_the_further_ones(tmp_path: Path, played: list[int]) -> None:
-    first = evaluate([(config(3), OKADA)], store=CellFolder(tmp_path))
+    first = evaluate([(config(3), OKADA)], store=FolderStore(tmp_path))
     assert played == [0, 1, 2]
-    again = evaluate([(config(3), OKADA)], store=CellFolder(tmp_path))
+    again = evaluate([(config(3), OKADA)], store=FolderStore(tmp_path))
     assert played == [0, 1, 2]
-    assert again == first
-    longer = evaluate([(config(5), OKADA)], store=CellFolder(tmp_path))
+    assert again.played == first.played
+    longer = evaluate([(config(5), OKADA)], store=FolderStore(tmp_path))
     assert played == [0, 1, 2, 3, 4]
-    assert longer.scenes[0].episodes[:3] == first.scenes[0].episodes
-    assert longer == evaluate([(config(5), OKADA)])
+    assert longer.rows[0].episodes[:3] == first.rows[0].episodes
+    assert longer.played == evaluate([(config(5), OKADA)]).played
     ends = sorted(name.split(".")[-2] for name in contents(tmp_path))
     assert ends == ["000000-000001", "000002-000002", "000003-000003", "000004-000004"]
 
@@ -79,7 +96,7 @@ def test_another_policy_or_other_conditions_are_other_cells(
         played.clear()
         chosen = with_overrides(config(1), changed)
         assert isinstance(chosen, EvalConfig)
-        evaluate([(chosen, who)], store=CellFolder(tmp_path))
+        evaluate([(chosen, who)], store=FolderStore(tmp_path))
         return len(played)
 
     assert judged({}) == 1
@@ -97,7 +114,7 @@ def test_a_file_is_its_content_wherever_it_lies(tmp_path: Path) -> None:
     one, other = PolicyIdentity.of(shipped), PolicyIdentity.of(PolicySource(checkpoint=copy))
     assert (one.digest, one.training_seed) == (other.digest, other.training_seed)
     assert one.training_seed is not None
-    evaluate([(config(1), shipped)], store=CellFolder(tmp_path / "cells"))
+    evaluate([(config(1), shipped)], store=FolderStore(tmp_path / "cells"))
     (played,) = (p for found in played_policies(tmp_path / "cells").values() for p in found)
     assert one.training is not None
     assert played.training == one.training
@@ -137,13 +154,13 @@ def test_neither_the_order_of_cells_nor_ray_shows_in_the_files(
 ) -> None:
     scenes = [(OKADA, "flat"), (LEVEL, "flat")]
     plain = [(config(5, name), who) for who, name in scenes]
-    expected = evaluate(plain, store=CellFolder(tmp_path / "here"))
+    expected = evaluate(plain, store=FolderStore(tmp_path / "here"))
     fake = FakeRay()
     monkeypatch.setattr(ray_cluster, "import_ray", lambda: fake)
     over = [(config(5, name, ray="any"), who) for who, name in scenes]
-    found = evaluate(over, store=CellFolder(tmp_path / "ray"))
+    found = evaluate(over, store=FolderStore(tmp_path / "ray"))
     assert len(fake.tasks) == 6
-    assert [s.episodes for s in found.scenes] == [s.episodes for s in expected.scenes]
+    assert [s.episodes for s in found.rows] == [s.episodes for s in expected.rows]
     assert contents(tmp_path / "ray") == contents(tmp_path / "here")
 
 
@@ -154,20 +171,20 @@ def test_a_kill_at_any_moment_loses_only_the_open_cell(tmp_path: Path, played: l
     if child == 0:  # the kill comes in the fourth episode
         play = EpisodeRunner.play
 
-        def killed(self: EpisodeRunner, index: int) -> EpisodeResult:
+        def killed(self: EpisodeRunner, index: int) -> Row:
             if index == 3:
                 os.kill(os.getpid(), signal.SIGKILL)
             return play(self, index)
 
         EpisodeRunner.play = killed  # type: ignore[method-assign]
-        evaluate([(config(5), OKADA)], store=CellFolder(tmp_path))
+        evaluate([(config(5), OKADA)], store=FolderStore(tmp_path))
         os._exit(0)
     assert os.waitpid(child, 0)[1] == signal.SIGKILL
     before = contents(tmp_path)
     assert [name.split(".")[-2] for name in before] == ["000000-000001"]
-    found = evaluate([(config(5), OKADA)], store=CellFolder(tmp_path))
+    found = evaluate([(config(5), OKADA)], store=FolderStore(tmp_path))
     assert played == [2, 3, 4]
-    assert found == evaluate([(config(5), OKADA)])
+    assert found.played == evaluate([(config(5), OKADA)]).played
     assert before.items() <= contents(tmp_path).items()
 
 
@@ -175,7 +192,7 @@ def test_a_full_disk_ends_the_evaluation(tmp_path: Path, monkeypatch: pytest.Mon
     def full(path: Path, chunks: object) -> None:
         raise WriteError(f"{path}: writing failed half way (No space left on device)")
 
-    store = CellFolder(tmp_path)
+    store = FolderStore(tmp_path)
     monkeypatch.setattr(files, "write_chunks", full)
     with pytest.raises(WriteError, match="No space left"):
         evaluate([(config(5), OKADA), (config(5, seed=9), LEVEL)], store=store)
@@ -192,7 +209,7 @@ def test_a_policy_that_fails_is_noted_and_the_others_are_judged(
         built.append(self)
         return build(self, config)
 
-    def failing(self: EpisodeRunner, index: int) -> EpisodeResult:
+    def failing(self: EpisodeRunner, index: int) -> Row:
         if index == 3 and built[-1] == LEVEL:
             raise PluginFailedError("level: gone")
         return play(self, index)
@@ -200,28 +217,29 @@ def test_a_policy_that_fails_is_noted_and_the_others_are_judged(
     monkeypatch.setattr(PolicySource, "build", noted)
     monkeypatch.setattr(EpisodeRunner, "play", failing)
     scenes = [(config(5), LEVEL), (config(5), OKADA)]
-    found = evaluate(scenes, store=CellFolder(tmp_path))
-    assert [scene.controller for scene in found.scenes] == ["okada"]
+    found = evaluate(scenes, store=FolderStore(tmp_path))
+    assert [one.entry.label for one in found.rows] == ["okada"]
     assert [(f.controller, f.terrain, str(f.error)) for f in found.failures] == [
         ("level", "flat", "level: gone")
     ]
-    assert found.to_dict()["failed"][0]["error"] == "level: gone"
+    assert evaluation.document(found)["failed"][0]["error"] == "level: gone"
     (note,) = tmp_path.glob("*.failed.json")
     assert json.loads(note.read_text())["text"] == "level: gone"
     assert note.name.split(".")[-3] == "000003-000003"
     monkeypatch.setattr(EpisodeRunner, "play", play)
-    assert len(evaluate(scenes, store=CellFolder(tmp_path)).scenes) == 2
+    assert len(evaluate(scenes, store=FolderStore(tmp_path)).rows) == 2
     assert list(tmp_path.glob("*.failed.json")) == []
 
 
 def test_a_damaged_cell_is_told_and_played_again(tmp_path: Path, played: list[int]) -> None:
-    first = evaluate([(config(4), OKADA)], store=CellFolder(tmp_path))
+    first = evaluate([(config(4), OKADA)], store=FolderStore(tmp_path))
     before = contents(tmp_path)
     cell = sorted(tmp_path.iterdir())[1]
     cell.write_text(cell.read_text()[:-40])
     played.clear()
     told: list[str] = []
-    assert evaluate([(config(4), OKADA)], store=CellFolder(tmp_path, told.append)) == first
+    again = evaluate([(config(4), OKADA)], store=FolderStore(tmp_path, told.append))
+    assert again.played == first.played
     assert played == [2, 3]
     assert told == [f"{cell} is damaged; its episodes are played again"]
     assert contents(tmp_path) == before
@@ -230,25 +248,26 @@ def test_a_damaged_cell_is_told_and_played_again(tmp_path: Path, played: list[in
 def test_a_damaged_cell_whose_episodes_other_cells_have_is_removed(
     tmp_path: Path, played: list[int]
 ) -> None:
-    first = evaluate([(config(4), OKADA)], store=CellFolder(tmp_path))
+    first = evaluate([(config(4), OKADA)], store=FolderStore(tmp_path))
     cell = sorted(tmp_path.iterdir())[1]
     wide = cell.with_name(cell.name.replace("000002-000003", "000000-000003"))
     wide.write_text("half a ce")
     played.clear()
     told: list[str] = []
-    assert evaluate([(config(4), OKADA)], store=CellFolder(tmp_path, told.append)) == first
+    again = evaluate([(config(4), OKADA)], store=FolderStore(tmp_path, told.append))
+    assert again.played == first.played
     assert (played, told, wide.exists()) == ([], [], False)
 
 
 def test_the_table_of_all_episodes_has_every_cell(tmp_path: Path) -> None:
     cells = tmp_path / FOLDER
-    evaluate([(config(3), OKADA), (config(3), LEVEL)], store=CellFolder(cells))
+    evaluate([(config(3), OKADA), (config(3), LEVEL)], store=FolderStore(cells))
     write_view(tmp_path)
     with (tmp_path / VIEW).open(newline="") as file:
         table = list(csv.DictReader(file))
     assert [row["controller"] for row in table] == ["okada"] * 3 + ["level"] * 3
     assert len({row["seed"] for row in table}) == 3
-    (first,) = cells.glob(f"{Series.of(config(), PolicyIdentity.of(OKADA)).key}.000000-*")
+    (first,) = cells.glob(f"{StoreKey.of(config(), PolicyIdentity.of(OKADA)).text}.000000-*")
     header, *rows = [json.loads(line) for line in first.read_text().splitlines()]
     assert (header["record"], header["controller"], header["engine"]) == ("cell", "okada", "planar")
     assert {row["record"] for row in rows} == {"episode"}
@@ -259,26 +278,26 @@ def test_the_table_of_all_episodes_has_every_cell(tmp_path: Path) -> None:
 def test_a_stored_episode_keeps_its_digest(tmp_path: Path) -> None:
     """A record of its failure is made of it again whenever the results are read."""
     (first,), (again,) = (
-        [scene.episodes for scene in evaluate([(config(2), OKADA)], store=store).scenes]
-        for store in (CellFolder(tmp_path), CellFolder(tmp_path))
+        [one.episodes for one in evaluate([(config(2), OKADA)], store=store).rows]
+        for store in (FolderStore(tmp_path), FolderStore(tmp_path))
     )
-    assert [e.digest for e in again] == [e.digest for e in first]
-    assert all(e.digest is not None and len(e.digest) == 64 for e in again)
+    assert [e[DIGEST] for e in again] == [e[DIGEST] for e in first]
+    assert all(len(e[DIGEST]) == 64 for e in again)
 
 
 def test_cells_of_other_versions_are_used_and_counted(tmp_path: Path) -> None:
-    evaluate([(config(2), OKADA)], store=CellFolder(tmp_path))
+    evaluate([(config(2), OKADA)], store=FolderStore(tmp_path))
     (cell,) = tmp_path.iterdir()
     text = cell.read_text()
     header, _, rest = text.partition("\n")
     document = json.loads(header)
     document["versions"] |= {"pymunk": "6.0.0", "numpy": "1.0"}
     cell.write_text(json.dumps(document) + "\n" + rest)
-    store = CellFolder(tmp_path)
+    store = FolderStore(tmp_path)
     evaluate([(config(2), OKADA)], store=store)
     assert dict(store.other_versions) == {"pymunk 6.0.0": 1, "numpy 1.0": 1}
     cell.write_text(text)
-    store = CellFolder(tmp_path)
+    store = FolderStore(tmp_path)
     evaluate([(config(2), OKADA)], store=store)
     assert not store.other_versions
 
@@ -291,5 +310,5 @@ def test_a_file_that_a_reward_reads_is_part_of_what_is_stored(
     for content, expected in (("a", [0]), ("a", []), ("b", [0])):
         table.write_text(content)
         played.clear()
-        evaluate([(config(1), OKADA)], store=CellFolder(tmp_path / "cells"))
+        evaluate([(config(1), OKADA)], store=FolderStore(tmp_path / "cells"))
         assert played == expected, content

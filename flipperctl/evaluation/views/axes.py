@@ -147,7 +147,7 @@ def _typed_values(ends: str, text: str, option: str) -> list[float]:
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise RequestError(f"{option} {text}: a range from a lower to a higher number is allowed")
     if not (cells.is_integer() and 2 <= cells <= _MOST):
-        raise RequestError(f"{option} {text}: 2 to {_MOST} cells are allowed")
+        raise RequestError(f"{option} {text}: 2 to {_MOST} values are allowed")
     return [float(v) for v in np.linspace(low, high, int(cells))]
 
 

@@ -7,6 +7,7 @@ and from such a document the tables of the terminal, ``table.csv`` and ``table.t
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 from flipperctl.api import Measure, Outcome
@@ -100,7 +101,9 @@ def policies(found: Document, title: str, columns: Sequence[str] = ()) -> Table:
     rows = list(_rows(found))
     scenes = dict.fromkeys(row["scene"] for row in rows)
     single = len(scenes) == 1 and not any(row.get("dim") for row in rows)
-    several = len({row["policy"] for row in rows}) > 1
+    several = len({row["policy"] for row in rows}) > 1 or any(
+        one["scene"] == other["scene"] for one, other in pairwise(rows)
+    )
     head = []
     if not single:
         head.append(Column("scene", "scene", named=True))

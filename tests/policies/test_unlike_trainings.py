@@ -2,7 +2,7 @@
 
 import pytest
 
-from flipperctl.evaluation.training_settings import tell_unlike
+from flipperctl.policies.identity import unlike_trainings
 
 
 @pytest.mark.parametrize(
@@ -17,7 +17,7 @@ from flipperctl.evaluation.training_settings import tell_unlike
     ],
 )
 def test_what_differs_between_trainings_fits_a_line(one: dict, other: dict, told: str) -> None:
-    found = tell_unlike([one, other])
+    found = unlike_trainings([one, other])
     assert told in found
     assert bool(found) == bool(told)
-    assert tell_unlike([one, one]) == ""
+    assert unlike_trainings([one, one]) == ""

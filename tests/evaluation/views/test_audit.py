@@ -5,9 +5,9 @@ import pytest
 from flipperctl import api
 from flipperctl.api import Controller, Perception, Policy, Simulator
 from flipperctl.config import EvalConfig
-from flipperctl.evaluation.episodes import play_episodes
+from flipperctl.evaluation.runner import EpisodeRunner
+from flipperctl.evaluation.views.audit import audit
 from flipperctl.policies.source import PolicySource
-from flipperctl.studies.audit import audit
 
 PLANNER = PolicySource(settings={"name": "planner", "width": 2, "budget": 200})
 
@@ -18,15 +18,16 @@ def test_the_audit_pays_what_the_evaluation_pays(source: PolicySource) -> None:
         terrain="step", rewards={"pitch": "pitch", "travel": "travel"}, eval={"seed": 5}
     )
     found = audit(config, source, episodes=2)
-    results = list(play_episodes(config, source, episodes=2, seed=5))
-    assert found.decisions == sum(result.decisions for result in results)
-    mean = sum(result.episode_return for result in results) / 2
-    assert found.mean_return == pytest.approx(mean)
-    for name, term in found.terms.items():
-        paid = sum(result.rewards[name] for result in results) / found.decisions
-        assert term.mean == pytest.approx(paid)
-        assert term.lowest <= term.mean <= term.highest
-    assert sum(term.share for term in found.terms.values()) == pytest.approx(1.0)
+    runner = EpisodeRunner(config, source, 5)
+    results = [runner.play(0), runner.play(1)]
+    assert found["decisions"] == sum(result["decisions"] for result in results)
+    mean = sum(result["return"] for result in results) / 2
+    assert found["return"] == pytest.approx(mean)
+    for name, term in found["terms"].items():
+        paid = sum(result[f"reward_{name}"] for result in results) / found["decisions"]
+        assert term["mean"] == pytest.approx(paid)
+        assert term["lowest"] <= term["mean"] <= term["highest"]
+    assert sum(term["share"] for term in found["terms"].values()) == pytest.approx(1.0)
 
 
 def test_an_audit_tells_what_never_matters_from_what_says_nothing() -> None:
@@ -35,13 +36,13 @@ def test_an_audit_tells_what_never_matters_from_what_says_nothing() -> None:
     rewards = {"pitch": "pitch", "end": "end", "nothing": {"name": "travel", "weight": 0.0}}
     config = EvalConfig(terrain="flat", rewards=rewards)
     found = audit(config, PolicySource(settings={"name": "level"}), episodes=2)
-    pitch, end, nothing = (found.terms[name] for name in rewards)
-    assert (end.lowest, end.highest, end.saturated) == (0.0, 10.0, None)
-    assert end.mean == pytest.approx(20.0 / found.decisions)
-    assert found.mean_return == pytest.approx(10.0, abs=1e-3)
-    assert end.share == pytest.approx(1.0, abs=1e-3)
-    assert pitch.saturated == 0.0
-    assert (nothing.weight, nothing.share, nothing.saturated) == (0.0, 0.0, None)
+    pitch, end, nothing = (found["terms"][name] for name in rewards)
+    assert (end["lowest"], end["highest"], end["saturated"]) == (0.0, 10.0, None)
+    assert end["mean"] == pytest.approx(20.0 / found["decisions"])
+    assert found["return"] == pytest.approx(10.0, abs=1e-3)
+    assert end["share"] == pytest.approx(1.0, abs=1e-3)
+    assert pitch["saturated"] == 0.0
+    assert (nothing["weight"], nothing["share"], nothing["saturated"]) == (0.0, 0.0, None)
 
 
 @pytest.mark.usefixtures("registry")

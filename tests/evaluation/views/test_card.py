@@ -4,25 +4,26 @@ from dataclasses import replace
 
 import yaml
 
-from flipperctl.evaluation.result_rows import MEASURES, StoredRow
-from flipperctl.report.card import CardFacts, card_text
+from flipperctl.evaluation.views.card import CardFacts, card_text
+from flipperctl.evaluation.views.markdown import MEASURES, StoredRow
 
 ENDS = (1.25, 1.0, 1.5)
-POLICY = StoredRow(
-    terrain="stair",
-    conditions="nominal",
-    hash="01234567",
-    engine="planar",
-    seed=7,
-    method="mine",
-    is_policy=True,
-    episodes=100,
-    outcomes={"reached": 97, "overturned": 1, "stuck": 2, "timeout": 0},
-    success=(0.97, 0.915, 0.99),
-    measures=dict.fromkeys(MEASURES, ENDS),
-)
-LEVEL = replace(POLICY, method="level", is_policy=False, difference=(0.2, 0.1, 0.3))
-OKADA = replace(POLICY, method="okada", is_policy=False, difference=(-0.2, -0.3, -0.1))
+POLICY: StoredRow = {
+    "terrain": "stair",
+    "conditions": "nominal",
+    "hash": "01234567",
+    "engine": "planar",
+    "seed": 7,
+    "method": "mine",
+    "is_policy": True,
+    "episodes": 100,
+    "outcomes": {"reached": 97, "overturned": 1, "stuck": 2, "timeout": 0},
+    "success": (0.97, 0.915, 0.99),
+    "measures": dict.fromkeys(MEASURES, ENDS),
+    "difference": None,
+}
+LEVEL = POLICY | {"method": "level", "is_policy": False, "difference": (0.2, 0.1, 0.3)}
+OKADA = POLICY | {"method": "okada", "is_policy": False, "difference": (-0.2, -0.3, -0.1)}
 FACTS = CardFacts(
     name="mine",
     content="ab" * 32,

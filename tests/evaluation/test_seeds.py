@@ -5,15 +5,16 @@ import math
 import numpy as np
 import pytest
 
-from flipperctl.evaluation.aggregates import interquartile_mean, mean
-from flipperctl.evaluation.intervals import interval
-from flipperctl.evaluation.seed_intervals import (
+from flipperctl.evaluation.seeds import (
     better_interval,
     bootstrap,
     difference_interval,
+    interquartile_mean,
+    mean,
     mean_interval,
     statistic_interval,
 )
+from flipperctl.evaluation.statistics import interval
 
 
 def crossed(rng: np.random.Generator, seeds: int, own: float, ground: float, both: float) -> object:

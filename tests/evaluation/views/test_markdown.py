@@ -3,8 +3,8 @@
 import pytest
 
 from flipperctl.errors import RequestError
-from flipperctl.report.result_table import markdown_table
-from tests.report.test_card import LEVEL, OKADA, POLICY
+from flipperctl.evaluation.views.markdown import markdown_table
+from tests.evaluation.views.test_card import LEVEL, OKADA, POLICY
 
 ROWS = [POLICY, LEVEL, OKADA]
 

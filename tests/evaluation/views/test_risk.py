@@ -3,13 +3,13 @@
 import pytest
 
 from flipperctl.core.risk import RiskSign
-from flipperctl.evaluation.result_rows import StoredRow
-from flipperctl.evaluation.risk import risk_text, summarise_risk, threshold_for
-from flipperctl.evaluation.statistics import summarise
-from flipperctl.report.card import card_text
+from flipperctl.evaluation.views import risk
+from flipperctl.evaluation.views.card import card_text
+from flipperctl.evaluation.views.risk import summarise, threshold_for
+from flipperctl.evaluation.views.summary import summary
 from flipperctl.rollout.risks import EpisodeRisks
-from tests.evaluation.samples import sample
-from tests.report.test_card import FACTS, POLICY, replace
+from tests.evaluation.samples import episodes, sample
+from tests.evaluation.views.test_card import FACTS, POLICY, replace
 
 SIGN = RiskSign(horizon=6, threshold=0.5)
 
@@ -34,7 +34,7 @@ def test_an_episode_shorter_than_the_horizon_can_be_announced() -> None:
 
 
 def test_counts_and_scores_are_those_worked_by_hand() -> None:
-    found = summarise_risk(
+    found = summarise(
         [
             (risks(*[0.0] * 4, *[1.0] * 6), True),  # announced, and right at each decision
             (risks(*[0.0] * 10), True),  # not announced: wrong at 6 of 10
@@ -43,14 +43,15 @@ def test_counts_and_scores_are_those_worked_by_hand() -> None:
         ]
     )
     assert found is not None
-    assert (found.failures, found.announced, found.reached, found.false_alarms) == (2, 1, 2, 1)
-    assert found.false_warnings == pytest.approx(1 / 20)
-    assert found.brier == pytest.approx((6 + 0.25) / 40)
-    assert found.brier_of_mean == pytest.approx(0.3 * 0.7)  # 12 of 40 came before a failure
-    first, *_, last = found.bins
-    assert (first.decisions, first.true) == (33, pytest.approx(6 / 33))
-    assert (last.decisions, last.told, last.true) == (6, 1.0, 1.0)
-    assert summarise_risk([]) is None
+    names = ("failures", "announced", "reached", "false_alarms")
+    assert [found[name] for name in names] == [2, 1, 2, 1]
+    assert found["false_warnings"] == pytest.approx(1 / 20)
+    assert found["brier"] == pytest.approx((6 + 0.25) / 40)
+    assert found["brier_of_mean"] == pytest.approx(0.3 * 0.7)  # 12 of 40 came before a failure
+    first, *_, last = found["bins"]
+    assert (first["decisions"], first["true"]) == (33, pytest.approx(6 / 33))
+    assert (last["decisions"], last["told"], last["true"]) == (6, 1.0, 1.0)
+    assert summarise([]) is None
 
 
 def test_a_threshold_lies_above_the_episodes_that_must_not_warn() -> None:
@@ -63,23 +64,21 @@ def test_a_threshold_lies_above_the_episodes_that_must_not_warn() -> None:
 
 
 def test_a_summary_has_the_risk_of_a_policy_that_tells_one() -> None:
-    told = [sample(0, "reached", 1.0, risks=risks(0.9)), sample(1, "stuck", 1.0, risks=risks(0.1))]
-    found = summarise("step", told).to_dict()["risk"]
+    told = [
+        sample(0, "reached", 1.0, **risks(0.9).to_row()),
+        sample(1, "stuck", 1.0, **risks(0.1).to_row()),
+    ]
+    found = summary("step", episodes(told))["risk"]
     assert (found["false_alarms"], found["announced"], found["threshold"]) == (1, 0, 0.5)
-    assert "risk" not in summarise("step", [sample(0, "reached", 1.0)]).to_dict()
+    assert "risk" not in summary("step", episodes([sample(0, "reached", 1.0)]))
 
 
-def test_the_card_has_a_line_and_rows_without_a_risk_stay() -> None:
+def test_the_card_has_a_line_on_the_risk() -> None:
     counts = {"horizon": 10, "threshold": 0.25, "failures": 3, "announced": 2, "reached": 97}
-    row = replace(POLICY, risk={**counts, "false_alarms": 9, "false_warnings": 0.004})
+    row = POLICY | {"risk": {**counts, "false_alarms": 9, "false_warnings": 0.004}}
     text = (
-        "2 of 3 failures were announced 3 or more decisions ahead; warnings in 9 of 97 episodes "
-        "that reached the finish, at 0.4% of their decisions (risk of 0.25 or more within 10 "
-        "decisions)"
+        "warned 3 or more decisions before 2 of 3 failures; false alarms in 9 of 97 successes "
+        "(risk of 0.25 or more within 10 decisions)"
     )
-    assert row.risk is not None
-    assert risk_text(row.risk) == text
+    assert risk.text(row["risk"]) == text
     assert f"- Its risk on `stair` (01234567): {text}." in card_text(replace(FACTS, rows=(row,)))
-    assert StoredRow.of(row.to_dict()) == row
-    assert "risk" not in POLICY.to_dict()
-    assert StoredRow.of(POLICY.to_dict()) == POLICY

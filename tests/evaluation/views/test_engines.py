@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from flipperctl.config import EvalConfig, with_overrides
-from flipperctl.studies.failures import with_friction
+from flipperctl.evaluation.views.engines import with_friction
 
 
 @pytest.mark.parametrize("spread", [None, [0, 1], [0.2, 0.4]])

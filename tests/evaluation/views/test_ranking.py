@@ -6,16 +6,9 @@ import pytest
 
 from flipperctl.api import RewardTerm
 from flipperctl.config import resolver
-from flipperctl.evaluation.conditions import Conditions
-from flipperctl.studies.ranking import (
-    Played,
-    RewardRanking,
-    SceneRanking,
-    Verdict,
-    decide,
-    measures,
-    rank,
-)
+from flipperctl.evaluation.rows import Episodes
+from flipperctl.evaluation.views.ranking import Verdict, decide, measures, rank
+from tests.evaluation.samples import episodes as rows
 from tests.evaluation.samples import sample
 
 TERMS: dict[str, RewardTerm] = {
@@ -25,32 +18,40 @@ TERMS: dict[str, RewardTerm] = {
 }
 
 
-def episodes(values: list[float], price: float, travel: float, **more: Any) -> list[Any]:
+def episodes(
+    values: list[float], price: float, travel: float | list[float], **more: Any
+) -> Episodes:
     """Episodes whose θ̂_R at 100 Hz is twice ``values`` [rad], which cost ``price`` per radian."""
     outcomes = more.pop("outcomes", ["reached"] * len(values))
-    return [
-        sample(
-            seed,
-            outcome,
-            value,
-            rewards={"swing": -price * 2 * value, "travel": travel, "shaped": 5.0 * value},
-        )
-        for seed, (outcome, value) in enumerate(zip(outcomes, values, strict=True))
-    ]
+    travels = travel if isinstance(travel, list) else [travel] * len(values)
+    return rows(
+        [
+            sample(
+                seed,
+                outcome,
+                value,
+                reward_swing=-price * 2 * value,
+                reward_travel=travels[seed],
+                reward_shaped=5.0 * value,
+            )
+            for seed, (outcome, value) in enumerate(zip(outcomes, values, strict=True))
+        ]
+    )
 
 
-def on_scene(*rankings: RewardRanking) -> SceneRanking:
-    return SceneRanking("step", 0, Conditions("nominal", {}, {}), 5, 5, {}, rankings)
+def on_scene(*rankings: dict[str, Any]) -> dict[str, Any]:
+    return {"rankings": list(rankings)}
 
 
 def ranked(
-    label: str, terms: dict[str, RewardTerm], played: Played, prefix: str = ""
-) -> RewardRanking:
+    label: str, terms: dict[str, RewardTerm], played: dict[str, Episodes], prefix: str = ""
+) -> dict[str, Any]:
     """Return the ranking as it is decided without further comparisons."""
     undecided = rank(label, terms, played, prefix)
-    assert undecided.verdict is Verdict.UNDECIDED
+    assert undecided["verdict"] == Verdict.UNDECIDED
     (scene,) = decide([on_scene(undecided)])
-    return scene.rankings[0]
+    found: dict[str, Any] = scene["rankings"][0]
+    return found
 
 
 ROUGH, CALM = [1.0, 1.1, 0.9, 1.0, 1.2], [0.5, 0.6, 0.4, 0.5, 0.7]
@@ -60,35 +61,33 @@ def test_a_reward_that_prices_the_smooth_way_out_is_flagged() -> None:
     # The calm policy saves 1 rad at 100 Hz, worth 8, and turns its flippers for 8.6.
     played = {"level": episodes(ROUGH, 8, 0.0), "planner": episodes(CALM, 8, -8.6)}
     found = ranked("smooth", TERMS, played)
-    assert found.verdict is Verdict.CONTRADICTS
-    (contradiction,) = found.contradictions
-    assert (contradiction.paid, contradiction.calm) == ("level", "planner")
-    assert contradiction.return_difference.mean == pytest.approx(0.6)
-    assert contradiction.pitch_variation_100hz_difference.mean == pytest.approx(1.0)
-    assert list(contradiction.terms) == ["travel", "swing"]
-    assert contradiction.terms == {"travel": pytest.approx(8.6), "swing": pytest.approx(-8.0)}
-    assert list(found.returns) == ["level", "planner"]
+    assert found["verdict"] == Verdict.CONTRADICTS
+    (contradiction,) = found["contradictions"]
+    assert (contradiction["paid"], contradiction["calm"]) == ("level", "planner")
+    assert contradiction["return_difference"]["mean"] == pytest.approx(0.6)
+    gap = contradiction["pitch_variation_100hz_difference"]
+    assert gap["mean"] == pytest.approx(1.0)
+    assert list(contradiction["terms"]) == ["travel", "swing"]
+    assert contradiction["terms"] == {"travel": pytest.approx(8.6), "swing": pytest.approx(-8.0)}
+    assert list(found["returns"]) == ["level", "planner"]
     assert list(measures(played)) == ["planner", "level"]
-    assert found.to_dict()["contradictions"][0]["paid"] == "level"
 
 
 def test_a_reward_that_pays_the_calm_policy_agrees() -> None:
     played = {"level": episodes(ROUGH, 8, 0.0), "planner": episodes(CALM, 8, -7.0)}
     found = ranked("swing", TERMS, played)
-    assert (found.verdict, found.contradictions) == (Verdict.AGREES, ())
-    assert list(found.returns) == ["planner", "level"]
+    assert (found["verdict"], found["contradictions"]) == (Verdict.AGREES, [])
+    assert list(found["returns"]) == ["planner", "level"]
 
 
 def test_differences_within_noise_are_no_contradiction() -> None:
     # The return differs by 0.6 at every draw, θ̂_R by -0.4 to 0.6 rad.
     mixed = [1.2, 0.9, 0.7, 1.2, 1.3]
     played = {"level": episodes(ROUGH, 0, 0.6), "planner": episodes(mixed, 0, 0.0)}
-    assert ranked("flat", TERMS, played).verdict is Verdict.AGREES
-    noisy = episodes(CALM, 8, -8.6)
-    for at, travel in enumerate((-20.0, 2.0, -20.0, 2.0, -8.0)):  # on average as above
-        noisy[at].rewards["travel"] = travel
+    assert ranked("flat", TERMS, played)["verdict"] == Verdict.AGREES
+    noisy = episodes(CALM, 8, [-20.0, 2.0, -20.0, 2.0, -8.0])  # on average as above
     played = {"level": episodes(ROUGH, 8, 0.0), "planner": noisy}
-    assert ranked("noisy", TERMS, played).verdict is Verdict.AGREES
+    assert ranked("noisy", TERMS, played)["verdict"] == Verdict.AGREES
 
 
 def test_only_draws_that_every_policy_crossed_count() -> None:
@@ -98,12 +97,11 @@ def test_only_draws_that_every_policy_crossed_count() -> None:
         "planner": episodes(CALM, 8, -8.6),
     }
     found = measures(played)
-    assert (found["level"].success_rate, found["planner"].success_rate) == (0.8, 1.0)
-    swing = found["level"].pitch_variation_100hz
-    assert swing is not None
-    assert swing.mean == pytest.approx(2 * (1.0 + 0.9 + 1.0 + 1.2) / 4)
+    assert (found["level"]["success_rate"], found["planner"]["success_rate"]) == (0.8, 1.0)
+    swing = found["level"]["pitch_variation_100hz"]
+    assert swing["mean"] == pytest.approx(2 * (1.0 + 0.9 + 1.0 + 1.2) / 4)
     # Four draws are too few for a verdict.
-    assert ranked("smooth", TERMS, played).verdict is Verdict.UNDECIDED
+    assert ranked("smooth", TERMS, played)["verdict"] == Verdict.UNDECIDED
 
 
 def test_no_common_draw_gives_no_measures() -> None:
@@ -111,14 +109,14 @@ def test_no_common_draw_gives_no_measures() -> None:
         "level": episodes([1.0], 8, 0.0, outcomes=["stuck"]),
         "planner": episodes([1.0], 8, 0.0),
     }
-    assert measures(played)["planner"].to_dict() == {
+    assert measures(played)["planner"] == {
         "success_rate": 1.0,
         "pitch_variation_100hz": None,
         "pitch_variation": None,
         "t_cost": None,
     }
     found = ranked("smooth", TERMS, played)
-    assert (found.verdict, found.returns) == (
+    assert (found["verdict"], found["returns"]) == (
         Verdict.UNDECIDED,
         {"level": None, "planner": None},
     )
@@ -126,17 +124,17 @@ def test_no_common_draw_gives_no_measures() -> None:
 
 def test_the_terms_of_several_rewards_are_told_apart_by_their_prefix() -> None:
     played = {
-        label: [
-            sample(
-                e.seed, "reached", e.pitch_variation, rewards={"a.swing": paid, "b.swing": -paid}
-            )
-            for e in episodes(values, 8, 0.0)
-        ]
+        label: rows(
+            [
+                sample(i, "reached", v, **{"reward_a.swing": paid, "reward_b.swing": -paid})
+                for i, v in enumerate(values)
+            ]
+        )
         for label, values, paid in (("level", ROUGH, 1.0), ("planner", CALM, 2.0))
     }
     terms = {"swing": TERMS["swing"]}
-    assert ranked("a", terms, played, "a.").verdict is Verdict.AGREES
-    assert ranked("b", terms, played, "b.").verdict is Verdict.CONTRADICTS
+    assert ranked("a", terms, played, "a.")["verdict"] == Verdict.AGREES
+    assert ranked("b", terms, played, "b.")["verdict"] == Verdict.CONTRADICTS
 
 
 def test_a_contradiction_among_many_comparisons_needs_more_evidence() -> None:
@@ -144,12 +142,12 @@ def test_a_contradiction_among_many_comparisons_needs_more_evidence() -> None:
     calm = [0.5, 0.9, 0.2, 0.8, 0.3]
     played = {"level": episodes(ROUGH, 8, 0.0), "planner": episodes(calm, 8, -20.0)}
     alone = ranked("smooth", TERMS, played)
-    assert alone.verdict is Verdict.CONTRADICTS
-    (found,) = alone.contradictions
-    assert 0.001 < found.p == found.p_holm < 0.05
-    count = round(0.05 / found.p) + 1
+    assert alone["verdict"] == Verdict.CONTRADICTS
+    (found,) = alone["contradictions"]
+    assert 0.001 < found["p"] == found["p_holm"] < 0.05
+    count = round(0.05 / found["p"]) + 1
     equal = {"level": episodes(ROUGH, 8, 0.0), "planner": episodes(ROUGH, 8, 0.0)}
     others = [on_scene(rank("smooth", TERMS, equal)) for _ in range(count)]
     for scene in decide([on_scene(rank("smooth", TERMS, played)), *others]):
-        assert [r.verdict for r in scene.rankings] == [Verdict.AGREES]
-        assert scene.rankings[0].contradictions == ()
+        assert [r["verdict"] for r in scene["rankings"]] == [Verdict.AGREES]
+        assert scene["rankings"][0]["contradictions"] == []

@@ -8,13 +8,14 @@ import pytest
 from flipperctl import checkpoint
 from flipperctl.config import EvalConfig
 from flipperctl.errors import CheckpointError, RequestError
-from flipperctl.evaluation import failed_episodes
 from flipperctl.evaluation.episode_record import EpisodeRecord, read_record
-from flipperctl.evaluation.failed_episodes import write_failures
-from flipperctl.evaluation.replay import replay
-from flipperctl.evaluation.scenes import evaluate
+from flipperctl.evaluation.evaluate import evaluate
+from flipperctl.evaluation.plan import Entry, Plan
+from flipperctl.evaluation.rows import DIGEST
+from flipperctl.evaluation.views.replay import replay, title
 from flipperctl.policies.source import PolicySource
-from flipperctl.runs.replay import title
+from flipperctl.runs import evaluation
+from flipperctl.runs.evaluation import failure_records
 
 LEVEL = PolicySource.of_plugin("level", "here")
 STEP = EvalConfig(
@@ -26,12 +27,20 @@ STEP = EvalConfig(
 """Flippers held level stop at it."""
 
 
+def write_failures(folder: Path, *scenes: tuple[EvalConfig, PolicySource]) -> int:
+    result = evaluate(Plan.of_one([Entry(*scene) for scene in scenes]))
+    records = list(failure_records(result))
+    for name, record in records:
+        (folder / name).write_text(json.dumps(record.model_dump(mode="json")))
+    return len(records)
+
+
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("failures")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(failed_episodes, "MOST", 2)
-        assert len(write_failures(folder, [(STEP, LEVEL)], evaluate([(STEP, LEVEL)]))) == 2
+        patch.setattr(evaluation, "MOST_FAILURES", 2)
+        assert write_failures(folder, (STEP, LEVEL)) == 2
     return folder
 
 
@@ -52,9 +61,9 @@ def test_a_limited_number_of_failures_is_recorded(folder: Path) -> None:
 def test_a_replay_is_bit_identical_and_another_episode_is_not(folder: Path) -> None:
     found = replay(folder / "failure_step_1.json")
     assert found.differences == []
-    assert found.episode.outcome == found.record.outcome == "stuck"
-    assert found.episode.digest == found.record.digest
-    assert len(found.transitions) == found.episode.decisions
+    assert found.episode["outcome"] == found.record.outcome == "stuck"
+    assert found.episode[DIGEST] == found.record.digest
+    assert len(found.transitions) == found.episode["decisions"]
     other = read_record(folder / "failure_step_0.json")
     assert other.digest != found.record.digest
     differs = replay(changed(folder, digest=found.record.digest, outcome="reached"))
@@ -97,7 +106,7 @@ def test_records_that_cannot_be_played_here(
 def test_the_policy_of_a_record_is_found_by_its_content(folder: Path, tmp_path: Path) -> None:
     generalist = checkpoint.shipped_policies()["generalist"]
     source = PolicySource(checkpoint=generalist)
-    episode = evaluate([(STEP, LEVEL)]).scenes[0].episodes[0]
+    episode = evaluate(Plan.of_one([Entry(STEP, LEVEL)])).played[0].episodes[0]
     policy = EpisodeRecord.of(STEP, source, episode).policy
     assert policy.find(tmp_path, None) == source
     copy = tmp_path / "copy.safetensors"
@@ -119,7 +128,7 @@ def test_scenes_that_differ_in_the_policys_settings_alone_keep_their_own_failure
         (EvalConfig(**wall), PolicySource(settings={"name": "okada", "far": far}))
         for far in (0.45, 0.15)
     ]
-    assert len(write_failures(tmp_path, scenes, evaluate(scenes))) == 2
+    assert write_failures(tmp_path, *scenes) == 2
     files = sorted(tmp_path.glob("failure_*"))
     records = [read_record(file) for file in files]
     assert [(record.policy.controller or {})["far"] for record in records] == [

@@ -1,0 +1,158 @@
+"""A policy on scenes, beside a baseline and references that try what it fails."""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import pytest
+
+from flipperctl.config import EvalConfig
+from flipperctl.errors import InterruptedRunError
+from flipperctl.evaluation.conditions import Conditions
+from flipperctl.evaluation.evaluate import Result
+from flipperctl.evaluation.evaluate import evaluate as play
+from flipperctl.evaluation.plan import Entry, Plan
+from flipperctl.evaluation.statistics import holm, paired_success, proportion
+from flipperctl.evaluation.views import evaluation
+from flipperctl.evaluation.workers import EpisodeWorkers
+from flipperctl.policies.source import PolicySource
+
+LEVEL, OKADA, RANDOM = (
+    PolicySource.of_plugin(name, "here") for name in ("level", "okada", "random")
+)
+TWO = {"episodes": 2, "seed": 4}
+STEP = EvalConfig(terrain={"name": "step", "low": 0.4, "high": 0.4}, eval=TWO)
+"""Flippers held level stop at it, okada climbs it, random ones overturn the robot."""
+FLAT = EvalConfig(terrain="flat", eval=TWO)
+"""On it okada holds its flippers level too."""
+
+
+def evaluate(
+    scenes: Sequence[tuple[EvalConfig, PolicySource]],
+    baselines: Sequence[PolicySource] = (),
+    **more: Any,
+) -> Result:
+    return play(Plan.of_one([Entry(*scene) for scene in scenes], baselines), **more)
+
+
+def documents(found: Result) -> list[dict[str, Any]]:
+    scenes: list[dict[str, Any]] = evaluation.document(found)["scenes"]
+    return scenes
+
+
+def passable(episodes: int, crossed: int, beyond: int = 0) -> dict[str, Any]:
+    success = proportion(crossed, episodes)
+    rates = {"success_rate": success.mean, "success": success.to_dict()}
+    return {"episodes": episodes, **rates, "beyond": beyond}
+
+
+def test_a_baseline_and_references_play_the_episodes_of_each_scene() -> None:
+    scenes = [(STEP, LEVEL), (FLAT, LEVEL)]
+    found = evaluate(scenes, [OKADA, RANDOM], references=[RANDOM, OKADA])
+    step_played, flat_played = found.rows
+    assert step_played.episodes[0]["seed"] != flat_played.episodes[0]["seed"]
+    assert [row["crossed_by"] for row in step_played.episodes] == ["okada", "okada"]
+    assert [row["crossed_by"] for row in flat_played.episodes] == ["random", "random"]
+    others = [row for one in found.baselines(flat_played) for row in one.episodes]
+    assert not any("crossed_by" in row for row in others)
+    alone = evaluate([(STEP, OKADA)])
+    assert found.baselines(step_played)[0].episodes == alone.rows[0].episodes
+
+    document = evaluation.document(found)
+    assert document["controller"] == "level"
+    step, flat = document["scenes"]
+    assert (step["terrain"], flat["terrain"]) == ("step", "flat")
+    assert step["seed"] == flat["seed"] == 4
+    assert step["conditions"] == Conditions.of(STEP).to_dict()
+    assert step["outcomes"] == {"reached": 0, "overturned": 0, "stuck": 2, "timeout": 0}
+    assert step["passable"] == passable(2, 0)
+    assert flat["passable"] == passable(2, 2)
+    okada, random = step["baselines"]
+    assert step["baseline"] == okada
+    assert (okada["controller"], random["controller"]) == ("okada", "random")
+    assert okada["success_rate"] == 1.0
+    assert okada["difference"]["t_cost"] is None
+    no_ends = {"mean": 0.0, "low": None, "high": None, "episodes": 2}
+    assert flat["baselines"][0]["difference"]["t_cost"] == no_ends
+
+
+def test_which_draws_are_passable_does_not_depend_on_the_policy() -> None:
+    for references in ([RANDOM], [RANDOM, OKADA], [LEVEL]):
+        judged = [
+            evaluate([(STEP, source)], references=references) for source in (LEVEL, OKADA, RANDOM)
+        ]
+        found = [[row["crossed_by"] for row in one.rows[0].episodes] for one in judged]
+        assert found == [found[0]] * 3
+        # okada crosses both draws, whether or not a reference does.
+        okada = documents(judged[1])[0]["passable"]
+        assert okada["episodes"] + okada["beyond"] == 2
+
+
+def test_each_scene_has_its_own_policy_and_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    jobs: list[int] = []
+    monkeypatch.setattr(EpisodeWorkers, "use", lambda self, count: jobs.append(count))
+    two = STEP.model_copy(update={"eval": STEP.eval.model_copy(update={"jobs": 2})})
+    found = evaluate([(two, LEVEL), (FLAT, OKADA)], [RANDOM])
+    assert jobs == [2, 2, 1, 1]
+    assert [scene["controller"] for scene in documents(found)] == ["level", "okada"]
+    assert evaluation.document(found)["controller"] == "level, okada"
+    alone = [evaluate([one]).rows[0] for one in ((STEP, LEVEL), (FLAT, OKADA))]
+    assert [one.episodes for one in found.rows] == [one.episodes for one in alone]
+
+
+def test_the_tests_of_all_scenes_are_corrected_together() -> None:
+    found = documents(evaluate([(STEP, LEVEL), (FLAT, LEVEL)], [OKADA, RANDOM]))
+    gaps = [b["difference"]["success"] for scene in found for b in scene["baselines"]]
+    assert gaps[0]["p"] == paired_success(0, 2, 2).p == 0.5
+    assert [gap["p_holm"] for gap in gaps] == holm([gap["p"] for gap in gaps])
+    assert gaps[0]["p_holm"] == 1.0
+
+
+def test_several_methods_have_rows_of_their_own_and_differences_to_baselines() -> None:
+    entries = [Entry(STEP, source, method=source.label()) for source in (OKADA, RANDOM)]
+    plan = Plan((*entries, Entry(STEP, LEVEL, method="level", is_baseline=True)))
+    okada, random, level = documents(play(plan))
+    assert [one["method"] for one in (okada, random, level)] == ["okada", "random", "level"]
+    assert okada["baseline"]["difference"]["success"]["won"] == 2
+    assert okada["baseline"]["difference"]["success"]["p_holm"] == 1.0
+    assert "baseline" not in level
+
+
+def test_progress_names_who_plays_what_and_counts_to_the_end() -> None:
+    opened: list[tuple[str, int]] = []
+    reported: list[list[float]] = []
+
+    @contextmanager
+    def progress(label: str, episodes: int) -> Iterator[Callable[[float], None]]:
+        opened.append((label, episodes))
+        done: list[float] = []
+        reported.append(done)
+        yield done.append
+
+    evaluate([(STEP, LEVEL)], [OKADA], references=[RANDOM, OKADA], progress=progress)
+    evaluate([(FLAT, LEVEL)], references=[LEVEL, OKADA], progress=progress)
+    assert opened == [
+        ("step", 2),
+        ("step, random on episodes not crossed yet", 2),
+        ("step, okada on episodes not crossed yet", 2),
+        ("flat", 2),
+    ]
+    assert [done for done in reported if done] == [[1, 2]] * 4
+
+
+def test_without_references_no_episode_says_who_crossed_it() -> None:
+    found = evaluate([(FLAT, LEVEL)])
+    (scene,) = documents(found)
+    assert "baseline" not in scene
+    assert "passable" not in scene
+    assert "crossed_by" not in found.rows[0].episodes[0]
+
+
+def test_an_evaluation_of_nothing_is_refused() -> None:
+    with pytest.raises(ValueError, match="at least one scene"):
+        evaluate([])
+
+
+def test_an_evaluation_that_is_stopped_before_its_first_episode_says_so() -> None:
+    with pytest.raises(InterruptedRunError, match="interrupted: none of 4 episodes is finished"):
+        evaluate([(FLAT, LEVEL)], [OKADA], stop=lambda: True)

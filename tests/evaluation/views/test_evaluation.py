@@ -1,0 +1,134 @@
+"""The document and the tables of an evaluation."""
+
+import csv
+import io
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from flipperctl.errors import RequestError
+from flipperctl.evaluation.evaluate import Played, Result
+from flipperctl.evaluation.plan import Plan
+from flipperctl.evaluation.show import interval_text, latex
+from flipperctl.evaluation.statistics import Interval
+from flipperctl.evaluation.views import evaluation
+from flipperctl.evaluation.views.evaluation import csv_rows, document, parse_columns, policies
+from flipperctl.evaluation.views.summary import named
+from flipperctl.files import write_csv
+from flipperctl.policies.source import PolicySource
+from tests.evaluation.samples import entry, episodes, sample
+from tests.evaluation.samples import result as made
+
+pytestmark = pytest.mark.usefixtures("core_measures")
+
+
+def result() -> Result:
+    """Return the result of a policy that reached the finish five times, its baseline once."""
+    ours = [sample(i, "reached", value) for i, value in enumerate((1.0, 2.0, 3.0, 4.0, 5.0))]
+    theirs = [sample(i, "stuck" if i else "reached", 2.0 + i) for i in range(5)]
+    return made(ours, {"level": theirs}, label="a&b_50%")
+
+
+def test_a_mean_without_an_interval_has_a_dash() -> None:
+    found = Interval(1.984, 1.5, 2.0)
+    assert interval_text(found) == "1.98 [1.50, 2.00]"
+    assert interval_text(found.to_dict(), 1, sign="+") == "+2.0 [+1.5, +2.0]"
+    assert interval_text(Interval(1.984, None, None)) == "1.98 [–]"
+    assert interval_text(None) == "–"
+
+
+def test_the_csv_has_a_row_for_each_scene_and_method(tmp_path: Path) -> None:
+    found = document(result())
+    write_csv(tmp_path / "table.csv", list(csv_rows(found, 4)))
+    ours, theirs = csv.DictReader(io.StringIO((tmp_path / "table.csv").read_text()))
+    digest = found["scenes"][0]["conditions"]["hash"]
+    # Of 1 to 5 the half width of the interval is 2.776445 · √(2.5 / 5) = 1.9632.
+    assert ours == {
+        "scene": "step", "method": "a&b_50%", "n": "5", "reached": "5",
+        "success": "1.0", "success_low": "0.5655", "success_high": "1.0",
+        "t_cost": "30.0", "t_cost_low": "10.3676", "t_cost_high": "49.6324",
+        "pitch_variation_100hz": "6.0",
+        "pitch_variation_100hz_low": "2.0735", "pitch_variation_100hz_high": "9.9265",
+        "pitch_variation": "3.0", "pitch_variation_low": "1.0368", "pitch_variation_high": "4.9632",
+        "max_pitch": "0.3", "max_pitch_low": "0.1037", "max_pitch_high": "0.4963",
+        "flipper_travel": "9.0", "flipper_travel_low": "3.1103", "flipper_travel_high": "14.8897",
+        "not_reached_pitch_variation_100hz": "",
+        "not_reached_pitch_variation_100hz_low": "", "not_reached_pitch_variation_100hz_high": "",
+        "seed": "0", "conditions": "nominal", "conditions_hash": digest,
+    }  # fmt: skip
+    assert (theirs["method"], theirs["n"], theirs["reached"]) == ("level", "5", "1")
+    # One episode reached the finish, so its mean has no interval; the largest pitch is of all.
+    assert (theirs["t_cost"], theirs["t_cost_low"], theirs["t_cost_high"]) == ("20.0", "", "")
+    assert (theirs["max_pitch"], theirs["max_pitch_low"]) == ("0.4", "0.2037")
+    assert theirs["not_reached_pitch_variation_100hz"] == "9.0"  # of 6, 8, 10 and 12
+
+
+def test_the_table_has_what_a_reader_needs_and_baselines_are_rows() -> None:
+    table, *others = evaluation.tables(document(result()), "a&b_50%")
+    assert others == []
+    assert table.title == "a&b_50% on step · 5 episodes"
+    assert [column.heading for column in table.columns] == [
+        *("policy", "success", "failures", "pitch variation [rad]", "time [s]"),
+    ]
+    assert table.texts() == [
+        ["a&b_50%", "100 %", "", "6.00 [2.07, 9.93]", "30.0"],
+        ["level", "20 % [3.62, 62.4]", "4 stuck", "4.00 [–]", "20.0"],
+    ]
+    # Both reached with seed 0 alone, with 2 and 4 rad; four won, none lost: p = 2 / 2^4.
+    assert table.notes == [
+        "against level, same episodes: pitch variation -2.00 rad, success +80 % (p 0.125)"
+    ]
+
+
+def test_further_columns_are_chosen_by_name() -> None:
+    table = policies(document(result()), "mine", parse_columns("max_pitch,episodes"))
+    assert [column.key for column in table.columns][-2:] == ["episodes", "max_pitch"]
+    with pytest.raises(RequestError, match=r"no column 'max_pich'; did you mean 'max_pitch'"):
+        parse_columns("max_pich")
+    assert "return" in parse_columns("all")
+    assert parse_columns(None) == []
+
+
+def test_the_tabular_escapes_names_and_needs_one_package() -> None:
+    lines = latex(policies(document(result()), "mine")).splitlines()
+    assert lines[0] == r"% needs \usepackage{booktabs}"
+    assert lines[1] == r"\begin{tabular}{llrrr}"
+    assert lines[5] == (r"a\&b\_50\% & 100 \% &  & 6.00 [2.07, 9.93] & 30.0 \\")
+    assert lines[6] == r"level & 20 \% [3.62, 62.4] & 4 stuck & 4.00 [--] & 20.0 \\"
+    assert lines[7:] == [r"\bottomrule", r"\end{tabular}"]
+
+
+def test_training_seeds_of_a_method_are_pooled_and_compared() -> None:
+    values = ((1.0, 1.2, 1.1, 1.3, 1.0), (1.4, 1.6, 1.5, 1.7, 1.4), (1.2, 1.4, 1.3, 1.5, 1.2))
+    entries, played = [], []
+    for seed, own in enumerate(values):
+        one = replace(entry(f"run{seed}"), method="mine", training_seed=seed)
+        entries.append(one)
+        played.append(Played(one, episodes([sample(i, "reached", v) for i, v in enumerate(own)])))
+    level = PolicySource(settings={"name": "level"})
+    other = replace(entries[0], source=level, method="level", training_seed=None, is_baseline=True)
+    rows = [sample(i, "reached", 2.0 + v) for i, v in enumerate(values[0])]
+    found = document(Result(Plan((*entries, other)), (*played, Played(other, episodes(rows)))))
+    (method,) = found["methods"]
+    assert (method["seeds"], method["episodes"], method["success_rate"]) == (3, 5, 1.0)
+    # Means of the seeds at 100 Hz: 2.24, 3.04 and 2.64; the baseline's is 2 · (2 + 1.12).
+    assert method["pitch_variation_100hz"]["mean"] == pytest.approx(2.64)
+    gap = method["baselines"][0]["difference"]["pitch_variation_100hz"]
+    assert gap["mean"] == pytest.approx(2.64 - 6.24)
+    table = policies(found, "mine")
+    assert [row["policy"] for row in table.rows] == ["mine (3 seeds)", "level"]
+
+
+def test_scenes_of_a_terrain_are_told_apart_by_what_differs() -> None:
+    def scene(name: str, sim: str, digest: str) -> dict[str, object]:
+        section = {"name": sim}
+        conditions = {"name": name, "hash": digest, "sim": section, "perception": section}
+        return {"terrain": "step", "conditions": conditions}
+
+    two = [scene("nominal", "planar", "a"), scene("varied", "planar", "b")]
+    assert [name for name, _ in named({"scenes": two})] == ["step, nominal", "step, varied"]
+    alike = [scene("nominal", "planar", "a"), scene("nominal", "planar", "b")]
+    assert [name for name, _ in named({"scenes": alike})] == ["step, a", "step, b"]
+    same = [two[0], two[0]]
+    assert [name for name, _ in named({"scenes": same})] == ["step (1)", "step (2)"]
