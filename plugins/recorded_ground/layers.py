@@ -22,6 +22,8 @@ _ROUNDING = 1e-9
 """Allowed shortfall of free height from the headroom, since 0.7 - 0.2 rounds below 0.5 [m]."""
 _CEILING = 0.05
 """Height by which a ceiling may lie lower over a hole than beside it [m]."""
+_FLAT = 0.05
+"""Height above a surface in which no robot has room, as below a sticker on a board [m]."""
 _SHARE = 0.1
 """Smallest share of a place's points that counts as a layer; fewer are stray points [-]."""
 
@@ -49,17 +51,45 @@ class Crossings:
     front: NDArray[np.bool_]
     """Whether the face looks up there."""
 
+    surface: NDArray[np.int64] | None = None
+    """Number of the surface that the face belongs to, -1 if to none; None: all belong to one."""
+
     def ascending(self) -> "Crossings":
         """Return the crossings sorted by place and height; those of coinciding faces are merged.
 
-        The two sides of a sheet are its bottom and then its top.
+        The two sides of a sheet are its bottom and then its top. Only faces of one surface are
+        merged.
         """
-        order = np.lexsort((self.height + _SAME * self.front, self.place))
-        place, height, front = self.place[order], self.height[order], self.front[order]
-        same = np.zeros(len(order), dtype=np.bool_)
-        same[1:] = (place[1:] == place[:-1]) & (front[1:] == front[:-1])
-        same[1:] &= np.abs(np.diff(height)) < _SAME
-        return Crossings(place[~same], height[~same], front[~same])
+        surface = np.zeros_like(self.place) if self.surface is None else self.surface
+        height = self.height + _SAME * self.front
+        order = np.lexsort((height, surface, self.place))
+        keys = np.column_stack([self.place, surface, self.front])[order]
+        same = np.append(False, (keys[1:] == keys[:-1]).all(axis=1))[: len(order)]
+        same[1:] &= np.abs(np.diff(self.height[order])) < _SAME
+        order = order[~same]
+        order = order[np.lexsort((height[order], self.place[order]))]
+        return Crossings(self.place[order], self.height[order], self.front[order], surface[order])
+
+    def in_bodies(self) -> "Crossings":
+        """Return the crossings, ascending, with -1 for surfaces that bound no body at their place.
+
+        A surface bounds bodies where, from below, a face that looks up ends each body that one that
+        looks down began.
+        """
+        found = self.ascending()
+        assert found.surface is not None
+        order = np.lexsort((np.arange(len(found.place)), found.surface, found.place))
+        keys = np.column_stack([found.place, found.surface])[order]
+        begins = np.append(True, (keys[1:] != keys[:-1]).any(axis=1))[: len(order)]
+        group = np.cumsum(begins) - 1
+        step = np.where(found.front[order], -1, 1)
+        total = np.cumsum(step)
+        bodies = total - (total - step)[begins][group]
+        last = np.append(begins[1:], True)[: len(order)]
+        faults = np.bincount(group, (bodies < 0) | (last & (bodies != 0)))
+        surface = found.surface.copy()
+        surface[order[faults[group] > 0]] = -1
+        return replace(found, surface=surface).ascending()
 
 
 @dataclass(frozen=True)
@@ -126,15 +156,21 @@ def _holes(
 
 
 def ground_of_faces(crossings: Crossings, places: int, choice: Choice) -> Ground:
-    """Return the ground below the faces of a mesh at each of a number of places."""
-    found = crossings.ascending()
+    """Return the ground below the faces of a mesh at each of a number of places.
+
+    A surface that is closed above a place bounds bodies there, whatever lies above or below it.
+    The faces of all other surfaces may together bound a body, as loose faces do.
+    """
+    found = crossings.in_bodies()
     place, height, front = found.place, found.height, found.front
     last = np.append(place[1:] != place[:-1], True)[: len(place)]
     room = np.where(last, np.inf, np.append(height[1:], 0.0)[: len(place)] - height)
     roomy = front & (room >= choice.headroom - _ROUNDING)
-    depth, below = _bodies_above(found), _backs_below(found)
-    # Without a face that looks down farther below, what lies above is a sheet and no body.
-    inside = (depth > 0) & (below > 0)
+    is_loose = found.surface == -1
+    enclosed = _bodies_above(found, ~is_loose) > 0
+    depth, below = _bodies_above(found, is_loose), _backs_below(found, is_loose)
+    # Without a loose face that looks down farther below, what lies above is a sheet and no body.
+    inside = enclosed | ((depth > 0) & (below > 0))
     layer = roomy & ~inside
     result = np.full(places, -np.inf if choice.highest else np.inf)
     (np.maximum if choice.highest else np.minimum).at(result, place[layer], height[layer])
@@ -145,12 +181,12 @@ def ground_of_faces(crossings: Crossings, places: int, choice: Choice) -> Ground
     covered, behind, doubtful, raised = (np.zeros(places, np.bool_) for _ in range(4))
     covered[place[layer & ~last]] = True
     behind[place[~front & last]] = True
-    doubtful[place[roomy & inside & (below < depth + 1)]] = True
+    doubtful[place[roomy & inside & ~enclosed & (below < depth + 1)]] = True
     result = np.where(np.isfinite(result), result, np.nan)
     above = np.full(places, np.inf)
     lowest = layer & (height == result[place]) & ~last
     above[place[lowest]] = np.append(height[1:], 0.0)[: len(place)][lowest]
-    raised[place[front & ~roomy & ~inside & (height < result[place])]] = True
+    raised[place[front & ~roomy & ~inside & (height < result[place] - _FLAT)]] = True
     underside = _undersides(found, result)
     return Ground(result, covered, behind, doubtful, raised, above, underside)
 
@@ -159,15 +195,18 @@ def _undersides(found: Crossings, ground: FloatArray) -> FloatArray:
     """Return ``Ground.underside``, (P,), of the ground's heights (P,) [m]."""
     place, height, front = found.place, found.height, found.front
     result = ground.copy()
-    below = height < ground[place]
+    below = height < ground[place] - _SAME * front  # not where two surfaces coincide
     result[place[below & ~front]] = height[below & ~front]  # the last is the highest of a place
     result[place[below & front]] = -np.inf
     return result
 
 
-def _bodies_above(found: Crossings) -> NDArray[np.int64]:
-    """Return the number of bodies that begin above each crossing and do not end above it, (K,)."""
-    step = np.where(found.front, 1, -1)[::-1]  # from above, a face that looks up begins a body
+def _bodies_above(found: Crossings, counted: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return the number of bodies that begin above each crossing and do not end above it, (K,).
+
+    Only crossings that are ``counted``, (K,), begin and end bodies.
+    """
+    step = (counted * np.where(found.front, 1, -1))[::-1]  # from above, one that looks up begins
     place = found.place[::-1]
     begins = np.append(True, place[1:] != place[:-1])[: len(place)]
     group = np.cumsum(begins)
@@ -183,9 +222,9 @@ def _bodies_above(found: Crossings) -> NDArray[np.int64]:
     return reversed_back
 
 
-def _backs_below(found: Crossings) -> NDArray[np.int64]:
-    """Return the number of faces that look down below each crossing of its place, (K,)."""
-    back = (~found.front).astype(np.int64)
+def _backs_below(found: Crossings, counted: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return the number of ``counted`` faces that look down below each crossing, (K,)."""
+    back = (counted & ~found.front).astype(np.int64)
     before = np.cumsum(back) - back
     begins = np.append(True, found.place[1:] != found.place[:-1])[: len(back)]
     counts: NDArray[np.int64] = before - before[begins][np.cumsum(begins) - 1]

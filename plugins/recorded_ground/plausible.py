@@ -10,6 +10,7 @@ import numpy as np
 from flipperctl.api import FloatArray
 
 from .layers import Choice, Ground
+from .line import Line
 
 LARGE = 1000.0
 """Extent above which the unit may be wrong [m]."""
@@ -39,6 +40,16 @@ def remarks_on_profile(points: FloatArray, remedy: str) -> Iterator[str]:
     height, x = highest_face(points)
     if height > _HIGH:
         yield f"a face at x = {x:.2f} m is {height:.4g} m high, more than 1 m; {remedy}"
+
+
+def remarks_on_projection(line: Line) -> Iterator[str]:
+    """Yield a remark if a metre of the frame is not a metre of the ground."""
+    if not np.array_equal(line.stretch, np.eye(2)):
+        scale = line.length / float(np.hypot(*np.subtract(line.end, line.start)))
+        yield (
+            f"1 m of its projection is {scale:.3f} m of ground along the line; start and end are "
+            "in metres of the projection, the profile and spacing in metres of the ground"
+        )
 
 
 def remarks_on_layers(ground: Ground, choice: Choice) -> Iterator[str]:

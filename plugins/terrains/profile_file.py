@@ -12,7 +12,7 @@ from pydantic import Field, model_validator
 
 from flipperctl.api import FloatArray, Profile, Terrain, terrain
 
-from ..recorded_ground import cloud, height_map, polyline
+from ..recorded_ground import cloud, geotiff, height_map, polyline
 from ..recorded_ground.height_map import HeightMap
 from ..recorded_ground.layers import Choice
 from ..recorded_ground.line import Line
@@ -23,12 +23,13 @@ from ..recorded_ground.plausible import (
     remarks_on_layers,
     remarks_on_missing,
     remarks_on_profile,
+    remarks_on_projection,
 )
 from ..recorded_ground.quiet import quiet
 from ..recorded_ground.surface import RecordedSurface
 
-UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048}
-MAPS = {".npy": height_map.read_npy, **dict.fromkeys((".tif", ".tiff"), height_map.read_geotiff)}
+UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+MAPS = {".npy": height_map.read_npy, **dict.fromkeys((".tif", ".tiff"), geotiff.read_geotiff)}
 CLOUDS = {".pcd": cloud.read_pcd, ".ply": cloud.read_ply, ".xyz": cloud.read_xyz}
 MESHES = (".stl", ".obj", ".dae")
 SUFFIXES = (".csv", *MAPS, *MESHES, *CLOUDS)
@@ -56,10 +57,10 @@ class ProfileFile(Terrain):
     path: str | None = Field(
         None, description="file to read; null is a small example that is included [-]"
     )
-    unit: Literal["m", "cm", "mm", "ft"] = Field(
-        "m",
-        description="unit of the file's coordinates; for a map, of its heights only; a .dae "
-        "states its unit and the axis that points up [-]",
+    unit: Literal["m", "dm", "cm", "mm", "in", "ft"] | None = Field(
+        None,
+        description="unit of the file's coordinates; for a map, of its heights only; null is the "
+        "unit that a .dae or a GeoTIFF states, or else m [-]",
     )
     start: tuple[float, float] | None = Field(
         None, description="x and y at which the line over the ground begins [m]"
@@ -81,11 +82,11 @@ class ProfileFile(Terrain):
         description="direction of the rows of such a map; its first cell lies at (0, 0) and its "
         "columns run along x [-]",
     )
-    up: Literal["x", "y", "z", "-x", "-y", "-z"] = Field(
-        "z",
+    up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = Field(
+        None,
         description="axis of a cloud's or mesh's frame that points up; start and end are given in "
         "the other two axes, as x and y of a right-handed frame: with y, the file's (1, 2, 3) is "
-        "x = 3, y = 1 and height 2 [-]",
+        "x = 3, y = 1 and height 2; null is the axis that a .dae states, or else z [-]",
     )
     thickness: float = Field(
         0.1, gt=0, le=2, description="thickness of the vertical slice through a cloud [m]"
@@ -134,8 +135,6 @@ class ProfileFile(Terrain):
                 f"a {suffix} file needs start and end, the line over the ground in metres: "
                 "'terrain.start=[x,y]' 'terrain.end=[x,y]'"
             )
-        if suffix == ".dae" and (self.unit, self.up) != ("m", "z"):
-            raise ValueError("a .dae states its unit and axes; unit and up must not be stated too")
         if self.start is not None and self.end is not None:
             length = math.dist(self.start, self.end)
             if not 0 < length <= MAX_LENGTH:
@@ -188,20 +187,25 @@ class ProfileFile(Terrain):
         if not (np.isfinite(points).all() and extent.max() <= MAX_LENGTH):
             raise ValueError(
                 f"{file}: it covers {extent[0]:g} m in x and {extent[1]:g} m in z; up to "
-                f"{MAX_LENGTH:g} m is allowed: is its unit {self.unit!r}? terrain.unit states it"
+                f"{MAX_LENGTH:g} m is allowed: {self._remedy}"
             )
         remarks += remarks_on_profile(points - points[0], self._remedy)
         return points, tuple(remarks)
 
     @property
     def _remedy(self) -> str:
-        if self._file.suffix.lower() == ".dae":
-            return "check the unit that it states"
-        return f"terrain.unit={self.unit} is set, another unit may be right"
+        if self._file.suffix.lower() == ".dae" and self.unit is None:
+            return "check the unit that it states; terrain.unit prevails over it"
+        return f"terrain.unit={self.unit or 'm'} is set, another unit may be right"
+
+    @property
+    def _metres(self) -> float:
+        """Unit of a file that does not state its own [m]."""
+        return UNITS[self.unit or "m"]
 
     def _read(self, file: Path, suffix: str, remarks: list[str]) -> FloatArray:
         if self.start is None or self.end is None:
-            unit = UNITS[self.unit]
+            unit = self._metres
             found, own = polyline.read_csv(file, self.largest_gap / unit)
             remarks += own
             remarks += remarks_on_extent(np.ptp(found, axis=0) * unit, "it", self._remedy)
@@ -212,8 +216,11 @@ class ProfileFile(Terrain):
         ground = self._ground(file)
         unknown = "no height is known"
         remedy = self._remedy if suffix not in MAPS else "check resolution, start and end"
+        remarks += ground.remarks
         remarks += remarks_on_extent(ground.extent, "it", remedy)
         if isinstance(ground, HeightMap):
+            line = ground.on_ground(line)
+            remarks += remarks_on_projection(line)
             heights, remark = ground.along(line)
             remarks += [remark] if remark else []
             remarks += remarks_on_missing(heights)
@@ -228,7 +235,9 @@ class ProfileFile(Terrain):
         read = CLOUDS[file.suffix.lower()](file)
         columns = [without_missing(column) for column in read.T]
         remarks += [remark for _, remark in columns if remark]
-        points = cloud.upright(np.column_stack([c for c, _ in columns]) * UNITS[self.unit], self.up)
+        points = cloud.upright(
+            np.column_stack([c for c, _ in columns]) * self._metres, self.up or "z"
+        )
         if len(points):
             remarks += remarks_on_extent(np.ptp(points, axis=0), "it", self._remedy)
         ground = cloud.slice_along(
@@ -243,7 +252,7 @@ class ProfileFile(Terrain):
 
     def _ground(self, file: Path) -> HeightMap | Mesh:
         """Return the map or the mesh, which has heights beside the line too."""
-        suffix, unit = file.suffix.lower(), UNITS[self.unit]
+        suffix, unit = file.suffix.lower(), UNITS[self.unit] if self.unit else None
         if suffix in MESHES:
             return read_mesh(file, unit, self.up, self.largest_mesh, self._choice)
         rows = 1 if self.rows == "+y" else -1
@@ -272,7 +281,10 @@ class ProfileFile(Terrain):
         assert self.end is not None
         line = Line(self.start, self.end, self.spacing)
         with self._naming_file() as file:
-            found = self._ground(file).beside(line, line.distances, y)
+            ground = self._ground(file)
+            if isinstance(ground, HeightMap):
+                line = ground.on_ground(line)
+            found = ground.beside(line, line.distances, y)
         columns = [line.bridged(column, self.largest_gap) for column in found.T]
         return np.column_stack(columns) - height
 
