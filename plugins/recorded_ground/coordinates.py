@@ -13,7 +13,7 @@ import numpy as np
 
 from flipperctl.api import FloatArray
 
-_TOLERANCE = 0.002
+SAME_LENGTH = 0.002
 """Deviation of a projection's scale from 1 that is ignored; UTM has up to 0.001 in its zone [-]."""
 _STEP = 50.0
 """Distance over which the scale of a projection is measured [m of the projection]."""
@@ -97,7 +97,7 @@ class Coordinates:
             raise ValueError(f"its projection has no place at x = {place[0]:g}, y = {place[1]:g} m")
         squares, axes = np.linalg.eigh(steps.T @ steps)
         scales = np.sqrt(squares)
-        if np.abs(scales - 1).max() <= _TOLERANCE:
+        if np.abs(scales - 1).max() <= SAME_LENGTH:
             return np.eye(2)
         stretch: FloatArray = axes * scales @ axes.T
         return stretch
@@ -119,19 +119,21 @@ def _unit(axis: dict[str, Any]) -> tuple[float, str]:
     unit = axis.get("unit", "metre")
     if isinstance(unit, str):
         return float(unit == "metre"), unit
-    is_angle = unit["type"] == "AngularUnit"
-    return 0.0 if is_angle else float(unit["conversion_factor"]), str(unit["name"])
+    factor, name = float(unit["conversion_factor"]), str(unit["name"])
+    if unit["type"] == "AngularUnit" or np.isclose(factor, np.pi / 180, rtol=1e-6):
+        return 0.0, name if unit["type"] == "AngularUnit" else "degree"
+    return factor, name
 
 
 def _on_ellipsoid(longitude: FloatArray, latitude: FloatArray, base: dict[str, Any]) -> FloatArray:
     """Return places (P, 3) on the ellipsoid of a geographic system, from its centre [m]."""
     ellipsoid = (base.get("datum") or base["datum_ensemble"])["ellipsoid"]
-    sizes = {
+    sizes: dict[str, float] = {
         key: size["value"] * _unit(size)[0] if isinstance(size, dict) else size
         for key, size in ellipsoid.items()
         if key in ("semi_major_axis", "semi_minor_axis", "inverse_flattening", "radius")
     }
-    equator = sizes.get("semi_major_axis", sizes.get("radius"))
+    equator = sizes["radius"] if "radius" in sizes else sizes["semi_major_axis"]
     pole = sizes.get("semi_minor_axis", equator)
     if "inverse_flattening" in sizes:
         pole = equator * (1 - 1 / sizes["inverse_flattening"])

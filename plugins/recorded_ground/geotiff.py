@@ -41,8 +41,8 @@ def read_geotiff(
         metres = _height_unit(file.units[0] or "", crs) if unit is None else unit
     if unit is None and not file.units[0] and crs.plan != 1 and crs.height is None:
         remarks.append(
-            f"it states {crs.plan_name} for x and y and no unit of the heights, which are taken "
-            "for metres; terrain.unit states their unit"
+            f"it states a unit of x and y ({crs.plan_name}, {crs.plan:g} m) and none of the "
+            "heights, which are taken for metres; terrain.unit states theirs"
         )
     if crs.depths:
         remarks.append("it states depths, which grow downwards; heights are their negatives")

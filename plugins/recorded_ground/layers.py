@@ -22,8 +22,10 @@ _ROUNDING = 1e-9
 """Allowed shortfall of free height from the headroom, since 0.7 - 0.2 rounds below 0.5 [m]."""
 _CEILING = 0.05
 """Height by which a ceiling may lie lower over a hole than beside it [m]."""
-_FLAT = 0.05
+_FLAT = 0.01
 """Height above a surface in which no robot has room, as below a sticker on a board [m]."""
+_PART = 0.25
+"""Smallest number of bodies that is no rounding; on edges there are halves [-]."""
 _SHARE = 0.1
 """Smallest share of a place's points that counts as a layer; fewer are stray points [-]."""
 
@@ -53,22 +55,31 @@ class Crossings:
 
     surface: NDArray[np.int64] | None = None
     """Number of the surface that the face belongs to, -1 if to none; None: all belong to one."""
+    share: FloatArray | None = None
+    """Number of layers that cross [-]: 0.5 on the edge of a face; None: 1 each."""
 
     def ascending(self) -> "Crossings":
         """Return the crossings sorted by place and height; those of coinciding faces are merged.
 
         The two sides of a sheet are its bottom and then its top. Only faces of one surface are
-        merged.
+        merged, and their shares added.
         """
         surface = np.zeros_like(self.place) if self.surface is None else self.surface
+        share = np.ones(len(self.place)) if self.share is None else self.share
         height = self.height + _SAME * self.front
         order = np.lexsort((height, surface, self.place))
         keys = np.column_stack([self.place, surface, self.front])[order]
-        same = np.append(False, (keys[1:] == keys[:-1]).all(axis=1))[: len(order)]
-        same[1:] &= np.abs(np.diff(self.height[order])) < _SAME
-        order = order[~same]
-        order = order[np.lexsort((height[order], self.place[order]))]
-        return Crossings(self.place[order], self.height[order], self.front[order], surface[order])
+        differs = np.append(True, (keys[1:] != keys[:-1]).any(axis=1))[: len(order)]
+        differs[1:] |= np.abs(np.diff(self.height[order])) >= _SAME
+        first = np.flatnonzero(differs)
+        if len(first):
+            share = np.add.reduceat(share[order], first)
+        order = order[first]
+        up = np.lexsort((height[order], self.place[order]))
+        order = order[up]
+        return Crossings(
+            self.place[order], self.height[order], self.front[order], surface[order], share[up]
+        )
 
     def in_bodies(self) -> "Crossings":
         """Return the crossings, ascending, with -1 for surfaces that bound no body at their place.
@@ -81,15 +92,32 @@ class Crossings:
         order = np.lexsort((np.arange(len(found.place)), found.surface, found.place))
         keys = np.column_stack([found.place, found.surface])[order]
         begins = np.append(True, (keys[1:] != keys[:-1]).any(axis=1))[: len(order)]
-        group = np.cumsum(begins) - 1
-        step = np.where(found.front[order], -1, 1)
-        total = np.cumsum(step)
-        bodies = total - (total - step)[begins][group]
+        bodies = found._bodies(order, begins)
         last = np.append(begins[1:], True)[: len(order)]
-        faults = np.bincount(group, (bodies < 0) | (last & (bodies != 0)))
+        group = np.cumsum(begins) - 1
+        faults = np.bincount(group, (bodies < -_PART) | (last & (bodies > _PART)))
         surface = found.surface.copy()
         surface[order[faults[group] > 0]] = -1
         return replace(found, surface=surface).ascending()
+
+    def enclosed(self) -> NDArray[np.bool_]:
+        """Return whether each of the crossings ``in_bodies`` lies in a surface's body, (K,)."""
+        assert self.surface is not None
+        assert self.share is not None
+        bounding = replace(self, share=self.share * (self.surface != -1))
+        begins = np.append(True, self.place[1:] != self.place[:-1])[: len(self.place)]
+        return bounding._bodies(np.arange(len(self.place)), begins) > _PART
+
+    def _bodies(self, order: NDArray[np.int64], begins: NDArray[np.bool_]) -> FloatArray:
+        """Return the number of bodies above each crossing that begin at it or below, (K,).
+
+        It is counted in each group of the ``order``, (K,), from where the group ``begins``, (K,).
+        """
+        assert self.share is not None
+        step = np.where(self.front, -self.share, self.share)[order]
+        total = np.cumsum(step)
+        bodies: FloatArray = total - (total - step)[begins][np.cumsum(begins) - 1]
+        return bodies
 
 
 @dataclass(frozen=True)
@@ -166,8 +194,8 @@ def ground_of_faces(crossings: Crossings, places: int, choice: Choice) -> Ground
     last = np.append(place[1:] != place[:-1], True)[: len(place)]
     room = np.where(last, np.inf, np.append(height[1:], 0.0)[: len(place)] - height)
     roomy = front & (room >= choice.headroom - _ROUNDING)
-    is_loose = found.surface == -1
-    enclosed = _bodies_above(found, ~is_loose) > 0
+    assert found.surface is not None
+    is_loose, enclosed = found.surface == -1, found.enclosed()
     depth, below = _bodies_above(found, is_loose), _backs_below(found, is_loose)
     # Without a loose face that looks down farther below, what lies above is a sheet and no body.
     inside = enclosed | ((depth > 0) & (below > 0))
@@ -211,7 +239,7 @@ def _bodies_above(found: Crossings, counted: NDArray[np.bool_]) -> NDArray[np.in
     begins = np.append(True, place[1:] != place[:-1])[: len(place)]
     group = np.cumsum(begins)
     total = np.cumsum(step)
-    base = (total - step)[begins][group - 1]
+    base: NDArray[np.int64] = (total - step)[begins][group - 1]
     # A body ends only if it began: the sum is reflected at zero, separately for each place.
     shift = group * (2 * len(step) + 1)
     lowest = np.minimum.accumulate(np.minimum(total, base) - shift) + shift

@@ -103,13 +103,13 @@ class Mesh:
         placed = np.stack([level @ line.direction, level @ line.left, self.corners[:, :, 2]], 2)
         area, is_wall = _seen_from_above(placed)
         parts = [
-            (places, heights, np.full(len(places), sign > 0), seen[triangles])
+            (places, heights, np.full(len(places), sign > 0), seen[triangles], share)
             for sign in (1.0, -1.0)
             for seen in (np.flatnonzero((area * sign > 1e-12) & ~is_wall),)
-            for places, heights, triangles in _covered(placed[seen], along, left)
+            for places, heights, triangles, share in _covered(placed[seen], along, left)
         ]
-        place, height, front, face = (np.concatenate(column) for column in zip(*parts, strict=True))
-        crossings = Crossings(place, height, front)
+        place, height, front, face, share = map(np.concatenate, zip(*parts, strict=True))
+        crossings = Crossings(place, height, front, share=share)
         bodies = crossings.in_bodies()
         is_open = bodies.surface == -1
         if (is_open & ~bodies.front).any():  # which of the faces bound a body is not clear
@@ -144,8 +144,11 @@ def _joined(corners: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
 
 def _covered(
     triangles: FloatArray, along: FloatArray, left: FloatArray
-) -> Iterator[tuple[NDArray[np.int64], FloatArray, NDArray[np.int64]]]:
-    """Yield flat indices of the grid's places below triangles (T, 3, 3), heights, and triangles."""
+) -> Iterator[tuple[NDArray[np.int64], FloatArray, NDArray[np.int64], FloatArray]]:
+    """Yield flat indices of the grid's places below triangles (T, 3, 3), heights, and triangles.
+
+    Also yields shares, which add up to 1 at each place where triangles meet.
+    """
     low, high = triangles.min(axis=1) - _INSIDE, triangles.max(axis=1) + _INSIDE
     row, column = np.searchsorted(along, low[:, 0]), np.searchsorted(left, low[:, 1])
     rows = np.searchsorted(along, high[:, 0], side="right") - row
@@ -162,9 +165,28 @@ def _covered(
         ab, ac = b - a, c - a
         area = _cross(ab, ac)
         to_b, to_c = _cross(at, ac) / area, _cross(ab, at) / area  # weights of corners b and c
-        inside = (to_b >= -_INSIDE) & (to_c >= -_INSIDE) & (to_b + to_c <= 1 + _INSIDE)
+        weights = np.column_stack([1 - to_b - to_c, to_b, to_c])
+        inside = (weights >= -_INSIDE).all(axis=1)
         heights = a[:, 2] + to_b * ab[:, 2] + to_c * ac[:, 2]
-        yield (i * len(left) + j)[inside], heights[inside], owner[inside]
+        shares = _shares(weights[inside], triangles[owner[inside]])
+        yield (i * len(left) + j)[inside], heights[inside], owner[inside], shares
+
+
+def _shares(weights: FloatArray, triangles: FloatArray) -> FloatArray:
+    """Return the part of a full turn around each place that lies in its triangle, (P,) [-].
+
+    ``weights``, (P, 3), are those of the corners of ``triangles``, (P, 3, 3), at the place.
+    """
+    zero = np.abs(weights) <= _INSIDE
+    shares = np.where(zero.any(axis=1), 0.5, 1.0)
+    at_corner = np.flatnonzero(zero.sum(axis=1) == 2)
+    corner = weights[at_corner].argmax(axis=1)
+    here, one, other = (triangles[at_corner, (corner + shift) % 3, :2] for shift in range(3))
+    turn = np.arctan2(
+        np.abs(_cross(one - here, other - here)), ((one - here) * (other - here)).sum(axis=1)
+    )
+    shares[at_corner] = turn / (2 * np.pi)
+    return shares
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -9,6 +9,7 @@ import numpy as np
 
 from flipperctl.api import FloatArray
 
+from .coordinates import SAME_LENGTH
 from .layers import Choice, Ground
 from .line import Line
 
@@ -43,9 +44,9 @@ def remarks_on_profile(points: FloatArray, remedy: str) -> Iterator[str]:
 
 
 def remarks_on_projection(line: Line) -> Iterator[str]:
-    """Yield a remark if a metre of the frame is not a metre of the ground."""
-    if not np.array_equal(line.stretch, np.eye(2)):
-        scale = line.length / float(np.hypot(*np.subtract(line.end, line.start)))
+    """Yield a remark if a metre of the frame is not a metre of the ground along the line."""
+    scale = line.length / float(np.hypot(*np.subtract(line.end, line.start)))
+    if abs(scale - 1) > SAME_LENGTH:
         yield (
             f"1 m of its projection is {scale:.3f} m of ground along the line; start and end are "
             "in metres of the projection, the profile and spacing in metres of the ground"

@@ -32,6 +32,8 @@ UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.304
 MAPS = {".npy": height_map.read_npy, **dict.fromkeys((".tif", ".tiff"), geotiff.read_geotiff)}
 CLOUDS = {".pcd": cloud.read_pcd, ".ply": cloud.read_ply, ".xyz": cloud.read_xyz}
 MESHES = (".stl", ".obj", ".dae")
+STATING = (".tif", ".tiff", ".dae")
+"""Suffixes of files that may state their unit."""
 SUFFIXES = (".csv", *MAPS, *MESHES, *CLOUDS)
 EXAMPLE = Path(polyline.__file__).with_name("example.csv")
 MIN_POINTS = 10
@@ -194,8 +196,8 @@ class ProfileFile(Terrain):
 
     @property
     def _remedy(self) -> str:
-        if self._file.suffix.lower() == ".dae" and self.unit is None:
-            return "check the unit that it states; terrain.unit prevails over it"
+        if self._file.suffix.lower() in STATING and self.unit is None:
+            return "it is in the unit that it states, or else in m; terrain.unit states another"
         return f"terrain.unit={self.unit or 'm'} is set, another unit may be right"
 
     @property
