@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray
 
@@ -43,8 +44,11 @@ class HeightMap:
         return extent
 
     def on_ground(self, line: Line) -> Line:
-        """Return the line with the lengths of the ground."""
-        return replace(line, stretch=self.stretch(np.add(line.start, line.end) / 2))
+        """Return the line with the lengths of the ground at its middle, if that is on the map."""
+        middle = np.add(line.start, line.end) / 2
+        if not self._are_inside(self._cells(middle)):
+            return line
+        return replace(line, stretch=self.stretch(middle))
 
     def along(self, line: Line) -> tuple[FloatArray, str]:
         """Return the heights at the line's points, (D,) [m]; NaN where unknown.
@@ -55,10 +59,9 @@ class HeightMap:
         Raises:
             ValueError: an end of the line lies outside the map, or too many cells surround it.
         """
-        cells = line.points @ self.to_cell[:, :2].T + self.to_cell[:, 2]  # (D, 2)
-        last = np.array(self.shape) - 1
+        cells = self._cells(line.points)
         for end, cell in ((line.start, cells[0]), (line.end, cells[-1])):
-            if not ((cell >= -1e-6) & (cell <= last + 1e-6)).all():
+            if not self._are_inside(cell):
                 raise ValueError(f"{end} lies outside the map, which covers {self._extent()}")
         return self._at(cells, line)
 
@@ -73,13 +76,22 @@ class HeightMap:
         """
         ahead = np.asarray(line.start) + along[:, None, None] * line.direction  # (A, 1, 2)
         places = (ahead + left[:, None] * line.left).reshape(-1, 2)
-        cells = places @ self.to_cell[:, :2].T + self.to_cell[:, 2]
-        last = np.array(self.shape) - 1
-        inside = ((cells >= -1e-6) & (cells <= last + 1e-6)).all(axis=1)
+        cells = self._cells(places)
+        inside = self._are_inside(cells)
         found = np.full(len(cells), np.nan)
         if inside.any():
             found[inside], _ = self._at(cells[inside], line)
         return found.reshape(len(along), len(left))
+
+    def _cells(self, places: FloatArray) -> FloatArray:
+        """Return the fractional row and column of places (…, 2) in (x, y) [m]."""
+        cells: FloatArray = places @ self.to_cell[:, :2].T + self.to_cell[:, 2]
+        return cells
+
+    def _are_inside(self, cells: FloatArray) -> NDArray[np.bool_]:
+        last = np.array(self.shape) - 1
+        inside: NDArray[np.bool_] = ((cells >= -1e-6) & (cells <= last + 1e-6)).all(axis=-1)
+        return inside
 
     def _at(self, cells: FloatArray, line: Line) -> tuple[FloatArray, str]:
         """Return the heights at cells (P, 2), fractional row and column; errors name the line."""

@@ -26,6 +26,10 @@ _EDGE = 1e-4
 """Distance by which an end of the line may lie outside the mesh [m]."""
 _STEEP = 0.1
 """Largest share of a face that is seen from above at which rounding may have tilted a wall [-]."""
+_MIXED = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64).view(
+    np.int64
+)
+"""Factors with which two of a billion places have one number with a probability of 0.03 [-]."""
 _INSIDE = 1e-9
 """Fraction by which a place may lie outside a triangle that it belongs to [-]."""
 _AT_ONCE = 1_000_000
@@ -101,6 +105,10 @@ class Mesh:
         """Return the ground at the places of a grid, which are numbered row by row."""
         level = self.corners[:, :, :2] - np.asarray(line.start)
         placed = np.stack([level @ line.direction, level @ line.left, self.corners[:, :, 2]], 2)
+        x, y = placed[:, :, 0], placed[:, :, 1]
+        ahead = (x.max(axis=1) > along[0] - _EDGE) & (x.min(axis=1) < along[-1] + _EDGE)
+        near = ahead & (y.max(axis=1) > left[0] - _EDGE) & (y.min(axis=1) < left[-1] + _EDGE)
+        placed = placed[near]
         area, is_wall = _seen_from_above(placed)
         parts = [
             (places, heights, np.full(len(places), sign > 0), seen[triangles], share)
@@ -113,7 +121,7 @@ class Mesh:
         bodies = crossings.in_bodies()
         is_open = bodies.surface == -1
         if (is_open & ~bodies.front).any():  # which of the faces bound a body is not clear
-            crossings = replace(crossings, surface=self._surfaces[face])
+            crossings = replace(crossings, surface=self._surfaces[np.flatnonzero(near)[face]])
         ground = ground_of_faces(crossings, len(along) * len(left), self.choice)
         return ground.without_ceilings_over_holes(along, self.choice)
 
@@ -137,9 +145,11 @@ def _seen_from_above(triangles: FloatArray) -> tuple[FloatArray, NDArray[np.bool
 
 def _joined(corners: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
     """Return places (N, 3) [m], and for each corner (T, 3) of the triangles the number of its."""
-    rounded = np.round(corners.reshape(-1, 3) / _EDGE)
-    places, index = np.unique(rounded, axis=0, return_inverse=True)
-    return places * _EDGE, index.reshape(-1, 3)
+    rounded = np.round(corners.reshape(-1, 3) / _EDGE).astype(np.int64)
+    mixed = rounded @ _MIXED  # a number for each place: sorting rows takes ten times as long
+    _, first, index = np.unique(mixed, return_index=True, return_inverse=True)
+    places: FloatArray = rounded[first] * _EDGE
+    return places, index.reshape(-1, 3).astype(np.int64)
 
 
 def _covered(

@@ -23,23 +23,24 @@ def surfaces(places: FloatArray, corners: NDArray[np.int64]) -> NDArray[np.int64
     edge, as where a block stands on a tiled floor, those are that enclose the least of a body.
     """
     edge, forward, angle = _half_edges(places, corners)
-    owner = np.repeat(np.arange(len(corners)), 3)
-    # By angle, a face that looks back begins a wedge of a body, and the next one ends it. Where a
-    # body stands on a sheet, the body ends first.
-    left = np.lexsort((~forward, angle, edge))
-    left = left[edge[left] >= 0]
+    # By angle, a side that runs backwards begins a wedge of a body and the next forward one ends
+    # it. Where a body stands on a sheet, it ends before the sheet's begins.
+    order = np.lexsort((~forward, angle, edge))
+    order = order[edge[order] >= 0]
     pairs: list[NDArray[np.int64]] = []
     for _ in range(_NESTED):
-        begins = np.append(True, edge[left][1:] != edge[left][:-1])[: len(left)]
-        following = np.arange(1, len(left) + 1)
-        lasts = np.append(begins[1:], True)[: len(left)]
-        following[lasts] = np.flatnonzero(begins)
-        first = np.flatnonzero(~forward[left] & forward[left][following])
-        pairs.append(np.stack([left[first], left[following[first]]]))
-        left = np.delete(left, np.concatenate([first, following[first]]))
-    first, second = owner[np.concatenate(pairs, axis=1)]
+        first = np.flatnonzero(np.append(True, np.diff(edge[order]) != 0)[: len(order)])
+        following = np.arange(1, len(order) + 1)
+        following[np.append(first[1:], len(order)) - 1] = first  # around the edge
+        begins = np.flatnonzero(~forward[order] & forward[order[following]])
+        ends = following[begins]
+        pairs.append(order[np.stack([begins, ends])])
+        order = np.delete(order, np.concatenate([begins, ends]))
+        if not len(order):
+            break
+    one, other = np.concatenate(pairs, axis=1) // 3  # the triangles of the sides
     size = (len(corners), len(corners))
-    graph = coo_array((np.ones(len(first), np.bool_), (first, second)), size)
+    graph = coo_array((np.ones(len(one), np.bool_), (one, other)), size)
     labels: NDArray[np.int64] = connected_components(graph, directed=False)[1].astype(np.int64)
     return labels
 
@@ -50,17 +51,18 @@ def _half_edges(
     """Return the edge, the direction along it and the angle around it of each side, (3 T,).
 
     The edge is -1 for a side without a length. Angles are whole numbers from 0 to ``_TURN``, about
-    the edge's direction from its lower to its higher place.
+    the edge's direction from its lower to its higher place, and 0 at edges of two triangles.
     """
     tail, head, opposite = (np.roll(corners, -shift, axis=1).ravel() for shift in range(3))
-    forward = tail < head
     low, high = np.minimum(tail, head), np.maximum(tail, head)
     _, edge = np.unique(low * len(places) + high, return_inverse=True)
-    along = places[high] - places[low]
-    third = np.eye(3)[np.abs(along).argmin(axis=1)]
-    across = np.cross(along, third)
-    upwards = np.cross(along, across) / np.maximum(np.linalg.norm(along, axis=1), 1e-12)[:, None]
-    side = places[opposite] - places[low]
-    angle = np.arctan2((side * upwards).sum(axis=1), (side * across).sum(axis=1))
-    ticks = np.round(angle * _TURN / (2 * np.pi)).astype(np.int64) % _TURN
-    return np.where(low == high, -1, edge), forward, ticks
+    shared = np.flatnonzero(np.bincount(edge)[edge] > 2)
+    start = places[low[shared]]
+    along, side = places[high[shared]] - start, places[opposite[shared]] - start
+    across = np.cross(along, np.eye(3)[np.abs(along).argmin(axis=1)])
+    upwards = np.cross(along, across)
+    upwards /= np.maximum(np.linalg.norm(along, axis=1), 1e-12)[:, None]
+    turned = np.arctan2((side * upwards).sum(axis=1), (side * across).sum(axis=1)) / (2 * np.pi)
+    angle = np.zeros(len(edge), np.int64)
+    angle[shared] = np.round(turned * _TURN).astype(np.int64) % _TURN
+    return np.where(low == high, -1, edge), tail < head, angle
