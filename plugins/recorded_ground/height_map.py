@@ -90,8 +90,7 @@ class HeightMap:
 
     def _are_inside(self, cells: FloatArray) -> NDArray[np.bool_]:
         last = np.array(self.shape) - 1
-        inside: NDArray[np.bool_] = ((cells >= -1e-6) & (cells <= last + 1e-6)).all(axis=-1)
-        return inside
+        return np.asarray(((cells >= -1e-6) & (cells <= last + 1e-6)).all(axis=-1))
 
     def _at(self, cells: FloatArray, line: Line) -> tuple[FloatArray, str]:
         """Return the heights at cells (P, 2), fractional row and column; errors name the line."""

@@ -148,7 +148,7 @@ def _joined(corners: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
     rounded = np.round(corners.reshape(-1, 3) / _EDGE).astype(np.int64)
     mixed = rounded @ _MIXED  # a number for each place: sorting rows takes ten times as long
     _, first, index = np.unique(mixed, return_index=True, return_inverse=True)
-    places: FloatArray = rounded[first] * _EDGE
+    places = np.multiply(rounded[first], _EDGE, dtype=np.float64)
     return places, index.reshape(-1, 3).astype(np.int64)
 
 
