@@ -192,6 +192,69 @@ def _backs_below(found: Crossings) -> NDArray[np.int64]:
     return counts
 
 
+def overhead(ground: Ground, along: FloatArray, choice: Choice) -> NDArray[np.bool_]:
+    """Return at which places, (P,), only something above an unseen floor was measured.
+
+    ``along`` are the distances of the places, ascending (P,) [m], and the ground is that of points.
+    A run of places hangs if it begins ``headroom`` or more above the places on both sides of it, or
+    on the one side where the line ends, without points between. Such a run is
+
+    - overhead if something at its height lies above the ground of another place,
+    - ground if another part of the ground is as high, such as the far side of a trench,
+    - overhead if it is at an end of the line, or has gaps to its sides,
+    - else ground: the top of a wall, seen from above, which hides just the floor below it.
+
+    Runs that reach over more than ``largest_gap`` are ground.
+    """
+    result = np.zeros(len(along), np.bool_)
+    if choice.highest or choice.largest_gap == 0:
+        return result
+    kept = np.zeros(len(along), np.bool_)  # hanging runs that are ground
+    known = np.flatnonzero(np.isfinite(ground.height))
+    usual = 2 * float(np.median(np.diff(along[known]))) if len(known) > 1 else 0.0
+    while (run := _hanging(ground, known[~result[known]], along, choice, kept)) is not None:
+        places, before, after = run
+        level = float(np.median(ground.underside[places]))
+        near = choice.headroom / 2
+        others = np.setdiff1d(known, places)
+        distances = np.concatenate([along[before], along[places], along[after]])
+        apart = len(before) * len(after) == 0 or np.diff(distances).max() > usual + _ROUNDING
+        hides = (np.abs(ground.above[others] - level) <= near).any()
+        rises = (np.abs(ground.height[others] - level) <= near) & ~result[others]
+        hangs = hides or (apart and not rises.any())
+        (result if hangs else kept)[places] = True
+    return result
+
+
+def _hanging(
+    ground: Ground,
+    known: NDArray[np.int64],
+    along: FloatArray,
+    choice: Choice,
+    kept: NDArray[np.bool_],
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]] | None:
+    """Return the places of a run that hangs, with one before and one after it where there is one.
+
+    Runs are parts of the ``known`` places, those ``kept`` are left out. None if there is no other.
+    """
+    room = choice.headroom - _ROUNDING
+    low, high = ground.underside[known], ground.height[known]
+    cuts = (low[1:] >= high[:-1] + room) | (low[:-1] >= high[1:] + room)
+    runs = np.split(known, np.flatnonzero(cuts) + 1)
+    for number, run in enumerate(runs):
+        before = runs[number - 1][-1:] if number else run[:0]
+        after = runs[number + 1][:1] if number + 1 < len(runs) else run[:0]
+        sides = np.concatenate([before, after])
+        if not len(sides) or kept[run].any():
+            continue
+        begin = along[before[0]] if len(before) else along[0]
+        end = along[after[0]] if len(after) else along[-1]
+        hangs = ground.underside[run].min() >= ground.height[sides].max() + room
+        if hangs and end - begin <= choice.largest_gap:
+            return run, before, after
+    return None
+
+
 def layer_of_points(heights: FloatArray, choice: Choice) -> tuple[FloatArray, float]:
     """Return the heights of one place's points, (K,) [m], that are its ground.
 

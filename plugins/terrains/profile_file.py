@@ -12,12 +12,12 @@ from pydantic import Field, model_validator
 
 from flipperctl.api import FloatArray, Profile, Terrain, terrain
 
-from ..recorded_ground import cloud, height_map, polyline
+from ..recorded_ground import cloud, cloud_files, height_map, polyline
+from ..recorded_ground.claims import ply_elements
 from ..recorded_ground.height_map import HeightMap
-from ..recorded_ground.layers import Choice
+from ..recorded_ground.layers import Choice, overhead
 from ..recorded_ground.line import Line
 from ..recorded_ground.mesh import Mesh, read_mesh
-from ..recorded_ground.missing import without_missing
 from ..recorded_ground.plausible import (
     remarks_on_extent,
     remarks_on_layers,
@@ -29,9 +29,13 @@ from ..recorded_ground.surface import RecordedSurface
 
 UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048}
 MAPS = {".npy": height_map.read_npy, **dict.fromkeys((".tif", ".tiff"), height_map.read_geotiff)}
-CLOUDS = {".pcd": cloud.read_pcd, ".ply": cloud.read_ply, ".xyz": cloud.read_xyz}
+CLOUDS = {
+    ".pcd": cloud_files.read_pcd,
+    ".ply": cloud_files.read_ply,
+    **dict.fromkeys((".xyz", ".csv"), cloud_files.read_text),
+}
 MESHES = (".stl", ".obj", ".dae")
-SUFFIXES = (".csv", *MAPS, *MESHES, *CLOUDS)
+SUFFIXES = tuple(dict.fromkeys((".csv", *MAPS, *MESHES, *CLOUDS)))
 EXAMPLE = Path(polyline.__file__).with_name("example.csv")
 MIN_POINTS = 10
 """Smallest number of points in a slice through a cloud [-]."""
@@ -45,10 +49,11 @@ BESIDE = 0.4
 class ProfileFile(Terrain):
     """The same recorded ground each episode; the file's suffix determines its format.
 
-    ``.csv``: columns x (forward) and z (up), x never decreasing.
+    ``.csv``: columns x (forward) and z (up), x never decreasing; with a line, a point cloud.
     ``.npy``, ``.tif``: a height map; the profile is taken along the line from ``start`` to ``end``.
     ``.stl``, ``.obj``, ``.dae``: a mesh seen from above, along that line.
-    ``.pcd``, ``.ply``, ``.xyz``: a point cloud; the profile is a slice along that line.
+    ``.pcd``, ``.ply``, ``.xyz``: a point cloud; the profile is a slice along that line. A ``.ply``
+    with faces is a mesh.
     Of several layers of a mesh or a cloud, such as a floor and a ceiling, one is the ground.
     GeoTIFF, meshes, PCD and PLY need the extra ``profiles``.
     """
@@ -90,6 +95,11 @@ class ProfileFile(Terrain):
     thickness: float = Field(
         0.1, gt=0, le=2, description="thickness of the vertical slice through a cloud [m]"
     )
+    viewpoint: bool | None = Field(
+        None,
+        description="whether the points of a .pcd are moved by the pose that its VIEWPOINT states; "
+        "null leaves them with a warning [-]",
+    )
     quantile: float = Field(
         0.9,
         ge=0,
@@ -125,17 +135,15 @@ class ProfileFile(Terrain):
         if suffix not in SUFFIXES:
             raise ValueError(f"path {self.path}: one of {', '.join(SUFFIXES)} is allowed")
         given = [self.start is not None, self.end is not None]
-        if suffix == ".csv" and any(given):
-            raise ValueError(
-                "start and end belong to maps, meshes and clouds; a .csv is itself a profile"
-            )
-        if suffix != ".csv" and not all(given):
+        if not all(given) and (suffix != ".csv" or any(given)):
             raise ValueError(
                 f"a {suffix} file needs start and end, the line over the ground in metres: "
                 "'terrain.start=[x,y]' 'terrain.end=[x,y]'"
             )
         if suffix == ".dae" and (self.unit, self.up) != ("m", "z"):
             raise ValueError("a .dae states its unit and axes; unit and up must not be stated too")
+        if suffix != ".pcd" and self.viewpoint is not None:
+            raise ValueError(f"viewpoint belongs to .pcd files; path is {self.path}")
         if self.start is not None and self.end is not None:
             length = math.dist(self.start, self.end)
             if not 0 < length <= MAX_LENGTH:
@@ -169,7 +177,7 @@ class ProfileFile(Terrain):
     def _profile(self) -> Profile:
         points, _ = self._recorded
         surface = None
-        if self._file.suffix.lower() in (*MAPS, *MESHES):
+        if self._kind in ("map", "mesh"):
             height = float(points[0, 1])
             surface = RecordedSurface(points[:, 0], partial(self._beside, height))
         return Profile(points - points[0], self._file.stem, surface)
@@ -190,7 +198,8 @@ class ProfileFile(Terrain):
                 f"{file}: it covers {extent[0]:g} m in x and {extent[1]:g} m in z; up to "
                 f"{MAX_LENGTH:g} m is allowed: is its unit {self.unit!r}? terrain.unit states it"
             )
-        remarks += remarks_on_profile(points - points[0], self._remedy)
+        layered = self._kind in ("mesh", "cloud")
+        remarks += remarks_on_profile(points - points[0], self._remedy, layered)
         return points, tuple(remarks)
 
     @property
@@ -199,16 +208,32 @@ class ProfileFile(Terrain):
             return "check the unit that it states"
         return f"terrain.unit={self.unit} is set, another unit may be right"
 
+    @cached_property
+    def _kind(self) -> Literal["profile", "map", "mesh", "cloud"]:
+        """What the file holds; a .ply may hold faces."""
+        suffix = self._file.suffix.lower()
+        if self.start is None:
+            return "profile"
+        if suffix == ".ply":
+            elements = ply_elements(self._file)
+            if elements.get("tristrips"):
+                raise ValueError("its triangle strips are not read; save it with faces")
+            return "mesh" if elements.get("face") else "cloud"
+        return "map" if suffix in MAPS else "mesh" if suffix in MESHES else "cloud"
+
     def _read(self, file: Path, suffix: str, remarks: list[str]) -> FloatArray:
         if self.start is None or self.end is None:
             unit = UNITS[self.unit]
-            found, own = polyline.read_csv(file, self.largest_gap / unit)
+            found, own = polyline.read_csv(file, self.largest_gap / unit, self.thickness / unit)
             remarks += own
             remarks += remarks_on_extent(np.ptp(found, axis=0) * unit, "it", self._remedy)
             return found * unit
         line = Line(self.start, self.end, self.spacing)
-        if suffix in CLOUDS:
-            return line.profile(self._along_cloud(file, line, remarks), self.largest_gap)
+        if self._kind == "cloud":
+            try:
+                return line.profile(self._along_cloud(file, line, remarks), self.largest_gap)
+            except ValueError as error:  # which a remark may explain
+                raise ValueError("; ".join([str(error), *remarks])) from error
         ground = self._ground(file)
         unknown = "no height is known"
         remedy = self._remedy if suffix not in MAPS else "check resolution, start and end"
@@ -225,17 +250,22 @@ class ProfileFile(Terrain):
         return line.profile(heights, self.largest_gap, unknown)
 
     def _along_cloud(self, file: Path, line: Line, remarks: list[str]) -> FloatArray:
-        read = CLOUDS[file.suffix.lower()](file)
-        columns = [without_missing(column) for column in read.T]
-        remarks += [remark for _, remark in columns if remark]
-        points = cloud.upright(np.column_stack([c for c, _ in columns]) * UNITS[self.unit], self.up)
+        points, own = cloud.measured(
+            CLOUDS[file.suffix.lower()](file),
+            UNITS[self.unit],
+            self.up,
+            self.viewpoint,
+            self.spacing,
+        )
+        remarks += own
         if len(points):
             remarks += remarks_on_extent(np.ptp(points, axis=0), "it", self._remedy)
         ground = cloud.slice_along(
             points, line, self.thickness, self.quantile, MIN_POINTS, self._choice
         )
-        remarks += remarks_on_layers(ground, self._choice)
-        return ground.height
+        hanging = overhead(ground, line.distances, self._choice)
+        remarks += remarks_on_layers(ground, self._choice, hanging)
+        return np.where(hanging, np.nan, ground.height)
 
     @property
     def _choice(self) -> Choice:
@@ -244,7 +274,7 @@ class ProfileFile(Terrain):
     def _ground(self, file: Path) -> HeightMap | Mesh:
         """Return the map or the mesh, which has heights beside the line too."""
         suffix, unit = file.suffix.lower(), UNITS[self.unit]
-        if suffix in MESHES:
+        if self._kind == "mesh":
             return read_mesh(file, unit, self.up, self.largest_mesh, self._choice)
         rows = 1 if self.rows == "+y" else -1
         return MAPS[suffix](file, self.resolution, unit, rows, self.no_data)
@@ -295,4 +325,4 @@ class ProfileFile(Terrain):
             raise ValueError(f"{file}: there is no such file{place}") from error
         except Exception as error:  # on a damaged file, a reader may raise any exception
             reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
-            raise ValueError(f"{file}: {' '.join(str(reason).split())[:300]}") from error
+            raise ValueError(f"{file}: {' '.join(str(reason).split())[:500]}") from error
