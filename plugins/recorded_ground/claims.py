@@ -94,10 +94,10 @@ def pcd_header(path: Path) -> PcdHeader:
 
 
 def _pose(words: list[str]) -> Pose | None:
-    """Return the pose of a VIEWPOINT; a quaternion of 0 states no turn.
+    """Return the pose of a VIEWPOINT; NaN states none, and a quaternion of 0 no turn.
 
     Raises:
-        ValueError: it is not 7 finite numbers.
+        ValueError: it is not 7 numbers.
     """
     if not words:
         return None
@@ -105,11 +105,13 @@ def _pose(words: list[str]) -> Pose | None:
         pose = tuple(float(word) for word in words)
     except ValueError:
         pose = ()
-    if len(pose) != len(_IDENTITY) or not all(map(math.isfinite, pose)):
+    if len(pose) != len(_IDENTITY):
         raise ValueError(
-            f"VIEWPOINT is {' '.join(words)[:60]!r} in its header; 7 finite numbers are needed "
-            "(x y z and the quaternion w x y z)"
+            f"VIEWPOINT is {' '.join(words)[:60]!r} in its header; 7 numbers are needed (x y z and "
+            "the quaternion w x y z)"
         )
+    if not all(map(math.isfinite, pose)):
+        return None
     norm = math.hypot(*pose[3:])
     turn = [value / norm for value in pose[3:]] if norm > 0 else _IDENTITY[3:]
     moved = any(pose[:3]) or abs(turn[0]) < 1 - 1e-9

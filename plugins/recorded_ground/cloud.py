@@ -13,7 +13,7 @@ from flipperctl.api import FloatArray
 from .claims import Pose
 from .cloud_faults import remark_on_rounding, without_unmeasured
 from .cloud_files import CloudFile
-from .layers import Choice, Ground, layer_of_points
+from .layers import Choice, Ground, layer_of_points, parts_of_points
 from .line import Line
 from .missing import without_missing
 
@@ -26,6 +26,8 @@ LEVEL = {
     "-x": ("z", "y"),
 }
 """The file's axis that points up → its axes that become x and y; both frames right-handed."""
+_LEVEL = 0.1
+"""Largest difference of heights at which ground goes on, as a share of the headroom [-]."""
 
 
 def measured(
@@ -36,7 +38,8 @@ def measured(
     ``unit``: of the file [m]; ``viewpoint``: whether the pose that it states moves the points;
     ``spacing``: distance between heights along a line [m].
     """
-    columns = [without_missing(column) for column in file.points.T]
+    finite = file.points[np.isfinite(file.points).all(axis=1)]
+    columns = [without_missing(column) for column in finite.T]
     points, unmeasured = without_unmeasured(np.column_stack([column for column, _ in columns]))
     rounded = remark_on_rounding(points, "".join(LEVEL[up]), file.single, unit, spacing)
     remarks = [*(remark for _, remark in columns), unmeasured, rounded]
@@ -104,9 +107,19 @@ def slice_along(
     at, begins = np.unique(nearest[order], return_index=True)
     heights, above = np.full(len(places), np.nan), np.full(len(places), np.inf)
     underside = heights.copy()
-    for place, group in zip(at, np.split(points[within, 2][order], begins[1:]), strict=True):
+    groups = np.split(points[within, 2][order], begins[1:])
+    for place, group in zip(at, groups, strict=True):
         layer, above[place] = layer_of_points(group, choice)
         underside[place] = layer[0]
         heights[place] = np.quantile(layer, quantile)
+    layers = heights.copy()
+    for place, group in zip(at, groups, strict=True):
+        lowest = parts_of_points(group, choice)[0]
+        near = np.abs(places - places[place]) <= choice.largest_gap
+        continued = np.abs(layers[near] - lowest[-1]) <= _LEVEL * choice.headroom
+        if not choice.highest and lowest[0] < underside[place] and continued.any():
+            # Few points are no stray ones where they continue the ground beside them.
+            above[place], underside[place] = underside[place], lowest[0]
+            heights[place] = np.quantile(lowest, quantile)
     none = np.zeros(len(places), np.bool_)
     return Ground(heights, np.isfinite(above), none, none, none, above, underside)

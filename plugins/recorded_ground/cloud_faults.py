@@ -12,8 +12,11 @@ _FEWEST, _OFTEN = 10, 10
 to the repetitions of other points [-]."""
 _FILLED = 3
 """Smallest number of points for each value of a rounded coordinate [-]."""
-_SHARED = 2
-"""Smallest number of points for each place in the plane, if both coordinates are rounded [-]."""
+_SHARED, _SAME_SURFACE = 0.5, 0.003
+"""Smallest share of points that have another at the same place in the plane, if both coordinates
+are rounded [-], and the largest difference of their heights [m]."""
+_COARSER = 4
+"""Smallest ratio of such rounding to the rounding that is reported far from the origin [-]."""
 _FAR = 100
 """Smallest ratio of a coordinate to its extent that is far from the origin [-]."""
 
@@ -48,29 +51,37 @@ def without_unmeasured(points: FloatArray) -> tuple[FloatArray, str]:
 
 
 def remark_on_rounding(
-    points: FloatArray, level: str, single: bool, unit: float, spacing: float
+    points: FloatArray, level: str, single: bool | None, unit: float, spacing: float
 ) -> str:
     """Return a remark if coordinates are rounded to more than half the ``spacing`` [m], else "".
 
-    ``points``, (P, 3) in a ``unit`` [m], are finite; their axes ``level``, such as "xy", are level.
-    ``single``: they are stored in single precision. A regular grid is not rounded.
+    ``points``, (P, 3) in a ``unit`` [m], are finite. ``single``: they are stored in single
+    precision; None: if that holds them without loss. Other rounding is looked for along the axes
+    ``level``, such as "xy", by points that share coordinates; a regular grid is not rounded.
     """
+    with np.errstate(over="ignore"):
+        short = points.astype(np.float32)
+    single = bool((short == points).all()) if single is None else single
     coarse = spacing / 2 / unit * (1 + 1e-9)
-    exact, filled, far = dict[str, float](), dict[str, float](), False
+    steps, filled, far = dict[str, float](), dict[str, float](), set[str]()
     columns = dict(zip("xyz", points.T, strict=True)) if len(points) else {}
     for axis, column in columns.items():
         values = np.unique(column)
         apart, largest = np.diff(values), np.abs(values).max()
-        digit = float(np.spacing(np.float32(largest)))
-        step = float(np.median(apart)) if len(apart) else 0.0
+        digit = float(np.spacing(np.abs(short[:, "xyz".index(axis)]).max()))
         if single and digit > coarse and len(apart) and apart.min() <= digit:
-            exact[axis] = digit
-        elif axis in level and step > coarse and len(values) * _FILLED <= len(column):
-            filled[axis], far = step, far or bool(largest > _FAR * np.ptp(values))
+            steps[axis] = digit
+        elif axis in level and len(values) * _FILLED <= len(column):
+            filled[axis] = float(np.median(apart)) if len(apart) else 0.0
+            far |= {axis} if largest > _FAR * np.ptp(values) else set()
     if len(filled) == 2:
-        places = np.unique(np.column_stack([columns[axis] for axis in filled]), axis=0)
-        far = len(places) * _SHARED <= len(points)
-    steps = {**exact, **(filled if far else {})}
+        (height,) = {*"xyz"} - {*level}
+        keys = np.column_stack([columns[axis] for axis in (height, *level)])
+        apart = np.abs(np.diff(keys[np.lexsort(keys.T)], axis=0))
+        shared = (apart <= (_SAME_SURFACE / unit, 0, 0)).all(axis=1)
+        coarser = {axis for axis, step in filled.items() if step > _COARSER * coarse}
+        far = (far or coarser) if shared.sum() >= _SHARED * len(points) else set()
+    steps |= {axis: filled[axis] for axis in far if filled[axis] > coarse}
     if not steps:
         return ""
     found = " and ".join(f"{axis} to {steps[axis] * unit:.3g} m" for axis in sorted(steps))

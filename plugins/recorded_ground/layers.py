@@ -22,6 +22,8 @@ _ROUNDING = 1e-9
 """Allowed shortfall of free height from the headroom, since 0.7 - 0.2 rounds below 0.5 [m]."""
 _CEILING = 0.05
 """Height by which a ceiling may lie lower over a hole than beside it [m]."""
+_TALL = 0.25
+"""Smallest share of the headroom that the points of one place of a wall extend upwards [-]."""
 _SHARE = 0.1
 """Smallest share of a place's points that counts as a layer; fewer are stray points [-]."""
 
@@ -192,17 +194,19 @@ def _backs_below(found: Crossings) -> NDArray[np.int64]:
     return counts
 
 
-def overhead(ground: Ground, along: FloatArray, choice: Choice) -> NDArray[np.bool_]:
+def overhead(ground: Ground, along: FloatArray, choice: Choice, margin: float) -> NDArray[np.bool_]:
     """Return at which places, (P,), only something above an unseen floor was measured.
 
     ``along`` are the distances of the places, ascending (P,) [m], and the ground is that of points.
     A run of places hangs if it begins ``headroom`` or more above the places on both sides of it, or
     on the one side where the line ends, without points between. Such a run is
 
-    - overhead if something at its height lies above the ground of another place,
+    - overhead if something at its height lies above the ground more than the ``margin`` [m] away
+      from it; nearer, the place may hold points on both sides of a wall's edge,
     - ground if another part of the ground is as high, such as the far side of a trench,
-    - overhead if it is at an end of the line, or has gaps to its sides,
-    - else ground: the top of a wall, seen from above, which hides just the floor below it.
+    - overhead if it has gaps to its sides, or is at an end of the line and not tall,
+    - else ground: the top of a wall, seen from above, which hides just the floor below it, or a
+      wall at the end, whose lower part is hidden.
 
     Runs that reach over more than ``largest_gap`` are ground.
     """
@@ -217,11 +221,16 @@ def overhead(ground: Ground, along: FloatArray, choice: Choice) -> NDArray[np.bo
         level = float(np.median(ground.underside[places]))
         near = choice.headroom / 2
         others = np.setdiff1d(known, places)
-        distances = np.concatenate([along[before], along[places], along[after]])
-        apart = len(before) * len(after) == 0 or np.diff(distances).max() > usual + _ROUNDING
-        hides = (np.abs(ground.above[others] - level) <= near).any()
+        if len(before) and len(after):
+            apart = np.diff(np.concatenate([along[before], along[places], along[after]])).max()
+            alone = apart > usual + _ROUNDING
+        else:
+            tall = (ground.height - ground.underside)[places].max()
+            alone = tall < choice.headroom * _TALL
+        away = np.abs(along[others, None] - along[places]).min(axis=1) > margin
+        hides = (away & (np.abs(ground.above[others] - level) <= near)).any()
         rises = (np.abs(ground.height[others] - level) <= near) & ~result[others]
-        hangs = hides or (apart and not rises.any())
+        hangs = hides or (alone and not rises.any())
         (result if hangs else kept)[places] = True
     return result
 
@@ -255,15 +264,20 @@ def _hanging(
     return None
 
 
+def parts_of_points(heights: FloatArray, choice: Choice) -> list[FloatArray]:
+    """Return the heights of one place's points, (K,) [m], split where the headroom is free."""
+    ordered = np.sort(heights)
+    apart = np.diff(ordered) > choice.headroom - _ROUNDING
+    return np.split(ordered, np.flatnonzero(apart) + 1)
+
+
 def layer_of_points(heights: FloatArray, choice: Choice) -> tuple[FloatArray, float]:
     """Return the heights of one place's points, (K,) [m], that are its ground.
 
     Also returns the height of what lies above the lowest layer, which is infinite if nothing does.
     Stray points belong to no layer.
     """
-    ordered = np.sort(heights)
-    apart = np.diff(ordered) > choice.headroom - _ROUNDING
-    parts = np.split(ordered, np.flatnonzero(apart) + 1)
-    layers = [part for part in parts if len(part) >= _SHARE * len(ordered)]
+    parts = parts_of_points(heights, choice)
+    layers = [part for part in parts if len(part) >= _SHARE * len(heights)]
     above = float(layers[1][0]) if len(layers) > 1 else np.inf
     return layers[-1 if choice.highest else 0], above

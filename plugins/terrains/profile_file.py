@@ -14,6 +14,7 @@ from flipperctl.api import FloatArray, Profile, Terrain, terrain
 
 from ..recorded_ground import cloud, cloud_files, height_map, polyline
 from ..recorded_ground.claims import ply_elements
+from ..recorded_ground.cloud_faults import remark_on_rounding
 from ..recorded_ground.height_map import HeightMap
 from ..recorded_ground.layers import Choice, overhead
 from ..recorded_ground.line import Line
@@ -230,10 +231,7 @@ class ProfileFile(Terrain):
             return found * unit
         line = Line(self.start, self.end, self.spacing)
         if self._kind == "cloud":
-            try:
-                return line.profile(self._along_cloud(file, line, remarks), self.largest_gap)
-            except ValueError as error:  # which a remark may explain
-                raise ValueError("; ".join([str(error), *remarks])) from error
+            return self._along_cloud(file, line, remarks)
         ground = self._ground(file)
         unknown = "no height is known"
         remedy = self._remedy if suffix not in MAPS else "check resolution, start and end"
@@ -244,6 +242,11 @@ class ProfileFile(Terrain):
             remarks += remarks_on_missing(heights)
         else:
             unknown = "the mesh is not closed"
+            if suffix == ".ply":
+                unknown += " (without faces, a .ply is a cloud)"
+            corners = ground.corners.reshape(-1, 3)
+            rounded = remark_on_rounding(corners, "", None, 1.0, self.spacing)
+            remarks += [rounded] if rounded else []
             layers = ground.along(line)
             heights = layers.height
             remarks += remarks_on_layers(layers, self._choice)
@@ -260,12 +263,16 @@ class ProfileFile(Terrain):
         remarks += own
         if len(points):
             remarks += remarks_on_extent(np.ptp(points, axis=0), "it", self._remedy)
-        ground = cloud.slice_along(
-            points, line, self.thickness, self.quantile, MIN_POINTS, self._choice
-        )
-        hanging = overhead(ground, line.distances, self._choice)
-        remarks += remarks_on_layers(ground, self._choice, hanging)
-        return np.where(hanging, np.nan, ground.height)
+        try:
+            ground = cloud.slice_along(
+                points, line, self.thickness, self.quantile, MIN_POINTS, self._choice
+            )
+            margin = self.thickness / 2 + self.spacing
+            hanging = overhead(ground, line.distances, self._choice, margin)
+            remarks += remarks_on_layers(ground, self._choice, hanging)
+            return line.profile(np.where(hanging, np.nan, ground.height), self.largest_gap)
+        except ValueError as error:  # which a remark on the file may explain
+            raise ValueError("; ".join([str(error), *own])) from error
 
     @property
     def _choice(self) -> Choice:
