@@ -112,14 +112,16 @@ def slice_along(
         layer, above[place] = layer_of_points(group, choice)
         underside[place] = layer[0]
         heights[place] = np.quantile(layer, quantile)
-    layers = heights.copy()
+    layers, covered = heights.copy(), np.isfinite(above)
     for place, group in zip(at, groups, strict=True):
-        lowest = parts_of_points(group, choice)[0]
-        near = np.abs(places - places[place]) <= choice.largest_gap
-        continued = np.abs(layers[near] - lowest[-1]) <= _LEVEL * choice.headroom
-        if not choice.highest and lowest[0] < underside[place] and continued.any():
-            # Few points are no stray ones where they continue the ground beside them.
-            above[place], underside[place] = underside[place], lowest[0]
-            heights[place] = np.quantile(lowest, quantile)
+        parts = parts_of_points(group, choice)
+        if parts[0][0] < underside[place] and not choice.highest:
+            reach = places[place] + np.array([-1, 1]) * choice.largest_gap
+            near = layers[slice(*np.searchsorted(places, reach))]
+            if (np.abs(near - parts[0][-1]) <= _LEVEL * choice.headroom).any():
+                # Few points are no stray ones where they continue the ground beside them.
+                covered[place], underside[place] = True, parts[0][0]
+                heights[place] = np.quantile(parts[0], quantile)
+        above[place] = min((p[0] for p in parts if p[0] > underside[place]), default=np.inf)
     none = np.zeros(len(places), np.bool_)
-    return Ground(heights, np.isfinite(above), none, none, none, above, underside)
+    return Ground(heights, covered, none, none, none, above, underside)

@@ -227,7 +227,8 @@ def overhead(ground: Ground, along: FloatArray, choice: Choice, margin: float) -
         else:
             tall = (ground.height - ground.underside)[places].max()
             alone = tall < choice.headroom * _TALL
-        away = np.abs(along[others, None] - along[places]).min(axis=1) > margin
+        away = along[others] < along[places[0]] - margin
+        away |= along[others] > along[places[-1]] + margin
         hides = (away & (np.abs(ground.above[others] - level) <= near)).any()
         rises = (np.abs(ground.height[others] - level) <= near) & ~result[others]
         hangs = hides or (alone and not rises.any())
