@@ -26,6 +26,8 @@ _FLAT = 0.01
 """Height above a surface in which no robot has room, as below a sticker on a board [m]."""
 _PART = 0.25
 """Smallest number of bodies that is no rounding; on edges there are halves [-]."""
+_TALL = 0.25
+"""Smallest share of the headroom that the points of one place of a wall extend upwards [-]."""
 _SHARE = 0.1
 """Smallest share of a place's points that counts as a layer; fewer are stray points [-]."""
 
@@ -259,15 +261,91 @@ def _backs_below(found: Crossings, counted: NDArray[np.bool_]) -> NDArray[np.int
     return counts
 
 
+def overhead(ground: Ground, along: FloatArray, choice: Choice, margin: float) -> NDArray[np.bool_]:
+    """Return at which places, (P,), only something above an unseen floor was measured.
+
+    ``along`` are the distances of the places, ascending (P,) [m], and the ground is that of points.
+    A run of places hangs if it begins ``headroom`` or more above the places on both sides of it, or
+    on the one side where the line ends, without points between. Such a run is
+
+    - overhead if something at its height lies above the ground more than the ``margin`` [m] away
+      from it; nearer, the place may hold points on both sides of a wall's edge,
+    - ground if another part of the ground is as high, such as the far side of a trench,
+    - overhead if it has gaps to its sides, or is at an end of the line and not tall,
+    - else ground: the top of a wall, seen from above, which hides just the floor below it, or a
+      wall at the end, whose lower part is hidden.
+
+    Runs that reach over more than ``largest_gap`` are ground.
+    """
+    result = np.zeros(len(along), np.bool_)
+    if choice.highest or choice.largest_gap == 0:
+        return result
+    kept = np.zeros(len(along), np.bool_)  # hanging runs that are ground
+    known = np.flatnonzero(np.isfinite(ground.height))
+    usual = 2 * float(np.median(np.diff(along[known]))) if len(known) > 1 else 0.0
+    while (run := _hanging(ground, known[~result[known]], along, choice, kept)) is not None:
+        places, before, after = run
+        level = float(np.median(ground.underside[places]))
+        near = choice.headroom / 2
+        others = np.setdiff1d(known, places)
+        if len(before) and len(after):
+            apart = np.diff(np.concatenate([along[before], along[places], along[after]])).max()
+            alone = apart > usual + _ROUNDING
+        else:
+            tall = (ground.height - ground.underside)[places].max()
+            alone = tall < choice.headroom * _TALL
+        away = along[others] < along[places[0]] - margin
+        away |= along[others] > along[places[-1]] + margin
+        hides = (away & (np.abs(ground.above[others] - level) <= near)).any()
+        rises = (np.abs(ground.height[others] - level) <= near) & ~result[others]
+        hangs = hides or (alone and not rises.any())
+        (result if hangs else kept)[places] = True
+    return result
+
+
+def _hanging(
+    ground: Ground,
+    known: NDArray[np.int64],
+    along: FloatArray,
+    choice: Choice,
+    kept: NDArray[np.bool_],
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]] | None:
+    """Return the places of a run that hangs, with one before and one after it where there is one.
+
+    Runs are parts of the ``known`` places, those ``kept`` are left out. None if there is no other.
+    """
+    room = choice.headroom - _ROUNDING
+    low, high = ground.underside[known], ground.height[known]
+    cuts = (low[1:] >= high[:-1] + room) | (low[:-1] >= high[1:] + room)
+    runs = np.split(known, np.flatnonzero(cuts) + 1)
+    for number, run in enumerate(runs):
+        before = runs[number - 1][-1:] if number else run[:0]
+        after = runs[number + 1][:1] if number + 1 < len(runs) else run[:0]
+        sides = np.concatenate([before, after])
+        if not len(sides) or kept[run].any():
+            continue
+        begin = along[before[0]] if len(before) else along[0]
+        end = along[after[0]] if len(after) else along[-1]
+        hangs = ground.underside[run].min() >= ground.height[sides].max() + room
+        if hangs and end - begin <= choice.largest_gap:
+            return run, before, after
+    return None
+
+
+def parts_of_points(heights: FloatArray, choice: Choice) -> list[FloatArray]:
+    """Return the heights of one place's points, (K,) [m], split where the headroom is free."""
+    ordered = np.sort(heights)
+    apart = np.diff(ordered) > choice.headroom - _ROUNDING
+    return np.split(ordered, np.flatnonzero(apart) + 1)
+
+
 def layer_of_points(heights: FloatArray, choice: Choice) -> tuple[FloatArray, float]:
     """Return the heights of one place's points, (K,) [m], that are its ground.
 
     Also returns the height of what lies above the lowest layer, which is infinite if nothing does.
     Stray points belong to no layer.
     """
-    ordered = np.sort(heights)
-    apart = np.diff(ordered) > choice.headroom - _ROUNDING
-    parts = np.split(ordered, np.flatnonzero(apart) + 1)
-    layers = [part for part in parts if len(part) >= _SHARE * len(ordered)]
+    parts = parts_of_points(heights, choice)
+    layers = [part for part in parts if len(part) >= _SHARE * len(heights)]
     above = float(layers[1][0]) if len(layers) > 1 else np.inf
     return layers[-1 if choice.highest else 0], above
