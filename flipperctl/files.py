@@ -143,6 +143,12 @@ def check_output(path: Path, kind: OutputKind) -> None:
     Raises:
         OutputError: the suffix is another, the path cannot be written, or its file is kept.
     """
+    if path.is_dir():
+        raise OutputError(f"{path} cannot be written: it is a folder")
+    if not path.parent.is_dir():
+        raise OutputError(f"{path} cannot be written: there is no folder {path.parent}")
+    if not os.access(path.parent, os.W_OK):
+        raise OutputError(f"{path} cannot be written: permission denied")
     suffix, suffixes = path.suffix.lower(), kind.suffixes
     if suffix not in suffixes:
         allowed = ", ".join(suffixes[:-1]) + " or " * (len(suffixes) > 1) + suffixes[-1]
@@ -150,12 +156,6 @@ def check_output(path: Path, kind: OutputKind) -> None:
             f"{path}: {kind.noun} is a {allowed} file; the suffix is {path.suffix!r}"
             + close_match(suffix, suffixes)
         )
-    if path.is_dir():
-        raise OutputError(f"{path} cannot be written: it is a folder")
-    if not path.parent.is_dir():
-        raise OutputError(f"{path} cannot be written: there is no folder {path.parent}")
-    if not os.access(path.parent, os.W_OK):
-        raise OutputError(f"{path} cannot be written: permission denied")
     if path.exists() and not _is_of(path, kind):
         raise OutputError(
             f"{path} exists and is kept, since it is not {kind.noun} that flipperctl wrote; move "
