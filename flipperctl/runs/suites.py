@@ -34,8 +34,11 @@ class SuiteScene:
     """Overrides, ``key=value``."""
 
     def name_with(self, words: list[str]) -> str:
-        """Return the name, with those of the user's ``words`` that replace one of the scene's."""
-        own = {key_of(word): word for word in self.words}
+        """Return the name, with those of the user's ``words`` that replace one of the scene's.
+
+        Tables name the terrain by themselves.
+        """
+        own = {key_of(word): word for word in self.words if key_of(word) != "terrain"}
         changed = [word for word in words if own.get(key_of(word), word) != word]
         return " ".join([f"{self.name},", *changed]) if changed else self.name
 
