@@ -56,7 +56,6 @@ def entrants(
     names = [] if controllers is None else [name.strip() for name in controllers.split(",")]
     if not all(names):
         raise RequestError(f"--controller: names between commas are allowed; got {controllers!r}")
-    check_different("--controller", names)
     for name in names:
         resolver.get("controller", name, "--controller")
         found[Entrant(name)] = None

@@ -15,7 +15,6 @@ from tests.cli.call import call
         ("eval", "--controller", "okada", "terrain=stair", "--baseline", "level, level"),
         ("eval", "--controller", "okada", "terrain=stair", "--passable", "level,level"),
         ("eval", "--controller", "okada", "terrain=stair", "--by", "steps,steps"),
-        ("eval", "--controller", "okada,level,okada", "terrain=stair"),
         ("eval", "--controller", "okada,level", "--baseline", "mpc,mpc", "terrain=stair"),
         ("train", "-m", "terrain=flat", "seed=1,1"),
     ],
