@@ -47,21 +47,22 @@ def run(
     plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
-    from flipperctl.evaluation.show import latex, print_table
+    from flipperctl.evaluation.show import TABLE, latex, print_table
     from flipperctl.evaluation.views import compare as view
-    from flipperctl.files import check_writable, write_bytes
+    from flipperctl.files import check_output, write_bytes
+    from flipperctl.report.figure import PICTURE
     from flipperctl.terminal.console import console, print_lines
     from flipperctl.terminal.document import show
     from flipperctl.terminal.streams import print_note
 
-    if output is not None and output.suffix == ".tex":
-        check_writable(output, ".tex")
+    if output is not None:
+        check_output(output, TABLE if output.suffix in TABLE.suffixes else PICTURE)
     found = view.compare(folders, measure=measure, price=price, against=against)
     document = view.document(found)
     for notice in found.stored.notices:
         print_note(f"warning: {notice}")
     tables = list(view.tables(document, found.label))
-    if output is not None and output.suffix == ".tex":
+    if output is not None and output.suffix in TABLE.suffixes:
         write_bytes(output, "\n".join(map(latex, tables)).encode())
     elif output is not None:
         from flipperctl.report.figure import save

@@ -93,7 +93,7 @@ def _entries(
     The controllers ``beside`` are played once under each policy's conditions.
     """
     sections = [part.with_words(list(words)) for part in parts]
-    composer = _Composer([part.name for part in parts], sections, tell)
+    composer = _Composer([part.name_with(list(words)) for part in parts], sections, tell)
     found: dict[tuple[str, str, int, int], list[Entry]] = {}
     several = {e.method for e in entrants if sum(o.method == e.method for o in entrants) > 1}
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -79,20 +79,21 @@ class Conditions:
         """Return plain data: ``name``, ``hash`` and the settings that were hashed."""
         return {"name": self.name, "hash": self.hash, **self.settings}
 
-    def line(self) -> str:
+    def line(self, varied: Collection[str] = ()) -> str:
         """Return one line of text: the randomised settings and those that differ from the defaults.
 
         It is empty if there are none. The terrain is left out, since the tables name it.
+        ``varied``: keys of settings that have several values, such as those of the axes of a map.
         """
         randomised = list(self._randomised())
         more = f" and {len(randomised) - _SHOWN} more" if len(randomised) > _SHOWN else ""
         sections = {
             "randomised": ", ".join(randomised[:_SHOWN]) + more,
-            "start": self._differences("episode", only=_START),
-            "sensing": self._differences("perception"),
-            "physics": self._differences("sim"),
-            "robot": self._differences("robot"),
-            "episode": self._differences("episode", without=_START),
+            "start": self._differences("episode", varied, only=_START),
+            "sensing": self._differences("perception", varied),
+            "physics": self._differences("sim", varied),
+            "robot": self._differences("robot", varied),
+            "episode": self._differences("episode", varied, without=_START),
         }
         return "; ".join(f"{name} {text}" for name, text in sections.items() if text)
 
@@ -107,16 +108,29 @@ class Conditions:
                 yield _format_setting(Randomise, name, value)
 
     def _differences(
-        self, section: str, *, only: Collection[str] = (), without: Collection[str] = ()
+        self,
+        section: str,
+        varied: Collection[str],
+        *,
+        only: Collection[str] = (),
+        without: Collection[str] = (),
     ) -> str:
         default, values = self.defaults[section], self.settings[section]
         plain = {"name": values.get("name"), **to_dict(default)}
-        chosen = [k for k in values if (not only or k in only) and k not in without]
-        changed = [k for k in chosen if values[k] != plain[k]]
+        several = [key.partition(".")[2] for key in varied if key.startswith(f"{section}.")]
+
+        def shown(names: Iterable[str]) -> list[str]:
+            return [n for n in names if (not only or n in only) and n not in without]
+
+        changed = [k for k in shown(values) if values[k] != plain[k] and k not in several]
         model = type(default)
         engine = [values["name"]] if values.get("name", DEFAULT_ENGINE) != DEFAULT_ENGINE else []
         return ", ".join(
-            [*engine, *(_format_setting(model, name, values[name]) for name in changed)]
+            [
+                *engine,
+                *(_format_setting(model, name, values[name]) for name in changed),
+                *(f"{name} varied" for name in shown(several)),
+            ]
         )
 
 

@@ -6,6 +6,7 @@ are folded, headings break at spaces, and columns that are still too wide contin
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -15,11 +16,14 @@ from rich.console import Console
 from rich.text import Text
 
 from flipperctl.evaluation.statistics import Interval
+from flipperctl.files import OutputKind
 from flipperctl.terminal.console import plain
 
 _GAP = "  "
 _NARROWEST = 14
 """Smallest width to which a column of names is folded [columns]."""
+_LATEX_HEAD = r"% needs \usepackage{booktabs}"
+TABLE = OutputKind("a table", (".tex",), re.compile(rb"\A" + re.escape(_LATEX_HEAD.encode())))
 _ESCAPES = str.maketrans(
     {
         **{char: f"\\{char}" for char in "&%$#_{}"},
@@ -188,8 +192,8 @@ def latex(table: Table) -> str:
     names = sum(column.named for column in table.columns)
     head = [column.latex or latex_text(column.heading) for column in table.columns]
     found = [
+        _LATEX_HEAD,
         *(f"% {latex_text(note)}" for note in table.notes),
-        "% needs \\usepackage{booktabs}",
         r"\begin{tabular}{" + "l" * names + "r" * (len(head) - names) + "}",
         r"\toprule",
         _latex_row(head),

@@ -28,7 +28,7 @@ from flipperctl.evaluation.store import FOLDER, VIEW, EpisodeStore, FolderStore,
 from flipperctl.evaluation.views import engines
 from flipperctl.evaluation.views import evaluation as view
 from flipperctl.evaluation.views.summary import Document, compared
-from flipperctl.files import check_writable, write_bytes, write_csv, write_json
+from flipperctl.files import check_output, write_bytes, write_csv, write_json
 from flipperctl.policies.source import PolicySource
 from flipperctl.runs.follow_up import command
 from flipperctl.runs.interrupts import interrupts
@@ -52,18 +52,16 @@ def run(
     progress: Progress = no_progress,
     planned: Callable[[int], None] = lambda episodes: None,
     tell: Callable[[str], None] = lambda text: None,
-    raise_incomplete: bool = True,
 ) -> tuple[Result, Document]:
     """Evaluate a plan, show the results and write the outputs; return the results.
 
     ``references``: see ``evaluate``. ``by``: drawn numbers that make groups. ``outputs``: paths of
     ``folder``, ``film`` and ``record``. ``show`` is called with the results before they are
     written, so that a full disk does not lose them; ``tell`` with a line for each output.
-    ``raise_incomplete``: whether a stop, or a policy that failed, is an error after all is written.
 
     Raises:
-        FlipperctlError: an output is wrong or could not be written, or every policy failed.
-        InterruptedRunError: it was stopped before any episode was finished.
+        FlipperctlError: an output is wrong or could not be written, or a policy failed.
+        InterruptedRunError: it was stopped.
     """
     with ExitStack() as stack:
         written = EvaluationFiles(plan, stack, **outputs, tell=tell)
@@ -86,9 +84,7 @@ def run(
             show(result, document)
         finally:  # files are written even if the pipe is closed
             written.write(result, document)
-        whole = result.interruption is None and not result.failures
-        if whole or raise_incomplete:
-            written.draw(result, stop, progress)
+        written.draw(result, stop, progress)
     return result, document
 
 
@@ -124,17 +120,20 @@ class EvaluationFiles:
                 raise RequestError(
                     f"{option} takes one policy, without further ones (--baseline none)"
                 )
+            if file and folder and file.resolve() == folder.resolve():
+                raise RequestError(f"{option} {file} and --output are the same; a file is allowed")
         if film:
             _check_film(film, len(entries))
         if record:
-            check_writable(record, ".safetensors")
+            check_output(record, recording.KIND)
             recording.require_one_layout(record, [entry.config for entry in entries])
         self._pictures = picture_names([] if several else entries)
         self._folder = None
         self.store = EpisodeStore()
         """Episodes that are not played again: those below the folder, if there is one."""
         if folder is not None:
-            names = [*NAMES, *self._pictures]
+            names = [*NAMES, *self._pictures, "failure_*.json"]
+            names += [] if (folder / FOLDER).is_dir() else [VIEW]
             self._folder = stack.enter_context(result_folder(folder, "eval", names, [VIEW]))
             self.store = FolderStore(folder / FOLDER, tell)
 

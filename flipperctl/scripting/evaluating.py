@@ -7,8 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from flipperctl.cli.plan import make_plan
-from flipperctl.errors import RequestError
+from flipperctl.errors import FlipperctlError, RequestError
+from flipperctl.evaluation.evaluate import Result
 from flipperctl.evaluation.views import strata
+from flipperctl.evaluation.views.summary import Document
 from flipperctl.runs import evaluation
 from flipperctl.runs.methods import Entrant, entrants
 from flipperctl.runs.named_policies import controllers
@@ -55,14 +57,13 @@ def evaluate(
     files or folders of plugins. ``progress``: whether progress is shown, on stderr or in the
     notebook.
 
-    Once it is stopped, or if a policy failed, the result has what was played; its ``interruption``
-    and its ``failures`` say so.
-
     Raises:
-        InterruptedRunError: the evaluation was stopped before any episode was finished.
+        InterruptedRunError: the evaluation was stopped; ``output``, ``record`` and the error's
+            ``result`` have the episodes that are finished.
         RequestError: the policy, a setting or a plugin is wrong, or a file cannot be written
             (CheckpointError, ConfigError, PluginError, PolicyError, OutputError).
-        FlipperctlError: every policy or a plugin failed.
+        FlipperctlError: a policy or plugin failed, or a file could not be written; what was played
+            is the error's ``result``, which lists the ``failures``.
     """
     begin(plugins)
     show, tell = shown.episodes(progress), shown.notes(progress)
@@ -76,29 +77,48 @@ def evaluate(
             own |= {"controller": one.fields} if one.fields else {}
         else:
             found |= dict.fromkeys(entrants([os.fspath(one)], tell))
+    suite = _suite(settings.pop("suite", None))
     numbers = {"eval.episodes": episodes, "eval.seed": seed, "eval.jobs": jobs}
     chosen = settings | {key: number for key, number in numbers.items() if number is not None}
     plan = make_plan(
-        [*words(own), *words(chosen, overrides)],
+        [*suite, *words(own), *words(chosen, overrides)],
         list(found),
         _names("baselines", baselines),
         tell,
     )
     for entry in plan.rows:
         check_evaluation(entry.config, entry.config.eval.jobs, entry.source.controller_name)
-    result, document = evaluation.run(
-        plan,
-        references=controllers(_names("passable", passable or None), "passable"),
-        by=strata.parse(_names("by", by or None), "by", [entry.config for entry in plan.rows]),
-        outputs={
-            name: None if file is None else Path(file)
-            for name, file in (("folder", output), ("film", film), ("record", record))
-        },
-        progress=show,
-        tell=tell,
-        raise_incomplete=False,
-    )
-    return Evaluation(result, document)
+    done: list[Evaluation] = []
+
+    def keep(result: Result, document: Document) -> None:
+        done.append(Evaluation(result, document))
+
+    try:
+        evaluation.run(
+            plan,
+            references=controllers(_names("passable", passable or None), "passable"),
+            by=strata.parse(_names("by", by or None), "by", [e.config for e in plan.rows]),
+            outputs={
+                name: None if file is None else Path(file)
+                for name, file in (("folder", output), ("film", film), ("record", record))
+            },
+            show=keep,
+            progress=show,
+            tell=tell,
+        )
+    except FlipperctlError as error:
+        error.result = done[0] if done else None
+        raise
+    return done[0]
+
+
+def _suite(name: object) -> list[str]:
+    """Return the word that chooses a suite by its name or file; none for None."""
+    if name is None:
+        return []
+    if not isinstance(name, str | os.PathLike):
+        raise RequestError(f"suite: a name or a file is allowed; the value is {name!r}")
+    return [f"suite={os.fspath(name)}"]
 
 
 def _names(argument: str, names: Sequence[str] | None) -> str | None:

@@ -90,4 +90,10 @@ def test_the_line_says_what_is_drawn_and_what_differs_from_the_defaults() -> Non
     )
     assert of(
         **{f"randomise.{n}": [0, 0.1] for n in ("noise", "dropout", "delay", "angle_noise")}
-    ).line() == ("randomised noise 0 to 0.1 m, dropout 0 to 0.1, angle_noise 0 to 0.1 rad and 1 more")
+    ).line() == (
+        "randomised noise 0 to 0.1 m, dropout 0 to 0.1, angle_noise 0 to 0.1 rad and 1 more"
+    )
+    axes = ("sim.friction", "episode.start_noise", "terrain.height")
+    assert changed.line(axes).endswith(
+        "sensing noise 0.01 m, occlusion on; physics friction varied; robot chassis_mass 60 kg"
+    )

@@ -8,6 +8,7 @@ text of the card. The front matter has a ``model-index``, whose results have the
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,11 +27,13 @@ from flipperctl.evaluation.store import FOLDER, played_policies
 from flipperctl.evaluation.stored import SUMMARY
 from flipperctl.evaluation.views import risk
 from flipperctl.evaluation.views.markdown import StoredRow, ends_text, markdown_table, read_rows
+from flipperctl.files import OutputKind
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource
 
 _OVERRIDES = Path(".hydra") / "overrides.yaml"
 """Where a run keeps the words of its command."""
+CARD = OutputKind("a card", (".md",), re.compile(rb"\A---\nlibrary_name: flipperctl\n"))
 TAGS = ("robotics", "reinforcement-learning", "tracked-robot", "flipper-control")
 _TASK = {"type": "reinforcement-learning", "name": "flipper control of a tracked robot"}
 _METRICS = {

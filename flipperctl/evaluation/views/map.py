@@ -35,7 +35,7 @@ Index = tuple[int, int]
 Play = Callable[[Sequence[Index], str], Iterator[tuple[Index, Episodes]]]
 """Plays the episodes of grid points, shown under a label, and yields them as they are finished;
 fewer points if it was stopped."""
-NAMES = ("map.json", "map.csv", "map.png")
+NAMES = ("map.json", "map.csv", "map.png", "failure_map_*.json")
 """Names of the files of a map."""
 EPISODES = 10
 """Episodes of a grid point, unless the user chooses another number [-]."""
@@ -327,7 +327,7 @@ def lines(found: CapabilityMap) -> Iterator[str]:
         f"{found.played} of {columns * rows} points played, {found.entry.config.eval.episodes} "
         "episodes each; dots: interpolated"
     )
-    if words := found.entry.conditions.line():
+    if words := found.entry.conditions.line([key for axis in found.axes for key in axis.keys]):
         yield f"conditions {found.entry.conditions.name}, but for the axes: {words}"
 
 

@@ -19,7 +19,7 @@ from flipperctl.core.arrays import FloatArray
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.play import Player
-from flipperctl.evaluation.rows import REWARD, Episodes
+from flipperctl.evaluation.rows import REWARD, Episodes, reached
 from flipperctl.evaluation.show import Column, Table, interval_text
 from flipperctl.evaluation.statistics import FEWEST, interval
 from flipperctl.evaluation.views.summary import Document, named, short
@@ -30,6 +30,7 @@ LEVEL = "level"
 """The controller that holds the flippers still."""
 _ROUNDING = 1e-9
 """Gain over ``LEVEL`` that rounding alone explains [-]."""
+_PITCH = "pitch_variation_100hz"
 _STILL = "holding the flippers still"
 
 
@@ -118,8 +119,13 @@ def regret(
     level = theirs[LEVEL]
 
     def measured(values: FloatArray, episodes: Episodes) -> Document:
+        pitches = [row[_PITCH] for row in episodes.reached]
+        pairs = zip(episodes, others[LEVEL], strict=True)
+        above = [a[_PITCH] - b[_PITCH] for a, b in pairs if reached(a) and reached(b)]
         return {
             "success_rate": len(episodes.reached) / len(episodes),
+            _PITCH: float(np.mean(pitches)) if pitches else None,
+            "pitch_above_level": _interval(np.array(above)) if above else None,
             "return": _interval(values),
             "regret": _interval(best - values),
             "above_level": _interval(values - level),
@@ -229,9 +235,10 @@ def _named(scenes: Sequence[Document]) -> Iterator[tuple[str, Document]]:
 
 
 def line(found: Mapping[str, Any] | None) -> str:
-    """Return a sentence on the reward of a training's best policy, as in its ``summary.json``.
+    """Return lines on a training's best policy beside the rules, as in its ``summary.json``.
 
-    It ends with a line break; the text is empty if the return was not measured.
+    The first is on their rewards, the second on what ``eval`` shows, which may differ in sign. Each
+    ends with a line break; the text is empty if nothing was measured.
     """
     if found is None:
         return ""
@@ -244,4 +251,25 @@ def line(found: Mapping[str, Any] | None) -> str:
     return (
         f"Check on {found['episodes']} new episodes: {rewards}. "
         f"The policy {_WORDS[Verdict(found['verdict'])]} ({interval_text(above, sign='+')}).\n"
+        f"{_level_line(found)}"
     )
+
+
+def _level_line(found: Mapping[str, Any]) -> str:
+    """Return a line on success and θ̂_R beside holding still; empty if they were not measured."""
+    own, level = found["policy"], found["references"].get(LEVEL)
+    if level is None or "pitch_above_level" not in own:
+        return ""  # of an earlier version
+    told = []
+    for name, one in (("the policy", own), (LEVEL, level)):
+        theta = "" if one[_PITCH] is None else f", θ̂_R {one[_PITCH]:.2f} rad"
+        told.append(f"{name} success {one['success_rate']:.0%}{theta}")
+    line = f"On the same episodes: {'; '.join(told)}"
+    if (above := own["pitch_above_level"]) is not None:
+        words = f"not shown to pitch less than {_STILL}"
+        if above["low"] is not None and above["low"] > 0:
+            words = f"PITCHES MORE THAN {_STILL.upper()}"
+        elif above["high"] is not None and above["high"] < 0:
+            words = f"pitches less than {_STILL}"
+        line += f"; {words}, difference {interval_text(above, sign='+')} rad where both reached"
+    return f"{line}.\n"
