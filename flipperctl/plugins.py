@@ -24,7 +24,7 @@ from flipperctl.errors import PluginError
 GROUP = "flipperctl.plugins"
 VARIABLE = "FLIPPERCTL_PLUGINS"
 
-_MODULE = "flipperctl_user_"
+MODULE = "flipperctl_user_"
 """Prefix of the names of modules that were loaded from a path."""
 
 _loaded: set[str] = set()
@@ -80,7 +80,7 @@ def file_name(cls: type[Plugin]) -> str | None:
 
 def module_file_name(module: str) -> str | None:
     """Return the name of the file that a module was loaded from by path; None for any other."""
-    found = re.fullmatch(rf"{_MODULE}(.+)_[0-9a-f]{{8}}", module)
+    found = re.fullmatch(rf"{MODULE}(.+)_[0-9a-f]{{8}}", module)
     return f"{found[1]}.py" if found else None
 
 
@@ -101,7 +101,7 @@ def _files_at(path: Path) -> list[Path]:
 def _load_file(file: Path) -> None:
     file = file.resolve()
     digest = hashlib.sha256(str(file).encode()).hexdigest()[:8]
-    name = f"{_MODULE}{file.stem}_{digest}"
+    name = f"{MODULE}{file.stem}_{digest}"
     content = _content(file)
     if name in _loaded:
         if content != _contents[name]:  # processes that begin from now on would run other code

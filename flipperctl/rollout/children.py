@@ -1,0 +1,244 @@
+"""Child processes that import what this process has imported, from wherever it did.
+
+In: nothing. Out: processes that answer calls (``worker``). Nothing of this process is changed: neither
+its environment and signal mask nor the state of ``multiprocessing``, which the caller may use itself.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import fcntl
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from multiprocessing import Pipe, process, reduction
+from multiprocessing.connection import Connection
+from typing import Any
+
+from flipperctl import plugins
+from flipperctl.rollout import worker
+
+_PRELOAD = ("flipperctl.rollout.actor", "flipperctl.sim.planar.compiled")
+"""What the fork server imports once for all its workers."""
+
+
+class ChildDiedError(Exception):
+    """A child process ended before it answered."""
+
+
+class _CallError(Exception):
+    """The traceback of an error in a child process."""
+
+    def __str__(self) -> str:
+        return f"\n{self.args[0]}"
+
+
+class Child:
+    """A process that answers one call at a time."""
+
+    def __init__(self, pid: int, connection: Connection, wait: Callable[[], int]) -> None:
+        self.pid, self._connection, self._wait = pid, connection, wait
+        self._code: int | None = None
+        self._ending = threading.Lock()
+        self._send(_state())
+
+    def call(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+        """Return ``function(*arguments)`` of the process, or raise what it raised there.
+
+        Raises:
+            ChildDiedError: the process ended before it answered.
+        """
+        self._send((function, arguments))
+        try:
+            answer = self._connection.recv_bytes()
+        except (EOFError, OSError) as error:
+            raise ChildDiedError from error
+        done, value, text = pickle.loads(answer)  # noqa: S301 - from our own process
+        if done:
+            return value
+        raise value from _CallError(text)
+
+    def _send(self, message: object) -> None:
+        data = pickle.dumps(message)  # an error in it is the caller's
+        with contextlib.suppress(OSError):  # of a process that has ended, which the answer tells
+            self._connection.send_bytes(data)
+
+    @property
+    def idle(self) -> bool:
+        """Whether the process, which has answered all calls, waits for another one."""
+        return not self._connection.poll()
+
+    def end(self, *, kill: bool) -> int:
+        """End the process, even within a call if ``kill``; return its exit code."""
+        with self._ending:
+            if self._code is None:
+                if kill:
+                    with contextlib.suppress(ProcessLookupError):
+                        os.kill(self.pid, signal.SIGKILL)
+                self._connection.close()
+                self._code = self._wait()
+            return self._code
+
+
+def spawn() -> Child:
+    """Start a process.
+
+    Raises:
+        OSError: the system refuses a process, or the descriptors that it needs.
+    """
+    connection, process = _start()
+    return Child(process.pid, connection, process.wait)
+
+
+def fork() -> Child:
+    """Start a process that has the learner's modules from a server, which imports them once.
+
+    Raises:
+        OSError: the system refuses a process, or the descriptors that it needs.
+        ChildDiedError: the server ended.
+    """
+    server = _Server.of_this_process()
+    ours, theirs = _pipe()
+    with theirs:
+        pid = server.request(0, theirs)
+    return Child(pid, ours, lambda: server.request(pid))
+
+
+class _Server:
+    """A process that forks workers, kept until this process ends."""
+
+    _current: _Server | None = None
+    _starting = threading.Lock()
+
+    def __init__(self) -> None:
+        self._owner, self._lock = os.getpid(), threading.Lock()
+        self._connection, self._process = _start(*_PRELOAD)
+        self._connection.send_bytes(pickle.dumps(_state()))
+        atexit.register(self._end)
+
+    @classmethod
+    def of_this_process(cls) -> _Server:
+        """Return the server; start one if there is none, or if it is that of a parent process."""
+        with cls._starting:
+            if cls._current is None or not cls._current._usable():
+                cls._current = cls()
+            return cls._current
+
+    def _usable(self) -> bool:
+        return self._owner == os.getpid() and self._process.poll() is None
+
+    def request(self, number: int, connection: Connection | None = None) -> int:
+        """Let it fork a process for the other end of ``connection``, or wait for process ``number``.
+
+        Returns the process identifier, or the exit code.
+        """
+        with self._lock:
+            try:
+                self._connection.send_bytes(pickle.dumps(number))
+                if connection is not None:
+                    reduction.send_handle(self._connection, connection.fileno(), None)
+                answer = pickle.loads(self._connection.recv_bytes())  # noqa: S301 - our own
+            except (EOFError, ConnectionError) as error:
+                if number:  # its workers end without it
+                    return -signal.SIGKILL
+                raise ChildDiedError(f"the fork server {ending(self._process.wait())}") from error
+        if isinstance(answer, OSError):
+            raise answer
+        return int(answer)
+
+    def _end(self) -> None:
+        if self._owner == os.getpid():
+            self._connection.close()
+            self._process.wait()
+
+
+def ending(code: int) -> str:
+    """Return how a process ended, by its exit code."""
+    if code >= 0:
+        return f"ended with exit code {code}"
+    name = signal.Signals(-code).name
+    return f"was killed by {name}" + ("; is the memory full?" if -code == signal.SIGKILL else "")
+
+
+def _start(*preload: str) -> tuple[Connection, subprocess.Popen[bytes]]:
+    """Start a process that runs ``worker``; return the connection to it with it."""
+    ours, theirs = _pipe()
+    # -P: the working directory is not searched, not even for the imports of this first file.
+    flags = [*subprocess._args_from_interpreter_flags(), "-P"]  # type: ignore[attr-defined]
+    command = [sys.executable, *flags, worker.__file__, str(theirs.fileno()), *preload]
+    with theirs, _blocked_stops():
+        started = subprocess.Popen(  # noqa: S603 - this interpreter and our own file
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=_stream(1),
+            stderr=_stream(2),
+            pass_fds=[theirs.fileno()],
+        )
+    return ours, started
+
+
+def _stream(descriptor: int) -> int | None:
+    """Return what a child has as a standard stream: that of this process, or null if it is closed."""
+    try:
+        os.fstat(descriptor)
+    except OSError:
+        return subprocess.DEVNULL
+    return None
+
+
+def _pipe() -> tuple[Connection, Connection]:
+    """Return both ends of a pipe, never those of a standard stream that is closed."""
+    with contextlib.ExitStack() as stack:
+        ends = [stack.enter_context(end) for end in Pipe()]
+        ours, theirs = (fcntl.fcntl(end.fileno(), fcntl.F_DUPFD_CLOEXEC, 3) for end in ends)
+    return Connection(ours), Connection(theirs)
+
+
+def _state() -> dict[str, Any]:
+    """Return what a child takes over from this process."""
+    begun_in = process.ORIGINAL_DIR or ""  # where relative folders were looked for
+    try:
+        folder = os.getcwd()
+    except OSError:
+        folder = begun_in
+    return {
+        "environment": dict(os.environ),
+        "folder": folder,
+        "argv": list(sys.argv),
+        "path": [os.path.join(begun_in, entry) for entry in sys.path],
+        "modules": _places(),
+    }
+
+
+def _places() -> dict[str, tuple[str, list[str] | None]]:
+    """Return the files and folders of the top-level modules that this process has imported.
+
+    Plugin files, which are loaded by their paths, are not among them.
+    """
+    found = {}
+    for name, module in list(sys.modules.items()):
+        spec = getattr(module, "__spec__", None)
+        if "." in name or name.startswith(plugins.MODULE) or getattr(spec, "name", None) != name:
+            continue
+        if spec.has_location and os.path.isfile(str(spec.origin)):
+            folders = spec.submodule_search_locations
+            found[name] = str(spec.origin), None if folders is None else list(folders)
+    return found
+
+
+@contextlib.contextmanager
+def _blocked_stops() -> Iterator[None]:
+    """Block the signals that stop a run in this thread, while a process starts and inherits it.
+
+    Ctrl-C, which reaches every process of the run in a terminal, must not interrupt its imports.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, worker.STOPS)
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
