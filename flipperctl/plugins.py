@@ -28,6 +28,8 @@ MODULE = "flipperctl_user_"
 """Prefix of the names of modules that were loaded from a path."""
 
 _loaded: set[str] = set()
+_given: list[str] = []
+"""Paths that ``load`` was called with or found in the variable, in this order."""
 _contents: dict[str, str] = {}
 """SHA-256 of the files that were loaded, by the names of their modules."""
 _files: dict[type[Plugin], str] = {}
@@ -37,8 +39,8 @@ _files: dict[type[Plugin], str] = {}
 def load(paths: Iterable[str | Path] = ()) -> None:
     """Import every installed plugin, those in ``FLIPPERCTL_PLUGINS`` and those at ``paths``.
 
-    ``paths`` (``.py`` files or folders) are added to the variable, so that worker processes
-    find them too. A repeated call imports only new plugins.
+    ``paths`` (``.py`` files or folders) are remembered for worker processes. A repeated call
+    imports only new plugins.
 
     Raises:
         PluginError: a plugin is missing, does not import, registers nothing, or uses a
@@ -54,13 +56,13 @@ def load(paths: Iterable[str | Path] = ()) -> None:
     for path in named:
         for file in _files_at(Path(path)):
             _load_file(file)
-    if named:
-        os.environ[VARIABLE] = os.pathsep.join(named)
+    _given[:] = named
 
 
 def configured_paths() -> list[str]:
     """Return the paths in ``FLIPPERCTL_PLUGINS``; after ``load``, also those it was called with."""
-    return [p for p in os.environ.get(VARIABLE, "").split(os.pathsep) if p]
+    named = [p for p in os.environ.get(VARIABLE, "").split(os.pathsep) if p]
+    return list(dict.fromkeys([*named, *_given]))
 
 
 def folders() -> list[Path]:

@@ -199,18 +199,29 @@ def _pipe() -> tuple[Connection, Connection]:
     return Connection(ours), Connection(theirs)
 
 
+def import_path() -> list[str]:
+    """Return the folders in which this process looks for modules, in their order."""
+    begun_in = process.ORIGINAL_DIR or ""  # relative ones are seen from there
+    return [os.path.join(begun_in, entry) for entry in sys.path]
+
+
+def python_environment() -> dict[str, str]:
+    """Return the environment of a Python program that imports from where this process does."""
+    own = {"PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join(import_path())}
+    return {**os.environ, **own, plugins.VARIABLE: os.pathsep.join(plugins.configured_paths())}
+
+
 def _state() -> dict[str, Any]:
     """Return what a child takes over from this process."""
-    begun_in = process.ORIGINAL_DIR or ""  # where relative folders were looked for
     try:
         folder = os.getcwd()
-    except OSError:
-        folder = begun_in
+    except OSError:  # it was removed
+        folder = "/"
     return {
         "environment": dict(os.environ),
         "folder": folder,
         "argv": list(sys.argv),
-        "path": [os.path.join(begun_in, entry) for entry in sys.path],
+        "path": import_path(),
         "modules": _places(),
     }
 
