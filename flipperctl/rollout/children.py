@@ -16,6 +16,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
+from importlib.machinery import ModuleSpec
 from multiprocessing import Pipe, process, reduction
 from multiprocessing.connection import Connection
 from typing import Any
@@ -201,7 +202,7 @@ def _pipe() -> tuple[Connection, Connection]:
 
 def import_path() -> list[str]:
     """Return the folders in which this process looks for modules, in their order."""
-    begun_in = process.ORIGINAL_DIR or ""  # relative ones are seen from there
+    begun_in = getattr(process, "ORIGINAL_DIR", None) or ""  # relative ones are seen from there
     return [os.path.join(begun_in, entry) for entry in sys.path]
 
 
@@ -234,9 +235,9 @@ def _places() -> dict[str, tuple[str, list[str] | None]]:
     found = {}
     for name, module in list(sys.modules.items()):
         spec = getattr(module, "__spec__", None)
-        if "." in name or name.startswith(plugins.MODULE) or getattr(spec, "name", None) != name:
+        if "." in name or name.startswith(plugins.MODULE) or not isinstance(spec, ModuleSpec):
             continue
-        if spec.has_location and os.path.isfile(str(spec.origin)):
+        if spec.name == name and spec.has_location and os.path.isfile(str(spec.origin)):
             folders = spec.submodule_search_locations
             found[name] = str(spec.origin), None if folders is None else list(folders)
     return found
