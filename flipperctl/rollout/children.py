@@ -1,7 +1,7 @@
 """Child processes that import what this process has imported, from wherever it did.
 
-In: nothing. Out: processes that answer calls (``worker``). Nothing of this process is changed: neither
-its environment and signal mask nor the state of ``multiprocessing``, which the caller may use itself.
+In: nothing. Out: processes that answer calls (``worker``). Nothing of this process is changed,
+neither its environment and signal mask nor ``multiprocessing``, which the caller may use itself.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from collections.abc import Callable, Iterator
 from importlib.machinery import ModuleSpec
 from multiprocessing import Pipe, process, reduction
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any
 
 from flipperctl import plugins
@@ -134,9 +135,9 @@ class _Server:
         return self._owner == os.getpid() and self._process.poll() is None
 
     def request(self, number: int, connection: Connection | None = None) -> int:
-        """Let it fork a process for the other end of ``connection``, or wait for process ``number``.
+        """Let it fork a process for the end ``connection``, or wait for the process ``number``.
 
-        Returns the process identifier, or the exit code.
+        Returns the identifier of the process, or its exit code.
         """
         with self._lock:
             try:
@@ -184,7 +185,7 @@ def _start(*preload: str) -> tuple[Connection, subprocess.Popen[bytes]]:
 
 
 def _stream(descriptor: int) -> int | None:
-    """Return what a child has as a standard stream: that of this process, or null if it is closed."""
+    """Return a standard stream of a child: that of this process, or null if it is closed."""
     try:
         os.fstat(descriptor)
     except OSError:
@@ -202,8 +203,8 @@ def _pipe() -> tuple[Connection, Connection]:
 
 def import_path() -> list[str]:
     """Return the folders in which this process looks for modules, in their order."""
-    begun_in = getattr(process, "ORIGINAL_DIR", None) or ""  # relative ones are seen from there
-    return [os.path.join(begun_in, entry) for entry in sys.path]
+    begun_in = Path(getattr(process, "ORIGINAL_DIR", None) or "")  # relative ones are seen from it
+    return [str(begun_in / entry) for entry in sys.path]
 
 
 def python_environment() -> dict[str, str]:
@@ -215,7 +216,7 @@ def python_environment() -> dict[str, str]:
 def _state() -> dict[str, Any]:
     """Return what a child takes over from this process."""
     try:
-        folder = os.getcwd()
+        folder = str(Path.cwd())
     except OSError:  # it was removed
         folder = "/"
     return {
@@ -237,7 +238,7 @@ def _places() -> dict[str, tuple[str, list[str] | None]]:
         spec = getattr(module, "__spec__", None)
         if "." in name or name.startswith(plugins.MODULE) or not isinstance(spec, ModuleSpec):
             continue
-        if spec.name == name and spec.has_location and os.path.isfile(str(spec.origin)):
+        if spec.name == name and spec.has_location and Path(str(spec.origin)).is_file():
             folders = spec.submodule_search_locations
             found[name] = str(spec.origin), None if folders is None else list(folders)
     return found

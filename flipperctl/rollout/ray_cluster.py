@@ -85,8 +85,8 @@ def join(address: str | None, key: str, **settings: Any) -> None:
 def _job_config() -> Any:
     """Return the settings by which workers import from where this process does.
 
-    Ray itself would let them import from the working directory first, except for a job that it takes
-    for a client's.
+    Ray itself would let them import from the working directory first, except those of a job that it
+    takes for a client's.
     """
     from ray.job_config import JobConfig
 

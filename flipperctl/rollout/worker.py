@@ -1,7 +1,7 @@
 """A worker process: it runs the calls that come through a connection, or forks processes that do.
 
-In: pickled calls ``(function, arguments)``. Out: pickled answers ``(ok, value or error, traceback)``.
-The process runs this file as a script, which imports the standard library alone until it knows where
+In: pickled calls ``(function, arguments)``. Out: pickled ``(ok, value or error, traceback)``. The
+process runs this file as a script, which imports the standard library alone until it knows where
 its parent imports from. Python itself would let a child import from its working directory.
 """
 
@@ -21,7 +21,7 @@ from importlib.machinery import ModuleSpec
 from importlib.util import spec_from_file_location
 from multiprocessing import reduction
 from multiprocessing.connection import Connection
-from typing import Any, NoReturn
+from typing import Any, ClassVar, NoReturn
 
 STOPS = (
     signal.SIGINT,
@@ -53,7 +53,7 @@ def main(descriptor: int, preload: list[str]) -> None:
 class _ParentModules:
     """Finds the top-level modules that the parent has imported where the parent found them."""
 
-    places: dict[str, tuple[str, list[str] | None]] = {}
+    places: ClassVar[dict[str, tuple[str, list[str] | None]]] = {}
     """File and, for a package, its folders, by the names of the modules."""
 
     @classmethod

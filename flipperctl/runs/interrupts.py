@@ -1,4 +1,4 @@
-"""Turn Ctrl-C and the signals of schedulers and terminals into a request to stop at a safe point."""
+"""Turn Ctrl-C and signals of schedulers and terminals into a request to stop at a safe point."""
 
 from __future__ import annotations
 

@@ -160,7 +160,7 @@ class Draft:
 
 
 def _module_owner(name: str) -> str | None:
-    """Return whose top-level module has this name; a file in the working directory does not count."""
+    """Return whose top-level module has this name, if not that of a file in this folder."""
     if name in sys.stdlib_module_names:
         return "Python's standard library"
     spec = find_spec(name)

@@ -75,7 +75,9 @@ def test_what_was_imported_is_found_where_it_was_though_the_path_has_changed(
 
 
 def test_a_worker_that_cannot_start_says_why() -> None:
-    with pytest.raises(FlipperctlError, match=r"^worker process 0 cannot start: ModuleNotFound.*x_y"):
+    with pytest.raises(
+        FlipperctlError, match=r"^worker process 0 cannot start: ModuleNotFound.*x_y"
+    ):
         asked(2, mask, first=("x_y",))
 
 
@@ -93,7 +95,9 @@ def test_a_system_that_refuses_a_process_is_named_with_what_works(
 
     asked(2, mask)  # the server runs
     monkeypatch.setattr(children, "Pipe", refuse)
-    with pytest.raises(FlipperctlError, match=r"Too many open files; .*--jobs 1 .*train.mode=exact"):
+    with pytest.raises(
+        FlipperctlError, match=r"Too many open files; .*--jobs 1 .*train.mode=exact"
+    ):
         asked(count, mask)
 
 
