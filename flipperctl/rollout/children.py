@@ -43,10 +43,10 @@ class _CallError(Exception):
 class Child:
     """A process that answers one call at a time."""
 
-    def __init__(self, pid: int, connection: Connection, wait: Callable[[], int]) -> None:
+    def __init__(self, pid: int, connection: Connection, wait: Callable[[], int | None]) -> None:
         self.pid, self._connection, self._wait = pid, connection, wait
-        self._code: int | None = None
-        self._ending = threading.Lock()
+        self._ending = ""
+        self._lock = threading.Lock()
         self._send(_state())
 
     def call(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
@@ -75,16 +75,16 @@ class Child:
         """Whether the process, which has answered all calls, waits for another one."""
         return not self._connection.poll()
 
-    def end(self, *, kill: bool) -> int:
-        """End the process, even within a call if ``kill``; return its exit code."""
-        with self._ending:
-            if self._code is None:
+    def end(self, *, kill: bool) -> str:
+        """End the process, even within a call if ``kill``; return in words how it ended."""
+        with self._lock:
+            if not self._ending:
                 if kill:
                     with contextlib.suppress(ProcessLookupError):
                         os.kill(self.pid, signal.SIGKILL)
                 self._connection.close()
-                self._code = self._wait()
-            return self._code
+                self._ending = _ending(self._wait())
+            return self._ending
 
 
 def spawn() -> Child:
@@ -134,10 +134,10 @@ class _Server:
     def _usable(self) -> bool:
         return self._owner == os.getpid() and self._process.poll() is None
 
-    def request(self, number: int, connection: Connection | None = None) -> int:
+    def request(self, number: int, connection: Connection | None = None) -> Any:
         """Let it fork a process for the end ``connection``, or wait for the process ``number``.
 
-        Returns the identifier of the process, or its exit code.
+        Returns the identifier of the process, or its exit code, None if that is not known.
         """
         with self._lock:
             try:
@@ -146,21 +146,23 @@ class _Server:
                     reduction.send_handle(self._connection, connection.fileno(), None)
                 answer = pickle.loads(self._connection.recv_bytes())  # noqa: S301 - our own
             except (EOFError, ConnectionError) as error:
-                if number:  # its workers end without it
-                    return -signal.SIGKILL
-                raise ChildDiedError(f"the fork server {ending(self._process.wait())}") from error
+                if number:
+                    return None
+                raise ChildDiedError(f"their server {_ending(self._process.wait())}") from error
         if isinstance(answer, OSError):
             raise answer
-        return int(answer)
+        return answer
 
     def _end(self) -> None:
         if self._owner == os.getpid():
-            self._connection.close()
+            self._process.kill()
             self._process.wait()
 
 
-def ending(code: int) -> str:
+def _ending(code: int | None) -> str:
     """Return how a process ended, by its exit code."""
+    if code is None:
+        return "ended"
     if code >= 0:
         return f"ended with exit code {code}"
     name = signal.Signals(-code).name

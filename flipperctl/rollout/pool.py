@@ -16,7 +16,7 @@ from typing import Any
 
 from flipperctl import guard
 from flipperctl.errors import FlipperctlError
-from flipperctl.rollout.children import Child, ChildDiedError, ending, fork, spawn
+from flipperctl.rollout.children import Child, ChildDiedError, fork, spawn
 
 _MAX_DEATHS = 3
 """Number of successive deaths of a worker after which its calls fail."""
@@ -120,26 +120,27 @@ class _Worker:
                 ) from error
         try:
             child.call(*self._first)
-        except (ChildDiedError, FlipperctlError):
+        except ChildDiedError:
             raise
-        except Exception as error:
+        except BaseException as error:
             with self._lock:
                 self._discard()
+            if isinstance(error, FlipperctlError):
+                raise
             raise FlipperctlError(
                 f"worker process {self._number} cannot start: {guard.error_line(error)}"
             ) from error
         return child
 
-    def _discard(self) -> int | None:
-        """Forget the process; return its exit code if there is one."""
+    def _discard(self) -> str:
+        """End the process and forget it; return in words how it ended, if there is one."""
         child, self._child = self._child, None
-        return None if child is None else child.end(kill=True)
+        return "" if child is None else f"it {child.end(kill=True)}"
 
     def _death(self, error: ChildDiedError) -> FlipperctlError:
         """Return the error of a call whose process has died."""
         with self._lock:
-            code = self._discard()
-        how = str(error) if code is None else f"it {ending(code)}"
+            how = self._discard() or str(error)
         self._deaths += 1
         if self._deaths < _MAX_DEATHS or self._closed:
             return WorkerDiedError(f"worker process {self._number} died: {how}")
