@@ -111,8 +111,7 @@ def _code_of(program: Callable[[], int]) -> int:
         if debug:
             raise
         if isinstance(error, OSError) and error.errno in _SHORTAGES:
-            where = "" if error.filename is None else f"{error.filename}: "
-            print_error(f"{where}{os.strerror(error.errno)}; the system refuses it")
+            print_error(_describe_shortage(error))
             return FlipperctlError.exit_code
         print_error(
             f"{type(error).__name__}: {error} (an error in flipperctl; {DEBUG}=1 shows where)"
@@ -158,6 +157,19 @@ def _failure_reason(error: OSError) -> str:
     """
     broken = error.filename is None and error.errno in _BROKEN and _flush() is not None
     return os.strerror(error.errno or 0) if broken or error.filename == STDOUT else ""
+
+
+def _describe_shortage(error: OSError) -> str:
+    """Return what the system has refused, with the place where it is known, and what needs less."""
+    reason = os.strerror(error.errno or 0)
+    if error.filename is not None:
+        return f"{error.filename}: {reason}"
+    if error.errno in (errno.EMFILE, errno.ENFILE):
+        return f"{reason}: raise their limit (ulimit -n), or use fewer processes (--jobs 1)"
+    return (
+        f"{reason}: the system refuses memory, a process, or the semaphores in /dev/shm that "
+        "hydra/launcher=joblib needs; --jobs 1 and train.mode=exact need none"
+    )
 
 
 def _report_output_failure(reason: str) -> int:

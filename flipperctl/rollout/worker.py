@@ -17,6 +17,7 @@ import sys
 import threading
 import time
 import traceback
+from collections.abc import Callable
 from importlib.machinery import ModuleSpec
 from importlib.util import spec_from_file_location
 from multiprocessing import reduction
@@ -43,11 +44,19 @@ def main(descriptor: int, preload: list[str]) -> None:
     signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPS)
     sys.meta_path.insert(0, _ParentModules)
     connection = Connection(descriptor)
-    with contextlib.suppress(EOFError, OSError):  # the parent needs it no more
-        if preload:
-            _serve(connection, preload)
-        else:
-            _work(connection)
+    _run(_serve if preload else _work, connection, *preload)
+
+
+def _run(work: Callable[..., None], connection: Connection, *preload: str) -> NoReturn:
+    """Work until the parent closes the connection; then end without the interpreter's farewell."""
+    try:
+        with contextlib.suppress(EOFError, OSError):
+            work(connection, *preload)
+    except BaseException:  # noqa: BLE001 - a fork must never return into the server's code
+        traceback.print_exc()
+        os._exit(1)
+    finally:
+        os._exit(0)
 
 
 class _ParentModules:
@@ -75,7 +84,7 @@ def _enter(state: dict[str, Any]) -> None:
     _ParentModules.places = state["modules"]
 
 
-def _serve(connection: Connection, preload: list[str]) -> None:
+def _serve(connection: Connection, *preload: str) -> None:
     """Fork a worker for each request 0; for any other, wait for this process; answer a number.
 
     Each worker has what ``preload`` imports. The answer is the process identifier or the exit code,
@@ -104,20 +113,10 @@ def _fork(connection: Connection) -> int:
     try:
         if pid := os.fork():
             return pid
-        _run_forked(connection, descriptor)
+        connection.close()
+        _run(_work, Connection(descriptor))
     finally:
         os.close(descriptor)
-
-
-def _run_forked(connection: Connection, descriptor: int) -> NoReturn:
-    try:
-        connection.close()
-        with contextlib.suppress(EOFError, OSError):
-            _work(Connection(descriptor))
-    except BaseException:  # noqa: BLE001 - the process must never return into the server's code
-        traceback.print_exc()
-    finally:
-        os._exit(0)
 
 
 def _work(connection: Connection) -> None:
