@@ -153,10 +153,22 @@ def _importing(frame: FrameType | None) -> bool:
 def _failure_reason(error: OSError) -> str:
     """Return why standard output could not be written, or an empty text for any other error.
 
-    What could not be written is still waiting, and fails once more.
+    Files are written by ``flipperctl.files``, which raises flipperctl's own errors.
     """
-    broken = error.filename is None and error.errno in _BROKEN and _flush() is not None
+    broken = error.filename is None and error.errno in _BROKEN and is_broken(sys.stdout)
     return os.strerror(error.errno or 0) if broken or error.filename == STDOUT else ""
+
+
+def is_broken(stream: TextIO) -> bool:
+    """Return whether a stream cannot be written, after an error that may have been of another one.
+
+    The end of a line is tried, since a stream may have dropped what it could not write.
+    """
+    try:
+        print(file=stream, flush=True)
+    except (OSError, ValueError):
+        return True
+    return False
 
 
 def _describe_shortage(error: OSError) -> str:

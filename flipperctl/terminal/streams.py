@@ -84,11 +84,8 @@ def _moved(out: TextIO) -> Iterator[TextIO]:
     try:
         yield moved
     except OSError as error:
-        if error.filename is None:
-            try:
-                moved.flush()
-            except OSError:  # once more: it is the stream that fails
-                error.filename = entry.STDOUT
+        if error.filename is None and entry.is_broken(moved):
+            error.filename = entry.STDOUT
         raise
     finally:
         os.dup2(saved, descriptor)
