@@ -24,10 +24,12 @@ from flipperctl.errors import PluginError
 GROUP = "flipperctl.plugins"
 VARIABLE = "FLIPPERCTL_PLUGINS"
 
-_MODULE = "flipperctl_user_"
+MODULE = "flipperctl_user_"
 """Prefix of the names of modules that were loaded from a path."""
 
 _loaded: set[str] = set()
+_given: list[str] = []
+"""Paths that ``load`` was called with or found in the variable, in this order."""
 _contents: dict[str, str] = {}
 """SHA-256 of the files that were loaded, by the names of their modules."""
 _files: dict[type[Plugin], str] = {}
@@ -37,8 +39,8 @@ _files: dict[type[Plugin], str] = {}
 def load(paths: Iterable[str | Path] = ()) -> None:
     """Import every installed plugin, those in ``FLIPPERCTL_PLUGINS`` and those at ``paths``.
 
-    ``paths`` (``.py`` files or folders) are added to the variable, so that worker processes
-    find them too. A repeated call imports only new plugins.
+    ``paths`` (``.py`` files or folders) are remembered for worker processes. A repeated call
+    imports only new plugins.
 
     Raises:
         PluginError: a plugin is missing, does not import, registers nothing, or uses a
@@ -54,13 +56,13 @@ def load(paths: Iterable[str | Path] = ()) -> None:
     for path in named:
         for file in _files_at(Path(path)):
             _load_file(file)
-    if named:
-        os.environ[VARIABLE] = os.pathsep.join(named)
+    _given[:] = named
 
 
 def configured_paths() -> list[str]:
     """Return the paths in ``FLIPPERCTL_PLUGINS``; after ``load``, also those it was called with."""
-    return [p for p in os.environ.get(VARIABLE, "").split(os.pathsep) if p]
+    named = [p for p in os.environ.get(VARIABLE, "").split(os.pathsep) if p]
+    return list(dict.fromkeys([*named, *_given]))
 
 
 def folders() -> list[Path]:
@@ -80,7 +82,7 @@ def file_name(cls: type[Plugin]) -> str | None:
 
 def module_file_name(module: str) -> str | None:
     """Return the name of the file that a module was loaded from by path; None for any other."""
-    found = re.fullmatch(rf"{_MODULE}(.+)_[0-9a-f]{{8}}", module)
+    found = re.fullmatch(rf"{MODULE}(.+)_[0-9a-f]{{8}}", module)
     return f"{found[1]}.py" if found else None
 
 
@@ -101,7 +103,7 @@ def _files_at(path: Path) -> list[Path]:
 def _load_file(file: Path) -> None:
     file = file.resolve()
     digest = hashlib.sha256(str(file).encode()).hexdigest()[:8]
-    name = f"{_MODULE}{file.stem}_{digest}"
+    name = f"{MODULE}{file.stem}_{digest}"
     content = _content(file)
     if name in _loaded:
         if content != _contents[name]:  # processes that begin from now on would run other code

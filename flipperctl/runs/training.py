@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import torch
+
 from flipperctl import checkpoint
 from flipperctl.api import Listener
 from flipperctl.checkpoint import Checkpoint
@@ -76,7 +78,7 @@ def start(
         RequestError: the training cannot begin; nothing of it is left in the directory.
     """
     make_folder(directory)
-    with _held(directory):
+    with _held(directory), _kept_threads():
         if run_folder.holds_run(directory):
             raise OutputError(
                 f"{directory} already holds a run; resume it with: "
@@ -105,7 +107,7 @@ def start_or_continue(
         RequestError: the training cannot begin; nothing of it is left in the directory.
     """
     make_folder(directory)
-    with _held(directory):
+    with _held(directory), _kept_threads():
         if not run_folder.holds_run(directory):
             return _begin(config, directory, reports, keep_more, stop)
         saved, earlier = run_folder.read(directory)
@@ -140,7 +142,7 @@ def resume(
         ConfigError: a setting is changed that holds from the start of a run.
     """
     directory = run_folder.find(run)
-    with hold(directory):
+    with hold(directory), _kept_threads():
         saved, before = run_folder.read(directory)
         config = with_overrides(before, dict(changes))
         if saved is not None and (state := saved.document.state) is not None:
@@ -158,6 +160,16 @@ def _held(directory: Path) -> Iterator[None]:
     finally:
         with contextlib.suppress(OSError):  # it holds files
             directory.rmdir()
+
+
+@contextlib.contextmanager
+def _kept_threads() -> Iterator[None]:
+    """Give torch as many threads afterwards as it had before the training."""
+    threads = torch.get_num_threads()
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 def _begin(

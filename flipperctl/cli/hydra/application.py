@@ -65,8 +65,10 @@ def train(arguments: list[str], *, check: bool) -> None:
     configured = hydra.main(config_store.CONFIGS, "train", version_base="1.3")
     previous_argv, sys.argv = sys.argv, ["flipperctl train", *arguments]
     try:
-        # Hydra passes exceptions on instead of printing them.
-        with convert_hydra_errors(), env_override({"HYDRA_FULL_ERROR": "1"}):
+        # Hydra passes exceptions on instead of printing them. The processes of a launcher must not
+        # import from the working directory, where a user's random.py may lie.
+        environment = {"HYDRA_FULL_ERROR": "1", "PYTHONSAFEPATH": "1"}
+        with convert_hydra_errors(), env_override(environment):
             configured(task)()
         if errors:
             raise errors[0]
