@@ -141,7 +141,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self._metrics = EpisodeMetrics(self._measures)
         self.perception = self._perceiver.perceive(self.drive.delayed_state)
         self._running = True
-        return self.perception.observation, {}
+        return self.perception.observation.copy(), {}
 
     def _place(self, rng: np.random.Generator) -> dict[str, float]:
         """Place the robot at a sampled start; return what was drawn for it, by name."""
@@ -253,7 +253,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         for observer in self.observers:
             observer.decided(self.transition, self.perception, parts)
         self.perception = self._perceiver.perceive(self.drive.delayed_state)
-        info: dict[str, Any] = {"rewards": parts}
+        info: dict[str, Any] = {"rewards": dict(parts)}
         if outcome is not None:
             self._running = False
             info["outcome"] = outcome
@@ -265,7 +265,8 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             }
         truncated = outcome is Outcome.TIMEOUT
         terminated = outcome is not None and not truncated
-        return self.perception.observation, sum(parts.values()), terminated, truncated, info
+        reward = sum(parts.values())
+        return self.perception.observation.copy(), reward, terminated, truncated, info
 
     @property
     def scene(self) -> Scene:
