@@ -6,6 +6,8 @@ earlier inputs, other rows of a batch, or random numbers that a resumed run coul
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import torch
 
@@ -39,10 +41,11 @@ def check_contract(network: Network, module: torch.nn.Module, layout: Observatio
         ConfigError: its Q-values depend on something else than its input and its weights, or it
             changes its input.
     """
-    one, other = observations(network, layout, 2).split(1)
+    rows = observations(network, layout, 2)
+    one, other = rows[:1], rows[1:]
     trial = _Trial(network, module)
     noise = Noise(module)
-    modes = [("in eval mode", module.eval)]
+    modes: list[tuple[str, Callable[[], object]]] = [("in eval mode", module.eval)]
     if noise.parts:
         trial.require_noise_from_rng(noise, one)
         modes.append(("in decisions with noise", noise.acts))

@@ -26,6 +26,7 @@ from flipperctl.api import (
     Transition,
 )
 from flipperctl.config import EnvConfig, with_overrides
+from flipperctl.config.identity import foreign_plugins
 from flipperctl.env import ground, start
 from flipperctl.env.actions import ALLOWED, action_index
 from flipperctl.env.drive import Drive
@@ -34,10 +35,12 @@ from flipperctl.env.metrics import DRAWN, EpisodeMetrics, measures
 from flipperctl.env.observer import Observer, attach
 from flipperctl.env.perceiving import Perceiver, initial_copy
 from flipperctl.env.rendering import MODES, Picture, Pictures, Renderer, check_mode
+from flipperctl.env.repeating import require_unmoved
 from flipperctl.env.scene import Perceived, Scene
 from flipperctl.env.sensing import exact as exact_sensor
 from flipperctl.env.simulator import SceneSimulator
 from flipperctl.guard import naming_seed
+from flipperctl.randomness import global_states
 from flipperctl.reward_sum import RewardSum
 
 Observation = NDArray[np.float32]
@@ -86,6 +89,9 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self.layout = config.perception.layout
         self.render_mode = render_mode
         self._reward, self._measures = RewardSum(config.rewards), measures()
+        parts = (config.terrain, config.sim, config.perception, *config.rewards.values())
+        self.foreign = foreign_plugins([*parts, *self._measures.values()])
+        """Plugins of the episodes that are not part of flipperctl."""
         self.observers: tuple[Observer, ...] = ()
         """Observers of the episodes that begin from now on."""
         high = np.concatenate([np.full(self.layout.bins, 100.0), np.full(3, math.pi)])
@@ -114,6 +120,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         """
         difficulty = ground.asked_difficulty(options)
         self._running = False
+        before = global_states() if self.foreign else None
         super().reset(seed=seed)
         # Each has a generator of its own, so that sensing noise never changes the terrain.
         terrain_rng, start_rng, *rngs, randomise_rng = self.np_random.spawn(5)
@@ -140,6 +147,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self._pitches = [self.state.pitch]
         self._metrics = EpisodeMetrics(self._measures)
         self.perception = self._perceiver.perceive(self.drive.delayed_state)
+        require_unmoved(before, self.foreign, "at the start of an episode")
         self._running = True
         return self.perception.observation.copy(), {}
 
@@ -201,7 +209,10 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
 
     def _generate(self, rng: np.random.Generator, difficulty: float) -> Profile:
         terrain = self.config.terrain
+        foreign = foreign_plugins([terrain]) if self.foreign else ()
+        before = global_states() if foreign else None
         profile = ground.generate_profile(terrain, rng, difficulty)
+        require_unmoved(before, foreign, "in generate")
         if profile is not self._generated:  # recorded ground returns the same profile each time
             radius = self.config.robot.track_radius
             self._prepared = ground.prepare_profile(profile, terrain, radius)
@@ -227,6 +238,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             raise ValueError(f"there is no action {action!r}; {ALLOWED}")
         if not self._running:
             raise ResetNeeded("no episode is running: call reset before step")
+        states = global_states() if self.foreign else None
         move, before = ACTIONS[index], self.state
         outcome = self.drive.decide(index)
         after = self.state
@@ -253,6 +265,9 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         for observer in self.observers:
             observer.decided(self.transition, self.perception, parts)
         self.perception = self._perceiver.perceive(self.drive.delayed_state)
+        if states is not None:
+            used = [plugin for plugin in self.foreign if plugin.kind != "terrain"]
+            require_unmoved(states, used or self.foreign, "in a decision")
         info: dict[str, Any] = {"rewards": dict(parts)}
         if outcome is not None:
             self._running = False
