@@ -27,7 +27,7 @@ from flipperctl.api import (
 )
 from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.config.identity import foreign_plugins
-from flipperctl.env import ground, start
+from flipperctl.env import copying, ground, start
 from flipperctl.env.actions import ALLOWED, action_index
 from flipperctl.env.drive import Drive
 from flipperctl.env.finish import run_out_of
@@ -99,11 +99,12 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             -high.astype(np.float32), high.astype(np.float32)
         )
         self.action_space = gymnasium.spaces.Discrete(len(ACTIONS))
-        self._pictures = Pictures(renderer)
+        self._pictures, self.renderer = Pictures(renderer), renderer
         self._generated: Profile | None = None  # before thinning
         self._prepared: Profile  # after it
         self._last_move: tuple[int, int] | None = None
         self._outcome: Outcome | None = None
+        self._replayed: copying.Replayed | None = None
         self._running = False
 
     def reset(
@@ -122,6 +123,13 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self._running = False
         before = global_states() if self.foreign else None
         super().reset(seed=seed)
+        self._begin(difficulty, seed)
+        require_unmoved(before, self.foreign, "at the start of an episode")
+        return self.perception.observation.copy(), {}
+
+    def _begin(self, difficulty: float, seed: int | None) -> None:
+        """Begin an episode with the next children of the environment's generator."""
+        spawned = copying.children(self.np_random)
         # Each has a generator of its own, so that sensing noise never changes the terrain.
         terrain_rng, start_rng, *rngs, randomise_rng = self.np_random.spawn(5)
         # Spawned from the start's, so that the others stay the same, here and in later episodes.
@@ -147,9 +155,16 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self._pitches = [self.state.pitch]
         self._metrics = EpisodeMetrics(self._measures)
         self.perception = self._perceiver.perceive(self.drive.delayed_state)
-        require_unmoved(before, self.foreign, "at the start of an episode")
+        self._replayed = copying.Replayed(spawned, difficulty)
         self._running = True
-        return self.perception.observation.copy(), {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what repeats the episode so far; observers stay with the original."""
+        return copying.state_of(self, self._replayed)
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        """Repeat the episode of ``__getstate__``; see ``copying.restore``."""
+        copying.restore(self, kept, self._begin)
 
     def _place(self, rng: np.random.Generator) -> dict[str, float]:
         """Place the robot at a sampled start; return what was drawn for it, by name."""
@@ -236,9 +251,10 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         index = action_index(action)
         if index is None:
             raise ValueError(f"there is no action {action!r}; {ALLOWED}")
-        if not self._running:
+        if not self._running or self._replayed is None:
             raise ResetNeeded("no episode is running: call reset before step")
         states = global_states() if self.foreign else None
+        self._replayed.actions.append(index)
         move, before = ACTIONS[index], self.state
         outcome = self.drive.decide(index)
         after = self.state

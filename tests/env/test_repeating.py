@@ -84,7 +84,7 @@ def test_random_numbers_from_elsewhere_are_refused(
 def test_a_controller_that_draws_from_elsewhere_is_refused() -> None:
     env = environment(lambda rng: 0.0, None)
     env.reset(seed=0)
-    with pytest.raises(PluginFailedError, match="^controller 'dice': uses random in act"):
+    with pytest.raises(PluginFailedError, match=r"^controller 'dice': uses random in act"):
         plugin_policy(Dice()).act(env.perception)
 
 
