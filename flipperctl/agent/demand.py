@@ -24,11 +24,13 @@ def check_demand(
     *,
     labelled: bool = False,
     privileged: int = 0,
+    contract: bool = False,
 ) -> None:
-    """Check the network's contract, and that replay and batches of a training fit into memory.
+    """Check that the network, the replay and the batches of a training fit into memory.
 
     ``decisions``: the run's budget, which also limits the transitions in the replay; they have
     labels if the run is ``labelled``, and ``privileged`` numbers of a privileged state.
+    ``contract``: whether the network is also checked by ``check_contract``.
 
     Raises:
         ConfigError: they do not fit; the message says how much memory is needed and free. Or the
@@ -36,7 +38,8 @@ def check_demand(
     """
     with torch.random.fork_rng(devices=[]), torch.no_grad():
         module = build_network(network, layout, n_actions, copies=TRAINING_COPIES)
-        check_contract(network, module, layout)
+        if contract:
+            check_contract(network, module, layout)
         inputs = input_size(network, layout)
         activations = _count_activations(module, inputs)
     rows = min(settings.replay_size, decisions)

@@ -114,4 +114,5 @@ def _check_network(config: TrainConfig, recorded: int) -> None:
         *(config.network, config.perception, len(ACTIONS), config.agent),
         config.train.decisions + recorded,
         labelled=config.teacher.teaches,
+        contract=True,
     )
