@@ -80,13 +80,16 @@ def foreign_sources(plugins: Iterable[Plugin]) -> list[str | None]:
     Plugins within settings are included. Of flipperctl's own, the version tells them apart.
     """
     found = []
-    for plugin in plugins:
-        for one in nested_plugins(plugin):
-            module = type(one).__module__
-            if module.partition(".")[0] not in _OWN:
-                file = getattr(sys.modules.get(module), "__file__", None)
-                found.append(content_digest(Path(file)) if file else None)
+    for plugin in foreign_plugins(plugins):
+        file = getattr(sys.modules.get(type(plugin).__module__), "__file__", None)
+        found.append(content_digest(Path(file)) if file else None)
     return found
+
+
+def foreign_plugins(plugins: Iterable[Plugin]) -> list[Plugin]:
+    """Return the plugins, those within settings included, that are not part of flipperctl."""
+    parts = (part for plugin in plugins for part in nested_plugins(plugin))
+    return [part for part in parts if type(part).__module__.partition(".")[0] not in _OWN]
 
 
 def _names_files(value: object, names: set[str]) -> bool:

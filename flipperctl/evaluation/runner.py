@@ -12,6 +12,7 @@ from dataclasses import replace
 from flipperctl.api import Profile, RobotState, Transition
 from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.repeating import require_repeatable
 from flipperctl.evaluation.digest import EpisodeDigest
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.policies.demonstrating import DemonstratingPolicy
@@ -46,6 +47,7 @@ class EpisodeRunner:
         self._policy = source.build(config)
         self._seeds = EvaluationSeeds.of(seed, config.terrain)
         self._record = record
+        require_repeatable(self._env, self._seeds(0))
 
     def play(self, index: int) -> EpisodeResult:
         """Play one episode, counted from 0, to its end."""
