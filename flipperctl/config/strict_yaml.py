@@ -37,15 +37,23 @@ def read(file: Traversable, where: str) -> Any:
     Raises:
         ConfigError: the file cannot be read or is no YAML, or a key is given twice.
     """
+    return parse(read_text(file, where), where)
+
+
+def read_text(file: Traversable, where: str) -> str:
+    """Return the text of a file, which errors call ``where``.
+
+    Raises:
+        ConfigError: the file cannot be read.
+    """
     try:
-        text = file.read_text(encoding="utf-8")
+        return file.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
         raise ConfigError(f"{where} is not text in UTF-8") from error
     except (OSError, ValueError) as error:  # ValueError: of a path with a null character
         raise ConfigError(
             f"{where} cannot be read: {getattr(error, 'strerror', None) or error}"
         ) from error
-    return parse(text, where)
 
 
 def parse(text: str, where: str) -> Any:

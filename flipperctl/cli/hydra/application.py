@@ -19,6 +19,7 @@ from omegaconf import OmegaConf
 
 from flipperctl.cli.hydra import config_store
 from flipperctl.cli.hydra.compose import check_training_effect, compose_train, parse_training
+from flipperctl.cli.hydra.config_files import strict_files
 from flipperctl.cli.hydra.errors import convert_hydra_errors
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config.robots import expand_files
@@ -66,7 +67,7 @@ def train(arguments: list[str], *, check: bool) -> None:
     previous_argv, sys.argv = sys.argv, ["flipperctl train", *arguments]
     try:
         # Hydra passes exceptions on instead of printing them.
-        with convert_hydra_errors(), env_override({"HYDRA_FULL_ERROR": "1"}):
+        with convert_hydra_errors(), strict_files(), env_override({"HYDRA_FULL_ERROR": "1"}):
             configured(task)()
         if errors:
             raise errors[0]
