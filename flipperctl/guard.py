@@ -31,6 +31,8 @@ from flipperctl.errors import FlipperctlError, PluginFailedError, TerrainError
 _LONGEST = 300  # characters of an exception's text
 _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
 _CORE = "flipperctl"
+USER_MODULE = "flipperctl_user_"
+"""Prefix of the packages of plugins that were loaded from a path, one for each folder."""
 _NO_CALLERS = ("flipperctl.api", "flipperctl.testing")
 
 
