@@ -68,7 +68,9 @@ def train(
         )
     else:
         config, folder = _composed(typed, directory)
-        finished = _interruptible(lambda: start(config, folder, shown), folder, plugins)
+        finished = _interruptible(
+            lambda: start(config, folder, shown, numbered=directory is None), folder, plugins
+        )
     if progress:
         print_best(finished)
     return Run(finished.directory, finished.summary)

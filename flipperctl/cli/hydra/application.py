@@ -17,13 +17,14 @@ from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.utils import env_override
 from hydra.types import RunMode
-from omegaconf import OmegaConf
+from omegaconf import OmegaConf, read_write
 
 from flipperctl.cli.hydra import config_store
 from flipperctl.cli.hydra.compose import check_training_effect, compose_train, parse_training
 from flipperctl.cli.hydra.config_files import strict_files
 from flipperctl.cli.hydra.errors import convert_hydra_errors
 from flipperctl.cli.hydra.overrides import SEARCH_PATH, Overrides
+from flipperctl.cli.hydra.sweeps import named_by_time
 from flipperctl.errors import ConfigError, InterruptedRunError
 from flipperctl.files import failure
 from flipperctl.rollout import ray_cluster
@@ -182,24 +183,31 @@ class _Job:
             preflight.check(config)
             print_notices(config)
         directory = Path(settings.runtime.output_dir)
-        keep = _keeper(composed, directory)
+        keep = _keeper(composed)
         if settings.mode is RunMode.MULTIRUN:
             stop = stop_of(Path(settings.runtime.cwd, settings.sweep.dir), self.process.holder)
             if stop():
                 raise InterruptedRunError(f"{directory.name} was not started")
-            run = start_or_continue(config, directory, reports(), keep_more=keep, stop=stop)
+            run = start_or_continue(
+                config, directory, reports(), keep_more=lambda: keep(directory), stop=stop
+            )
         else:
-            run = start(config, directory, reports(), keep_more=keep)
+            own: Any = HydraConfig.instance().cfg
+            numbered = named_by_time(own, "run")
+            run = start(config, directory, reports(), keep_more=keep, numbered=numbered)
         print_best(run)
         train = config.train
         return objective(run.summary["best"], train.validation_episodes, train.best_by)
 
 
-def _keeper(composed: Any, directory: Path) -> Callable[[], None]:
+def _keeper(composed: Any) -> Callable[[Path], None]:
     """Return a function that writes Hydra's own files, to call once the directory is locked."""
 
-    def keep() -> None:
+    def keep(directory: Path) -> None:
         settings = HydraConfig.get()
+        runtime: Any = settings.runtime
+        with read_write(runtime):  # another one was taken
+            runtime.output_dir = str(directory)
         if settings.output_subdir is None:  # else Hydra has written them
             documents = {
                 "config": composed,
