@@ -6,6 +6,8 @@ In: the words of the command, including Hydra's options. Out: a run in each job'
 from __future__ import annotations
 
 import argparse
+import contextlib
+import io
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -22,7 +24,7 @@ from omegaconf import OmegaConf, read_write
 from flipperctl.cli.hydra import config_store
 from flipperctl.cli.hydra.compose import check_training_effect, compose_train, parse_training
 from flipperctl.cli.hydra.config_files import strict_files
-from flipperctl.cli.hydra.errors import convert_hydra_errors
+from flipperctl.cli.hydra.errors import check_choices, convert_hydra_errors
 from flipperctl.cli.hydra.overrides import SEARCH_PATH, Overrides
 from flipperctl.cli.hydra.sweeps import named_by_time
 from flipperctl.errors import ConfigError, InterruptedRunError
@@ -65,6 +67,7 @@ def train(arguments: list[str], *, check: bool) -> None:
     # They may add other configuration files; then each job checks its own.
     checked = check and not options
     overrides.check_training(several=several or bool(options))
+    check_choices(overrides)
     if checked:
         _check(overrides)
     options += [f"--{name}".replace("_", "-") for name in _FLAGS if getattr(chosen, name)]
@@ -89,7 +92,8 @@ def train(arguments: list[str], *, check: bool) -> None:
     try:
         # Hydra passes exceptions on instead of printing them.
         with convert_hydra_errors(), strict_files(), env_override({"HYDRA_FULL_ERROR": "1"}):
-            configured(task)()
+            application = configured(task)
+            _show(application) if chosen.cfg else application()
         if errors:
             raise errors[0]
     except KeyboardInterrupt as error:  # while worker processes train
@@ -115,6 +119,17 @@ def _options(arguments: Sequence[str]) -> argparse.Namespace:
 
     parser.error = refuse  # type: ignore[method-assign]  # its own prints two dozen lines
     return parser.parse_intermixed_args(arguments)
+
+
+def _show(application: Callable[[], object]) -> None:
+    """Let Hydra print a configuration; where it prints the reason that it cannot, raise it."""
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            application()
+    except SystemExit as left:
+        raise ConfigError(f"--cfg: {' '.join(said.getvalue().split())}") from left
+    sys.stderr.write(said.getvalue())
 
 
 def _several(overrides: Overrides, *, multirun: bool) -> bool:

@@ -130,14 +130,13 @@ def _compositions(primary: str, overrides: Overrides) -> Iterator[tuple[Override
         for combination in overrides.combinations(CHOICES):
             if primary != EVAL_CHECKPOINT and combination.choice("conditions") == TRAINED:
                 raise ConfigError(explain_missing_training(exported=primary == EVAL_EXPORT))
+            errors.check_choices(combination)
             try:
                 yield combination, _plain(compose(primary, combination.words))
             except MissingConfigException as error:
                 raise errors.missing_choice(error) from error
             except ConfigCompositionException as error:
                 raise errors.unknown_key(error, primary, combination) from error
-            except (TypeError, ValueError) as error:  # from Hydra: a choice is not a name
-                raise errors.wrong_choice(error, combination) from error
 
 
 @contextmanager
