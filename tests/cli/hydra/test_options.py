@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from hydra.core import utils
 
+from flipperctl.errors import OutputError
 from flipperctl.runs.lock import hold
 from flipperctl.scripting.training import train
 from tests.cli.call import EXACT, call, refused
@@ -116,6 +117,8 @@ def test_a_default_folder_that_is_taken_gives_way_to_another(
     assert flipperctl_train(tmp_path).name == f"{taken.name}_2"
     chosen = [*QUICK, f"hydra.run.dir={taken}"]
     assert "already holds a run" in refused("train", *chosen, cwd=tmp_path)
+    with pytest.raises(OutputError, match="already holds a run"):
+        train(overrides=chosen, progress=False)
     sweep = tmp_path / "runs" / "multirun" / taken.name
     sweep.mkdir(parents=True)
     with hold(sweep, "sweep"):
