@@ -11,6 +11,7 @@ import inspect
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import Enum
+from itertools import groupby
 from pathlib import Path
 from typing import Any, get_origin
 
@@ -211,8 +212,11 @@ def _command(path: str, command: Any) -> Iterator[str]:
     words, _, examples = re.sub(r"\[/?\w*\]", "", command.help).partition("Examples")
     yield from (f"## `{path}`", "", inspect.cleandoc(words), "")
     lines = [line.strip() for line in examples.splitlines() if line.strip()]
-    if lines:
-        yield from ("```console", *(f"$ {line}" for line in lines), "```", "")
+    for commands, found in groupby(lines, lambda line: line.startswith("flipperctl ")):
+        if commands:
+            yield from ("```console", *(f"$ {line}" for line in found), "```", "")
+        else:
+            yield from (*found, "")
     shown = [parameter for parameter in command.params if parameter.name != "help"]
     if shown:
         yield from ("| argument or option | default | meaning |", "|---|---|---|")

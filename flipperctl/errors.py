@@ -12,11 +12,15 @@ Each exception takes its text and nothing else, so that it can be pickled by a w
 
 from __future__ import annotations
 
+from typing import Any
+
 
 class FlipperctlError(Exception):
     """Base class of the package's own exceptions; its text is shown to the user unchanged."""
 
     exit_code = 1
+    result: Any = None
+    """Of ``flipperctl.evaluate``: the ``Evaluation`` with what was played; None if nothing was."""
 
 
 class RequestError(FlipperctlError):

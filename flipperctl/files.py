@@ -7,18 +7,34 @@ import errno
 import glob
 import io
 import json
+import mmap
 import os
+import re
 import secrets
 import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from flipperctl.errors import FlipperctlError, OutputError, WriteError
+from flipperctl.messages import close_match
 
 _PART = ".part"
 _RAN_OUT = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
+
+
+@dataclass(frozen=True)
+class OutputKind:
+    """A kind of file that a command writes to a path of the user's choice."""
+
+    noun: str
+    """With its article, for errors."""
+    suffixes: tuple[str, ...]
+    """Lower-case suffixes of such files."""
+    mark: re.Pattern[bytes]
+    """Found in every such file that flipperctl wrote, and in no other file."""
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -117,25 +133,48 @@ def make_folder(path: Path) -> Path:
     return path
 
 
-def check_writable(path: Path, suffix: str | None = None) -> None:
-    """Check, before long work, that a file can be written to ``path``.
+def check_output(path: Path, kind: OutputKind) -> None:
+    """Check, before long work, that an output can be written to ``path``.
 
-    ``suffix``: the usual one of such files. A file of another kind, such as the source of a plugin,
-    is not replaced.
+    This is the rule for every file that a user names: it has a suffix of its kind, and an existing
+    file is replaced only if it is empty or an earlier output of the same kind. So neither an input
+    nor a file of another program is lost.
 
     Raises:
-        OutputError: the path cannot be written, or holds a file with another suffix.
+        OutputError: the suffix is another, the path cannot be written, or its file is kept.
     """
-    if suffix is not None and path.is_file() and path.suffix.lower() != suffix:
-        raise OutputError(
-            f"{path} exists, and is kept since it is no {suffix} file; choose another name"
-        )
     if path.is_dir():
         raise OutputError(f"{path} cannot be written: it is a folder")
     if not path.parent.is_dir():
         raise OutputError(f"{path} cannot be written: there is no folder {path.parent}")
     if not os.access(path.parent, os.W_OK):
         raise OutputError(f"{path} cannot be written: permission denied")
+    suffix, suffixes = path.suffix.lower(), kind.suffixes
+    if suffix not in suffixes:
+        allowed = ", ".join(suffixes[:-1]) + " or " * (len(suffixes) > 1) + suffixes[-1]
+        raise OutputError(
+            f"{path}: {kind.noun} is a {allowed} file; the suffix is {path.suffix!r}"
+            + close_match(suffix, suffixes)
+        )
+    if path.exists() and not _is_of(path, kind):
+        raise OutputError(
+            f"{path} exists and is kept, since it is not {kind.noun} that flipperctl wrote; move "
+            "it, or choose another name"
+        )
+
+
+def _is_of(path: Path, kind: OutputKind) -> bool:
+    """Return whether a file is empty or has the mark of its kind."""
+    if not path.is_file():
+        return False  # a device or a pipe
+    try:
+        with path.open("rb") as file:
+            if not os.fstat(file.fileno()).st_size:
+                return True
+            with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+                return kind.mark.search(content) is not None
+    except OSError:
+        return False  # what cannot be read may be anything
 
 
 def failure(path: Path, error: OSError, *, keeps_old: bool = False) -> FlipperctlError:

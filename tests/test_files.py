@@ -1,12 +1,15 @@
 """Files are written whole, by any number of processes at once."""
 
+import os
+import re
 import threading
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 
 from flipperctl.errors import OutputError
-from flipperctl.files import check_writable, remove_partial, write_bytes
+from flipperctl.files import OutputKind, check_output, remove_partial, write_bytes
 
 
 def test_writers_of_one_file_do_not_disturb_each_other(tmp_path: Path) -> None:
@@ -41,14 +44,31 @@ def test_partial_files_of_dead_processes_are_removed_and_no_others(tmp_path: Pat
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(kept)
 
 
-def test_a_file_of_another_kind_is_kept(tmp_path: Path) -> None:
-    """Such as the source of a plugin, typed for the name of the policy."""
-    (tmp_path / "mine.py").write_text("source")
-    with pytest.raises(OutputError, match=r"mine.py exists, and is kept since it is no .onnx file"):
-        check_writable(tmp_path / "mine.py", ".onnx")
-    check_writable(tmp_path / "yours.py", ".onnx")
-    (tmp_path / "old.onnx").write_text("policy")
-    check_writable(tmp_path / "old.onnx", ".onnx")
+NOTES = OutputKind("a note", (".md", ".txt"), re.compile(rb"\Aours"))
+
+
+@pytest.mark.parametrize(
+    ("content", "kept"), [(b"ours, of yesterday", False), (b"", False), (b"not ours", True)]
+)
+def test_only_an_earlier_output_of_the_same_kind_is_replaced(
+    content: bytes, kept: bool, tmp_path: Path
+) -> None:
+    """So neither an input nor a file of another program is, whatever its suffix."""
+    there = tmp_path / "there.TXT"
+    there.write_bytes(content)
+    (tmp_path / "linked.md").symlink_to(there)
+    check_output(tmp_path / "new.md", NOTES)
+    for path in (there, tmp_path / "linked.md"):
+        with pytest.raises(OutputError, match="kept") if kept else nullcontext():
+            check_output(path, NOTES)
+
+
+def test_an_output_has_a_suffix_of_its_kind_and_is_a_file(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match=r"a note is a \.md or \.txt file; the suffix is '\.py'"):
+        check_output(tmp_path / "mine.py", NOTES)
+    os.mkfifo(tmp_path / "pipe.txt")
+    with pytest.raises(OutputError, match="kept"):
+        check_output(tmp_path / "pipe.txt", NOTES)
 
 
 def test_a_file_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ that the robot drove.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,8 +20,11 @@ from flipperctl.bags.folder import POSES, read_folder
 from flipperctl.bags.reading import read_bag
 from flipperctl.bags.transforms import Pose
 from flipperctl.errors import RequestError
-from flipperctl.files import write_bytes
+from flipperctl.files import OutputKind, check_output, write_bytes
 
+_HEADER = "# ground by flipperctl convert: x y z [m]\n"
+"""First line of each file, by which an earlier one is recognised."""
+GROUND = OutputKind("recorded ground", (".xyz",), re.compile(rb"\A# ground by flipperctl convert"))
 HALF_WIDTH = 0.45
 """Points closer than this to the middle of the robot, within its length, are its own [m]."""
 _MARGIN = 0.05  # around the length of the robot [m]
@@ -70,8 +74,9 @@ def convert(
     Raises:
         MissingExtraError: rosbags, or a package for the clouds' format, is not installed.
         RequestError: the source cannot be read, or the robot hardly moved.
-        OutputError: the file cannot be written.
+        OutputError: the file cannot be written, see ``check_output``.
     """
+    check_output(output, GROUND)
     if source.is_dir() and (source / POSES).exists():
         scans = [_Scan(points, pose) for points, pose in read_folder(source, output)]
         used, skipped = len(scans), 0
@@ -180,4 +185,5 @@ def thinned(points: FloatArray, cell: float) -> FloatArray:
 
 
 def _text(points: FloatArray) -> str:
-    return "".join(f"{x:.4f} {y:.4f} {z:.4f}\n" for x, y, z in points.tolist())
+    rows = (f"{x:.4f} {y:.4f} {z:.4f}\n" for x, y, z in points.tolist())
+    return _HEADER + "".join(rows)

@@ -6,6 +6,7 @@ In: an exported policy and a bag. Out: a file of JSON lines, and how often each 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -16,11 +17,14 @@ from flipperctl.bags.devices import Recording, read_recording
 from flipperctl.bags.topics import Names
 from flipperctl.core.lidar.mount import Mount
 from flipperctl.errors import RequestError
-from flipperctl.files import write_bytes
+from flipperctl.files import OutputKind, check_output, write_bytes
 from flipperctl.runtime.robot_setup import RobotSetup
 from flipperctl.runtime.shadow import Shadow
 from flipperctl.sim.lidar.sensor import LidarSensor
 
+LOG = OutputKind(
+    "a log", (".jsonl",), re.compile(rb'\A\{"time": [^\n]*"setpoints": [^\n]*"measured": ')
+)
 USED = (
     *("near", "filter_margin", "chassis_width", "overall_width"),
     *("pose", "range_bias", "tilt_wander", "tilt_noise"),
@@ -56,9 +60,10 @@ def shadow(
         MissingExtraError: rosbags is not installed, or small_gicp for matched scans.
         PolicyError: the file is no exported policy.
         RequestError: the bag cannot be used.
-        OutputError: the log cannot be written.
+        OutputError: the log cannot be written, see ``check_output``.
     """
     assert isinstance(sensor, LidarSensor)
+    check_output(log, LOG)
     if pose == "true":
         raise RequestError("perception.pose=true: no robot knows this; belts or matched is allowed")
     recording = read_recording(source, names)

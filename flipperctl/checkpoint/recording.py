@@ -15,6 +15,7 @@ other:
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,7 +34,7 @@ from flipperctl.checkpoint.strict_json import decode
 from flipperctl.config import EnvConfig, to_dict
 from flipperctl.core import observation
 from flipperctl.errors import CheckpointError, ConfigError
-from flipperctl.files import write_bytes
+from flipperctl.files import OutputKind, write_bytes
 from flipperctl.messages import explain
 from flipperctl.sim.versions import engine_versions
 
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
 FORMAT: Final = 1
 """Format number of these files."""
 NOUN = "file of recorded episodes"
+KIND = OutputKind(f"a {NOUN}", (".safetensors",), re.compile(rb'\\"kind\\": ?\\"episodes\\"'))
 _SUM = 1e-3  # largest error of a label's sum
 
 

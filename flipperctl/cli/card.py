@@ -38,8 +38,8 @@ def run(
     """See HELP."""
     from flipperctl.cli.card_commands import evaluation_commands
     from flipperctl.errors import RequestError
-    from flipperctl.files import check_writable, write_bytes
-    from flipperctl.report.card import card_text
+    from flipperctl.files import check_output, write_bytes
+    from flipperctl.report.card import CARD, card_text
     from flipperctl.runs.card import card_facts
     from flipperctl.runs.inherited import find_policy
     from flipperctl.terminal.streams import print_note
@@ -48,7 +48,7 @@ def run(
     if file.suffix == ".onnx":
         raise RequestError(f"{file} is exported; give its run or checkpoint")
     if output is not None:
-        check_writable(output, ".md")
+        check_output(output, CARD)
     folders = results or []
     card_facts(policy, file, folders)  # raises for wrong results, before anything is composed
     commands = evaluation_commands(policy, file, folders)

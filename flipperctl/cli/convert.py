@@ -55,15 +55,10 @@ def run(
     from flipperctl.api import Robot
     from flipperctl.bags.ground import Frames, Limits, convert
     from flipperctl.cli.hydra.overrides import Overrides
-    from flipperctl.errors import RequestError
     from flipperctl.export.policy import robot_fields
-    from flipperctl.files import check_writable
     from flipperctl.terminal.document import show
     from flipperctl.terminal.export import print_ground
 
-    if output.suffix != ".xyz":
-        raise RequestError(f"--output {output}: a file that ends in .xyz is allowed")
-    check_writable(output)
     robot = Robot(**robot_fields(Overrides.parse(overrides or ()).values(), "convert"))
     frames, limits = Frames(topic, fixed_frame, base_frame), Limits(reach, cell)
     found = convert(source, output, robot, frames, limits)

@@ -75,7 +75,6 @@ def run(
     from flipperctl.cli.scenes import scenes
     from flipperctl.config.words import with_engine, with_flags
     from flipperctl.export.scene import export_scene
-    from flipperctl.files import check_writable
     from flipperctl.runs.named_policies import controller_or_okada
     from flipperctl.terminal.document import show
     from flipperctl.terminal.export import print_bag, print_scene
@@ -91,7 +90,6 @@ def run(
     config, _ = only_one(scenes(with_engine(words), checkpoint, named))
     suffix = ".xml" if kind is Kind.mjcf else ".urdf"
     target = output or Path(f"{config.terrain.plugin_name}{suffix}")
-    check_writable(target, suffix)
     scene = export_scene(config, "mjcf" if kind is Kind.mjcf else "urdf", target)
     show(scene, lambda: print_scene(scene), as_json=as_json)
 
@@ -101,8 +99,8 @@ def _policy(
 ) -> None:
     from flipperctl import checkpoint as checkpoints
     from flipperctl.cli.hydra.overrides import Overrides
-    from flipperctl.export.policy import export, robot_fields
-    from flipperctl.files import check_writable
+    from flipperctl.export.policy import KINDS, export, robot_fields
+    from flipperctl.files import check_output
     from flipperctl.runs.inherited import find_policy
     from flipperctl.terminal.document import show
     from flipperctl.terminal.export import print_export
@@ -115,9 +113,7 @@ def _policy(
     shipped = file in checkpoints.shipped_policies().values()
     name = file.stem if shipped else saved.config().terrain.plugin_name
     target = output or Path(f"{name}.{kind.value}")
-    if target.suffix in {f".{other.value}" for other in (Kind.onnx, Kind.pt2) if other != kind}:
-        raise RequestError(f"--output {target}: this is the suffix of another format than {kind}")
-    check_writable(target, f".{kind.value}")
+    check_output(target, KINDS[kind.value])
     robot = robot_fields(Overrides.parse(words).values())
     print(f"exporting {saved.path} and comparing it with torch …", file=sys.stderr, flush=True)
     found = export(saved, "onnx" if kind is Kind.onnx else "pt2", target, robot)

@@ -50,7 +50,7 @@ def method_scenes(
     """
     parts = suite.scenes if suite else (SuiteScene("", ()),)
     sections = [part.with_words(list(words)) for part in parts]
-    composer = _Composer([part.name for part in parts], sections)
+    composer = _Composer([part.name_with(list(words)) for part in parts], sections)
     found: dict[tuple[str, str, int, int], list[tuple[Scene, SceneName]]] = {}
     played: dict[str, dict[str, None]] = {}  # method → its scenes
     several = {e.method for e in entrants if sum(o.method == e.method for o in entrants) > 1}

@@ -21,6 +21,16 @@ def _load_plugins(context: typer.Context, paths: list[Path] | None) -> list[Path
     return paths
 
 
+def _check_picture(path: Path | None) -> Path | None:
+    """Check that the picture can be written before the command runs."""
+    if path is not None:
+        from flipperctl.files import check_output
+        from flipperctl.report.figure import PICTURE
+
+        check_output(path, PICTURE)
+    return path
+
+
 PluginPaths = Annotated[
     list[Path] | None,
     typer.Option(
@@ -45,7 +55,8 @@ DefaultOkada = Annotated[
     str | None, typer.Option(metavar="NAME", help="A controller plugin, by default okada.")
 ]
 Picture = Annotated[
-    Path | None, typer.Option(metavar="FILE", help="A picture: .png, .svg or .pdf.")
+    Path | None,
+    typer.Option(metavar="FILE", help="A picture: .png, .svg or .pdf.", callback=_check_picture),
 ]
 Episodes = Annotated[str | None, typer.Option(metavar="N", help="Episodes per scene [100].")]
 Seed = Annotated[str | None, typer.Option(metavar="N", help="Seed of the episodes [0].")]

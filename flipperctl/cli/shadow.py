@@ -30,7 +30,7 @@ def run(
     policy: Annotated[Path, typer.Argument(help="An exported policy, an .onnx file.")],
     bag: Annotated[Path, typer.Argument(help="A bag of ROS 1 or 2.")],
     overrides: options.Overrides = None,
-    output: Annotated[Path, typer.Option(metavar="FILE", help="The log to write.")] = Path(
+    output: Annotated[Path, typer.Option(metavar="FILE.jsonl", help="The log to write.")] = Path(
         "shadow.jsonl"
     ),
     topic: options.CloudTopic = None,
@@ -47,11 +47,9 @@ def run(
     from flipperctl.bags.shadowing import check_used, shadow
     from flipperctl.bags.topics import names_of
     from flipperctl.cli.recorded import recorded_robot
-    from flipperctl.files import check_writable
     from flipperctl.terminal.document import show
     from flipperctl.terminal.perceiving import print_shadow
 
-    check_writable(output)
     given = recorded_robot(overrides)
     check_used(given.keys)
     names = names_of(topic, imu, belts, None, base_frame, front, rear, signs.value)

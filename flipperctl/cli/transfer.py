@@ -68,6 +68,7 @@ def run(
     from flipperctl.studies.transfer import transfer_scenes
     from flipperctl.terminal.document import show
     from flipperctl.terminal.progress import episodes_progress
+    from flipperctl.terminal.streams import print_note
     from flipperctl.terminal.transfer import print_transfer
 
     require_one_policy(checkpoint, controller, overrides)
@@ -88,3 +89,4 @@ def run(
         write(document)
         if film:
             film_episode(*only_one(asked), only or 0, film)
+            print_note(f"wrote {film}")

@@ -91,6 +91,7 @@ def check_ranges(sections: Sections, randomise: Randomise) -> None:
 
     Raises:
         ConfigError: a setting is unknown or cannot be sampled, or a combination is not valid; the
+            error names the ranges that make it so.
     """
     ends: dict[str, dict[str, list[float]]] = {}
     for one in randomise.sampled():

@@ -33,6 +33,17 @@ def check_once(overrides: Iterable[str]) -> None:
         given[key] = override
 
 
+def check_different(where: str, values: Sequence[object]) -> None:
+    """Refuse a list that names something twice.
+
+    Raises:
+        ConfigError: a value equals an earlier one.
+    """
+    for index, value in enumerate(values):
+        if value in values[:index]:
+            raise ConfigError(f"{where}: {value} is given twice; once is allowed")
+
+
 def check_words(overrides: Sequence[str]) -> None:
     """Refuse a word that is not an override, because of the shell or a typing mistake.
 

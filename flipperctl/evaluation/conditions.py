@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -77,23 +77,27 @@ class Conditions:
         """Return plain data: ``name``, ``hash`` and the settings that were hashed."""
         return {"name": self.name, "hash": self.hash, **self.settings}
 
-    def line(self) -> str:
+    def line(self, varied: Collection[str] = ()) -> str:
         """Return one line of text: the randomised settings and those that differ from the defaults.
 
-        The terrain is left out, since the tables name it.
+        The terrain is left out, since the tables name it. ``varied``: keys of settings that have
+        several values, such as those of the axes of a map.
         """
         randomised = list(self._randomised())
-        shift, turn = (self.settings["episode"][name] for name in _START)
+        own = {n: self.settings["episode"][n] for n in _START if f"episode.{n}" not in varied}
+        shift, turn = (own.get(name) for name in _START)
+        starts = [] if shift is None else [f"start ±{shift:g} m"]
+        starts += [f"flippers ±{turn:g} rad"] if turn else []
         sections = {
-            "sensing": self._differences("perception"),
-            "physics": self._differences("sim"),
-            "robot": self._differences("robot"),
-            "episode": self._differences("episode", *_START),
+            "sensing": self._differences("perception", varied),
+            "physics": self._differences("sim", varied),
+            "robot": self._differences("robot", varied),
+            "episode": self._differences("episode", varied, *_START),
         }
         default = [name for name, text in sections.items() if not text]
         parts = [
             f"randomised {', '.join(randomised)}" if randomised else "nothing randomised",
-            f"start ±{shift:g} m" + (f", flippers ±{turn:g} rad" if turn else ""),
+            *([", ".join(starts)] if starts else []),
             *(f"{name} {text}" for name, text in sections.items() if text),
             *([f"default {', '.join(default)}"] if default else []),
         ]
@@ -109,14 +113,20 @@ class Conditions:
             elif value is not None:
                 yield _format_setting(Randomise, name, value)
 
-    def _differences(self, section: str, *excluded: str) -> str:
+    def _differences(self, section: str, varied: Collection[str], *excluded: str) -> str:
         default, values = self.defaults[section], self.settings[section]
         plain = {"name": values.get("name"), **to_dict(default)}
-        changed = [k for k, v in values.items() if v != plain[k] and k not in excluded]
+        several = [key.partition(".")[2] for key in varied if key.startswith(f"{section}.")]
+        left_out = {*excluded, *several}
+        changed = [k for k, v in values.items() if v != plain[k] and k not in left_out]
         model = type(default)
         chosen = [values["name"]] if values.get("name", DEFAULT_ENGINE) != DEFAULT_ENGINE else []
         return ", ".join(
-            [*chosen, *(_format_setting(model, name, values[name]) for name in changed)]
+            [
+                *chosen,
+                *(_format_setting(model, name, values[name]) for name in changed),
+                *(f"{name} varied" for name in several),
+            ]
         )
 
 

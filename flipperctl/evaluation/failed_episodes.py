@@ -20,6 +20,8 @@ from flipperctl.evaluation.scenes import Scene
 from flipperctl.files import write_json
 from flipperctl.policies.source import PolicySource
 
+FAILURES, MAP_FAILURES = "failure_*.json", "failure_map_*.json"
+"""Patterns of the names of records."""
 MOST = 20
 """Largest number of failures of a scene that are recorded [-]."""
 

@@ -13,6 +13,7 @@ from itertools import product
 import numpy as np
 
 from flipperctl.config import EvalConfig
+from flipperctl.config.words import check_different
 from flipperctl.env.ground import generate_profile
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.comparisons import correct_together
@@ -43,6 +44,7 @@ def parse(text: str | None, option: str, configs: Sequence[EvalConfig]) -> list[
     found = [tuple(name.strip() for name in part.split("+")) for part in text.split(",")]
     if not all(all(names) and len(set(names)) == len(names) for names in found):
         raise RequestError(f"{option}: names as in steps,slope+up are allowed; got {text!r}")
+    check_different(f"{option} {text}", ["+".join(sorted(names)) for names in found])
     for name in dict.fromkeys(name for names in found for name in names):
         known: dict[str, None] = {}
         for config in configs:

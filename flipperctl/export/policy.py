@@ -6,6 +6,7 @@ comparison.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -21,12 +22,18 @@ from flipperctl.export.onnx import export_onnx
 from flipperctl.export.parity import compare, rollout_observations
 from flipperctl.export.pt2 import export_pt2
 from flipperctl.export.risky import with_risk
-from flipperctl.files import write_bytes
+from flipperctl.files import OutputKind, check_output, write_bytes
 from flipperctl.guard import naming
 from flipperctl.policies.trained import policy_module, policy_risk
 from flipperctl.runtime.checksum import CHECKSUM, PLACEHOLDER, add_checksum
 
 Format = Literal["onnx", "pt2"]
+_MARK = re.compile(rb"flipperctl\.format_version")
+KINDS: dict[str, OutputKind] = {
+    "onnx": OutputKind("an exported policy", (".onnx",), _MARK),
+    "pt2": OutputKind("an exported policy", (".pt2",), _MARK),
+}
+"""The file of each format."""
 OBSERVATIONS = 1000
 """Smallest number of observations in the comparison."""
 
@@ -45,8 +52,9 @@ def export(
         ConfigError: there is no such field, or its value is of the wrong type or out of bounds.
         MissingExtraError: the format is ONNX and a package that it needs is not installed.
         ExportError: the exported policy disagrees with torch; nothing is written.
-        OutputError: the file cannot be written.
+        OutputError: the file cannot be written, see ``check_output``.
     """
+    check_output(output, KINDS[format])
     trained = checkpoint.config()
     changes = {f"robot.{name}": value for name, value in (robot or {}).items()}
     config = with_overrides(trained, changes)

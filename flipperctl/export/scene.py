@@ -5,16 +5,22 @@ In: the configuration of an evaluation in 3-D. Out: one MJCF file of both, or tw
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any, Literal
 
 from flipperctl.config import EvalConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
-from flipperctl.files import write_bytes
+from flipperctl.files import OutputKind, check_output, write_bytes
 from flipperctl.rollout.seeds import EvaluationSeeds
 
+_URDF = re.compile(rb'<robot name="(flipperctl"|ground">\s*<link name="ground">)')
 SceneFormat = Literal["mjcf", "urdf"]
+_KINDS: dict[SceneFormat, OutputKind] = {
+    "mjcf": OutputKind("an MJCF scene", (".xml",), re.compile(rb'<mujoco model="flipperctl')),
+    "urdf": OutputKind("a URDF", (".urdf",), _URDF),
+}
 
 
 def export_scene(config: EvalConfig, format: SceneFormat, output: Path) -> dict[str, Any]:
@@ -26,8 +32,10 @@ def export_scene(config: EvalConfig, format: SceneFormat, output: Path) -> dict[
     Raises:
         ConfigError: the engine is not ``mujoco``, whose model is written.
         MissingExtraError: MuJoCo is not installed.
-        OutputError: a file cannot be written.
+        OutputError: a file cannot be written, see ``check_output``.
     """
+    for path in [output] if format == "mjcf" else [output, ground_file(output)]:
+        check_output(path, _KINDS[format])
     env = FlipperEnv(config=config)
     env.reset(seed=EvaluationSeeds.of(config.eval.seed, config.terrain)(0))
     # After the reset, which explains a missing or unusable MuJoCo.

@@ -6,6 +6,7 @@ In: what is known of a policy and its evaluations. Out: the text of the card. Th
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,8 +15,10 @@ import yaml
 
 from flipperctl.evaluation.result_rows import StoredRow
 from flipperctl.evaluation.risk import risk_text
+from flipperctl.files import OutputKind
 from flipperctl.report.result_table import ends_text, markdown_table
 
+CARD = OutputKind("a card", (".md",), re.compile(rb"\A---\nlibrary_name: flipperctl\n"))
 TAGS = ("robotics", "reinforcement-learning", "tracked-robot", "flipper-control")
 _TASK = {"type": "reinforcement-learning", "name": "flipper control of a tracked robot"}
 _METRICS = {

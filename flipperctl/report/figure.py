@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import math
+import re
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,12 +18,11 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from flipperctl.api import FloatArray, Profile
-from flipperctl.errors import OutputError
-from flipperctl.files import check_writable, write_bytes
-from flipperctl.messages import close_match
+from flipperctl.files import OutputKind, check_output, write_bytes
 from flipperctl.report.render import EARTH, GROUND, INK
 
-SUFFIXES = (".pdf", ".png", ".svg")
+_MARKS = rb"tEXtSoftware\0flipperctl|<dc:title>flipperctl</dc:title>|/Creator \(flipperctl\)"
+PICTURE = OutputKind("a picture", (".pdf", ".png", ".svg"), re.compile(_MARKS))
 """Suffixes of the file types that ``save`` writes."""
 
 WIDTH = 9.6
@@ -108,18 +108,13 @@ def save(figure: Figure, path: Path) -> None:
     """Write the figure completely or not at all; equal figures give equal files.
 
     Raises:
-        OutputError: the suffix is unknown or the path cannot be written.
+        OutputError: see ``check_output``.
         WriteError: writing failed half way; an existing file is left unchanged.
     """
-    suffix = path.suffix.lower()
-    if suffix not in SUFFIXES:
-        raise OutputError(
-            f"{path}: the suffix {path.suffix!r} is unknown; {', '.join(SUFFIXES)} are allowed"
-            + close_match(suffix, SUFFIXES)
-        )
-    check_writable(path)
-    buffer = io.BytesIO()
+    check_output(path, PICTURE)
+    suffix, buffer = path.suffix.lower(), io.BytesIO()
     undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}.get(suffix, {})
+    described = {"Software" if suffix == ".png" else "Creator": "flipperctl", **undated}
     with matplotlib.rc_context({"svg.hashsalt": "flipperctl"}):  # otherwise SVG ids are random
-        figure.savefig(buffer, format=suffix[1:], dpi=150, metadata=undated)
+        figure.savefig(buffer, format=suffix[1:], dpi=150, metadata=described)
     write_bytes(path, buffer.getvalue())

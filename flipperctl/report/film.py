@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import math
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,8 +19,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from flipperctl.api import FloatArray, Profile, RobotGeometry, RobotState, Transition
-from flipperctl.errors import OutputError
-from flipperctl.files import check_writable, write_bytes
+from flipperctl.files import OutputKind, check_output, write_bytes
 from flipperctl.report.episode import angle_range, window
 from flipperctl.report.figure import (
     WIDTH,
@@ -40,6 +40,9 @@ if TYPE_CHECKING:
 
 SUFFIX = ".gif"
 """Suffix of a film's file."""
+_MARK = b"film by flipperctl"
+"""Comment in each film, by which an earlier one is recognised."""
+FILM = OutputKind("a film", (SUFFIX,), re.compile(_MARK))
 
 _PERIOD = 0.12
 """Simulated time between two frames [s]."""
@@ -56,11 +59,9 @@ def check_film(path: Path) -> None:
     """Check, before the episodes are played, that a film can be written to ``path``.
 
     Raises:
-        OutputError: the suffix is not ``.gif``, or the path cannot be written.
+        OutputError: see ``check_output``.
     """
-    if path.suffix.lower() != SUFFIX:
-        raise OutputError(f"{path}: a film is a {SUFFIX} file; the suffix is {path.suffix!r}")
-    check_writable(path)
+    check_output(path, FILM)
 
 
 def save_film(
@@ -110,9 +111,8 @@ def write_frames(path: Path, frames: Sequence[Image], shown: Sequence[float]) ->
     """Write frames as a GIF that repeats; ``shown``: time of each frame [s]."""
     durations = [round(1000 * time) for time in shown]  # [ms]
     buffer = io.BytesIO()
-    frames[0].save(
-        buffer, "GIF", save_all=True, append_images=frames[1:], duration=durations, loop=0
-    )
+    more = {"append_images": frames[1:], "duration": durations, "comment": _MARK}
+    frames[0].save(buffer, "GIF", save_all=True, loop=0, **more)
     write_bytes(path, buffer.getvalue())
 
 

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray, RobotGeometry, RobotState
 from flipperctl.bags.perceiving import Instant, Replay
-from flipperctl.errors import OutputError, RequestError
-from flipperctl.files import check_writable
-from flipperctl.report.figure import SUFFIXES, WIDTH, save, style_axes
-from flipperctl.report.film import SUFFIX, quantized, write_frames
+from flipperctl.errors import RequestError
+from flipperctl.files import check_output as check_file
+from flipperctl.report.figure import PICTURE, WIDTH, save, style_axes
+from flipperctl.report.film import FILM, quantized, write_frames
 from flipperctl.report.render import HEIGHTS, INK, RobotArtist
 
 _SPEED = 3.0
@@ -45,22 +45,16 @@ def check_output(path: Path | None, at: float | None) -> None:
 
     Raises:
         RequestError: a film has ``--at``, or a picture lacks it; or there is no path for it.
-        OutputError: the suffix is unknown, or the path cannot be written.
+        OutputError: see ``files.check_output``.
     """
     if path is None:
         raise RequestError("--at: a picture needs --output FILE.png")
     suffix = path.suffix.lower()
-    if suffix not in (SUFFIX, *SUFFIXES):
-        allowed = ", ".join(SUFFIXES)
-        raise OutputError(
-            f"{path}: a film is a {SUFFIX} file, a picture of one instant (--at SECONDS) one of "
-            f"{allowed}; the suffix is {path.suffix!r}"
-        )
-    if suffix == SUFFIX and at is not None:
+    if suffix in FILM.suffixes and at is not None:
         raise RequestError(f"--at {at:g}: a film shows all instants; a picture ends in .png")
-    if suffix != SUFFIX and at is None:
+    if suffix in PICTURE.suffixes and at is None:
         raise RequestError(f"--output {path}: a picture needs --at SECONDS; a film ends in .gif")
-    check_writable(path)
+    check_file(path, FILM if at is None else PICTURE)
 
 
 def draw(

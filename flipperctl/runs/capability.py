@@ -15,7 +15,7 @@ from flipperctl.config.words import with_default
 from flipperctl.errors import InterruptedRunError, RequestError
 from flipperctl.evaluation.axes import Axis, cell_config, parse_axes
 from flipperctl.evaluation.capability import EPISODES, CapabilityMap
-from flipperctl.evaluation.failed_episodes import write_map_failures
+from flipperctl.evaluation.failed_episodes import MAP_FAILURES, write_map_failures
 from flipperctl.evaluation.judging import Progress, no_progress
 from flipperctl.evaluation.map_cells import capability_map
 from flipperctl.evaluation.scenes import Scene
@@ -62,7 +62,7 @@ def map_scenes(
     with ExitStack() as stack:
         folder: ResultFolder | None = None
         if output is not None:
-            folder = stack.enter_context(result_folder(output, "map", NAMES))
+            folder = stack.enter_context(result_folder(output, "map", [*NAMES, MAP_FAILURES]))
         _tell_notes(config, source, axes, tell)
         found = capability_map(config, source, axes, progress=progress, stop=stop)
         if not found.cells:

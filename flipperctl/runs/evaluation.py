@@ -10,16 +10,16 @@ from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from flipperctl.checkpoint.recording import require_one_layout
+from flipperctl.checkpoint import recording
 from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
 from flipperctl.evaluation import files
-from flipperctl.evaluation.failed_episodes import write_failures
+from flipperctl.evaluation.failed_episodes import FAILURES, write_failures
 from flipperctl.evaluation.failed_policies import error_of
 from flipperctl.evaluation.judging import Progress, no_progress
 from flipperctl.evaluation.results import EvaluationResult
 from flipperctl.evaluation.scenes import Scene
 from flipperctl.evaluation.store import FOLDER, VIEW, CellFolder, EpisodeStore, write_view
-from flipperctl.files import check_writable
+from flipperctl.files import check_output
 from flipperctl.runs.follow_up import command
 from flipperctl.runs.results import result_folder
 
@@ -55,18 +55,21 @@ class EvaluationFiles:
                 raise RequestError(
                     f"{option} takes one policy, without further ones (--baseline none)"
                 )
+            if file and folder and file.resolve() == folder.resolve():
+                raise RequestError(f"{option} {file} and --output are the same; a file is allowed")
         if film:
             _check_film(film, len(scenes))
         if record:
-            check_writable(record, ".safetensors")
-            require_one_layout(record, [config for config, _ in scenes])
+            check_output(record, recording.KIND)
+            recording.require_one_layout(record, [config for config, _ in scenes])
         drawn = [] if several else [config for config, _ in scenes]
         self._pictures = files.picture_names(drawn)
         self._folder = None
         self.store = EpisodeStore()
         """Episodes that are not played again: those below the folder, if there is one."""
         if folder is not None:
-            names = [*files.NAMES, *self._pictures]
+            names = [*files.NAMES, *self._pictures, FAILURES]
+            names += [] if (folder / FOLDER).is_dir() else [VIEW]
             self._folder = stack.enter_context(result_folder(folder, "eval", names, [VIEW]))
             self.store = CellFolder(folder / FOLDER, tell)
 

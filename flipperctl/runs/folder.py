@@ -17,7 +17,7 @@ from omegaconf import OmegaConf
 
 from flipperctl import checkpoint
 from flipperctl.config import TrainConfig, parse, strict_yaml, to_dict
-from flipperctl.errors import CheckpointError, ConfigError
+from flipperctl.errors import CheckpointError, ConfigError, OutputError
 from flipperctl.files import make_folder, remove_partial, write_bytes
 from flipperctl.training import timing
 from flipperctl.training.recorder import EPISODES, PARTS
@@ -37,6 +37,20 @@ def holds_run(directory: Path) -> bool:
         return False
     files = (directory / name for name in (CONFIG, checkpoint.BEST, checkpoint.LAST))
     return any(file.is_file() and file.stat().st_size > 0 for file in files)
+
+
+def check_free(directory: Path) -> None:
+    """Check that a new run would replace no file of something else, such as an evaluation.
+
+    Raises:
+        OutputError: it would.
+    """
+    for file in (directory / METRICS, directory / SUMMARY):
+        if file.exists():
+            raise OutputError(
+                f"{file} is not of a run and would be replaced; move it, or choose another folder "
+                "(hydra.run.dir)"
+            )
 
 
 def find(run: Path) -> Path:

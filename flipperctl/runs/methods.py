@@ -13,6 +13,7 @@ from typing import Any
 
 from flipperctl import checkpoint as checkpoints
 from flipperctl.config import resolver
+from flipperctl.config.words import check_different
 from flipperctl.errors import FlipperctlError, RequestError
 from flipperctl.policies.exported import ExportedPolicy, is_exported
 from flipperctl.policies.identity import method_settings, without_sources
@@ -70,14 +71,15 @@ def standing(baseline: str | None, present: Sequence[Entrant]) -> list[Entrant]:
     """
     if baseline == "none":
         return []
-    names = STANDING if baseline is None else tuple(baseline.split(","))
+    names = [n.strip() for n in (STANDING if baseline is None else baseline.split(","))]
     if not all(names):
         text = f"names between commas, or none, are allowed; got {baseline!r}"
         raise RequestError(f"--baseline: {text}")
+    check_different("--baseline", names)
     for name in names:
-        refuse_file(name.strip(), "--baseline")
-        resolver.get("controller", name.strip(), "--baseline")
-    return [e for e in (Entrant(name.strip()) for name in names) if e not in present]
+        refuse_file(name, "--baseline")
+        resolver.get("controller", name, "--baseline")
+    return [e for e in map(Entrant, names) if e not in present]
 
 
 def runs_below(folder: Path) -> list[Path]:

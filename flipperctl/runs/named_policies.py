@@ -12,6 +12,7 @@ from typing import Any
 from flipperctl.api import Controller, Robot, registry
 from flipperctl.checkpoint import shipped_policies
 from flipperctl.config import resolver
+from flipperctl.config.words import check_different
 from flipperctl.errors import ConfigError, RequestError
 from flipperctl.messages import close_match
 from flipperctl.policies.source import PolicySource
@@ -106,9 +107,11 @@ def controllers(names: str | None, option: str, default: Sequence[str] = ()) -> 
         raise RequestError(f"{option}: none stands alone, without other names; got {names}")
     if not all(chosen):
         raise RequestError(f"{option}: names between commas, or none, are allowed; got {names!r}")
-    for name in chosen:
-        refuse_file(name.strip(), option)
-    return [PolicySource.of_plugin(name.strip(), option) for name in chosen]
+    found = [name.strip() for name in chosen]
+    check_different(option, found)
+    for name in found:
+        refuse_file(name, option)
+    return [PolicySource.of_plugin(name, option) for name in found]
 
 
 def refuse_file(name: str, option: str) -> None:

@@ -64,7 +64,7 @@ class ResultFolder:
             shutil.rmtree(part, ignore_errors=True)
 
     def require_own(self, names: Sequence[str]) -> None:
-        """Refuse to replace files that no command has written here.
+        """Refuse to replace files that no command has written here; ``names`` may be patterns.
 
         Folders of version 0.2 have no list.
 
@@ -72,12 +72,12 @@ class ResultFolder:
             OutputError: there is such a file.
         """
         listed = {name for own in self._files().values() for name in own}
-        if not listed and (self.path / run_folder.SUMMARY).exists():
+        if not listed and _is_summary(self.path / run_folder.SUMMARY):
             return
-        for name in names:
-            if name not in listed and (self.path / name).exists():
+        for file in sorted(file for name in names for file in self.path.glob(name)):
+            if file.name not in listed:
                 raise OutputError(
-                    f"{self.path / name} is not of an earlier result and would be replaced; move "
+                    f"{file} is not of an earlier result and would be replaced; move "
                     "it, or choose another --output"
                 )
 
@@ -96,14 +96,23 @@ class ResultFolder:
         write_json(self.path / _LIST, others | {self._command: sorted(mine)})
 
 
+def _is_summary(file: Path) -> bool:
+    """Return whether a file is the summary of an evaluation."""
+    try:
+        document: Any = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(document, dict) and {"controller", "scenes"} <= set(document)
+
+
 @contextmanager
 def result_folder(
     path: Path, command: str, names: Sequence[str], summed: Sequence[str] = ()
 ) -> Iterator[ResultFolder]:
     """Create and lock the folder until the context ends or this process dies.
 
-    ``names`` are the files that the command will write, ``summed`` those that only sum up others
-    of the folder.
+    ``names`` are the files that the command will write, or patterns of their names; ``summed``
+    those that only sum up others of the folder.
 
     Raises:
         OutputError: the folder cannot be written, or would lose a file that is no result.

@@ -31,6 +31,15 @@ class SuiteScene:
     words: tuple[str, ...]
     """Overrides, ``key=value``."""
 
+    def name_with(self, words: list[str]) -> str:
+        """Return the name, with those of the user's ``words`` that replace one of the scene's.
+
+        Tables name the terrain by themselves.
+        """
+        own = {key_of(word): word for word in self.words if key_of(word) != "terrain"}
+        changed = [word for word in words if own.get(key_of(word), word) != word]
+        return " ".join([f"{self.name},", *changed]) if changed else self.name
+
     def with_words(self, words: list[str]) -> list[str]:
         """Return the overrides, of which the user's ``words`` replace those of the same keys."""
         typed = {key_of(word) for word in words}

@@ -179,6 +179,7 @@ def _begin(
     keep_more: Callable[[], None],
     stop: Callable[[], bool] = lambda: False,
 ) -> Finished:
+    run_folder.check_free(directory)
     run_folder.clear_leftovers(directory)
     trainer = Trainer(config, directory)
     make_folder(directory / checkpoint.BEST.parent)

@@ -45,7 +45,7 @@ class TrainingCell:
     def __init__(self, total: int, done: int) -> None:
         """``total`` and ``done`` are decisions."""
         self._total, self._done = total, done
-        self._rate = Rate(done)
+        self._rate = Rate()
         self._state = ""
         self._lines: list[str] = []
         self._cell = _Cell()
@@ -54,8 +54,10 @@ class TrainingCell:
     def episode(self, row: Mapping[str, Any]) -> None:
         """Move the bar."""
         self._done = row["decision"]
-        left = self._rate.seconds_left(self._done, self._total)
-        self._state = f"{left} s left  {state_text(row, self._rate(self._done))}"
+        self._rate.take(self._done)
+        state = state_text(row, self._rate.per_second)
+        left = self._rate.left_text(self._done, self._total)
+        self._state = "  ".join(filter(None, [left, state]))
         self._cell.show(self._text)
 
     def validation(self, row: Mapping[str, Any]) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 
 from flipperctl.config import EvalConfig
 from flipperctl.core.arrays import FloatArray
+from flipperctl.evaluation import plain
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.episode import EpisodeResult
 from flipperctl.evaluation.estimates import Interval
@@ -45,6 +46,10 @@ class PolicyReturn:
 
     success_rate: float
     """Fraction of the episodes in which it reached the finish, 0 to 1."""
+    pitch_variation_100hz: float | None
+    """Mean θ̂_R of these episodes [rad]; None without one."""
+    pitch_above_level: Interval | None
+    """Its θ̂_R minus that of ``LEVEL`` where both reached the finish [rad]; None without such."""
     mean: Interval
     """Return without shaping [-]."""
     regret: Interval
@@ -60,6 +65,8 @@ class PolicyReturn:
         """Return plain data."""
         return {
             "success_rate": self.success_rate,
+            "pitch_variation_100hz": self.pitch_variation_100hz,
+            "pitch_above_level": plain.data(self.pitch_above_level),
             "return": self.mean.to_dict(),
             "regret": self.regret.to_dict(),
             "above_level": self.above_level.to_dict(),
@@ -158,11 +165,16 @@ def regret(config: EvalConfig, label: str, played: Played) -> SceneRegret:
     own = returns(played.policy)  # (K,) [-]
     others = {name: returns(episodes) for name, episodes in played.references.items()}
     best = np.max([own, *others.values()], axis=0)  # (K,) [-]
-    level = others[LEVEL]
+    level, still = others[LEVEL], played.references[LEVEL]
 
     def measured(values: FloatArray, episodes: Sequence[EpisodeResult]) -> PolicyReturn:
+        pitches = [e.pitch_variation_100hz for e in episodes if e.reached]
+        both = [(a, b) for a, b in zip(episodes, still, strict=True) if a.reached and b.reached]
+        above = [a.pitch_variation_100hz - b.pitch_variation_100hz for a, b in both]
         return PolicyReturn(
             success_rate=sum(e.reached for e in episodes) / len(episodes),
+            pitch_variation_100hz=float(np.mean(pitches)) if pitches else None,
+            pitch_above_level=interval(above) if above else None,
             mean=_interval(values),
             regret=_interval(best - values),
             above_level=_interval(values - level),

@@ -30,7 +30,8 @@ def print_map(found: CapabilityMap) -> None:
         f"{found.played} of {columns * rows} cells played, {found.episodes} episodes each; dots: "
         "interpolated between equal neighbours"
     )
-    conditions = condition_lines([(found.terrain, found.seed, found.conditions)])
+    varied = [*first.keys, *second.keys]
+    conditions = condition_lines([(found.terrain, found.seed, found.conditions)], varied)
     print_lines(console(), [*lines, *conditions])
 
 

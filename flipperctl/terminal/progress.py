@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
@@ -17,12 +18,13 @@ from flipperctl.terminal.console import console
 from flipperctl.terminal.pitch_variation import pitch_variation_text
 
 _PLAIN_EVERY = 10.0  # [s]
-_KNOWN_AFTER = 20.0  # [s]; before that, compilation and the start of workers distort the rate
+_KNOWN_AFTER = 3.0  # [s] after the first episode, before which compilation and workers start
+_RECENT = 20.0  # [s] over which a rate is taken; updates begin later than decisions
 
 
 def progress(total: int, done: int) -> Listener:
     """Return a bar if stderr is a terminal, else lines; ``total`` and ``done`` are decisions."""
-    return Bar(total, done) if sys.stderr.isatty() else Lines(total, done)
+    return Bar(total, done) if sys.stderr.isatty() else Lines(total)
 
 
 @contextmanager
@@ -91,22 +93,31 @@ class EvaluationProgress:
 
 
 class Rate:
-    """Decisions per second since this object was made, and the time that is left."""
+    """Recent decisions per second of a training, and the time that is left."""
 
-    def __init__(self, done: int) -> None:
-        """``done``: decisions that were made before."""
-        self._start = time.perf_counter()
-        self._done = done
+    def __init__(self) -> None:
+        self._reports: deque[tuple[float, int]] = deque()  # time [s] and decision
 
-    def seconds_left(self, decision: int, total: int) -> str:
-        """Return the remaining time of the training [s], or ``–`` while it is unknown."""
-        if time.perf_counter() - self._start < _KNOWN_AFTER or decision <= self._done:
-            return "–"
-        return f"{(total - decision) / self(decision):.0f}"
+    def take(self, decision: int) -> None:
+        """Take the number of decisions after an episode."""
+        now = time.perf_counter()
+        if not self._reports or now - self._reports[-1][0] >= 0.1:
+            self._reports.append((now, decision))
+        while self._reports[-1][0] - self._reports[0][0] > _RECENT and len(self._reports) > 2:
+            self._reports.popleft()
 
-    def __call__(self, decision: int) -> float:
-        """Return the decisions per second [1/s]."""
-        return (decision - self._done) / max(1e-9, time.perf_counter() - self._start)
+    @property
+    def per_second(self) -> float | None:
+        """Decisions per second [1/s]; None while it is unknown."""
+        if not self._reports:
+            return None
+        (start, first), (end, last) = self._reports[0], self._reports[-1]
+        return (last - first) / (end - start) if end - start >= _KNOWN_AFTER else None
+
+    def left_text(self, decision: int, total: int) -> str:
+        """Return the remaining time of the training in words; empty while it is unknown."""
+        rate = self.per_second
+        return f"{(total - decision) / rate:.0f} s left" if rate else ""
 
 
 def validation_text(row: Mapping[str, Any]) -> str:
@@ -124,36 +135,38 @@ def way_text(validation: Mapping[str, Any]) -> str:
     return f"{pitch_variation_text(validation, 2)}, {validation['t_cost']:.1f} s"
 
 
-def state_text(row: Mapping[str, Any], rate: float) -> str:
+def state_text(row: Mapping[str, Any], rate: float | None) -> str:
     """Return the state of a training after an episode; ``rate`` in decisions per second [1/s]."""
-    loss = "–" if row["loss"] is None else f"{row['loss']:.4f}"  # before the first update
-    return f"{rate:.0f}/s  success {row['success_rate']:.0%}  ε {row['epsilon']:.2f}  loss {loss}"
+    words = [] if rate is None else [f"{rate:.0f}/s"]
+    words += [f"success {row['success_rate']:.0%}", f"ε {row['epsilon']:.2f}"]
+    if row["loss"] is not None:  # as it is before the first update
+        words.append(f"loss {row['loss']:.4f}")
+    return "  ".join(words)
 
 
 class Bar:
     """A rich progress bar with the state of the training, and its validations above it."""
 
     def __init__(self, total: int, done: int) -> None:
-        self._rate = Rate(done)
+        self._rate = Rate()
         self._progress = Progress(
             TextColumn("{task.completed}/{task.total} decisions"),
             BarColumn(bar_width=24),
             TaskProgressColumn(),
-            TextColumn("{task.fields[left]} s left"),
+            TextColumn("{task.fields[left]}"),
             TextColumn("{task.description}"),
             console=console(stderr=True),
         )
         self._total = total
-        self._task = self._progress.add_task("", total=total, completed=done, left="–")
+        self._task = self._progress.add_task("", total=total, completed=done, left="")
         self._progress.start()
 
     def episode(self, row: Mapping[str, Any]) -> None:
         """Move the bar."""
         decision = row["decision"]
-        text, left = (
-            state_text(row, self._rate(decision)),
-            self._rate.seconds_left(decision, self._total),
-        )
+        self._rate.take(decision)
+        left = self._rate.left_text(decision, self._total)
+        text = state_text(row, self._rate.per_second)
         self._progress.update(self._task, completed=decision, description=text, left=left)
 
     def validation(self, row: Mapping[str, Any]) -> None:
@@ -173,24 +186,22 @@ class Bar:
 class Lines:
     """Progress as a line every ten seconds and at each validation."""
 
-    def __init__(self, total: int, done: int) -> None:
-        self._rate = Rate(done)
+    def __init__(self, total: int) -> None:
+        self._rate = Rate()
         self._total = total
         self._last = time.perf_counter()
 
     def episode(self, row: Mapping[str, Any]) -> None:
         """Print a line if the last is ten seconds old."""
-        now = time.perf_counter()
+        decision, now = row["decision"], time.perf_counter()
+        self._rate.take(decision)
         if now - self._last < _PLAIN_EVERY:
             return
         self._last = now
-        decision, rate = row["decision"], self._rate(row["decision"])
-        left = self._rate.seconds_left(decision, self._total)
-        print(
-            f"{decision}/{self._total} decisions  {state_text(row, rate)}  {left} s left",
-            file=sys.stderr,
-            flush=True,
-        )
+        state = state_text(row, self._rate.per_second)
+        words = [f"{decision}/{self._total} decisions", state]
+        words += filter(None, [self._rate.left_text(decision, self._total)])
+        print("  ".join(words), file=sys.stderr, flush=True)
 
     def validation(self, row: Mapping[str, Any]) -> None:
         """Print a line."""

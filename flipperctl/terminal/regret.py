@@ -77,9 +77,10 @@ def sentences(scenes: Sequence[SceneRegret]) -> Iterator[tuple[str, Verdict]]:
 
 
 def regret_line(found: Mapping[str, Any] | None) -> str:
-    """Return a line on the return of a training's best policy, as in its ``summary.json``.
+    """Return lines on a training's best policy beside the rules, as in its ``summary.json``.
 
-    It ends with a line break; the text is empty if the return was not measured.
+    The first is on their returns, the second on what ``eval`` shows, which may differ in sign. Each
+    ends with a line break; the text is empty if nothing was measured.
     """
     if found is None:
         return ""
@@ -87,7 +88,33 @@ def regret_line(found: Mapping[str, Any] | None) -> str:
     rules = (f"{name} {one['return']['mean']:.2f}" for name, one in found["references"].items())
     returns = ", ".join([f"return {interval_text(own)}", *rules])
     words = f"{_WORDS[Verdict(found['verdict'])]}, difference {interval_text(above, sign='+')}"
-    return f"On its own reward, {found['episodes']} episodes: {returns}: {words}.\n"
+    line = f"On its own reward, {found['episodes']} episodes: {returns}: {words}.\n"
+    return line + _level_line(found)
+
+
+def _level_line(found: Mapping[str, Any]) -> str:
+    """Return a line on success and θ̂_R beside holding still; empty if they were not measured."""
+    own, level = found["policy"], found["references"].get(LEVEL)
+    if level is None or "pitch_above_level" not in own:
+        return ""  # of an earlier version
+    told = []
+    for name, one in (("the policy", own), (LEVEL, level)):
+        pitch = one["pitch_variation_100hz"]
+        theta = "" if pitch is None else f", θ̂_R {pitch:.2f} rad"
+        told.append(f"{name} success {one['success_rate']:.0%}{theta}")
+    line = f"On the same episodes: {'; '.join(told)}"
+    if own["pitch_above_level"] is not None:
+        line += f"; {_pitch_text(Interval(**own['pitch_above_level']))}"
+    return f"{line}.\n"
+
+
+def _pitch_text(above: Interval) -> str:
+    words = f"not shown to pitch less than {_STILL}"
+    if above.low is not None and above.low > 0:
+        words = f"PITCHES MORE THAN {_STILL.upper()}"
+    elif above.high is not None and above.high < 0:
+        words = f"pitches less than {_STILL}"
+    return f"{words}, difference {interval_text(above, sign='+')} rad where both reached the finish"
 
 
 def fraction_text(found: float | None) -> str:

@@ -1,9 +1,11 @@
 """Check that a file can hold what its header claims, before memory is allocated for it.
 
-In: a point cloud file. Out: the number of its points, or an error.
+In: a point cloud file. Out: what its header states, or an error.
 """
 
-from collections.abc import Iterator
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
@@ -15,11 +17,30 @@ _LZF_MAX_RATIO = 264
 """Largest number of bytes that one byte of LZF-compressed data can expand to."""
 
 
-def pcd_points(path: Path) -> int:
-    """Return the number of points in a PCD file's header.
+Pose = tuple[float, ...]
+"""Place (x, y, z) and quaternion (w, x, y, z) of a sensor, (7,)."""
+_IDENTITY = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class PcdHeader:
+    """The header of a PCD file."""
+
+    text: str
+    """The header without its pose and without the fields that have no numbers."""
+    begin: int
+    """Position of the data in the file [bytes]."""
+    points: int
+    """Number of points [-]."""
+    pose: Pose | None
+    """The pose that VIEWPOINT states, unless it is the identity."""
+
+
+def pcd_header(path: Path) -> PcdHeader:
+    """Return a PCD file's header.
 
     Raises:
-        ValueError: the file cannot hold that many points, or the header is malformed.
+        ValueError: the file cannot hold its points, or the header is malformed.
     """
     size = path.stat().st_size
     with path.open("rb") as file:
@@ -29,31 +50,81 @@ def pcd_points(path: Path) -> int:
             header[key.upper()] = words
             if header.get("DATA"):
                 break
-        rest = size - file.tell()
-        data = header.get("DATA", [""])[0].lower()
-        sizes = _counts(header, "SIZE", len(header.get("FIELDS", [])))
+        begin = file.tell()
+        fields = header.get("FIELDS", [])
+        sizes = _counts(header, "SIZE", len(fields))
         counts = _counts(header, "COUNT", len(sizes)) if "COUNT" in header else [1] * len(sizes)
         (points,) = _counts(header, "POINTS", 1)
-        values = sum(counts)
-        if values > _MAX_VALUES:
+        if (values := sum(counts)) > _MAX_VALUES:
             raise ValueError(f"a point has {values} numbers; {_MAX_VALUES} are allowed")
+        types, data = header.get("TYPE", []), header.get("DATA", [""])[0].lower()
+        known = all(fields.count(axis) == 1 for axis in "xyz")
+        if not known or len(types) != len(fields) or not {*types} <= {*"FIU"}:
+            raise ValueError(
+                f"FIELDS are {' '.join(fields)[:80]!r} in its header and TYPE is "
+                f"{' '.join(types)[:40]!r}; x, y and z, and F, I or U for each field, are needed"
+            )
+        if data not in ("ascii", "binary", "binary_compressed"):
+            raise ValueError(
+                f"DATA is {data[:40]!r} in its header; ascii, binary and binary_compressed are read"
+            )
         record = sum(width * count for width, count in zip(sizes, counts, strict=True))
         if data == "binary_compressed":
             packed, whole = (int.from_bytes(file.read(4), "little") for _ in range(2))
-            if packed > rest - 8 or whole > packed * _LZF_MAX_RATIO or whole != points * record:
-                raise ValueError(_claim(points, "points", size))
-        elif points * (record if data == "binary" else 2 * values) > rest + 1:
+            held = packed <= size - begin - 8 and whole <= packed * _LZF_MAX_RATIO
+            held &= whole == points * record
+        else:
+            held = points * (record if data == "binary" else 2 * values) <= size - begin + 1
+        if not held:
             raise ValueError(_claim(points, "points", size))
-    return points
+    rows: dict[str, Sequence[object]] = {
+        "FIELDS": fields,
+        "SIZE": sizes,
+        "TYPE": types,
+        "COUNT": counts,
+    }
+    lines = [
+        " ".join([key, *(str(one) for one, count in zip(row, counts, strict=True) if count)])
+        for key, row in rows.items()
+    ]
+    text = "\n".join(
+        ["VERSION 0.7", *lines, f"WIDTH {points}", "HEIGHT 1", f"POINTS {points}", f"DATA {data}\n"]
+    )
+    return PcdHeader(text, begin, points, _pose(header.get("VIEWPOINT", [])))
 
 
-def ply_vertices(path: Path) -> int:
-    """Return the number of vertices in a PLY file's header.
+def _pose(words: list[str]) -> Pose | None:
+    """Return the pose of a VIEWPOINT; NaN states none, and a quaternion of 0 no turn.
+
+    Raises:
+        ValueError: it is not 7 numbers.
+    """
+    if not words:
+        return None
+    try:
+        pose = tuple(float(word) for word in words)
+    except ValueError:
+        pose = ()
+    if len(pose) != len(_IDENTITY):
+        raise ValueError(
+            f"VIEWPOINT is {' '.join(words)[:60]!r} in its header; 7 numbers are needed (x y z and "
+            "the quaternion w x y z)"
+        )
+    if not all(map(math.isfinite, pose)):
+        return None
+    norm = math.hypot(*pose[3:])
+    turn = [value / norm for value in pose[3:]] if norm > 0 else _IDENTITY[3:]
+    moved = any(pose[:3]) or abs(turn[0]) < 1 - 1e-9
+    return (*pose[:3], *turn) if moved else None
+
+
+def ply_elements(path: Path) -> dict[str, int]:
+    """Return the number of each kind of element in a PLY file's header.
 
     Raises:
         ValueError: the file cannot hold that many elements, or the header is malformed.
     """
-    vertices = 0
+    elements: dict[str, int] = {}
     size = path.stat().st_size
     with path.open("rb") as file:
         for line in _header(file):
@@ -62,9 +133,9 @@ def ply_vertices(path: Path) -> int:
                 count = _count(words[1], f"the number of {words[0][:20]} elements")
                 if count > size:
                     raise ValueError(_claim(count, f"{words[0][:20]} elements", size))
-                vertices = count if words[0] == "vertex" else vertices
+                elements[words[0]] = count
             if key == "end_header":
-                return vertices
+                return elements
     raise ValueError("its header has no end")
 
 

@@ -1,22 +1,22 @@
 """Point clouds, and slices through them along a vertical plane.
 
-In: PCD, PLY and XYZ files in any frame with an axis that points up. Out: heights along a line, in
-the frame with x and y level and z up.
+In: points in any frame with an axis that points up. Out: heights along a line, in the frame with x
+and y level and z up.
 """
 
-import re
-from pathlib import Path
+from collections.abc import Iterator
 
 import numpy as np
 
 from flipperctl.api import FloatArray
 
-from .claims import pcd_points, ply_vertices
-from .layers import Choice, Ground, layer_of_points
+from .claims import Pose
+from .cloud_faults import remark_on_rounding, without_unmeasured
+from .cloud_files import CloudFile
+from .layers import Choice, Ground, layer_of_points, parts_of_points
 from .line import Line
-from .text import read_lines
+from .missing import without_missing
 
-_DECIMAL_COMMA = re.compile(r"[-+]?\d+,\d+(e[-+]?\d+)?", re.IGNORECASE)
 LEVEL = {
     "z": ("x", "y"),
     "y": ("z", "x"),
@@ -26,60 +26,46 @@ LEVEL = {
     "-x": ("z", "y"),
 }
 """The file's axis that points up → its axes that become x and y; both frames right-handed."""
+_LEVEL = 0.1
+"""Largest difference of heights at which ground goes on, as a share of the headroom [-]."""
 
 
-def read_pcd(path: Path) -> FloatArray:
-    """Return the points of a PCD file (ASCII, binary or compressed), (P, 3) in the file's unit.
+def measured(
+    file: CloudFile, unit: float, up: str, viewpoint: bool | None, spacing: float
+) -> tuple[FloatArray, list[str]]:
+    """Return a file's measured points with z up, (P, 3) [m], and remarks on the file.
 
-    Raises:
-        ValueError: it holds fewer or more points than its header claims.
+    ``unit``: of the file [m]; ``viewpoint``: whether the pose that it states moves the points;
+    ``spacing``: distance between heights along a line [m].
     """
-    from pypcd4.pypcd4 import PointCloud
-
-    claimed = pcd_points(path)
-    cloud = PointCloud.from_path(path)
-    return _complete(np.asarray(cloud.numpy(("x", "y", "z")), dtype=np.float64), claimed)
-
-
-def read_ply(path: Path) -> FloatArray:
-    """Return the vertices of a PLY file (ASCII or binary), (P, 3) in the file's unit.
-
-    Raises:
-        ValueError: it holds fewer or more vertices than its header claims.
-    """
-    from trimesh.exchange.ply import load_ply
-
-    claimed = ply_vertices(path)
-    with path.open("rb") as file:
-        found = load_ply(file, fix_texture=False, skip_materials=True)
-    return _complete(np.asarray(found["vertices"], dtype=np.float64), claimed)
+    finite = file.points[np.isfinite(file.points).all(axis=1)]
+    columns = [without_missing(column) for column in finite.T]
+    points, unmeasured = without_unmeasured(np.column_stack([column for column, _ in columns]))
+    rounded = remark_on_rounding(points, "".join(LEVEL[up]), file.single, unit, spacing)
+    remarks = [*(remark for _, remark in columns), unmeasured, rounded]
+    if file.pose is not None:
+        remarks += _remarks_on_pose(file.pose, viewpoint)
+        points = _moved(points, file.pose) if viewpoint else points
+    return upright(points * unit, up), [remark for remark in remarks if remark]
 
 
-def _complete(points: FloatArray, claimed: int) -> FloatArray:
-    if points.shape != (claimed, 3):
-        raise ValueError(f"its header claims {claimed} points (x, y, z); it holds {points.shape}")
-    return points
+def _remarks_on_pose(pose: Pose, applied: bool | None) -> Iterator[str]:
+    """Yield a remark on a pose that a PCD states, unless it is said whether it is ``applied``."""
+    if applied is None:
+        angle = np.degrees(2 * np.arccos(min(1.0, abs(pose[3]))))
+        place = " ".join(f"{value:g}" for value in pose[:3])
+        yield (
+            f"its VIEWPOINT states a pose at {place}, turned by {angle:.3g}°, by which its points "
+            "are not moved (terrain.viewpoint=true moves them, false says that they are not to be)"
+        )
 
 
-def read_xyz(path: Path) -> FloatArray:
-    """Return the first three columns of a text file, (P, 3) in the file's unit.
-
-    Columns are separated by blanks or commas, or by semicolons or blanks where the decimal sign is
-    a comma.
-
-    Raises:
-        ValueError: the file is not text, or a line does not begin with three numbers.
-    """
-    lines = (_with_decimal_points(line) for line in read_lines(path) if not line.startswith("//"))
-    return np.loadtxt(lines, usecols=(0, 1, 2), ndmin=2)
-
-
-def _with_decimal_points(line: str) -> str:
-    """Return the line with blanks between its columns and with decimal points."""
-    columns = line.replace(";", " ").split()
-    if ";" in line or (len(columns) > 2 and all(map(_DECIMAL_COMMA.fullmatch, columns[:3]))):
-        return " ".join(columns).replace(",", ".")
-    return line.replace(",", " ")
+def _moved(points: FloatArray, pose: Pose) -> FloatArray:
+    """Return points (P, 3) in the frame in which their own has the ``pose``."""
+    w, *vector = pose[3:]
+    turned = 2 * np.cross(vector, points)
+    result: FloatArray = points + w * turned + np.cross(vector, turned) + pose[:3]
+    return result
 
 
 def upright(points: FloatArray, up: str) -> FloatArray:
@@ -121,10 +107,21 @@ def slice_along(
     at, begins = np.unique(nearest[order], return_index=True)
     heights, above = np.full(len(places), np.nan), np.full(len(places), np.inf)
     underside = heights.copy()
-    for place, group in zip(at, np.split(points[within, 2][order], begins[1:]), strict=True):
+    groups = np.split(points[within, 2][order], begins[1:])
+    for place, group in zip(at, groups, strict=True):
         layer, above[place] = layer_of_points(group, choice)
         underside[place] = layer[0]
         heights[place] = np.quantile(layer, quantile)
+    layers, covered = heights.copy(), np.isfinite(above)
+    for place, group in zip(at, groups, strict=True):
+        parts = parts_of_points(group, choice)
+        if parts[0][0] < underside[place] and not choice.highest:
+            reach = places[place] + np.array([-1, 1]) * choice.largest_gap
+            near = layers[slice(*np.searchsorted(places, reach))]
+            if (np.abs(near - parts[0][-1]) <= _LEVEL * choice.headroom).any():
+                # Few points are no stray ones where they continue the ground beside them.
+                covered[place], underside[place] = True, parts[0][0]
+                heights[place] = np.quantile(parts[0], quantile)
+        above[place] = min((p[0] for p in parts if p[0] > underside[place]), default=np.inf)
     none = np.zeros(len(places), np.bool_)
-    ground = Ground(heights, np.isfinite(above), none, none, none, above, underside)
-    return ground.without_ceilings_over_holes(places, choice)
+    return Ground(heights, covered, none, none, none, above, underside)

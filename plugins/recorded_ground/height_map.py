@@ -1,17 +1,15 @@
 """Height maps: a grid of heights and the positions of its cells.
 
-In: NPY files, whose frame must be stated, and GeoTIFF files, which contain it. Out: heights along
-a line, in a frame with x and y level and z up [m].
+In: NPY files, whose frame must be stated; ``geotiff`` reads files that contain theirs. Out: heights
+along a line, in a frame with x and y level and z up [m].
 """
 
-import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray
 
@@ -34,12 +32,23 @@ class HeightMap:
     """Affine map (2, 3): (row, column) = to_cell · (x, y, 1); integers are cell centres."""
     heights: Callable[[Part], tuple[FloatArray, str]]
     """Returns the heights of a part of the grid [m], NaN where unknown, and a remark on those."""
+    remarks: tuple[str, ...] = ()
+    """Remarks on what the file states."""
+    stretch: Callable[[FloatArray], FloatArray] = lambda place: np.eye(2)
+    """Returns metres of ground per metre of the frame at (x, y) [m], as ``Line.stretch``."""
 
     @property
     def extent(self) -> FloatArray:
         """Extent in x and y, (2,) [m]."""
         extent: FloatArray = np.ptp(self._corners(), axis=1)
         return extent
+
+    def on_ground(self, line: Line) -> Line:
+        """Return the line with the lengths of the ground at its middle, if that is on the map."""
+        middle = np.add(line.start, line.end) / 2
+        if not self._are_inside(self._cells(middle)):
+            return line
+        return replace(line, stretch=self.stretch(middle))
 
     def along(self, line: Line) -> tuple[FloatArray, str]:
         """Return the heights at the line's points, (D,) [m]; NaN where unknown.
@@ -50,10 +59,9 @@ class HeightMap:
         Raises:
             ValueError: an end of the line lies outside the map, or too many cells surround it.
         """
-        cells = line.points @ self.to_cell[:, :2].T + self.to_cell[:, 2]  # (D, 2)
-        last = np.array(self.shape) - 1
+        cells = self._cells(line.points)
         for end, cell in ((line.start, cells[0]), (line.end, cells[-1])):
-            if not ((cell >= -1e-6) & (cell <= last + 1e-6)).all():
+            if not self._are_inside(cell):
                 raise ValueError(f"{end} lies outside the map, which covers {self._extent()}")
         return self._at(cells, line)
 
@@ -68,13 +76,21 @@ class HeightMap:
         """
         ahead = np.asarray(line.start) + along[:, None, None] * line.direction  # (A, 1, 2)
         places = (ahead + left[:, None] * line.left).reshape(-1, 2)
-        cells = places @ self.to_cell[:, :2].T + self.to_cell[:, 2]
-        last = np.array(self.shape) - 1
-        inside = ((cells >= -1e-6) & (cells <= last + 1e-6)).all(axis=1)
+        cells = self._cells(places)
+        inside = self._are_inside(cells)
         found = np.full(len(cells), np.nan)
         if inside.any():
             found[inside], _ = self._at(cells[inside], line)
         return found.reshape(len(along), len(left))
+
+    def _cells(self, places: FloatArray) -> FloatArray:
+        """Return the fractional row and column of places (…, 2) in (x, y) [m]."""
+        cells: FloatArray = places @ self.to_cell[:, :2].T + self.to_cell[:, 2]
+        return cells
+
+    def _are_inside(self, cells: FloatArray) -> NDArray[np.bool_]:
+        last = np.array(self.shape) - 1
+        return np.asarray(((cells >= -1e-6) & (cells <= last + 1e-6)).all(axis=-1))
 
     def _at(self, cells: FloatArray, line: Line) -> tuple[FloatArray, str]:
         """Return the heights at cells (P, 2), fractional row and column; errors name the line."""
@@ -113,13 +129,13 @@ class HeightMap:
 
 
 def read_npy(
-    path: Path, resolution: float | None, unit: float, rows: int, no_data: float | None
+    path: Path, resolution: float | None, unit: float | None, rows: int, no_data: float | None
 ) -> HeightMap:
     """Return a map whose cell [0, 0] lies at (0, 0), with columns along x and rows along y.
 
-    ``resolution`` is the size of a cell [m] and ``unit`` the unit of the heights [m]. With ``rows``
-    of -1 the rows run against y, as in images. ``no_data`` marks unknown heights, in the
-    file's unit.
+    ``resolution`` is the size of a cell [m] and ``unit`` the unit of the heights [m], metres if it
+    is None. With ``rows`` of -1 the rows run against y, as in images. ``no_data`` marks unknown
+    heights, in the file's unit.
 
     Raises:
         ValueError: the file is not a grid of numbers, or the resolution is not stated.
@@ -134,59 +150,17 @@ def read_npy(
 
     def heights(part: Part) -> tuple[FloatArray, str]:
         found, remark = without_missing(np.asarray(grid[part], dtype=np.float64), no_data)
-        return found * unit, remark
+        return found * (unit or 1.0), remark
 
-    return HeightMap(shape, _cells_from_resolution(resolution, rows), heights)
+    return HeightMap(shape, cells_from_resolution(resolution, rows), heights)
 
 
-def read_geotiff(
-    path: Path, resolution: float | None, unit: float, rows: int, no_data: float | None
-) -> HeightMap:
-    """Return a map of the file's first band, in the file's own frame.
-
-    A file without a frame needs a ``resolution`` [m], as an NPY file does. Besides ``no_data``, the
-    value that the file itself states and its mask mark unknown heights. The band's own scale and
-    offset turn the stored numbers into heights in ``unit``; ``no_data`` is a stored number.
+def cells_from_resolution(resolution: float | None, rows: int) -> FloatArray:
+    """Return ``HeightMap.to_cell`` of a map whose cell [0, 0] lies at (0, 0).
 
     Raises:
-        ValueError: the coordinates are degrees, or the frame is stated twice or not at all.
+        ValueError: the ``resolution`` [m] is not stated.
     """
-    with _opened(path) as file:
-        shape, transform, crs = (file.height, file.width), file.transform, file.crs
-
-    def heights(part: Part) -> tuple[FloatArray, str]:
-        with _opened(path) as file:
-            read = file.read(1, masked=True, window=part)
-            scale, offset = file.scales[0], file.offsets[0]
-        values = np.asarray(read.astype(np.float64).filled(np.nan))
-        found, remark = without_missing(values, no_data)
-        return (found * scale + offset) * unit, remark
-
-    if transform.is_identity:
-        return HeightMap(shape, _cells_from_resolution(resolution, rows), heights)
-    if resolution is not None:
-        raise ValueError("the file states where its cells lie; a resolution must not be set too")
-    if crs is not None and crs.is_geographic:
-        raise ValueError("its coordinates are degrees; project it to metres, as gdalwarp does")
-    metres = crs.linear_units_factor[1] if crs is not None else 1.0
-    inverse = ~transform  # (x, y) → (column, row) of a cell's corner
-    column = [inverse.a / metres, inverse.b / metres, inverse.c - 0.5]
-    row = [inverse.d / metres, inverse.e / metres, inverse.f - 0.5]
-    return HeightMap(shape, np.array([row, column]), heights)
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[Any]:
-    import rasterio
-    from rasterio.errors import NotGeoreferencedWarning
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.open(path, driver="GTiff") as file:
-            yield file
-
-
-def _cells_from_resolution(resolution: float | None, rows: int) -> FloatArray:
     if resolution is None:
         raise ValueError("it does not state the size of its cells; set the resolution")
     return np.array([[0.0, rows / resolution, 0.0], [1.0 / resolution, 0.0, 0.0]])

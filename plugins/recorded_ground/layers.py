@@ -22,6 +22,12 @@ _ROUNDING = 1e-9
 """Allowed shortfall of free height from the headroom, since 0.7 - 0.2 rounds below 0.5 [m]."""
 _CEILING = 0.05
 """Height by which a ceiling may lie lower over a hole than beside it [m]."""
+_FLAT = 0.01
+"""Height above a surface in which no robot has room, as below a sticker on a board [m]."""
+_PART = 0.25
+"""Smallest number of bodies that is no rounding; on edges there are halves [-]."""
+_TALL = 0.25
+"""Smallest share of the headroom that the points of one place of a wall extend upwards [-]."""
 _SHARE = 0.1
 """Smallest share of a place's points that counts as a layer; fewer are stray points [-]."""
 
@@ -49,17 +55,71 @@ class Crossings:
     front: NDArray[np.bool_]
     """Whether the face looks up there."""
 
+    surface: NDArray[np.int64] | None = None
+    """Number of the surface that the face belongs to, -1 if to none; None: all belong to one."""
+    share: FloatArray | None = None
+    """Number of layers that cross [-]: 0.5 on the edge of a face; None: 1 each."""
+
     def ascending(self) -> "Crossings":
         """Return the crossings sorted by place and height; those of coinciding faces are merged.
 
-        The two sides of a sheet are its bottom and then its top.
+        The two sides of a sheet are its bottom and then its top. Only faces of one surface are
+        merged, and their shares added.
         """
-        order = np.lexsort((self.height + _SAME * self.front, self.place))
-        place, height, front = self.place[order], self.height[order], self.front[order]
-        same = np.zeros(len(order), dtype=np.bool_)
-        same[1:] = (place[1:] == place[:-1]) & (front[1:] == front[:-1])
-        same[1:] &= np.abs(np.diff(height)) < _SAME
-        return Crossings(place[~same], height[~same], front[~same])
+        surface = np.zeros_like(self.place) if self.surface is None else self.surface
+        share = np.ones(len(self.place)) if self.share is None else self.share
+        height = self.height + _SAME * self.front
+        order = np.lexsort((height, surface, self.place))
+        keys = np.column_stack([self.place, surface, self.front])[order]
+        differs = np.append(True, (keys[1:] != keys[:-1]).any(axis=1))[: len(order)]
+        differs[1:] |= np.abs(np.diff(self.height[order])) >= _SAME
+        first = np.flatnonzero(differs)
+        if len(first):
+            share = np.add.reduceat(share[order], first)
+        order = order[first]
+        up = np.lexsort((height[order], self.place[order]))
+        order = order[up]
+        return Crossings(
+            self.place[order], self.height[order], self.front[order], surface[order], share[up]
+        )
+
+    def in_bodies(self) -> "Crossings":
+        """Return the crossings, ascending, with -1 for surfaces that bound no body at their place.
+
+        A surface bounds bodies where, from below, a face that looks up ends each body that one that
+        looks down began.
+        """
+        found = self.ascending()
+        assert found.surface is not None
+        order = np.lexsort((np.arange(len(found.place)), found.surface, found.place))
+        keys = np.column_stack([found.place, found.surface])[order]
+        begins = np.append(True, (keys[1:] != keys[:-1]).any(axis=1))[: len(order)]
+        bodies = found._bodies(order, begins)
+        last = np.append(begins[1:], True)[: len(order)]
+        group = np.cumsum(begins) - 1
+        faults = np.bincount(group, (bodies < -_PART) | (last & (bodies > _PART)))
+        surface = found.surface.copy()
+        surface[order[faults[group] > 0]] = -1
+        return replace(found, surface=surface).ascending()
+
+    def enclosed(self) -> NDArray[np.bool_]:
+        """Return whether each of the crossings ``in_bodies`` lies in a surface's body, (K,)."""
+        assert self.surface is not None
+        assert self.share is not None
+        bounding = replace(self, share=self.share * (self.surface != -1))
+        begins = np.append(True, self.place[1:] != self.place[:-1])[: len(self.place)]
+        return bounding._bodies(np.arange(len(self.place)), begins) > _PART
+
+    def _bodies(self, order: NDArray[np.int64], begins: NDArray[np.bool_]) -> FloatArray:
+        """Return the number of bodies above each crossing that begin at it or below, (K,).
+
+        It is counted in each group of the ``order``, (K,), from where the group ``begins``, (K,).
+        """
+        assert self.share is not None
+        step = np.where(self.front, -self.share, self.share)[order]
+        total = np.cumsum(step)
+        bodies: FloatArray = total - (total - step)[begins][np.cumsum(begins) - 1]
+        return bodies
 
 
 @dataclass(frozen=True)
@@ -126,15 +186,21 @@ def _holes(
 
 
 def ground_of_faces(crossings: Crossings, places: int, choice: Choice) -> Ground:
-    """Return the ground below the faces of a mesh at each of a number of places."""
-    found = crossings.ascending()
+    """Return the ground below the faces of a mesh at each of a number of places.
+
+    A surface that is closed above a place bounds bodies there, whatever lies above or below it.
+    The faces of all other surfaces may together bound a body, as loose faces do.
+    """
+    found = crossings.in_bodies()
     place, height, front = found.place, found.height, found.front
     last = np.append(place[1:] != place[:-1], True)[: len(place)]
     room = np.where(last, np.inf, np.append(height[1:], 0.0)[: len(place)] - height)
     roomy = front & (room >= choice.headroom - _ROUNDING)
-    depth, below = _bodies_above(found), _backs_below(found)
-    # Without a face that looks down farther below, what lies above is a sheet and no body.
-    inside = (depth > 0) & (below > 0)
+    assert found.surface is not None
+    is_loose, enclosed = found.surface == -1, found.enclosed()
+    depth, below = _bodies_above(found, is_loose), _backs_below(found, is_loose)
+    # Without a loose face that looks down farther below, what lies above is a sheet and no body.
+    inside = enclosed | ((depth > 0) & (below > 0))
     layer = roomy & ~inside
     result = np.full(places, -np.inf if choice.highest else np.inf)
     (np.maximum if choice.highest else np.minimum).at(result, place[layer], height[layer])
@@ -145,12 +211,12 @@ def ground_of_faces(crossings: Crossings, places: int, choice: Choice) -> Ground
     covered, behind, doubtful, raised = (np.zeros(places, np.bool_) for _ in range(4))
     covered[place[layer & ~last]] = True
     behind[place[~front & last]] = True
-    doubtful[place[roomy & inside & (below < depth + 1)]] = True
+    doubtful[place[roomy & inside & ~enclosed & (below < depth + 1)]] = True
     result = np.where(np.isfinite(result), result, np.nan)
     above = np.full(places, np.inf)
     lowest = layer & (height == result[place]) & ~last
     above[place[lowest]] = np.append(height[1:], 0.0)[: len(place)][lowest]
-    raised[place[front & ~roomy & ~inside & (height < result[place])]] = True
+    raised[place[front & ~roomy & ~inside & (height < result[place] - _FLAT)]] = True
     underside = _undersides(found, result)
     return Ground(result, covered, behind, doubtful, raised, above, underside)
 
@@ -159,20 +225,23 @@ def _undersides(found: Crossings, ground: FloatArray) -> FloatArray:
     """Return ``Ground.underside``, (P,), of the ground's heights (P,) [m]."""
     place, height, front = found.place, found.height, found.front
     result = ground.copy()
-    below = height < ground[place]
+    below = height < ground[place] - _SAME * front  # not where two surfaces coincide
     result[place[below & ~front]] = height[below & ~front]  # the last is the highest of a place
     result[place[below & front]] = -np.inf
     return result
 
 
-def _bodies_above(found: Crossings) -> NDArray[np.int64]:
-    """Return the number of bodies that begin above each crossing and do not end above it, (K,)."""
-    step = np.where(found.front, 1, -1)[::-1]  # from above, a face that looks up begins a body
+def _bodies_above(found: Crossings, counted: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return the number of bodies that begin above each crossing and do not end above it, (K,).
+
+    Only crossings that are ``counted``, (K,), begin and end bodies.
+    """
+    step = (counted * np.where(found.front, 1, -1))[::-1]  # from above, one that looks up begins
     place = found.place[::-1]
     begins = np.append(True, place[1:] != place[:-1])[: len(place)]
     group = np.cumsum(begins)
     total = np.cumsum(step)
-    base = (total - step)[begins][group - 1]
+    base: NDArray[np.int64] = (total - step)[begins][group - 1]
     # A body ends only if it began: the sum is reflected at zero, separately for each place.
     shift = group * (2 * len(step) + 1)
     lowest = np.minimum.accumulate(np.minimum(total, base) - shift) + shift
@@ -183,13 +252,91 @@ def _bodies_above(found: Crossings) -> NDArray[np.int64]:
     return reversed_back
 
 
-def _backs_below(found: Crossings) -> NDArray[np.int64]:
-    """Return the number of faces that look down below each crossing of its place, (K,)."""
-    back = (~found.front).astype(np.int64)
+def _backs_below(found: Crossings, counted: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return the number of ``counted`` faces that look down below each crossing, (K,)."""
+    back = (counted & ~found.front).astype(np.int64)
     before = np.cumsum(back) - back
     begins = np.append(True, found.place[1:] != found.place[:-1])[: len(back)]
     counts: NDArray[np.int64] = before - before[begins][np.cumsum(begins) - 1]
     return counts
+
+
+def overhead(ground: Ground, along: FloatArray, choice: Choice, margin: float) -> NDArray[np.bool_]:
+    """Return at which places, (P,), only something above an unseen floor was measured.
+
+    ``along`` are the distances of the places, ascending (P,) [m], and the ground is that of points.
+    A run of places hangs if it begins ``headroom`` or more above the places on both sides of it, or
+    on the one side where the line ends, without points between. Such a run is
+
+    - overhead if something at its height lies above the ground more than the ``margin`` [m] away
+      from it; nearer, the place may hold points on both sides of a wall's edge,
+    - ground if another part of the ground is as high, such as the far side of a trench,
+    - overhead if it has gaps to its sides, or is at an end of the line and not tall,
+    - else ground: the top of a wall, seen from above, which hides just the floor below it, or a
+      wall at the end, whose lower part is hidden.
+
+    Runs that reach over more than ``largest_gap`` are ground.
+    """
+    result = np.zeros(len(along), np.bool_)
+    if choice.highest or choice.largest_gap == 0:
+        return result
+    kept = np.zeros(len(along), np.bool_)  # hanging runs that are ground
+    known = np.flatnonzero(np.isfinite(ground.height))
+    usual = 2 * float(np.median(np.diff(along[known]))) if len(known) > 1 else 0.0
+    while (run := _hanging(ground, known[~result[known]], along, choice, kept)) is not None:
+        places, before, after = run
+        level = float(np.median(ground.underside[places]))
+        near = choice.headroom / 2
+        others = np.setdiff1d(known, places)
+        if len(before) and len(after):
+            apart = np.diff(np.concatenate([along[before], along[places], along[after]])).max()
+            alone = apart > usual + _ROUNDING
+        else:
+            tall = (ground.height - ground.underside)[places].max()
+            alone = tall < choice.headroom * _TALL
+        away = along[others] < along[places[0]] - margin
+        away |= along[others] > along[places[-1]] + margin
+        hides = (away & (np.abs(ground.above[others] - level) <= near)).any()
+        rises = (np.abs(ground.height[others] - level) <= near) & ~result[others]
+        hangs = hides or (alone and not rises.any())
+        (result if hangs else kept)[places] = True
+    return result
+
+
+def _hanging(
+    ground: Ground,
+    known: NDArray[np.int64],
+    along: FloatArray,
+    choice: Choice,
+    kept: NDArray[np.bool_],
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]] | None:
+    """Return the places of a run that hangs, with one before and one after it where there is one.
+
+    Runs are parts of the ``known`` places, those ``kept`` are left out. None if there is no other.
+    """
+    room = choice.headroom - _ROUNDING
+    low, high = ground.underside[known], ground.height[known]
+    cuts = (low[1:] >= high[:-1] + room) | (low[:-1] >= high[1:] + room)
+    runs = np.split(known, np.flatnonzero(cuts) + 1)
+    for number, run in enumerate(runs):
+        before = runs[number - 1][-1:] if number else run[:0]
+        after = runs[number + 1][:1] if number + 1 < len(runs) else run[:0]
+        sides = np.concatenate([before, after])
+        if not len(sides) or kept[run].any():
+            continue
+        begin = along[before[0]] if len(before) else along[0]
+        end = along[after[0]] if len(after) else along[-1]
+        hangs = ground.underside[run].min() >= ground.height[sides].max() + room
+        if hangs and end - begin <= choice.largest_gap:
+            return run, before, after
+    return None
+
+
+def parts_of_points(heights: FloatArray, choice: Choice) -> list[FloatArray]:
+    """Return the heights of one place's points, (K,) [m], split where the headroom is free."""
+    ordered = np.sort(heights)
+    apart = np.diff(ordered) > choice.headroom - _ROUNDING
+    return np.split(ordered, np.flatnonzero(apart) + 1)
 
 
 def layer_of_points(heights: FloatArray, choice: Choice) -> tuple[FloatArray, float]:
@@ -198,9 +345,7 @@ def layer_of_points(heights: FloatArray, choice: Choice) -> tuple[FloatArray, fl
     Also returns the height of what lies above the lowest layer, which is infinite if nothing does.
     Stray points belong to no layer.
     """
-    ordered = np.sort(heights)
-    apart = np.diff(ordered) > choice.headroom - _ROUNDING
-    parts = np.split(ordered, np.flatnonzero(apart) + 1)
-    layers = [part for part in parts if len(part) >= _SHARE * len(ordered)]
+    parts = parts_of_points(heights, choice)
+    layers = [part for part in parts if len(part) >= _SHARE * len(heights)]
     above = float(layers[1][0]) if len(layers) > 1 else np.inf
     return layers[-1 if choice.highest else 0], above

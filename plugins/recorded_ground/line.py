@@ -1,11 +1,11 @@
 """A straight line over the ground, and heights along it.
 
 In the frame, x and y are level and z points up. A line runs from ``start`` to ``end`` in (x, y)
-[m]; distances are measured along it from ``start``.
+[m]; distances are measured along it from ``start``, on the ground.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -22,21 +22,27 @@ class Line:
     """Last point, (x, y) [m]."""
     spacing: float
     """Distance between two heights [m]; the last distance may be shorter."""
+    stretch: FloatArray = field(default_factory=lambda: np.eye(2))
+    """Turns a step in (x, y) into one of its length on the ground, (2, 2) [-].
+
+    It differs from the unit matrix if the frame is a projection that stretches the ground.
+    """
 
     @property
     def length(self) -> float:
         """Distance from start to end [m]."""
-        return float(np.hypot(*np.subtract(self.end, self.start)))
+        return float(np.hypot(*(self.stretch @ np.subtract(self.end, self.start))))
 
     @property
     def direction(self) -> FloatArray:
-        """Unit vector from start to end, (2,)."""
+        """Step in (x, y) towards the end for each metre of ground, (2,)."""
         return np.subtract(self.end, self.start) / self.length
 
     @property
     def left(self) -> FloatArray:
-        """Unit vector to the left of the line, (2,)."""
-        return np.array([-self.direction[1], self.direction[0]])
+        """Step in (x, y) to the left of the line for each metre of ground, (2,)."""
+        ahead = self.stretch @ self.direction
+        return np.asarray(np.linalg.solve(self.stretch, np.array([-ahead[1], ahead[0]])))
 
     @property
     def distances(self) -> FloatArray:

@@ -5,7 +5,8 @@ along and beside a line, in the frame with x and y level and z up [m].
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,11 +18,18 @@ from flipperctl.api import FloatArray
 from .cloud import upright
 from .layers import Choice, Crossings, Ground, ground_of_faces
 from .line import Line
+from .surfaces import surfaces
 
 BYTES_PER_FACE = 500
 """Bytes per allowed face above which a file is refused unread; text formats need 300."""
 _EDGE = 1e-4
 """Distance by which an end of the line may lie outside the mesh [m]."""
+_STEEP = 0.1
+"""Largest share of a face that is seen from above at which rounding may have tilted a wall [-]."""
+_MIXED = np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64).view(
+    np.int64
+)
+"""Factors with which two of a billion places have one number with a probability of 0.03 [-]."""
 _INSIDE = 1e-9
 """Fraction by which a place may lie outside a triangle that it belongs to [-]."""
 _AT_ONCE = 1_000_000
@@ -36,6 +44,10 @@ class Mesh:
     """(T, 3, 3): triangle, corner, (x, y, z) [m], counterclockwise seen from outside."""
     choice: Choice
     """Which layer is ground."""
+    frame: str = ""
+    """The axis that points up, in words, if the file states it."""
+    remarks: tuple[str, ...] = ()
+    """Remarks on what the file states."""
 
     @property
     def extent(self) -> FloatArray:
@@ -54,13 +66,18 @@ class Mesh:
             if not ((end >= low[:2] - _EDGE) & (end <= high[:2] + _EDGE)).all():
                 raise ValueError(
                     f"{end} lies outside the mesh, which covers x from {low[0]:.2f} to "
-                    f"{high[0]:.2f} m and y from {low[1]:.2f} to {high[1]:.2f} m"
+                    f"{high[0]:.2f} m and y from {low[1]:.2f} to {high[1]:.2f} m{self.frame}"
                 )
         ground = self._ground(line, line.distances, np.zeros(1))
         if ground.behind.any() and self._is_inside_out():
             raise ValueError(
                 "the mesh is inside out: it is closed and its faces look inward; flip its normals, "
                 "or cut the ceiling off if it is a room"
+            )
+        if ground.behind.any() and not np.isfinite(ground.height).any():
+            raise ValueError(
+                f"all faces along the line from {line.start} to {line.end} look down{self.frame}: "
+                "the mesh is flipped or upside down; flip its normals, or set terrain.up"
             )
         return ground
 
@@ -79,9 +96,8 @@ class Mesh:
         a, b, c = (self.corners - self.corners.mean(axis=(0, 1))).swapaxes(0, 1)
         if (a * np.cross(b, c)).sum() >= 0:  # six times its volume, if it is closed
             return False
-        corners = np.round(self.corners.reshape(-1, 3) / _EDGE).astype(np.int64)
-        _, index = np.unique(corners, axis=0, return_inverse=True)
-        pairs = index.reshape(-1, 3)[:, [(0, 1), (1, 2), (2, 0)]].reshape(-1, 2)
+        _, index = _joined(self.corners)
+        pairs = index[:, [(0, 1), (1, 2), (2, 0)]].reshape(-1, 2)
         _, faces = np.unique(np.sort(pairs, axis=1), axis=0, return_counts=True)
         return bool((faces % 2 == 0).all())
 
@@ -89,22 +105,60 @@ class Mesh:
         """Return the ground at the places of a grid, which are numbered row by row."""
         level = self.corners[:, :, :2] - np.asarray(line.start)
         placed = np.stack([level @ line.direction, level @ line.left, self.corners[:, :, 2]], 2)
-        area = _cross(placed[:, 1] - placed[:, 0], placed[:, 2] - placed[:, 0])  # twice, (T,) [m²]
+        x, y = placed[:, :, 0], placed[:, :, 1]
+        ahead = (x.max(axis=1) > along[0] - _EDGE) & (x.min(axis=1) < along[-1] + _EDGE)
+        near = ahead & (y.max(axis=1) > left[0] - _EDGE) & (y.min(axis=1) < left[-1] + _EDGE)
+        placed = placed[near]
+        area, is_wall = _seen_from_above(placed)
         parts = [
-            (places, heights, np.full(len(places), sign > 0))
+            (places, heights, np.full(len(places), sign > 0), seen[triangles], share)
             for sign in (1.0, -1.0)
-            for places, heights in _covered(placed[area * sign > 1e-12], along, left)
+            for seen in (np.flatnonzero((area * sign > 1e-12) & ~is_wall),)
+            for places, heights, triangles, share in _covered(placed[seen], along, left)
         ]
-        place, height, front = (np.concatenate(column) for column in zip(*parts, strict=True))
-        crossings = Crossings(place, height, front)
+        place, height, front, face, share = map(np.concatenate, zip(*parts, strict=True))
+        crossings = Crossings(place, height, front, share=share)
+        bodies = crossings.in_bodies()
+        is_open = bodies.surface == -1
+        if (is_open & ~bodies.front).any():  # which of the faces bound a body is not clear
+            crossings = replace(crossings, surface=self._surfaces[np.flatnonzero(near)[face]])
         ground = ground_of_faces(crossings, len(along) * len(left), self.choice)
         return ground.without_ceilings_over_holes(along, self.choice)
+
+    @cached_property
+    def _surfaces(self) -> NDArray[np.int64]:
+        return surfaces(*_joined(self.corners))
+
+
+def _seen_from_above(triangles: FloatArray) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return twice the area in plan [m²], negative if the back is seen, and what are walls, (T,).
+
+    Rounded coordinates tilt the triangles of vertical walls; some look down then, and would begin
+    or end bodies that are none.
+    """
+    sides = np.roll(triangles, -1, axis=1) - triangles
+    normal = np.cross(sides[:, 0], sides[:, 1])
+    area = normal[:, 2]
+    narrow = np.abs(area) < _EDGE * np.hypot(sides[:, :, 0], sides[:, :, 1]).max(axis=1)
+    return area, narrow & (np.abs(area) < _STEEP * np.linalg.norm(normal, axis=1))
+
+
+def _joined(corners: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
+    """Return places (N, 3) [m], and for each corner (T, 3) of the triangles the number of its."""
+    rounded = np.round(corners.reshape(-1, 3) / _EDGE).astype(np.int64)
+    mixed = rounded @ _MIXED  # a number for each place: sorting rows takes ten times as long
+    _, first, index = np.unique(mixed, return_index=True, return_inverse=True)
+    places = np.multiply(rounded[first], _EDGE, dtype=np.float64)
+    return places, index.reshape(-1, 3).astype(np.int64)
 
 
 def _covered(
     triangles: FloatArray, along: FloatArray, left: FloatArray
-) -> Iterator[tuple[NDArray[np.int64], FloatArray]]:
-    """Yield flat indices of the grid's places below triangles (T, 3, 3), and the heights there."""
+) -> Iterator[tuple[NDArray[np.int64], FloatArray, NDArray[np.int64], FloatArray]]:
+    """Yield flat indices of the grid's places below triangles (T, 3, 3), heights, and triangles.
+
+    Also yields shares, which add up to 1 at each place where triangles meet.
+    """
     low, high = triangles.min(axis=1) - _INSIDE, triangles.max(axis=1) + _INSIDE
     row, column = np.searchsorted(along, low[:, 0]), np.searchsorted(left, low[:, 1])
     rows = np.searchsorted(along, high[:, 0], side="right") - row
@@ -121,9 +175,28 @@ def _covered(
         ab, ac = b - a, c - a
         area = _cross(ab, ac)
         to_b, to_c = _cross(at, ac) / area, _cross(ab, at) / area  # weights of corners b and c
-        inside = (to_b >= -_INSIDE) & (to_c >= -_INSIDE) & (to_b + to_c <= 1 + _INSIDE)
+        weights = np.column_stack([1 - to_b - to_c, to_b, to_c])
+        inside = (weights >= -_INSIDE).all(axis=1)
         heights = a[:, 2] + to_b * ab[:, 2] + to_c * ac[:, 2]
-        yield (i * len(left) + j)[inside], heights[inside]
+        shares = _shares(weights[inside], triangles[owner[inside]])
+        yield (i * len(left) + j)[inside], heights[inside], owner[inside], shares
+
+
+def _shares(weights: FloatArray, triangles: FloatArray) -> FloatArray:
+    """Return the part of a full turn around each place that lies in its triangle, (P,) [-].
+
+    ``weights``, (P, 3), are those of the corners of ``triangles``, (P, 3, 3), at the place.
+    """
+    zero = np.abs(weights) <= _INSIDE
+    shares = np.where(zero.any(axis=1), 0.5, 1.0)
+    at_corner = np.flatnonzero(zero.sum(axis=1) == 2)
+    corner = weights[at_corner].argmax(axis=1)
+    here, one, other = (triangles[at_corner, (corner + shift) % 3, :2] for shift in range(3))
+    turn = np.arctan2(
+        np.abs(_cross(one - here, other - here)), ((one - here) * (other - here)).sum(axis=1)
+    )
+    shares[at_corner] = turn / (2 * np.pi)
+    return shares
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -132,8 +205,10 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     return product
 
 
-def read_mesh(path: Path, unit: float, up: str, most: int, choice: Choice) -> Mesh:
-    """Return a file's triangles; a DAE states its own ``unit`` [m] and ``up``.
+def read_mesh(path: Path, unit: float | None, up: str | None, most: int, choice: Choice) -> Mesh:
+    """Return a file's triangles; ``unit`` [m] and ``up`` prevail over those that a DAE states.
+
+    Other files are in metres with z up unless these are given.
 
     Raises:
         ValueError: it has no faces, more than ``most``, or a coordinate that is not finite.
@@ -145,8 +220,11 @@ def read_mesh(path: Path, unit: float, up: str, most: int, choice: Choice) -> Me
             f"the mesh is too large: {size / 1e6:.0f} MB for largest_mesh of {most} faces"
         )
     suffix = path.suffix.lower()
-    if suffix == ".dae":
-        unit, up = _dae_frame(path)
+    stated = (
+        _dae_frame(path) if suffix == ".dae" and (unit is None or up is None) else (1.0, "Z_UP")
+    )
+    frame = f" with {stated[1]}, which it states; terrain.up prevails" if up is None else ""
+    unit, up = _checked_frame(unit, up, *stated)
     with path.open("rb") as file:
         found: Any = trimesh.load_mesh(
             file, file_type=suffix[1:], process=False, skip_materials=True
@@ -159,20 +237,41 @@ def read_mesh(path: Path, unit: float, up: str, most: int, choice: Choice) -> Me
     points = np.asarray(found.triangles, dtype=np.float64).reshape(-1, 3) * unit
     if not np.isfinite(points).all():
         raise ValueError("a coordinate of the mesh is not a finite number")
-    return Mesh(upright(points, up).reshape(-1, 3, 3), choice)
+    corners = upright(points, up).reshape(-1, 3, 3)
+    if suffix != ".dae":
+        return Mesh(corners, choice)
+    return Mesh(corners, choice, frame, tuple(_remark_on_side(corners, stated[1], frame)))
+
+
+def _remark_on_side(corners: FloatArray, stated: str, frame: str) -> Iterator[str]:
+    """Yield a remark if a mesh may lie on its side since the file states the wrong axis."""
+    x, y, z = np.ptp(corners.reshape(-1, 3), axis=0)
+    if frame and stated != "Z_UP" and z > min(x, y):
+        yield (
+            f"it is {z:.2f} m high and {x:.2f} by {y:.2f} m in plan{frame}; many programs write "
+            "Y_UP without turning the mesh: does it lie on its side?"
+        )
 
 
 def _dae_frame(path: Path) -> tuple[float, str]:
-    """Return the unit [m] and the axis that points up, which a DAE file states.
-
-    Raises:
-        ValueError: the unit is not positive and finite, or the axis is unknown.
-    """
+    """Return the unit [m] and the axis that points up, which a DAE file states."""
     import collada
 
     with path.open("rb") as file:
         asset = collada.Collada(file, ignore=[collada.common.DaeError]).assetInfo
-    unit, up = float(asset.unitmeter or 1.0), str(asset.upaxis or "Y_UP")
-    if not (0 < unit < np.inf and up in ("X_UP", "Y_UP", "Z_UP")):
-        raise ValueError(f"it states a unit of {unit:g} m and {up} as the axis that points up")
-    return unit, up[0].lower()
+    return float(asset.unitmeter or 1.0), str(asset.upaxis or "Y_UP")
+
+
+def _checked_frame(
+    unit: float | None, up: str | None, stated_unit: float, stated_up: str
+) -> tuple[float, str]:
+    """Return the unit [m] and the axis that points up: those given, or else those stated.
+
+    Raises:
+        ValueError: a stated one is needed and no unit or no axis.
+    """
+    if unit is None and not 0 < stated_unit < np.inf:
+        raise ValueError(f"it states a unit of {stated_unit:g} m; terrain.unit prevails")
+    if up is None and stated_up not in ("X_UP", "Y_UP", "Z_UP"):
+        raise ValueError(f"it states {stated_up} as the axis that points up; terrain.up prevails")
+    return stated_unit if unit is None else unit, stated_up[0].lower() if up is None else up

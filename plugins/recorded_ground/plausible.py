@@ -6,10 +6,13 @@ In: extents and a profile [m]. Out: sentences for the user.
 from collections.abc import Iterator
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray
 
+from .coordinates import SAME_LENGTH
 from .layers import Choice, Ground
+from .line import Line
 
 LARGE = 1000.0
 """Extent above which the unit may be wrong [m]."""
@@ -28,8 +31,11 @@ def remarks_on_extent(extent: FloatArray, what: str, remedy: str) -> Iterator[st
         yield f"{what} covers {sides} m, more than 1 km; {remedy}"
 
 
-def remarks_on_profile(points: FloatArray, remedy: str) -> Iterator[str]:
-    """Yield remarks on the points of a profile, (V, 2) of x and z [m]."""
+def remarks_on_profile(points: FloatArray, remedy: str, layered: bool) -> Iterator[str]:
+    """Yield remarks on the points of a profile, (V, 2) of x and z [m].
+
+    ``layered``: the file may hold surfaces above each other.
+    """
     length = float(np.ptp(points[:, 0]))
     if 0 < length < _SMALL:
         yield (
@@ -38,11 +44,28 @@ def remarks_on_profile(points: FloatArray, remedy: str) -> Iterator[str]:
         )
     height, x = highest_face(points)
     if height > _HIGH:
+        if layered:
+            remedy += ", or no ground was found there below something overhead"
         yield f"a face at x = {x:.2f} m is {height:.4g} m high, more than 1 m; {remedy}"
 
 
-def remarks_on_layers(ground: Ground, choice: Choice) -> Iterator[str]:
-    """Yield remarks on surfaces above each other at places along the line, (D,)."""
+def remarks_on_projection(line: Line) -> Iterator[str]:
+    """Yield a remark if a metre of the frame is not a metre of the ground along the line."""
+    scale = line.length / float(np.hypot(*np.subtract(line.end, line.start)))
+    if abs(scale - 1) > SAME_LENGTH:
+        yield (
+            f"1 m of its projection is {scale:.3f} m of ground along the line; start and end are "
+            "in metres of the projection, the profile and spacing in metres of the ground"
+        )
+
+
+def remarks_on_layers(
+    ground: Ground, choice: Choice, hanging: NDArray[np.bool_] | None = None
+) -> Iterator[str]:
+    """Yield remarks on surfaces above each other at places along the line, (D,).
+
+    ``hanging``: where only something overhead was measured, (D,).
+    """
     covered, doubtful = ground.covered, ground.doubtful
     # Single places are left out: there, two sheets that form a step meet.
     same = np.append(ground.raised[1:] & ground.raised[:-1], False)
@@ -55,6 +78,12 @@ def remarks_on_layers(ground: Ground, choice: Choice) -> Iterator[str]:
             f"something lies {choice.headroom:g} m or more above the ground at "
             f"{int(covered.sum())} of {len(covered)} places along the line, as a ceiling or a "
             f"bridge does; the {taken} layer is taken (terrain.highest={other})"
+        )
+    if hanging is not None and hanging.any():
+        yield (
+            f"only something {choice.headroom:g} m or more above the ground beside it was measured "
+            f"at {int(hanging.sum())} of {len(hanging)} places along the line; the ground is "
+            "interpolated there (terrain.largest_gap)"
         )
     if raised.any() and not choice.highest:
         yield (

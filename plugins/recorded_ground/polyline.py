@@ -17,28 +17,39 @@ _DELIMITERS = ";\t,"
 """Delimiters by precedence; a comma may be the decimal sign if another separates the columns."""
 _COMMENTS = ("#", "//")
 """Beginnings of lines that are comments."""
+_STRAIGHT = 1.05
+"""Largest ratio of a profile's way in x and y to its length in x [-]."""
 _LARGE = 1 << 20
 """Smallest size of a file that numpy's compiled reader tries first [bytes]."""
 
 
-def read_csv(path: Path, largest_gap: float) -> tuple[FloatArray, list[str]]:
+def read_csv(path: Path, largest_gap: float, width: float) -> tuple[FloatArray, list[str]]:
     """Return columns ``x`` and ``z`` of a CSV file with a header, (V, 2) in the file's unit.
 
     Columns are separated by commas, or by semicolons or tabs with decimal points or commas, as
     spreadsheets write them. Lines that begin with # or // are comments. A line whose x or z is NaN
     or a value for missing heights is a gap, which is interpolated linearly up to ``largest_gap``
-    in the file's unit. Also returns remarks on missing values and on unknown heights at the ends.
+    in the file's unit. A column ``y`` may vary by the ``width`` [the file's unit] beside the line.
+    Also returns remarks on missing values and on unknown heights at the ends.
 
     Raises:
-        ValueError: a column is missing, a value is not a number, x decreases, a gap is too long, or
-            there are fewer than two points.
+        ValueError: a column is missing, a value is not a number, x decreases, a gap is too long,
+            there are fewer than two points, or the points are a cloud.
     """
     large = path.stat().st_size >= _LARGE
-    points = _compiled(path) if large else None
-    if points is None:
-        points, numbers = _rows(path)
+    table = _compiled(path) if large else None
+    if table is None:
+        table, numbers = _rows(path)
     else:
-        numbers = np.arange(len(points)) + 2
+        numbers = np.arange(len(table)) + 2
+    points, y = table[:, :2], table[:, 2]
+    if _is_cloud(points[:, 0], y, width):
+        raise ValueError(
+            f"its column y varies from {np.nanmin(y):g} to {np.nanmax(y):g}: it is a point cloud, "
+            "or a line that turns, and no profile; set terrain.start and terrain.end to slice it "
+            "along a line, or remove the column y to use x and z as they are"
+        )
+    _check_order(points[:, 0], numbers)
     heights, remark = without_missing(points[:, 1])
     known = np.isfinite(points[:, 0]) & np.isfinite(heights)
     if (count := int(known.sum())) < 2:
@@ -48,8 +59,31 @@ def read_csv(path: Path, largest_gap: float) -> tuple[FloatArray, list[str]]:
     return points[known], [*remarks, *_remarks_on_ends(points[:, 0], known, largest_gap)]
 
 
+def _is_cloud(x: FloatArray, y: FloatArray, width: float) -> bool:
+    """Return whether points (R,) at x and y, which may be NaN, are no line along x."""
+    known = np.isfinite(x) & np.isfinite(y)
+    if known.sum() < 2:
+        return False
+    dx, dy = np.abs(np.diff([x[known], y[known]]))
+    rows = ((dx == 0) & (dy > 0)).mean() > 0.5  # as in a gridded cloud
+    longer = np.hypot(dx, dy).sum() > _STRAIGHT * np.ptp(x[known])
+    return bool(rows or (np.ptp(y[known]) > width and longer))
+
+
+def _check_order(x: FloatArray, numbers: NDArray[np.int64]) -> None:
+    """Raise if x, (R,) of lines of these numbers, decreases; it may be NaN."""
+    known = np.isfinite(x)
+    x, numbers = x[known], numbers[known]
+    if (back := np.diff(x) < 0).any():
+        at = int(np.argmax(back))
+        raise ValueError(
+            f"line {numbers[at + 1]}: x goes back from {x[at]:g} to {x[at + 1]:g}; it may only "
+            "grow or stay"
+        )
+
+
 def _rows(path: Path) -> tuple[FloatArray, NDArray[np.int64]]:
-    """Return x and z of each line, (R, 2), which may be NaN, and the lines' numbers, (R,)."""
+    """Return x, z and y of each line, (R, 3), which may be NaN, and the lines' numbers, (R,)."""
     lines = read_lines(path)
     texts = [
         (number, line)
@@ -69,23 +103,20 @@ def _rows(path: Path) -> tuple[FloatArray, NDArray[np.int64]]:
         raise ValueError(f"it is not a CSV file: {error}") from error
     columns = [name.strip().lower() for name in rows[0]] if rows else []
     if columns.count("x") != 1 or columns.count("z") != 1:
-        raise ValueError(f"a header with columns x and z is needed; it has {columns}")
+        cloud = "; a point cloud needs terrain.start and terrain.end" if len(columns) > 2 else ""
+        raise ValueError(f"a header with columns x and z is needed; it has {columns}{cloud}")
     places = columns.index("x"), columns.index("z")
-    points: list[tuple[float, float]] = []
+    beside = columns.index("y") if columns.count("y") == 1 else len(columns)
+    points: list[tuple[float, float, float]] = []
     numbers: list[int] = []
-    last = -math.inf
     for (number, _), row in zip(texts[1:], rows[1:], strict=False):
         if not any(text.strip() for text in row):
             continue  # spreadsheets write such lines at the end
         x, z = _point(row, number, len(columns), places, delimiter)
-        if x < last:
-            raise ValueError(
-                f"line {number}: x goes back from {last:g} to {x:g}; it may only grow or stay"
-            )
-        last = last if math.isnan(x) else x
-        points.append((x, z))
+        y = _number(row[beside], delimiter) if beside < len(row) else None
+        points.append((x, z, math.nan if y is None else y))
         numbers.append(number)
-    return np.array(points).reshape(-1, 2), np.array(numbers, dtype=np.int64)
+    return np.array(points).reshape(-1, 3), np.array(numbers, dtype=np.int64)
 
 
 def _point(
@@ -140,7 +171,7 @@ def _number(text: str, delimiter: str) -> float | None:
 
 
 def _compiled(path: Path) -> FloatArray | None:
-    """Return the points of ``_rows`` for a plain table, or None if ``_rows`` must read it.
+    """Return the table of ``_rows`` for a plain file, or None if ``_rows`` must read it.
 
     For plain tables of numbers this takes a fifth of the time and a tenth of the memory. Files with
     faults or missing heights give None, so that ``read_csv`` names the line.
@@ -150,7 +181,7 @@ def _compiled(path: Path) -> FloatArray | None:
             columns = [name.strip().lower() for name in file.readline().split(",")]
             if columns.count("x") != 1 or columns.count("z") != 1:
                 return None
-            used = (columns.index("x"), columns.index("z"))
+            used = [columns.index("x"), columns.index("z")]
             # All columns: with ``usecols``, numpy takes rows of another width without a word.
             table = np.loadtxt(file, delimiter=",", ndmin=2, comments=None)
     except ValueError:
@@ -158,6 +189,6 @@ def _compiled(path: Path) -> FloatArray | None:
     if len(table) < 2 or table.shape[1] != len(columns):
         return None
     points = table[:, used]
+    y = table[:, columns.index("y")] if columns.count("y") == 1 else np.full(len(table), np.nan)
     _, missing = without_missing(points[:, 1])
-    usable = np.isfinite(points).all() and (np.diff(points[:, 0]) >= 0).all()
-    return points if usable and not missing else None
+    return None if missing or not np.isfinite(points).all() else np.column_stack([points, y])

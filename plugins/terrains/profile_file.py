@@ -12,26 +12,34 @@ from pydantic import Field, model_validator
 
 from flipperctl.api import FloatArray, Profile, Terrain, terrain
 
-from ..recorded_ground import cloud, height_map, polyline
+from ..recorded_ground import cloud, cloud_files, geotiff, height_map, polyline
+from ..recorded_ground.claims import ply_elements
+from ..recorded_ground.cloud_faults import remark_on_rounding
 from ..recorded_ground.height_map import HeightMap
-from ..recorded_ground.layers import Choice
+from ..recorded_ground.layers import Choice, overhead
 from ..recorded_ground.line import Line
 from ..recorded_ground.mesh import Mesh, read_mesh
-from ..recorded_ground.missing import without_missing
 from ..recorded_ground.plausible import (
     remarks_on_extent,
     remarks_on_layers,
     remarks_on_missing,
     remarks_on_profile,
+    remarks_on_projection,
 )
 from ..recorded_ground.quiet import quiet
 from ..recorded_ground.surface import RecordedSurface
 
-UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "ft": 0.3048}
-MAPS = {".npy": height_map.read_npy, **dict.fromkeys((".tif", ".tiff"), height_map.read_geotiff)}
-CLOUDS = {".pcd": cloud.read_pcd, ".ply": cloud.read_ply, ".xyz": cloud.read_xyz}
+UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+MAPS = {".npy": height_map.read_npy, **dict.fromkeys((".tif", ".tiff"), geotiff.read_geotiff)}
+CLOUDS = {
+    ".pcd": cloud_files.read_pcd,
+    ".ply": cloud_files.read_ply,
+    **dict.fromkeys((".xyz", ".csv"), cloud_files.read_text),
+}
 MESHES = (".stl", ".obj", ".dae")
-SUFFIXES = (".csv", *MAPS, *MESHES, *CLOUDS)
+STATING = (".tif", ".tiff", ".dae")
+"""Suffixes of files that may state their unit."""
+SUFFIXES = tuple(dict.fromkeys((".csv", *MAPS, *MESHES, *CLOUDS)))
 EXAMPLE = Path(polyline.__file__).with_name("example.csv")
 MIN_POINTS = 10
 """Smallest number of points in a slice through a cloud [-]."""
@@ -45,10 +53,11 @@ BESIDE = 0.4
 class ProfileFile(Terrain):
     """The same recorded ground each episode; the file's suffix determines its format.
 
-    ``.csv``: columns x (forward) and z (up), x never decreasing.
+    ``.csv``: columns x (forward) and z (up), x never decreasing; with a line, a point cloud.
     ``.npy``, ``.tif``: a height map; the profile is taken along the line from ``start`` to ``end``.
     ``.stl``, ``.obj``, ``.dae``: a mesh seen from above, along that line.
-    ``.pcd``, ``.ply``, ``.xyz``: a point cloud; the profile is a slice along that line.
+    ``.pcd``, ``.ply``, ``.xyz``: a point cloud; the profile is a slice along that line. A ``.ply``
+    with faces is a mesh.
     Of several layers of a mesh or a cloud, such as a floor and a ceiling, one is the ground.
     GeoTIFF, meshes, PCD and PLY need the extra ``profiles``.
     """
@@ -56,10 +65,10 @@ class ProfileFile(Terrain):
     path: str | None = Field(
         None, description="file to read; null is a small example that is included [-]"
     )
-    unit: Literal["m", "cm", "mm", "ft"] = Field(
-        "m",
-        description="unit of the file's coordinates; for a map, of its heights only; a .dae "
-        "states its unit and the axis that points up [-]",
+    unit: Literal["m", "dm", "cm", "mm", "in", "ft"] | None = Field(
+        None,
+        description="unit of the file's coordinates; for a map, of its heights only; null is the "
+        "unit that a .dae or a GeoTIFF states, or else m [-]",
     )
     start: tuple[float, float] | None = Field(
         None, description="x and y at which the line over the ground begins [m]"
@@ -81,14 +90,19 @@ class ProfileFile(Terrain):
         description="direction of the rows of such a map; its first cell lies at (0, 0) and its "
         "columns run along x [-]",
     )
-    up: Literal["x", "y", "z", "-x", "-y", "-z"] = Field(
-        "z",
+    up: Literal["x", "y", "z", "-x", "-y", "-z"] | None = Field(
+        None,
         description="axis of a cloud's or mesh's frame that points up; start and end are given in "
         "the other two axes, as x and y of a right-handed frame: with y, the file's (1, 2, 3) is "
-        "x = 3, y = 1 and height 2 [-]",
+        "x = 3, y = 1 and height 2; null is the axis that a .dae states, or else z [-]",
     )
     thickness: float = Field(
         0.1, gt=0, le=2, description="thickness of the vertical slice through a cloud [m]"
+    )
+    viewpoint: bool | None = Field(
+        None,
+        description="whether the points of a .pcd are moved by the pose that its VIEWPOINT states; "
+        "null leaves them with a warning [-]",
     )
     quantile: float = Field(
         0.9,
@@ -125,17 +139,13 @@ class ProfileFile(Terrain):
         if suffix not in SUFFIXES:
             raise ValueError(f"path {self.path}: one of {', '.join(SUFFIXES)} is allowed")
         given = [self.start is not None, self.end is not None]
-        if suffix == ".csv" and any(given):
-            raise ValueError(
-                "start and end belong to maps, meshes and clouds; a .csv is itself a profile"
-            )
-        if suffix != ".csv" and not all(given):
+        if not all(given) and (suffix != ".csv" or any(given)):
             raise ValueError(
                 f"a {suffix} file needs start and end, the line over the ground in metres: "
                 "'terrain.start=[x,y]' 'terrain.end=[x,y]'"
             )
-        if suffix == ".dae" and (self.unit, self.up) != ("m", "z"):
-            raise ValueError("a .dae states its unit and axes; unit and up must not be stated too")
+        if suffix != ".pcd" and self.viewpoint is not None:
+            raise ValueError(f"viewpoint belongs to .pcd files; path is {self.path}")
         if self.start is not None and self.end is not None:
             length = math.dist(self.start, self.end)
             if not 0 < length <= MAX_LENGTH:
@@ -169,7 +179,7 @@ class ProfileFile(Terrain):
     def _profile(self) -> Profile:
         points, _ = self._recorded
         surface = None
-        if self._file.suffix.lower() in (*MAPS, *MESHES):
+        if self._kind in ("map", "mesh"):
             height = float(points[0, 1])
             surface = RecordedSurface(points[:, 0], partial(self._beside, height))
         return Profile(points - points[0], self._file.stem, surface)
@@ -188,54 +198,90 @@ class ProfileFile(Terrain):
         if not (np.isfinite(points).all() and extent.max() <= MAX_LENGTH):
             raise ValueError(
                 f"{file}: it covers {extent[0]:g} m in x and {extent[1]:g} m in z; up to "
-                f"{MAX_LENGTH:g} m is allowed: is its unit {self.unit!r}? terrain.unit states it"
+                f"{MAX_LENGTH:g} m is allowed: {self._remedy}"
             )
-        remarks += remarks_on_profile(points - points[0], self._remedy)
+        layered = self._kind in ("mesh", "cloud")
+        remarks += remarks_on_profile(points - points[0], self._remedy, layered)
         return points, tuple(remarks)
 
     @property
     def _remedy(self) -> str:
-        if self._file.suffix.lower() == ".dae":
-            return "check the unit that it states"
-        return f"terrain.unit={self.unit} is set, another unit may be right"
+        if self._file.suffix.lower() in STATING and self.unit is None:
+            return "it is in the unit that it states, or else in m; terrain.unit states another"
+        return f"terrain.unit={self.unit or 'm'} is set, another unit may be right"
+
+    @property
+    def _metres(self) -> float:
+        """Unit of a file that does not state its own [m]."""
+        return UNITS[self.unit or "m"]
+
+    @cached_property
+    def _kind(self) -> Literal["profile", "map", "mesh", "cloud"]:
+        """What the file holds; a .ply may hold faces."""
+        suffix = self._file.suffix.lower()
+        if self.start is None:
+            return "profile"
+        if suffix == ".ply":
+            elements = ply_elements(self._file)
+            if elements.get("tristrips"):
+                raise ValueError("its triangle strips are not read; save it with faces")
+            return "mesh" if elements.get("face") else "cloud"
+        return "map" if suffix in MAPS else "mesh" if suffix in MESHES else "cloud"
 
     def _read(self, file: Path, suffix: str, remarks: list[str]) -> FloatArray:
         if self.start is None or self.end is None:
-            unit = UNITS[self.unit]
-            found, own = polyline.read_csv(file, self.largest_gap / unit)
+            unit = self._metres
+            found, own = polyline.read_csv(file, self.largest_gap / unit, self.thickness / unit)
             remarks += own
             remarks += remarks_on_extent(np.ptp(found, axis=0) * unit, "it", self._remedy)
             return found * unit
         line = Line(self.start, self.end, self.spacing)
-        if suffix in CLOUDS:
-            return line.profile(self._along_cloud(file, line, remarks), self.largest_gap)
+        if self._kind == "cloud":
+            return self._along_cloud(file, line, remarks)
         ground = self._ground(file)
         unknown = "no height is known"
         remedy = self._remedy if suffix not in MAPS else "check resolution, start and end"
+        remarks += ground.remarks
         remarks += remarks_on_extent(ground.extent, "it", remedy)
         if isinstance(ground, HeightMap):
+            line = ground.on_ground(line)
+            remarks += remarks_on_projection(line)
             heights, remark = ground.along(line)
             remarks += [remark] if remark else []
             remarks += remarks_on_missing(heights)
         else:
             unknown = "the mesh is not closed"
+            if suffix == ".ply":
+                unknown += " (without faces, a .ply is a cloud)"
+            corners = ground.corners.reshape(-1, 3)
+            rounded = remark_on_rounding(corners, "", None, 1.0, self.spacing)
+            remarks += [rounded] if rounded else []
             layers = ground.along(line)
             heights = layers.height
             remarks += remarks_on_layers(layers, self._choice)
         return line.profile(heights, self.largest_gap, unknown)
 
     def _along_cloud(self, file: Path, line: Line, remarks: list[str]) -> FloatArray:
-        read = CLOUDS[file.suffix.lower()](file)
-        columns = [without_missing(column) for column in read.T]
-        remarks += [remark for _, remark in columns if remark]
-        points = cloud.upright(np.column_stack([c for c, _ in columns]) * UNITS[self.unit], self.up)
+        points, own = cloud.measured(
+            CLOUDS[file.suffix.lower()](file),
+            self._metres,
+            self.up or "z",
+            self.viewpoint,
+            self.spacing,
+        )
+        remarks += own
         if len(points):
             remarks += remarks_on_extent(np.ptp(points, axis=0), "it", self._remedy)
-        ground = cloud.slice_along(
-            points, line, self.thickness, self.quantile, MIN_POINTS, self._choice
-        )
-        remarks += remarks_on_layers(ground, self._choice)
-        return ground.height
+        try:
+            ground = cloud.slice_along(
+                points, line, self.thickness, self.quantile, MIN_POINTS, self._choice
+            )
+            margin = self.thickness / 2 + self.spacing
+            hanging = overhead(ground, line.distances, self._choice, margin)
+            remarks += remarks_on_layers(ground, self._choice, hanging)
+            return line.profile(np.where(hanging, np.nan, ground.height), self.largest_gap)
+        except ValueError as error:  # which a remark on the file may explain
+            raise ValueError("; ".join([str(error), *own])) from error
 
     @property
     def _choice(self) -> Choice:
@@ -243,8 +289,8 @@ class ProfileFile(Terrain):
 
     def _ground(self, file: Path) -> HeightMap | Mesh:
         """Return the map or the mesh, which has heights beside the line too."""
-        suffix, unit = file.suffix.lower(), UNITS[self.unit]
-        if suffix in MESHES:
+        suffix, unit = file.suffix.lower(), UNITS[self.unit] if self.unit else None
+        if self._kind == "mesh":
             return read_mesh(file, unit, self.up, self.largest_mesh, self._choice)
         rows = 1 if self.rows == "+y" else -1
         return MAPS[suffix](file, self.resolution, unit, rows, self.no_data)
@@ -272,7 +318,10 @@ class ProfileFile(Terrain):
         assert self.end is not None
         line = Line(self.start, self.end, self.spacing)
         with self._naming_file() as file:
-            found = self._ground(file).beside(line, line.distances, y)
+            ground = self._ground(file)
+            if isinstance(ground, HeightMap):
+                line = ground.on_ground(line)
+            found = ground.beside(line, line.distances, y)
         columns = [line.bridged(column, self.largest_gap) for column in found.T]
         return np.column_stack(columns) - height
 
@@ -295,4 +344,4 @@ class ProfileFile(Terrain):
             raise ValueError(f"{file}: there is no such file{place}") from error
         except Exception as error:  # on a damaged file, a reader may raise any exception
             reason = getattr(error, "strerror", None) or str(error) or type(error).__name__
-            raise ValueError(f"{file}: {' '.join(str(reason).split())[:300]}") from error
+            raise ValueError(f"{file}: {' '.join(str(reason).split())[:500]}") from error

@@ -10,12 +10,13 @@ import pytest
 
 from flipperctl.api import Robot, RobotState
 from flipperctl.bags.episode import TYPES, Stamped, typestore, write_bag
-from flipperctl.bags.ground import Frames, convert, thinned
+from flipperctl.bags.ground import GROUND, Frames, convert, thinned
 from flipperctl.bags.messages import LIDAR, Messages
 from flipperctl.bags.transforms import Pose, Transforms
 from flipperctl.config import resolver
 from flipperctl.core.lidar.rotations import attitude, mounting
 from flipperctl.errors import MissingExtraError, RequestError
+from flipperctl.files import check_output
 from tests.cli.call import call
 
 YAW, PITCH, AXIS = 0.3, 0.1, math.pi / 4
@@ -115,6 +116,7 @@ def test_a_bag_becomes_the_ground_that_was_measured(bag, tmp_path):
     done = call("convert", str(bag / "drive.mcap"), "--output", "same.xyz", cwd=tmp_path)
     assert "terrain=profile_file terrain.path=same.xyz 'terrain.start=[" in done.out
     assert (tmp_path / "same.xyz").read_text() == output.read_text()
+    check_output(output, GROUND)  # ground of before is replaced
 
 
 @pytest.mark.parametrize("columns", [8, 12])
@@ -196,7 +198,7 @@ def test_what_is_no_bag_is_refused(bag, tmp_path, monkeypatch):
         with pytest.raises(RequestError, match=error):
             convert(tmp_path / source, tmp_path / "ground.xyz", Robot())
     done = call("convert", str(bag), "--output", "ground.pcd", cwd=tmp_path)
-    assert "a file that ends in .xyz is allowed" in done.err
+    assert "recorded ground is a .xyz file" in done.err
     monkeypatch.setitem(sys.modules, "rosbags", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'flipperctl\[ros\]'"):
         convert(bag, tmp_path / "ground.xyz", Robot())

@@ -9,7 +9,9 @@ import pytest
 from rosbags.rosbag2 import Reader
 
 from flipperctl.bags.episode import ACTION, export_bag, typestore, write_bag
+from flipperctl.bags.shadowing import LOG
 from flipperctl.config import EvalConfig
+from flipperctl.files import check_output
 from flipperctl.policies.source import PolicySource
 from tests.bags.driving import FRONT, REAR, SECONDS, driving
 from tests.cli.call import call
@@ -34,6 +36,7 @@ def test_the_log_says_what_the_policy_would_have_done(folder):
     assert found["decisions"] == sum(found["actions"].values()) == 4  # at 0, 0.6 … 1.8 s
     assert found["faults"] == {}
     assert found["states"] == {"driving": pytest.approx(SECONDS)}
+    check_output(folder / "log.jsonl", LOG)  # a log of before is replaced
     lines = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
     decided = [line for line in lines if line["action"] is not None]
     assert len(decided) == found["decisions"]

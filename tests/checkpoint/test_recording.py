@@ -14,6 +14,7 @@ from flipperctl.checkpoint import recording, sealed
 from flipperctl.checkpoint.recording import RecordedEpisode
 from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.errors import CheckpointError, ConfigError
+from flipperctl.files import check_output
 
 STEP, FLAT = EnvConfig(terrain="step"), EnvConfig(terrain="flat")
 
@@ -77,6 +78,7 @@ def test_equal_episodes_give_equal_files_and_none_give_an_empty_one(
     found = recording.read(file)
     recording.write(again, "okada", [(STEP, found.episodes[:2]), (FLAT, found.episodes[2:])])
     assert again.read_bytes() == file.read_bytes()
+    check_output(again, recording.KIND)  # one of before is replaced
     recording.write(again, "nobody", [(STEP, [])])
     assert recording.read(again).episodes == ()
 

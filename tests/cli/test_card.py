@@ -7,6 +7,8 @@ import pytest
 import yaml
 
 from flipperctl.config import TrainConfig
+from flipperctl.files import check_output
+from flipperctl.report.card import CARD
 from flipperctl.runs import card
 from tests.cli.call import call
 
@@ -37,6 +39,7 @@ def test_a_card_from_results_with_the_commands_that_make_them(tmp_path: Path) ->
     asked = ("perception.noise=0.01", "--episodes", "1", "--output", "found")
     assert call(*EVAL, *asked, cwd=tmp_path).code == 0
     done = call("card", "generalist", "found", "--output", "card.md", cwd=tmp_path)
+    check_output(tmp_path / "card.md", CARD)  # a card of before is replaced
     assert done.code == 0, done.err
     assert done.out == ""
     text = (tmp_path / "card.md").read_text()

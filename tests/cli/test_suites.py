@@ -122,6 +122,13 @@ def test_an_unknown_suite_is_named_with_a_close_match() -> None:
         split_suite(["suite=paper", "suite=families"])
 
 
+def test_a_scene_whose_words_are_replaced_says_so() -> None:
+    """Otherwise "100 repeats" has the two episodes that were asked for."""
+    scene = next(s for s in find_suite("paper").scenes if s.name == "100 repeats")
+    assert scene.name_with(["terrain=flat", "seed=3", "eval.episodes=100"]) == "100 repeats"
+    assert scene.name_with(["eval.episodes=2"]) == "100 repeats, eval.episodes=2"
+
+
 def test_files_of_results_name_the_suites_scenes(tmp_path: Path) -> None:
     text = "scenes: {dry: terrain=flat sim.friction=1.2, wet: terrain=flat sim.friction=0.6}\n"
     (tmp_path / "mine.yaml").write_text(f"about: of two scenes\n{text}")

@@ -90,3 +90,8 @@ def test_the_line_says_what_is_drawn_and_what_differs_from_the_defaults() -> Non
         "start ±0.05 m, flippers ±0.1 rad; sensing noise 0.01 m, occlusion on; "
         "physics friction 0.8; robot chassis_mass 60 kg; default episode"
     )
+    axes = ("sim.friction", "episode.start_noise", "terrain.height")
+    assert changed.line(axes).endswith(
+        "flippers ±0.1 rad; sensing noise 0.01 m, occlusion on; physics friction varied; "
+        "robot chassis_mass 60 kg; episode start_noise varied"
+    )

@@ -94,6 +94,9 @@ def test_names_are_checked_before_an_episode_is_played() -> None:
     for wrong in ("", "steps,", "steps+steps"):
         with pytest.raises(RequestError, match="names as in"):
             parse(wrong, "--by", scenes)
+    for twice in ("steps,steps", "steps+up, up+steps"):
+        with pytest.raises(RequestError, match="is given twice; once is allowed"):
+            parse(twice, "--by", scenes)
 
 
 def test_a_bound_stands_beside_each_episode_and_below_what_was_measured() -> None:

@@ -20,6 +20,7 @@ from flipperctl.evaluation.episodes import play_episodes
 from flipperctl.export import policy
 from flipperctl.export.metadata import describe_observation, policy_metadata
 from flipperctl.export.parity import compare
+from flipperctl.files import check_output
 from flipperctl.policies.source import PolicySource
 from flipperctl.policies.trained import policy_module
 from flipperctl.runtime import OnnxPolicy, RobotSetup
@@ -36,6 +37,7 @@ def saved(short_run: Path) -> checkpoint.Checkpoint:
 def onnx_file(saved: checkpoint.Checkpoint, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("export") / "step.onnx"
     found = policy.export(saved, "onnx", path)
+    check_output(path, policy.KINDS["onnx"])  # a file of before is replaced
     assert found["observations"] >= 1000
     assert found["largest_difference"] < 1e-4
     assert found["action_agreement"] == 1.0
@@ -129,6 +131,7 @@ def test_the_controller_has_the_map_of_the_training(
 def test_pt2_gives_the_same_q_values(saved: checkpoint.Checkpoint, tmp_path: Path) -> None:
     path = tmp_path / "step.pt2"
     found = policy.export(saved, "pt2", path)
+    check_output(path, policy.KINDS["pt2"])  # a file of before is replaced
     assert found["largest_difference"] < 1e-4
     extra = {"flipperctl.terrain": ""}
     program = torch.export.load(path, extra_files=extra)

@@ -24,7 +24,8 @@ def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("scene")
     config = EvalConfig(terrain="step", robot="absolem", sim="mujoco", episode={"start_angle": 0.3})
     export_scene(config, "mjcf", folder / "scene.xml")
-    found = export_scene(config, "urdf", folder / "robot.urdf")
+    for _ in range(2):  # a scene of before is replaced
+        found = export_scene(config, "urdf", folder / "robot.urdf")
     assert found["output"] == [str(folder / "robot.urdf"), str(folder / "robot_ground.urdf")]
     return folder
 

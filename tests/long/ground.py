@@ -43,6 +43,7 @@ def files(folder: Path) -> dict[str, bytes]:
     bodies = solid(((0, 0, 0), (2, 1, 0.1)), ((1, 0, 0), (1.5, 1, 0.2)))
     for suffix in ("stl", "obj", "dae"):
         write(folder / f"a.{suffix}", bodies)
+    (folder / "mesh.ply").write_bytes(bodies.export(file_type="ply"))
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 

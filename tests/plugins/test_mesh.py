@@ -76,10 +76,41 @@ def test_a_mesh_has_the_unit_and_the_axes_that_are_stated(tmp_path: Path) -> Non
     write(tmp_path / "inches.dae", turned, 0.0254, "Y_UP")
     assert_block(profile(tmp_path / "inches.dae", **LINE), 0.02)
     write(tmp_path / "negative.dae", turned, -1.0, "Y_UP")
-    with pytest.raises(TerrainError, match="states a unit of -1 m and Y_UP as the axis"):
+    with pytest.raises(TerrainError, match=r"states a unit of -1 m; terrain\.unit prevails"):
         profile(tmp_path / "negative.dae", **LINE)
-    with pytest.raises(ConfigError, match="unit and up must not be stated too"):
-        resolver.create("terrain", {"name": "profile_file", "path": "a.dae", "up": "y", **LINE}, "")
+
+
+@pytest.mark.parametrize("up", ["X_UP", "Y_UP", "Z_UP"])
+def test_a_stated_axis_and_unit_prevail_over_those_of_a_dae(up: str, tmp_path: Path) -> None:
+    file = tmp_path / "block.dae"
+    write(file, block(), 0.0254, up)
+    assert_block(profile(file, up="z", **LINE), 0.02)
+    file.write_text(file.read_text().replace('meter="0.0254"', 'meter="1"'))  # 157 m long
+    assert_block(profile(file, up="z", unit="in", **LINE), 0.02)
+    file.write_text(file.read_text().replace('meter="1"', 'meter="-1"'))
+    assert_block(profile(file, up="z", unit="in", **LINE), 0.02)
+    file.write_text(file.read_text().replace(up, "UP"))
+    assert_block(profile(file, up="z", unit="in", **LINE), 0.02)
+    file.write_text(file.read_text().replace("<up_axis>UP</up_axis>", ""))
+    with pytest.raises(TerrainError, match=r"outside the mesh.* with Y_UP, which it states; terr"):
+        profile(file, unit="in", **LINE)
+
+
+def test_a_mesh_that_a_dae_may_lay_on_its_side_is_said(tmp_path: Path) -> None:
+    line = {"start": (6.2, 1.0), "end": (6.8, 1.0)}  # along the file's z
+    for up, remarks in (("Y_UP", 1), ("Z_UP", 0)):
+        write(tmp_path / "block.dae", block(), 1.0, up)
+        settings = {"name": "profile_file", "path": str(tmp_path / "block.dae")}
+        settings |= line if up == "Y_UP" else LINE
+        found = resolver.create("terrain", settings, "terrain").notices()
+        assert len(found) == remarks
+        assert all("it is 3.00 m high and 1.30 by 4.00 m in plan with Y_UP" in one for one in found)
+
+
+@pytest.mark.parametrize(("unit", "metres"), [("dm", 0.1), ("in", 0.0254)])
+def test_decimetres_and_inches_are_units(unit: str, metres: float, tmp_path: Path) -> None:
+    write(tmp_path / "block.stl", block(), metres)
+    assert_block(profile(tmp_path / "block.stl", unit=unit, **LINE), 0.02)
 
 
 def test_a_slope_is_cut_along_any_line(tmp_path: Path) -> None:
@@ -116,6 +147,12 @@ def test_faces_that_look_down_and_a_line_outside_are_refused(tmp_path: Path) -> 
     inverted.faces = inverted.faces[:, ::-1]
     write(file, inverted)
     with pytest.raises(TerrainError, match="the mesh is inside out: it is closed and"):
+        profile(file, **LINE)
+    sheet = Trimesh([(0, 0, 7), (4, 0, 7), (4, 3, 7), (0, 3, 7)], [(0, 2, 1), (0, 3, 2)])
+    write(file, sheet)
+    with pytest.raises(
+        TerrainError, match=r"all faces along the line .* look down: the mesh is fl"
+    ):
         profile(file, **LINE)
     write(file, block())
     with pytest.raises(TerrainError, match=r"\(5\.0, 2\.0\) lies outside the mesh.* to 4\.00 m"):

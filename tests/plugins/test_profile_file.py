@@ -234,7 +234,8 @@ def test_a_bad_file_is_named_in_one_line(
     [
         ({"path": "scan.las"}, "one of .csv, .npy"),
         ({"path": "scan.ply"}, "needs start and end"),
-        ({"path": "scan.csv", **LINE}, "belong to maps, meshes and clouds"),
+        ({"path": "scan.csv", "end": (3, 2)}, "a .csv file needs start and end"),
+        ({"path": "scan.xyz", "viewpoint": True, **LINE}, "viewpoint belongs to .pcd files"),
         (
             {"path": "scan.ply", "start": (1, 1), "end": (1, 1)},
             "is 0 m long; above 0",

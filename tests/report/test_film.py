@@ -49,6 +49,7 @@ def test_a_film_moves_lasts_as_long_as_it_says_and_is_equal_for_equal_episodes(
     for path in paths:
         save_film(path, drive(2), STEP, Robot(), "a rule on step", done.append, speed=0.2)
     assert paths[0].read_bytes() == paths[1].read_bytes()
+    check_film(paths[0])  # a film of before is replaced
     assert done[-1] == 1
     with Image.open(paths[0]) as film:
         assert film.n_frames == 11  # every 0.12 s of 1.2 s, the start and the end

@@ -7,34 +7,39 @@ import pytest
 from flipperctl.terminal import progress
 from tests.cli.call import call
 
+ROW = {"loss": None, "success_rate": 0.0, "epsilon": 1.0}
 
-def test_the_time_left_is_unknown_at_first(
+
+def test_the_time_left_is_that_of_the_recent_rate_and_not_told_before_it_is_known(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Of a minute's training, it is known after a few seconds; see 20 s of 30 before."""
     now = [100.0]
     monkeypatch.setattr(progress.time, "perf_counter", lambda: now[0])
-    lines = progress.Lines(1000, 0)
-    row = {"loss": None, "success_rate": 0.0, "epsilon": 1.0}
-    for seconds, decision in ((10, 20), (25, 250), (50, 500)):
+    lines = progress.Lines(1000)
+    # The first episode comes late. Then 10 decisions a second, from 23 s on 20.
+    for seconds, decision in ((11, 20), (14, 50), (23, 140), (34, 360), (45, 580)):
         now[0] = 100.0 + seconds
-        lines.episode({**row, "decision": decision})
-    first, second, third = capsys.readouterr().err.splitlines()
-    assert first.endswith("– s left")
-    # 10 decisions a second: 750 take 75 s, 500 take 50 s.
-    assert second.endswith("  75 s left")
-    assert third.endswith("  50 s left")
+        lines.episode({**ROW, "decision": decision})
+    first, *others = capsys.readouterr().err.splitlines()
+    assert first == "20/1000 decisions  success 0%  ε 1.00"
+    assert [line.rpartition("  ")[2] for line in others] == [
+        "86 s left",  # 860 decisions, 120 in the 12 s since the first episode
+        "41 s left",  # 640 decisions, 310 in 20 s
+        "21 s left",  # 420 decisions, 220 in 11 s
+    ]
 
 
-def test_a_bar_keeps_quiet_about_the_time_left_as_long(
+def test_a_bar_is_quiet_about_what_it_does_not_know(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
-    monkeypatch.setattr(progress, "_KNOWN_AFTER", 3600.0)
     bar = progress.Bar(1000, 0)
-    bar.episode({"loss": None, "success_rate": 0.0, "epsilon": 1.0, "decision": 500})
+    bar.episode({**ROW, "decision": 500})
     bar.close()
     assert "500/1000 decisions" in (shown := capsys.readouterr().err)
-    assert "– s left" in shown
+    assert "left" not in shown
+    assert "–" not in shown
 
 
 def test_an_interrupted_start_of_a_resumed_run_says_how_to_resume(

@@ -16,7 +16,7 @@ from hydra.core.override_parser.types import Override
 from hydra.errors import OverrideParseException
 
 from flipperctl.config.robots import expand_files
-from flipperctl.config.words import check_words, unreadable
+from flipperctl.config.words import check_different, check_words, unreadable
 from flipperctl.errors import ConfigError
 from flipperctl.runs.search_space import Interval
 
@@ -174,7 +174,8 @@ class Overrides:
         ``choices``, a name must be chosen.
 
         Raises:
-            ConfigError: null is chosen where a name is needed, or a word has no effect.
+            ConfigError: null is chosen where a name is needed, a value stands in a list twice, or a
+                word has no effect.
         """
         self.check_effect()
         parts: list[Sequence[Override]] = []
@@ -185,8 +186,10 @@ class Overrides:
                 continue
             if override.is_sweep_override():
                 key = override.get_key_element()
-                values = [f"{key}={value}" for value in _swept_values(override)]
-                parts.append(Overrides.parse(values, check=False).parsed)
+                words = [f"{key}={value}" for value in _swept_values(override)]
+                parts.append(Overrides.parse(words, check=False).parsed)
+                values = [one.value() for one in parts[-1]]
+                check_different(str(override.input_line), values)
             else:
                 parts.append([override])
         yield from map(Overrides, itertools.product(*parts))

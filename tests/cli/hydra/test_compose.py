@@ -41,6 +41,14 @@ def test_every_combination_of_a_sweep_is_composed() -> None:
     ]
 
 
+@pytest.mark.parametrize(
+    "word", ["terrain=stair,step,stair", "seed=1,2,1", "sim.friction=1,0.5,1.0", "terrain='a','a'"]
+)
+def test_a_list_with_a_value_twice_is_refused(word: str) -> None:
+    with pytest.raises(ConfigError, match="is given twice; once is allowed"):
+        list(Overrides.parse([word]).combinations())
+
+
 def test_an_interval_is_the_sweepers_business() -> None:
     (config,) = compose_train(["agent.gamma=interval(0.9,0.95)"])
     assert config.agent.gamma == 0.99  # the default: no value was drawn

@@ -47,7 +47,7 @@ def my(tmp_path: Path) -> Path:
         ("--cfg job hydra/launcher=[1]", "hydra/launcher: a name is allowed"),
         ("hydra.verbose=inf", "Hydra cannot use the words or its settings"),
         ("seed=true", "seed: a number is allowed, not true or false"),
-        ("-m seed=1,true", "seed: a number is allowed, not true or false"),
+        ("-m seed=2,true", "seed: a number is allowed, not true or false"),
         ("agent.learning_rate=true", "agent.learning_rate: a number is allowed"),
     ],
 )
