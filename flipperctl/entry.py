@@ -12,7 +12,13 @@ import os
 import signal
 import sys
 
-from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
+from flipperctl.errors import (
+    FlipperctlError,
+    InterruptedRunError,
+    MissingExtraError,
+    RequestError,
+    missing_package,
+)
 
 TYPE_CHECKING = False  # importing typing takes 5 ms, during which Ctrl-C shows a traceback
 if TYPE_CHECKING:
@@ -113,6 +119,9 @@ def _code_of(program: Callable[[], int]) -> int:
         if isinstance(error, OSError) and error.errno in _SHORTAGES:
             print_error(_describe_shortage(error))
             return FlipperctlError.exit_code
+        if missing := missing_package(error):
+            print_error(missing)
+            return MissingExtraError.exit_code
         print_error(
             f"{type(error).__name__}: {error} (an error in flipperctl; {DEBUG}=1 shows where)"
         )

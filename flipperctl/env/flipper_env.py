@@ -115,11 +115,13 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         ``options``: ``difficulty`` from 0 to 1 for terrains that use it; without it, it is 1.
 
         Raises:
-            ValueError: the difficulty is not a number from 0 to 1.
+            ValueError: the difficulty is not a number from 0 to 1, or the seed true or false.
             TerrainError: the terrain generates no ground that a robot can start on.
             PluginFailedError: the code of the terrain, engine or sensor failed.
         """
         difficulty = ground.asked_difficulty(options)
+        if isinstance(seed, bool):
+            raise ValueError(f"seed: a number is allowed; the value is {seed}")
         self._running = False
         before = global_states() if self.foreign else None
         super().reset(seed=seed)

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from flipperctl import plugins
+from flipperctl.guard import USER_MODULE
 from flipperctl.rollout import worker
 
 _PRELOAD = ("flipperctl.rollout.actor", "flipperctl.sim.planar.compiled")
@@ -238,7 +239,7 @@ def _places() -> dict[str, tuple[str, list[str] | None]]:
     found = {}
     for name, module in list(sys.modules.items()):
         spec = getattr(module, "__spec__", None)
-        if "." in name or name.startswith(plugins.MODULE) or not isinstance(spec, ModuleSpec):
+        if "." in name or name.startswith(USER_MODULE) or not isinstance(spec, ModuleSpec):
             continue
         if spec.name == name and spec.has_location and Path(str(spec.origin)).is_file():
             folders = spec.submodule_search_locations

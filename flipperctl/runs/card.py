@@ -12,14 +12,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from flipperctl import checkpoint as checkpoints
 from flipperctl.checkpoint import Checkpoint
-from flipperctl.config import TrainConfig
+from flipperctl.config import TrainConfig, strict_yaml
 from flipperctl.config.describe import settings
 from flipperctl.config.identity import content_digest
-from flipperctl.errors import RequestError
+from flipperctl.errors import ConfigError, RequestError
 from flipperctl.evaluation.result_rows import StoredRow, read_rows
 from flipperctl.evaluation.store import FOLDER, played_policies
 from flipperctl.policies.identity import PolicyIdentity
@@ -123,8 +121,8 @@ def _seconds(run: Path) -> float | None:
 def _training(run: Path) -> str | None:
     """Return the command of a run, from the overrides that were stored with it."""
     try:
-        words: Any = yaml.safe_load((run / HYDRA / "overrides.yaml").read_text(encoding="utf-8"))
-    except (OSError, yaml.YAMLError):
+        words = strict_yaml.read(run / HYDRA / "overrides.yaml", HYDRA.name)
+    except ConfigError:
         return None
     return shlex.join(["flipperctl", "train", *map(str, words or ())])
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from flipperctl.errors import (
     InterruptedRunError,
     OutputError,
     RequestError,
+    RunHeldError,
     WriteError,
 )
 from flipperctl.files import make_folder
@@ -31,7 +33,7 @@ from flipperctl.runs import folder as run_folder
 from flipperctl.runs.final_regret import FinalRegret
 from flipperctl.runs.follow_up import command, quote_path
 from flipperctl.runs.interrupts import interrupts
-from flipperctl.runs.lock import hold
+from flipperctl.runs.lock import hold, names
 from flipperctl.runs.preflight import check_device, require_kept
 from flipperctl.training.closing import open_all
 from flipperctl.training.events import MetricsCsv
@@ -65,11 +67,13 @@ def start(
     directory: Path,
     reports: Reports = Reports(),  # frozen
     *,
-    keep_more: Callable[[], None] = lambda: None,
+    keep_more: Callable[[Path], None] = lambda place: None,
+    numbered: bool = False,
 ) -> Finished:
     """Train in a new run directory.
 
-    ``keep_more`` writes further files into it, once it is known to be new and locked.
+    ``keep_more`` writes further files into it, once it is known to be new and locked. ``numbered``:
+    if it has a run, or another process trains there, take the first free of ``…_2``, ``…_3``, ….
 
     Raises:
         InterruptedRunError: the run was stopped by Ctrl-C; all is saved.
@@ -77,14 +81,23 @@ def start(
         OutputError: it already holds a run.
         RequestError: the training cannot begin; nothing of it is left in the directory.
     """
-    make_folder(directory)
-    with _held(directory), _kept_threads():
-        if run_folder.holds_run(directory):
-            raise OutputError(
-                f"{directory} already holds a run; resume it with: "
-                f"{command('train', '--resume', directory)}, or choose another hydra.run.dir"
-            )
-        return _begin(config, directory, reports, keep_more)
+    with _kept_threads():
+        for place in names(directory, numbered=numbered):
+            make_folder(place)
+            held = contextlib.ExitStack()
+            try:
+                held.enter_context(_held(place))
+            except RunHeldError:
+                if not numbered:
+                    raise
+                continue
+            with held:
+                if not run_folder.holds_run(place):
+                    return _begin(config, place, reports, partial(keep_more, place))
+        raise OutputError(
+            f"{directory} already holds a run; resume it with: "
+            f"{command('train', '--resume', directory)}, or choose another hydra.run.dir"
+        )
 
 
 def start_or_continue(
