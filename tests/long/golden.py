@@ -29,6 +29,7 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -89,6 +90,7 @@ def start(job: Job, folder: Path, log: Path) -> int:
             os.dup2(os.open(log.with_suffix(suffix), os.O_WRONLY | os.O_CREAT, 0o644), number)
         os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
         sys.stdout, sys.stderr = os.fdopen(1, "w"), os.fdopen(2, "w")  # pytest has others
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # background shells ignore it
         os.chdir(folder)
         code = _run(job, folder)
     except SystemExit as left:
@@ -105,8 +107,7 @@ def _run(job: Job, folder: Path) -> int:
     if isinstance(job, str) and not job.startswith("flipperctl."):
         from flipperctl.__main__ import main
 
-        words = [_first(word, folder) for word in shlex.split(job)]
-        sys.argv = ["flipperctl", *words]
+        sys.argv = ["flipperctl", *(_first(word, folder) for word in shlex.split(job))]
         main()
         return 70  # main leaves by SystemExit
     import flipperctl
@@ -170,7 +171,7 @@ def episodes(folder: Path) -> Entries:
         name: f"eval {words} --seed 5 --baseline none --output 'episodes {name}' --json"
         for name, words in cases.EPISODES.items()
     }
-    jobs |= {name: lambda given=given: walk(*given) for name, given in cases.WALKS.items()}
+    jobs |= {name: partial(walk, *given) for name, given in cases.WALKS.items()}
     found: Entries = {}
     for name, done in run(jobs, folder).items():
         if name not in cases.EPISODES:
@@ -279,10 +280,7 @@ def evaluations(folder: Path) -> Entries:
     train(cases.NEEDED, folder)
     found: Entries = {}
     for batch in cases.EVALUATIONS:
-        words = {
-            k: job if job[:11] == "flipperctl." else f"{job} --json" for k, job in batch.items()
-        }
-        for name, done in run(words, folder).items():
+        for name, done in run(batch, folder).items():
             found |= document(name, done)
     for file in sorted(folder.glob("*/table.csv")):
         found |= table(file, str(file.relative_to(folder)), lambda index, _: str(index))
@@ -299,11 +297,9 @@ def refusals(folder: Path) -> Entries:
     (folder / "flipped.safetensors").write_bytes(flipped)
     before = set(folder.rglob("*"))
     lines = [line.split(": ", 1) for line in cases.REFUSALS.strip().splitlines()]
-    requests = [
-        f"{first} {rest.strip()}".strip() for first, rests in lines for rest in rests.split("|")
-    ]
+    requests = [f"{first} {rest}" for first, rests in lines for rest in rests.split(" | ")]
     found: Entries = {}
-    for name, done in run({request: request for request in requests}, folder).items():
+    for name, done in run({text.strip(): text.strip() for text in requests}, folder).items():
         found |= {f"{name}/exit code": done.code, f"{name}/text": done.out + done.err}
     left = (str(file.relative_to(folder)) for file in set(folder.rglob("*")) - before)
     return found | {"files left behind": sorted(file for file in left if "__pycache__" not in file)}
@@ -315,11 +311,8 @@ def export(folder: Path) -> Entries:
     found: Entries = {}
     for name, done in run(cases.EXPORTS, folder).items():
         found[f"{name}/exit code"] = done.code
-    files = sorted(folder.glob("*.onnx"))
-    jobs: dict[str, Job] = {
-        file.name: lambda f=file: onnx(f) for file in files if file.stem in cases.EXPORTS
-    }
-    for name, done in run(jobs, folder).items():
+    files = [file for file in sorted(folder.glob("*.onnx")) if file.stem in cases.EXPORTS]
+    for name, done in run({file.name: partial(onnx, file) for file in files}, folder).items():
         found |= document(name, done)
     scenes = [file for suffix in ("xml", "urdf") for file in folder.glob(f"*.{suffix}")]
     return found | {file.name: digest(file.read_bytes()) for file in scenes}
@@ -352,7 +345,7 @@ def compare(part: str, before: Entries, after: Entries) -> bool:
     """Print what differs; return whether an entry has changed or is missing."""
     both = before.keys() & after.keys()
     kinds = {
-        "changed": [key for key in before if key in both and before[key] != after[key]],
+        "changed": [key for key in before if key in both and repr(before[key]) != repr(after[key])],
         "missing": [key for key in before if key not in both],
         "new": [key for key in after if key not in both],
     }
@@ -393,6 +386,9 @@ def measure(names: Iterable[str]) -> tuple[dict[str, Entries], dict[str, float]]
             found[part] = json.loads(json.dumps(PARTS[part](Path(name).resolve())))
             seconds[part] = round(time.monotonic() - begun, 1)
             print(f"{part}: {len(found[part])} entries, {seconds[part]} s", file=sys.stderr)
+            failed = {key: code for key, code in found[part].items() if key.endswith("/exit code")}
+            if any(failed.values()) and part != "refusals":
+                print(f"  failed: {[key for key, code in failed.items() if code]}", file=sys.stderr)
     return found, seconds
 
 
@@ -420,7 +416,8 @@ def main(arguments: list[str] | None = None) -> int:
     if before["machine"] != machine():
         print(f"written on another machine: {before['machine']}; here {machine()}")
     found, _ = measure(names)
-    return max(compare(part, before["parts"].get(part, {}), found[part]) for part in names)
+    differs = [compare(part, before["parts"].get(part, {}), found[part]) for part in names]
+    return int(any(differs))
 
 
 if __name__ == "__main__":

@@ -95,51 +95,56 @@ FILES = {
 
 NEEDED = ("paper", "risk", "sweep")
 """Trainings whose runs the evaluations and exports read."""
-_OKADA = "eval --controller okada"
+_OKADA = "eval --json --controller okada"
 _REWARD = "+reward@rewards.calm=calm --plugins calm.py"
-_RETURNS = "inspect reward --controller okada"
+_RETURNS = "inspect reward --json"
+_SEVERAL = (
+    "eval --json --controller okada,level --checkpoint generalist terrain=stair,plum "
+    "--output several"
+)
 EVALUATIONS = (
     {
-        "one": "eval --checkpoint paper --baseline okada,level terrain=stair,step --episodes 12",
-        "several": "eval --controller okada,level --checkpoint generalist terrain=stair,plum "
-        "--episodes 8 --output several",
-        "seeds": "eval --checkpoint sweep --controller okada terrain=stair,ramp --episodes 6 "
-        "--output seeds",
+        "one": "eval --json --checkpoint paper --baseline okada,level terrain=stair,step "
+        "--episodes 12",
+        "several": f"{_SEVERAL} --episodes 8",
+        "seeds": "eval --json --checkpoint sweep --controller okada terrain=stair,ramp "
+        "--episodes 6 --output seeds",
         "by": f"{_OKADA} --baseline level terrain=stair conditions=varied --episodes 24 "
         "--by steps+up,friction --output by",
         "suite": f"{_OKADA},level suite=suite.yaml --episodes 4",
         "shipped suite": f"{_OKADA} suite=families --episodes 2",
-        "passable": "eval --controller level terrain=plum --passable okada --episodes 12",
-        "wide": "eval --checkpoint generalist --baseline okada conditions=nominal,wide "
+        "passable": "eval --json --controller level terrain=plum --passable okada --episodes 12",
+        "wide": "eval --json --checkpoint generalist --baseline okada conditions=nominal,wide "
         "terrain=gap --episodes 5 --output wide",
         "mujoco": f"{_OKADA} --baseline level sim=mujoco terrain=stair --episodes 4",
-        "risk": "eval --checkpoint risk terrain=plum,stair --episodes 8 --jobs 2",
-        "trained": "eval --checkpoint generalist conditions=trained --episodes 2 --jobs 2",
+        "risk": "eval --json --checkpoint risk terrain=plum,stair --episodes 8 --jobs 2",
+        "trained": "eval --json --checkpoint generalist conditions=trained --episodes 2 --jobs 2",
         "plugin": f"{_OKADA} {_REWARD} terrain=step --episodes 6",
         "map": f"{_OKADA} terrain=uplift --map terrain.height=0.2:0.5:3,sim.friction=0.5:1:2 "
         "--episodes 2",
-        "transfer": "transfer --controller okada terrain=stair,plum --episodes 3",
-        "transfer lidar": "transfer --controller okada terrain=gap perception=lidar --episodes 1",
-        "audit": f"{_RETURNS} terrain=stair --episodes 5 {_REWARD}",
-        "regret": f"{_RETURNS} --regret --against level terrain=stair,ramp --episodes 8",
-        "compare": "inspect reward --compare level,okada,generalist terrain=step,ramp "
+        "transfer": "transfer --json --controller okada terrain=stair,plum --episodes 3",
+        "transfer lidar": "transfer --json --controller okada terrain=gap perception=lidar "
+        "--episodes 1",
+        "audit": f"{_RETURNS} --controller okada terrain=stair --episodes 5 {_REWARD}",
+        "regret": f"{_RETURNS} --controller okada --regret --against level terrain=stair,ramp "
+        "--episodes 8",
+        "compare": f"{_RETURNS} --compare level,okada,generalist terrain=step,ramp "
         "rewards=paper,smooth --episodes 6",
         "python": 'flipperctl.evaluate("paper", terrain=["stair", "gap"], episodes=5, '
-        'baselines=["level"], by=["height"], progress=False).to_dict()',
-        "config": "inspect config",
-        "terrain": "inspect terrain building_stair",
+        'baselines=["level"], by=["steps"], progress=False).to_dict()',
+        "config": "inspect config --json",
+        "terrain": "inspect terrain building_stair --json",
     },
     {
-        "methods": "inspect results seeds --against okada",
-        "results": "inspect results several --measure t_cost --price 60",
-        "replay": "eval --replay several/failure_*.json",
-        "again": "eval --controller okada,level --checkpoint generalist terrain=stair,plum "
-        "--episodes 10 --output several",
-        "run": "inspect run risk",
-        "checkpoint": "inspect checkpoint risk",
+        "methods": "inspect results seeds --against okada --json",
+        "results": "inspect results several --measure t_cost --price 60 --json",
+        "replay": "eval --json --replay several/failure_*.json",
+        "again": f"{_SEVERAL} --episodes 10",
+        "run": "inspect run risk --json",
+        "checkpoint": "inspect checkpoint risk --json",
     },
 )
-"""Commands with ``--json``; the second ones read what the first ones wrote."""
+"""Commands that print JSON; the second ones read what the first ones wrote."""
 
 EXPORTS = {
     "generalist": "export onnx --checkpoint generalist --output generalist.onnx",
