@@ -168,7 +168,7 @@ def digest(*parts: bytes) -> str:
 def episodes(folder: Path) -> Entries:
     """Return the columns of episodes and, where the store has it, the digest of their poses."""
     jobs: dict[str, Job] = {
-        name: f"eval {words} --seed 5 --baseline none --output 'episodes {name}' --json"
+        name: f"eval {words} --seed 5 --baseline none --output 'episodes/{name}' --json"
         for name, words in cases.EPISODES.items()
     }
     jobs |= {name: partial(walk, *given) for name, given in cases.WALKS.items()}
@@ -178,7 +178,7 @@ def episodes(folder: Path) -> Entries:
             found |= document(name, done)
             continue
         found[f"{name}/exit code"] = done.code
-        output = folder / f"episodes {name}"
+        output = folder / "episodes" / name
         for file in output.glob("episodes.csv"):
             found |= table(file, name, lambda _, row: f"{row['terrain']}/{row['seed']}")
         for file in output.rglob("*.jsonl"):
@@ -297,7 +297,7 @@ def refusals(folder: Path) -> Entries:
     (folder / "flipped.safetensors").write_bytes(flipped)
     before = set(folder.rglob("*"))
     lines = [line.split(": ", 1) for line in cases.REFUSALS.strip().splitlines()]
-    requests = [f"{first} {rest}" for first, rests in lines for rest in rests.split(" | ")]
+    requests = [f"{first} {rest.strip()}" for first, rests in lines for rest in rests.split("|")]
     found: Entries = {}
     for name, done in run({text.strip(): text.strip() for text in requests}, folder).items():
         found |= {f"{name}/exit code": done.code, f"{name}/text": done.out + done.err}
