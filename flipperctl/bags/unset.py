@@ -95,11 +95,11 @@ def orientations(messages: Iterable[Any], chassis: Poses, mount: Pose | None) ->
     if found.unset:
         reason = found.unset
     elif level and tilted > _TURNED:
-        reason = f"is level, while the poses of the recording tilt by {math.degrees(tilted):.0f}°"
+        reason = f"is 0 0 0 1, while the poses of the recording tilt by {math.degrees(tilted):.0f}°"
     elif level and leaning > _TILTED:
-        reason = f"is level, while gravity is {math.degrees(leaning):.0f}° from its z axis"
+        reason = f"is 0 0 0 1, while gravity is {math.degrees(leaning):.0f}° from its z axis"
     elif level == count and level and mounted > _TILTED:
-        reason = f"is level, while it is mounted at {math.degrees(mounted):.0f}°"
+        reason = f"is 0 0 0 1, while it is mounted at {math.degrees(mounted):.0f}°"
     else:
         return Orientations(count, blank, 0)
     return Orientations(count, blank, level, reason)
@@ -143,15 +143,17 @@ class _Stops:
 
     def drive(self, time: float, speed: float) -> None:
         """Add a speed."""
+        if time - self._last > _PAUSE:
+            self.moved()
+            self._start = None
         if self._time is not None and math.isfinite(speed):
             self._driven += abs(speed) * max(0.0, time - self._time)
         self._time = time
 
     def stand(self, time: float, place: FloatArray) -> None:
         """Add the place at a time of a speed of 0."""
-        if self._start is None or time - self._last > _PAUSE:
-            self.moved()
-            self._start = place
+        if self._start is None:
+            self._start, self._driven = place, 0.0
         self._last = time
         self._far = max(self._far, float(np.linalg.norm(place - self._start)))
 
