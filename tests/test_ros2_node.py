@@ -284,10 +284,11 @@ def in_milliseconds(stream: Stream) -> Iterator[tuple[float, str, Any]]:
     """The points have times, from 100 ms before the stamp."""
     for time, topic, message in stream:
         if topic == "points":
-            points = np.frombuffer(bytes(message.data), "<f4").reshape(-1, 3)
+            rows = np.frombuffer(bytes(message.data), "<f4").reshape(message.width, -1)
+            points, fields = rows[:, :3], message.fields[:3]
             times = np.linspace(-100, 0, len(points), dtype="<f4")
             data = np.ascontiguousarray(np.column_stack([points, times])).tobytes()
-            fields = [*message.fields, Message(name="time", offset=12, count=1, datatype=7)]
+            fields = [*fields, Message(name="time", offset=12, count=1, datatype=7)]
             sizes = {"point_step": 16, "row_step": 16 * len(points), "fields": fields}
             message = Message(**{**vars(message), **sizes, "data": data})
         yield time, topic, message

@@ -118,6 +118,8 @@ def _unused(topic: str, imu: Orientations) -> str:
     """Return what to remark on an inertial unit; nothing if all its messages are used."""
     if not imu.messages:
         return f"{topic} is not used: it has no message"
+    if imu.doubtful:
+        return f"{topic}: each orientation is 0 0 0 1, as if no one fills it in: taken for level"
     reason = f"it {imu.reason}" if imu.level else "its covariance or quaternion says so"
     lost = imu.blank + imu.level
     if lost == imu.messages:

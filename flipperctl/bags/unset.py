@@ -49,6 +49,8 @@ class Orientations:
     """Messages whose orientation is 0 0 0 1, if that is none."""
     reason: str = ""
     """Why it is none."""
+    doubtful: bool = False
+    """Whether all of them are 0 0 0 1 beside rates that are not 0, and nothing contradicts it."""
 
     def told(self, message: Any) -> bool:
         """Return whether a message holds an orientation."""
@@ -62,7 +64,7 @@ def orientations(messages: Iterable[Any], chassis: Poses, mount: Pose | None) ->
     """
     count = blank = level = 0
     found, gravity, ups = Levels(), list[FloatArray](), list[FloatArray]()
-    leaning, looked = 0.0, -math.inf
+    leaning, looked, turning = 0.0, -math.inf, False
     for message in messages:
         count += 1
         if _blank(message):
@@ -75,6 +77,7 @@ def orientations(messages: Iterable[Any], chassis: Poses, mount: Pose | None) ->
         )
         is_level = _level(message)
         level += is_level
+        turning = turning or any((rates.x, rates.y, rates.z))
         tilt = 0.0 if is_level else max(2 * math.asin(min(1, math.hypot(q.x, q.y))), 1e-9)
         found.add(time, tilt, (rates.x, rates.y))
         if not is_level:
@@ -101,7 +104,7 @@ def orientations(messages: Iterable[Any], chassis: Poses, mount: Pose | None) ->
     elif level == count and level and mounted > _TILTED:
         reason = f"is 0 0 0 1, while it is mounted at {math.degrees(mounted):.0f}°"
     else:
-        return Orientations(count, blank, 0)
+        return Orientations(count, blank, 0, doubtful=turning and level == count)
     return Orientations(count, blank, level, reason)
 
 

@@ -78,7 +78,8 @@ def test_a_level_orientation_is_none_if_something_contradicts_it(messages, chass
     ],
 )
 def test_a_robot_may_be_level(messages):
-    assert orientations(messages, standing, Pose.none()).level == 0
+    found = orientations(messages, standing, Pose.none())
+    assert (found.level, found.doubtful) == (0, messages[-1].orientation.y == 0)
 
 
 def test_messages_without_orientation_are_counted():
