@@ -171,7 +171,7 @@ def opened(path: Path) -> Iterator[Any]:
         with AnyReader([path], default_typestore=typestore()) as reader:
             yield reader
     except (AnyReaderError, rosbag1.ReaderError, rosbag2.ReaderError, *_DAMAGED) as error:
-        text = " ".join(str(error).split()) or type(error).__name__
+        text = " ".join(str(error).split()).rstrip(".") or type(error).__name__
         raise RequestError(f"{path} cannot be read as a bag: {text}{_remedy(path)}") from error
 
 
