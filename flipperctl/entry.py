@@ -12,7 +12,13 @@ import os
 import signal
 import sys
 
-from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
+from flipperctl.errors import (
+    FlipperctlError,
+    InterruptedRunError,
+    MissingExtraError,
+    RequestError,
+    missing_package,
+)
 
 TYPE_CHECKING = False  # importing typing takes 5 ms, during which Ctrl-C shows a traceback
 if TYPE_CHECKING:
@@ -22,20 +28,38 @@ if TYPE_CHECKING:
 
 DEBUG = "FLIPPERCTL_DEBUG"
 """Environment variable; with 1, errors are shown with their traceback."""
+STDOUT = "standard output"
 _BROKEN = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF}
+_SHORTAGES = _BROKEN | {errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EAGAIN, errno.EROFS}
+"""Errors that the machine causes, not a program."""
 _IMPORT = "<frozen importlib._bootstrap"
 _process_id = 0  # of this process, set by stop_at_once
 
 
 def stop_at_once() -> None:
-    """Make Ctrl-C end the process without a traceback.
+    """Make Ctrl-C end the process without a traceback, and closed standard streams lead nowhere.
 
     A handler that was set before, such as that of ``nohup``, stays.
     """
     global _process_id
+    _open_closed_streams()
     if signal.getsignal(signal.SIGINT) is signal.default_int_handler:
         _process_id = os.getpid()
         signal.signal(signal.SIGINT, _stop)
+
+
+def _open_closed_streams() -> None:
+    """Connect standard streams that are closed (``>&-``) to null.
+
+    Otherwise the next file that is opened would be taken for one of them.
+    """
+    while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
+        os.set_inheritable(descriptor, True)  # as a child's standard stream, too
+    os.close(descriptor)
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:
+            null = open(os.devnull, "r" if name == "stdin" else "w")  # noqa: PTH123, SIM115
+            setattr(sys, name, null)
 
 
 def run(program: Callable[[], int]) -> NoReturn:
@@ -59,8 +83,8 @@ def run(program: Callable[[], int]) -> NoReturn:
     error = _flush()
     if error is not None and code == 0:
         code = FlipperctlError.exit_code
-        if reason := _failure_reason(error):
-            code = _report_output_failure(reason)
+        if error.errno in _BROKEN:
+            code = _report_output_failure(os.strerror(error.errno))
     sys.exit(code)
 
 
@@ -86,12 +110,18 @@ def _code_of(program: Callable[[], int]) -> int:
     except (KeyboardInterrupt, SystemExit):
         raise  # Hydra's options exit this way; a plugin's exit is already a PluginError
     except BaseException as error:
-        if isinstance(error, Exception) and (reason := _failure_reason(error)):
+        if isinstance(error, OSError) and (reason := _failure_reason(error)):
             return _report_output_failure(reason)
         if _after_interrupt(error):
             raise KeyboardInterrupt from error
         if debug:
             raise
+        if isinstance(error, OSError) and error.errno in _SHORTAGES:
+            print_error(_describe_shortage(error))
+            return FlipperctlError.exit_code
+        if missing := missing_package(error):
+            print_error(missing)
+            return MissingExtraError.exit_code
         print_error(
             f"{type(error).__name__}: {error} (an error in flipperctl; {DEBUG}=1 shows where)"
         )
@@ -129,18 +159,42 @@ def _importing(frame: FrameType | None) -> bool:
     return False
 
 
-def _failure_reason(error: Exception) -> str:
+def _failure_reason(error: OSError) -> str:
     """Return why standard output could not be written, or an empty text for any other error.
 
     Files are written by ``flipperctl.files``, which raises flipperctl's own errors.
     """
-    if isinstance(error, OSError) and error.filename is None and error.errno in _BROKEN:
-        return os.strerror(error.errno)
-    return ""
+    broken = error.filename is None and error.errno in _BROKEN and is_broken(sys.stdout)
+    return os.strerror(error.errno or 0) if broken or error.filename == STDOUT else ""
+
+
+def is_broken(stream: TextIO) -> bool:
+    """Return whether a stream cannot be written, after an error that may have been of another one.
+
+    The end of a line is tried, since a stream may have dropped what it could not write.
+    """
+    try:
+        print(file=stream, flush=True)
+    except (OSError, ValueError):
+        return True
+    return False
+
+
+def _describe_shortage(error: OSError) -> str:
+    """Return what the system has refused, with the place where it is known, and what needs less."""
+    reason = os.strerror(error.errno or 0)
+    if error.filename is not None:
+        return f"{error.filename}: {reason}"
+    if error.errno in (errno.EMFILE, errno.ENFILE):
+        return f"{reason}: raise their limit (ulimit -n), or use fewer processes (--jobs 1)"
+    return (
+        f"{reason}: the system refuses memory, a process, or the semaphores in /dev/shm that "
+        "hydra/launcher=joblib needs; --jobs 1 and train.mode=exact need none"
+    )
 
 
 def _report_output_failure(reason: str) -> int:
-    print_error(f"standard output cannot be written: {reason}")
+    print_error(f"{STDOUT} cannot be written: {reason}")
     return FlipperctlError.exit_code
 
 
@@ -154,11 +208,11 @@ def _flush() -> OSError | None:
             stream.flush()
         except OSError as error:
             first = first or error
-            _discard(stream)
+            discard(stream)
     return first
 
 
-def _discard(stream: TextIO) -> None:
+def discard(stream: TextIO) -> None:
     """Redirect the stream to null, so that the interpreter's last flush prints no error."""
     with contextlib.suppress(OSError, ValueError):  # a test's stream has no descriptor
         sink = os.open(os.devnull, os.O_WRONLY)

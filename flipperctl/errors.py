@@ -85,3 +85,15 @@ class InterruptedRunError(FlipperctlError):
     """The user interrupted the work; its results so far are saved."""
 
     exit_code = 130
+
+
+_PACKAGES = {"PIL": "pillow", "hydra": "hydra-core", "yaml": "pyyaml"}
+"""Module → the package that has it, where they differ."""
+
+
+def missing_package(error: BaseException) -> str:
+    """Return how to install the package whose module an import does not find; else no text."""
+    if not isinstance(error, ModuleNotFoundError) or not error.name:
+        return ""
+    module = error.name.partition(".")[0]
+    return f"the package {module} is missing: pip install {_PACKAGES.get(module, module)}"

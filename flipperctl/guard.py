@@ -26,11 +26,19 @@ from typing import Any, NoReturn
 from pydantic import ValidationError
 
 from flipperctl.api import Plugin
-from flipperctl.errors import FlipperctlError, PluginFailedError, TerrainError
+from flipperctl.errors import (
+    FlipperctlError,
+    MissingExtraError,
+    PluginFailedError,
+    TerrainError,
+    missing_package,
+)
 
 _LONGEST = 300  # characters of an exception's text
 _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib")})
 _CORE = "flipperctl"
+USER_MODULE = "flipperctl_user_"
+"""Prefix of the packages of plugins that were loaded from a path, one for each folder."""
 _NO_CALLERS = ("flipperctl.api", "flipperctl.testing")
 
 
@@ -91,6 +99,8 @@ def raise_named(
     plugin, method = _culprit(frames, plugin, method)
     where = error_place(error, plugin, method)
     what = _text(error) if plain else f"{method} raised {error_line(error)}"
+    if missing := missing_package(error):
+        what, raised = missing, MissingExtraError
     where = f"{method}, {where}" if plain else where
     raise raised(f"{plugin_label(plugin)}{while_}: {what} ({where})") from error
 

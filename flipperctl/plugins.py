@@ -20,16 +20,16 @@ from types import ModuleType
 from flipperctl import guard
 from flipperctl.api import Plugin, registry
 from flipperctl.errors import PluginError
+from flipperctl.guard import USER_MODULE
 
 GROUP = "flipperctl.plugins"
 VARIABLE = "FLIPPERCTL_PLUGINS"
 
-_MODULE = "flipperctl_user_"
-"""Prefix of the names of modules that were loaded from a path."""
-
 _loaded: set[str] = set()
-_contents: dict[str, str] = {}
-"""SHA-256 of the files that were loaded, by the names of their modules."""
+_given: list[str] = []
+"""Paths that ``load`` was called with or found in the variable, in this order."""
+_contents: dict[str, tuple[Path, str]] = {}
+"""The files that were loaded and their SHA-256, by the names of their modules."""
 _files: dict[type[Plugin], str] = {}
 """Class → name of the file from which it was loaded, for plugins that are not installed."""
 
@@ -37,8 +37,8 @@ _files: dict[type[Plugin], str] = {}
 def load(paths: Iterable[str | Path] = ()) -> None:
     """Import every installed plugin, those in ``FLIPPERCTL_PLUGINS`` and those at ``paths``.
 
-    ``paths`` (``.py`` files or folders) are added to the variable, so that worker processes
-    find them too. A repeated call imports only new plugins.
+    ``paths`` (``.py`` files or folders) are remembered for worker processes. A repeated call
+    imports only new plugins.
 
     Raises:
         PluginError: a plugin is missing, does not import, registers nothing, or uses a
@@ -52,15 +52,22 @@ def load(paths: Iterable[str | Path] = ()) -> None:
     named = [*configured_paths(), *(str(Path(p).absolute()) for p in paths)]
     named = list(dict.fromkeys(named))
     for path in named:
+        empty: dict[Path, PluginError] = {}
         for file in _files_at(Path(path)):
-            _load_file(file)
-    if named:
-        os.environ[VARIABLE] = os.pathsep.join(named)
+            try:
+                _load_file(file)
+            except _EmptyError as error:
+                empty[file] = error
+        for file, refusal in empty.items():
+            if _module_name(file.resolve()) not in _loaded:  # no neighbour imports it
+                raise refusal
+    _given[:] = named
 
 
 def configured_paths() -> list[str]:
     """Return the paths in ``FLIPPERCTL_PLUGINS``; after ``load``, also those it was called with."""
-    return [p for p in os.environ.get(VARIABLE, "").split(os.pathsep) if p]
+    named = [p for p in os.environ.get(VARIABLE, "").split(os.pathsep) if p]
+    return list(dict.fromkeys([*named, *_given]))
 
 
 def folders() -> list[Path]:
@@ -80,7 +87,9 @@ def file_name(cls: type[Plugin]) -> str | None:
 
 def module_file_name(module: str) -> str | None:
     """Return the name of the file that a module was loaded from by path; None for any other."""
-    found = re.fullmatch(rf"{_MODULE}(.+)_[0-9a-f]{{8}}", module)
+    if module in _contents:
+        return _contents[module][0].name
+    found = re.fullmatch(rf"{USER_MODULE}(.+)_[0-9a-f]{{8}}", module)  # a name of version 0.2
     return f"{found[1]}.py" if found else None
 
 
@@ -98,32 +107,56 @@ def _files_at(path: Path) -> list[Path]:
     raise PluginError(f"plugins: {path} {fault}; a .py file or a folder of them is allowed")
 
 
+def _module_name(file: Path) -> str:
+    """Return the name of a file's module in the package of its folder."""
+    stem = file.stem
+    if "." in stem:  # it would name a further package
+        stem = f"{stem.replace('.', '_')}_{_digest(file)}"
+    return f"{_package_name(file)}.{stem}"
+
+
+def _package_name(file: Path) -> str:
+    return f"{USER_MODULE}{_digest(file.parent)}"
+
+
+def _digest(path: Path) -> str:
+    return hashlib.sha256(str(path).encode()).hexdigest()[:8]
+
+
 def _load_file(file: Path) -> None:
+    """Import a file in the package of its folder, so that ``from .helper import …`` works in it."""
     file = file.resolve()
-    digest = hashlib.sha256(str(file).encode()).hexdigest()[:8]
-    name = f"{_MODULE}{file.stem}_{digest}"
-    content = _content(file)
+    name, package = _module_name(file), _package_name(file)
     if name in _loaded:
-        if content != _contents[name]:  # processes that begin from now on would run other code
-            raise PluginError(
-                f"plugins: {file} has changed since it was loaded here; start Python again"
-            )
+        for other, (path, content) in _contents.items():
+            if other.startswith(f"{package}.") and _content(path) != content:
+                raise PluginError(  # processes that begin from now on would run other code
+                    f"plugins: {path} has changed since it was loaded here; start Python again"
+                )
         return
 
     def run() -> ModuleType:
         spec = importlib.util.spec_from_file_location(name, file)
         if spec is None or spec.loader is None:
             raise ImportError(f"{file} cannot be imported as Python")
+        if package not in sys.modules:
+            sys.modules[package] = ModuleType(package)
+            sys.modules[package].__path__ = [str(file.parent)]
         module = importlib.util.module_from_spec(spec)
         sys.modules[name] = module
         spec.loader.exec_module(module)
         return module
 
-    before = dict(registry)
+    before, modules = dict(registry), set(sys.modules) - {name}
     _import(name, str(file), file, run)
-    fresh = (cls for key, cls in registry.items() if before.get(key) is not cls)
-    _files.update(dict.fromkeys(fresh, file.name))
-    _contents[name] = content
+    for module in sorted(set(sys.modules) - modules):  # the file, and neighbours that it imports
+        found = getattr(sys.modules[module], "__file__", None)
+        if module.startswith(f"{package}.") and found is not None:
+            _loaded.add(module)
+            _contents[module] = Path(found), _content(Path(found))
+    for key, cls in registry.items():
+        if before.get(key) is not cls:
+            _files[cls] = _contents.get(cls.__module__, (file, ""))[0].name
 
 
 def _content(file: Path) -> str:
@@ -134,23 +167,27 @@ def _content(file: Path) -> str:
         return ""
 
 
+class _EmptyError(PluginError):
+    """A file registers nothing."""
+
+
 def _import(name: str, label: str, file: Path | None, run: Callable[[], object]) -> None:
-    before = dict(registry)
-    fresh = name not in sys.modules
+    before, modules = dict(registry), set(sys.modules)
+    fresh = name not in modules
     try:
         run()
     except BaseException as error:  # SystemExit too: a plugin must not end the process
         registry.clear()
         registry.update(before)
-        sys.modules.pop(name, None)
+        _forget(name, *(set(sys.modules) - modules))
         if isinstance(error, KeyboardInterrupt):
             raise
         raise PluginError(
             f"plugin {label} does not import: {_describe_failure(error, file)}"
         ) from error
     if fresh and len(registry) == len(before):
-        sys.modules.pop(name, None)
-        raise PluginError(
+        _forget(name, *(set(sys.modules) - modules))
+        raise _EmptyError(
             f"plugin {label} registers nothing; "
             "decorate a class with @terrain, @reward, @network, @controller, @engine, @sensor, "
             "@measure or @logger"
@@ -158,9 +195,22 @@ def _import(name: str, label: str, file: Path | None, run: Callable[[], object])
     _loaded.add(name)
 
 
+def _forget(name: str, *others: str) -> None:
+    """Let a module, and those beside it that it imported, be imported anew."""
+    for module in (name, *(other for other in others if other.startswith(USER_MODULE))):
+        sys.modules.pop(module, None)
+        package, _, leaf = module.rpartition(".")
+        if package in sys.modules:
+            vars(sys.modules[package]).pop(leaf, None)
+
+
 def _describe_failure(error: BaseException, file: Path | None) -> str:
     """Return the file and line in the plugin that led to the error, and the error."""
     if isinstance(error, SyntaxError) and error.filename:
         return f"{error.filename}:{error.lineno}: {error.msg}"
     found = guard.import_place(error, file)
-    return f"{found}: {guard.error_line(error)}" if found else guard.error_line(error)
+    text = f"{found}: {guard.error_line(error)}" if found else guard.error_line(error)
+    missing = error.name if isinstance(error, ModuleNotFoundError) and error.name else ""
+    if file is not None and missing and (file.parent / f"{missing}.py").is_file():
+        text += f"; {missing}.py lies beside it: write from .{missing} import …"
+    return text

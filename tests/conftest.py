@@ -52,6 +52,7 @@ def registry(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict]:
     """The plugin registry; what a test registers or loads is forgotten behind it."""
     before = dict(api.registry)
     monkeypatch.setattr(plugins, "_loaded", set(plugins._loaded))
+    monkeypatch.setattr(plugins, "_given", [])
     monkeypatch.setenv(plugins.VARIABLE, "")
     yield api.registry
     api.registry.clear()

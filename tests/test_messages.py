@@ -3,7 +3,10 @@
 import pytest
 
 from flipperctl.api import registry
+from flipperctl.api.plugin import Plugin
 from flipperctl.cli.main import COMMANDS
+from flipperctl.errors import MissingExtraError, missing_package
+from flipperctl.guard import naming
 from flipperctl.messages import close_match, closest
 
 PLUGINS = sorted(name for _, name in registry)
@@ -52,3 +55,21 @@ def test_another_word_finds_nothing(typed: str) -> None:
 
 def test_the_beginning_of_two_words_finds_neither() -> None:
     assert closest("terr", ["terrain_one_long", "terrain_two_long"]) is None
+
+
+@pytest.mark.parametrize(("module", "package"), [("PIL.Image", "pillow"), ("numba", "numba")])
+def test_a_missing_package_is_named_with_how_to_install_it(module: str, package: str) -> None:
+    """Also where a plugin imports it, such as an engine."""
+    error = ModuleNotFoundError(f"No module named {module!r}", name=module)
+    text = f"the package {module.partition('.')[0]} is missing: pip install {package}"
+    assert missing_package(error) == text
+    assert missing_package(ImportError("broken")) == ""
+    with pytest.raises(MissingExtraError, match=f"robot 'x': {text}"), naming(Plug(), "place"):
+        raise error
+
+
+class Plug(Plugin):
+    """A plugin that is not registered."""
+
+    kind = "robot"
+    plugin_name = "x"

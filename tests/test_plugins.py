@@ -1,6 +1,7 @@
 """How plugins are found, and what a user reads when one cannot be."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,7 @@ import pytest
 from flipperctl import api, plugins
 from flipperctl.api.plugin import registered_names
 from flipperctl.config import resolver
+from flipperctl.config.identity import foreign_sources
 from flipperctl.errors import PluginError
 
 pytestmark = pytest.mark.usefixtures("registry")
@@ -80,17 +82,16 @@ def test_the_variable_names_files_and_folders(
     assert {"one", "two"} <= set(registered_names("terrain"))
 
 
-def test_worker_processes_inherit_the_paths(
+@pytest.mark.usefixtures("registry")
+def test_the_paths_are_remembered_for_workers_and_the_environment_is_not_changed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write(tmp_path / "mine.py")
     monkeypatch.chdir(tmp_path)
+    before = dict(os.environ)
     plugins.load(["mine.py"])
-    script = "from flipperctl import api, plugins; plugins.load(); print(api.registry)"
-    done = subprocess.run(
-        [sys.executable, "-c", script], capture_output=True, text=True, cwd="/", check=True
-    )
-    assert "'ridge'" in done.stdout
+    assert plugins.configured_paths() == [str(tmp_path / "mine.py")]
+    assert dict(os.environ) == before
 
 
 def test_nothing_is_loaded_from_the_working_directory_unasked(
@@ -148,8 +149,8 @@ def test_a_name_taken_twice_names_both(tmp_path: Path) -> None:
         plugins.load([two])
     text = str(error.value)
     assert "two terrain plugins are called 'ridge'" in text
-    assert "flipperctl_user_one" in text
-    assert "flipperctl_user_two" in text
+    assert re.search(r"flipperctl_user_\w+\.one\.", text)
+    assert re.search(r"flipperctl_user_\w+\.two\.", text)
     assert f"{two}:3: " in text
 
 
@@ -198,4 +199,37 @@ def test_a_decorator_without_its_name_says_what_to_write(tmp_path: Path, kind: s
     file = tmp_path / "bare.py"
     file.write_text(f"from flipperctl.api import {kind}\n@{kind}\nclass Ridge:\n    pass\n")
     with pytest.raises(PluginError, match=rf'bare\.py:2: .*write @{kind}\("ridge"\)'):
+        plugins.load([file])
+
+
+def test_a_plugin_imports_the_files_beside_it(tmp_path: Path) -> None:
+    """Also another plugin, in any order of their names; each is executed once."""
+    (tmp_path / "heights.py").write_text("HEIGHT = 0.2\n")
+    body = "from .heights import HEIGHT\nfrom .zlow import Ridge as Low\n"
+    write(tmp_path / "a.py", "aridge", body)
+    write(tmp_path / "zlow.py", "zlow")
+    plugins.load([tmp_path])
+    plugins.load([tmp_path])
+    assert {"aridge", "zlow"} <= set(registered_names("terrain"))
+    low, ridge = (api.registry["terrain", name] for name in ("zlow", "aridge"))
+    assert vars(sys.modules[ridge.__module__])["Low"] is low
+    assert (plugins.file_name(low), plugins.file_name(ridge)) == ("zlow.py", "a.py")
+    (before,) = foreign_sources([ridge()])
+    (tmp_path / "heights.py").write_text("HEIGHT = 0.3\n")
+    assert foreign_sources([ridge()]) != [before]  # stored episodes are played anew
+    with pytest.raises(PluginError, match=r"heights\.py has changed since it was loaded here"):
+        plugins.load([tmp_path])
+
+
+def test_a_file_that_no_neighbour_imports_must_register_something(tmp_path: Path) -> None:
+    write(tmp_path / "a.py", "aridge")
+    (tmp_path / "heights.py").write_text("HEIGHT = 0.2\n")
+    with pytest.raises(PluginError, match=r"heights\.py registers nothing"):
+        plugins.load([tmp_path])
+
+
+def test_an_absolute_import_of_a_neighbour_says_how_it_is_written(tmp_path: Path) -> None:
+    (tmp_path / "heights.py").write_text("HEIGHT = 0.2\n")
+    file = write(tmp_path / "a.py", body="from heights import HEIGHT")
+    with pytest.raises(PluginError, match=r"beside it: write from \.heights import"):
         plugins.load([file])

@@ -269,11 +269,45 @@ def test_escapes_can_be_switched_off(node: Any, tmp_path: Path) -> None:
     assert (node.controller.policy._escape is not None) is node.escape
 
 
-def test_the_padding_of_the_rows_of_a_cloud_is_no_points(node: Any) -> None:
-    rows = np.zeros((2, 16), "<f4")  # of three points each, and 16 bytes behind them
-    rows[:, :12] = np.arange(24).reshape(2, 12)
-    field = {name: Message(name=name, datatype=7, offset=4 * i) for i, name in enumerate("xyz")}
-    cloud = Message(fields=[*field.values()], is_bigendian=False, point_step=16, row_step=64)
-    cloud.width, cloud.height, cloud.data = 3, 2, rows.tobytes()
-    columns = type(node).step.__globals__["columns"]
-    assert columns(cloud, "xyz").tolist() == np.arange(24.0).reshape(6, 4)[:, :3].tolist()
+def split(stream: Stream) -> Iterator[tuple[float, str, Any]]:
+    """Each pair of flippers has messages of its own."""
+    for time, topic, message in stream:
+        if topic == "joint_states":
+            for half in (slice(0, 2), slice(2, 4)):
+                part = {"name": message.name[half], "position": message.position[half]}
+                yield time, topic, Message(**{**vars(message), **part})
+        else:
+            yield time, topic, message
+
+
+def in_milliseconds(stream: Stream) -> Iterator[tuple[float, str, Any]]:
+    """The points have times, from 100 ms before the stamp."""
+    for time, topic, message in stream:
+        if topic == "points":
+            rows = np.frombuffer(bytes(message.data), "<f4").reshape(message.width, -1)
+            points, fields = rows[:, :3], message.fields[:3]
+            times = np.linspace(-100, 0, len(points), dtype="<f4")
+            data = np.ascontiguousarray(np.column_stack([points, times])).tobytes()
+            fields = [*fields, Message(name="time", offset=12, count=1, datatype=7)]
+            sizes = {"point_step": 16, "row_step": 16 * len(points), "fields": fields}
+            message = Message(**{**vars(message), **sizes, "data": data})
+        yield time, topic, message
+
+
+@pytest.mark.parametrize("change", [split, in_milliseconds])
+def test_joints_in_parts_and_times_of_other_units_are_taken(
+    node: Any, stream: Stream, change: Callable[..., Any]
+) -> None:
+    few = stream[: len(stream) // 4]
+    told = play(node, list(change(few)))
+    first = next(i for i, (_, text, _) in enumerate(told) if text == "driving")
+    assert first < 3
+    assert faults(told[first:]) <= {"stall"}
+    assert node.warnings == []
+
+
+def test_a_cloud_without_coordinates_is_told(node: Any, stream: Stream) -> None:
+    message = next(m for _, topic, m in stream if topic == "points")
+    node.on_cloud(Message(**{**vars(message), "fields": message.fields[1:]}))
+    assert node.cloud is None
+    assert "a cloud needs x, y and z as floats" in node.warnings[0]

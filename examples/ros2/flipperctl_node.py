@@ -29,16 +29,17 @@ from flipperctl.runtime import (
     Attitude,
     Cloud,
     FlipperController,
-    JointAngles,
     Mount,
+    NewestJoints,
     Odometry,
+    PointTimes,
     RobotSetup,
+    read_cloud,
 )
 
 BASE = "base_link"
 FRONT = ("front_left_flipper", "front_right_flipper")
 REAR = ("rear_left_flipper", "rear_right_flipper")
-TYPES = {7: "f4", 8: "f8"}  # of PointField.datatype
 MOUNT = Mount(
     x=0.0, z=0.0, axis=math.pi / 2, near=0.1, margin=0.05
 )  # of clouds that come in base_link
@@ -49,25 +50,6 @@ LEVELS = {"standby": OK, "driving": OK, "waiting": WARN, "holding": WARN, "stopp
 def seconds(stamp):
     """Return a stamp as one number [s]; NaN without a stamp, which the controller refuses."""
     return stamp.sec + 1e-9 * stamp.nanosec if stamp.sec or stamp.nanosec else math.nan
-
-
-def columns(message, names):
-    """Return fields of a PointCloud2 as an array, (P, len(names)); None if one is missing."""
-    fields = {field.name: field for field in message.fields}
-    if not all(name in fields and fields[name].datatype in TYPES for name in names):
-        return None
-    order = ">" if message.is_bigendian else "<"
-    layout = np.dtype(
-        {
-            "names": list(names),
-            "formats": [order + TYPES[fields[name].datatype] for name in names],
-            "offsets": [fields[name].offset for name in names],
-            "itemsize": message.point_step,
-        }
-    )
-    rows = np.frombuffer(bytes(message.data), np.uint8).reshape(message.height, message.row_step)
-    found = np.frombuffer(rows[:, : message.width * message.point_step].tobytes(), layout)
-    return np.column_stack([found[name].astype(float) for name in names])
 
 
 def rotation(q):
@@ -93,6 +75,7 @@ class FlipperNode(Node):
         self.escape = self.declare_parameter("escape", True).value
         self.begin(MOUNT)
         self.cloud = self.joints = self.odometry = self.transform = None
+        self.times, self.newest, self.warned = PointTimes(), NewestJoints(FRONT, REAR), set()
         self.tf = Buffer()
         self.listener = TransformListener(self.tf, self)
         self.create_subscription(PointCloud2, "points", self.on_cloud, qos_profile_sensor_data)
@@ -121,20 +104,26 @@ class FlipperNode(Node):
 
         There is one LiDAR: clouds of several come merged, in the frame of the chassis.
         """
-        frame, points = message.header.frame_id, columns(message, "xyz")
+        frame, stamp = message.header.frame_id, seconds(message.header.stamp)
         if self.transform is not None and self.transform[0] != frame:
             self.get_logger().warning(f"clouds come in {self.transform[0]} and in {frame}")
             return
-        if points is None:
-            points = np.empty((0, 3))
-        times = columns(message, ["time"])
+        try:
+            points, times = read_cloud(message)
+        except ValueError as error:
+            self.get_logger().warning(str(error))
+            return
+        self.times.add(times, stamp, self.now())
+        shifts, ages = self.times.shifts(times, stamp), None
+        for text in {*self.times.remarks()} - self.warned:
+            self.get_logger().warning(text)
+            self.warned.add(text)
         if frame != BASE and self.place_of(frame):
             turn, place = self.transform[1:]
             points, frame = points @ turn.T + place, BASE
-        stamp, ages = seconds(message.header.stamp), None
-        if times is not None and len(times):  # drivers stamp either end of a turn, we the last
-            end = max(0.0, float(times.max()))
-            stamp, ages = stamp + end, end - times[:, 0]
+        if shifts is not None:  # drivers stamp either end of a turn, we the last
+            end = max(0.0, float(np.nanmax(shifts)))
+            stamp, ages = stamp + end, end - shifts
         self.cloud = Cloud(stamp, frame, points, ages)
 
     def place_of(self, frame):
@@ -153,12 +142,9 @@ class FlipperNode(Node):
         return True
 
     def on_joints(self, message):
-        """Average the left and the right flipper of each pair; other joints are not ours."""
-        angles = dict(zip(message.name, message.position, strict=False))
-        if not angles.keys() & {*FRONT, *REAR}:
-            return  # of an arm
-        front, rear = (np.mean([angles.get(n, math.nan) for n in pair]) for pair in (FRONT, REAR))
-        self.joints = JointAngles(seconds(message.header.stamp), float(front), float(rear))
+        """Take the angles of the flippers, all or a part; other joints are not ours."""
+        stamp = seconds(message.header.stamp)
+        self.joints = self.newest.take(stamp, message.name, message.position) or self.joints
 
     def on_belts(self, message):
         """Take the speed of the belts; the message has no stamp of its own."""

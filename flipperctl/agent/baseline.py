@@ -48,7 +48,7 @@ class Baselines(torch.nn.Module):
         """``observation``, ``privileged``: lengths of the rows."""
         super().__init__()
         self.online = Baseline(observation, privileged)
-        self.target = copy.deepcopy(self.online).requires_grad_(False)
+        self.target = copy.deepcopy(self.online).requires_grad_(False).eval()
 
     def with_next(self, targets: torch.Tensor, batch: Batch) -> torch.Tensor:
         """Return targets (B, …) of the acting network with the baseline of the next state."""

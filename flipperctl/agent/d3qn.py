@@ -20,6 +20,7 @@ from flipperctl.agent.losses import (
     teacher_cross_entropy,
     teacher_large_margin,
 )
+from flipperctl.agent.noise import seeded
 from flipperctl.agent.replay import Batch
 from flipperctl.api import Network, ObservationLayout
 from flipperctl.config import Agent, Teacher
@@ -75,7 +76,9 @@ class D3qn(Learner):
             NonFiniteError: a loss is not finite.
             PluginFailedError: the network's code failed.
         """
-        with naming_network(self.online, "forward"):  # only its own code can fail here
+        count = self.optimiser.steps  # equal in a resumed run
+        random = seeded(self.device, self._seed, count)
+        with naming_network(self.online, "forward"), random:  # only its own code can fail here
             return self._update(batch, fraction, groups)
 
     def _update(self, batch: Batch, fraction: float, groups: Sequence[GroupBatch]) -> float:
@@ -93,7 +96,21 @@ class D3qn(Learner):
             )
             if self.baselines is not None:
                 targets = self.baselines.with_next(targets, batch)
-        value = 0.0
+        self.online.train()
+        value = self._steps(batch, targets, rate, fraction, groups)
+        self._noise.acts()
+        return value
+
+    def _steps(
+        self,
+        batch: Batch,
+        targets: torch.Tensor,
+        rate: float,
+        fraction: float,
+        groups: Sequence[GroupBatch],
+    ) -> float:
+        """Take all gradient steps of a batch; return the last loss."""
+        s, value = self.settings, 0.0
         for start in range(0, len(targets), s.batch_size):
             part = slice(start, start + s.batch_size)
             valued = groups[start // s.batch_size].to(self.device) if groups else None

@@ -59,7 +59,7 @@ class Learner:
         beside: Callable[[], Pair | None] = lambda: None,
     ) -> None:
         """``beside`` builds networks that learn from the same loss, after those of the policy."""
-        self.settings = settings
+        self.settings, self._seed = settings, seed
         self.device = torch.device(device)
         with torch.random.fork_rng():
             torch.manual_seed(seed)
@@ -91,6 +91,8 @@ class Learner:
         self._parameters = [p for module in online for p in module.parameters()]
         self.optimiser = Adam(self._online)
         self._noise, self._target_noise = Noise(self.online), Noise(self.target)
+        self._noise.acts()
+        self._target_noise.acts()
         self.noise_rng = np.random.default_rng(seed)
         """Generator of the networks' exploration noise, if they have any."""
 

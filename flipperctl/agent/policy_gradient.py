@@ -27,6 +27,7 @@ from flipperctl.agent.descent import descend, flatten_parameters, part, restore_
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.learner import Learner
 from flipperctl.agent.losses import clipped_gain, divergence
+from flipperctl.agent.noise import seeded
 from flipperctl.agent.replay import Batch
 from flipperctl.api import Network, ObservationLayout
 from flipperctl.config import Agent
@@ -110,7 +111,8 @@ class PolicyGradient(Learner):
             NonFiniteError: a loss is not finite.
             PluginFailedError: the network's code failed.
         """
-        with naming_network(self.online, "forward"):  # only its own code can fail here
+        random = seeded(self.device, self._seed, self.rounds)
+        with naming_network(self.online, "forward"), random:  # only its own code can fail here
             self.online.eval()
             return self._update(batch.to(self.device), fraction, rng)
 

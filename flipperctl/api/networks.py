@@ -16,14 +16,19 @@ if TYPE_CHECKING:
 class Network(Plugin, ABC):
     """Builds the Q-network.
 
+    The Q-values of an observation depend on it and on the weights alone, not on earlier calls or on
+    other rows, and the input is not changed. The loss is computed in ``train()`` mode: there
+    layers may also draw from torch's global generator, as ``torch.nn.Dropout`` does, which is
+    seeded for each update. Decisions and targets are computed in ``eval()`` mode.
+
     The module may have methods besides ``forward`` that change how it is trained:
 
     - ``quantiles(observation)`` → (B, n_actions, K): K equally likely values of each action's
       return, whose mean ``forward`` returns. They are learned by quantile regression.
     - ``draw_noise(rng: np.random.Generator)`` of the module or of any submodule samples new noise
       before each decision of training and before each update. The noise acts in ``train()`` mode
-      only; a policy is evaluated and exported in ``eval()`` mode. Tensors of noise are
-      non-persistent buffers.
+      only, in which such a part also is in decisions and targets of training; a policy is
+      evaluated and exported in ``eval()`` mode. Tensors of noise are non-persistent buffers.
     """
 
     kind: ClassVar[str] = "network"

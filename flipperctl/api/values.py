@@ -10,7 +10,15 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    ValidationError,
+    model_validator,
+)
+from pydantic_core import core_schema
 
 from flipperctl.api.profile import Profile
 from flipperctl.core import observation
@@ -19,6 +27,31 @@ from flipperctl.core.arrays import FloatArray
 
 MAX_HISTORY = 32
 """Largest number of observations in ``Perception.recent`` [-]."""
+
+
+_NO_SCHEMAS = {"default", "metadata", "config", "serialization"}
+"""Parts of a schema whose content is not another one."""
+
+
+def _no_boolean(value: object) -> object:
+    if isinstance(value, bool | np.bool_):
+        raise ValueError("a number is allowed, not true or false")
+    return value
+
+
+_NO_BOOLEAN = {"type": "no-info", "function": _no_boolean}
+
+
+def _without_booleans(schema: Any) -> Any:
+    """Return a schema of pydantic, in which every number refuses a boolean, which Python counts."""
+    if isinstance(schema, list | tuple):
+        return type(schema)(map(_without_booleans, schema))
+    if not isinstance(schema, dict) or schema.get("function") == _NO_BOOLEAN:
+        return schema
+    inner: Any = {k: v if k in _NO_SCHEMAS else _without_booleans(v) for k, v in schema.items()}
+    if schema.get("type") not in ("int", "float"):
+        return inner
+    return core_schema.no_info_before_validator_function(_no_boolean, inner)
 
 
 class Settings(BaseModel):
@@ -55,6 +88,11 @@ class Settings(BaseModel):
                     f"{type(self).__name__}.{name} cannot be set: settings do not change; keep "
                     "what changes in a local variable, or in an object that build returns"
                 ) from error
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:
+        """Return the schema of the settings, whose numbers are never true or false."""
+        return _without_booleans(handler(source))
 
     @classmethod
     def nearest_allowed(cls, name: str, value: float) -> float:

@@ -8,7 +8,7 @@ it was recorded. The bag is read twice, first for its transforms, and never held
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -24,12 +24,15 @@ from flipperctl.bags.reading import (
     opened,
     read_points,
     seconds,
+    times_of,
 )
-from flipperctl.bags.topics import Names, first, found_topics
+from flipperctl.bags.topics import Devices, Names, found_devices
 from flipperctl.bags.transforms import Pose, Transforms
 from flipperctl.core.lidar.rotations import mounting
 from flipperctl.errors import RequestError
+from flipperctl.runtime.joint_states import NewestJoints
 from flipperctl.runtime.messages import Attitude, Cloud, JointAngles, Odometry
+from flipperctl.runtime.point_cloud import PointTimes
 from flipperctl.runtime.robot_setup import RobotSetup
 from flipperctl.runtime.signs import CONVENTIONS, REP_103, Signs
 
@@ -51,13 +54,29 @@ class Recording:
 
     path: Path
     names: Names
-    topics: dict[str, str]
-    """Device → topic, for the devices that the bag has."""
+    clouds: str
+    """Topic of the clouds."""
+    devices: Devices
     transforms: Transforms
+    times: PointTimes
+    """Unit and zero of the times of the points."""
     mount: Pose
     """The sensor of the clouds on the chassis."""
-    remarks: list[str] = field(default_factory=list)
-    """What a reader of the result should know."""
+    found: list[str] = field(default_factory=list)
+    """Remarks on the devices and frames."""
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """Device → topic, for the devices that the bag has."""
+        devices = self.devices
+        found = {"cloud": self.clouds, "attitude": devices.attitude, "joints": None}
+        found |= {"joints": ", ".join(devices.joints), "odometry": devices.belts}
+        return {device: topic for device, topic in found.items() if topic}
+
+    @property
+    def remarks(self) -> list[str]:
+        """What a reader of the result should know; complete once the messages were read."""
+        return [*self.found, *(f"{self.clouds}: {text}" for text in self.times.remarks())]
 
     @property
     def axis(self) -> float:
@@ -85,11 +104,10 @@ class Recording:
     def mounts(self) -> Iterator[Pose]:
         """Yield the place of the sensor on the chassis for each cloud for which it is known."""
         with opened(self.path) as reader:
-            chosen = [c for c in reader.connections if c.topic == self.topics["cloud"]]
+            chosen = [c for c in reader.connections if c.topic == self.clouds]
             for connection, _, data in reader.messages(connections=chosen):
-                message = reader.deserialize(data, connection.msgtype)
-                found = read_points(f"{self.path}: {self.topics['cloud']}", message)
-                mount = _placed(self, found.frame, found.time)
+                header = reader.deserialize(data, connection.msgtype).header
+                mount = _placed(self, header.frame_id.lstrip("/"), seconds(header.stamp))
                 if mount is not None:
                     yield mount
 
@@ -102,14 +120,21 @@ class Recording:
         Raises:
             RequestError: a cloud has no stamp, or its frame is unknown.
         """
-        devices = {topic: device for device, topic in self.topics.items()}
+        devices = {self.clouds: "cloud", **dict.fromkeys(self.devices.joints, "joints")}
+        others = {"attitude": self.devices.attitude, "odometry": self.devices.belts}
+        devices |= {topic: device for device, topic in others.items() if topic}
+        joints = NewestJoints(self.names.front, self.names.rear)
         waiting: Step | None = None
         with opened(self.path) as reader:
             chosen = [c for c in reader.connections if c.topic in devices]
             for connection, stamp, data in reader.messages(connections=chosen):
                 message = reader.deserialize(data, connection.msgtype)
                 now, device = stamp * 1e-9, devices[connection.topic]
-                told = self._told(device, message, now)
+                told = (
+                    self._joints(joints, connection.topic, message)
+                    if device == "joints"
+                    else self._told(device, message, now)
+                )
                 if told is None:
                     continue
                 if waiting is not None and (now != waiting.now or device in waiting.messages):
@@ -121,24 +146,24 @@ class Recording:
             yield waiting
 
     def _told(self, device: str, message: Any, now: float) -> Message | None:
-        """Return a message of the runtime; None if it is of other joints than the flippers'."""
+        """Return a message of the runtime; None if it tells nothing."""
         if device == "cloud":
             return self._cloud(message)
         if device == "attitude":
             return self._attitude(message)
-        if device == "joints":
-            angles = dict(zip(message.name, message.position, strict=False))
-            pairs = self.names.front, self.names.rear
-            if not angles.keys() & {*pairs[0], *pairs[1]}:
-                return None
-            front, rear = (_mean([angles.get(n, math.nan) for n in pair]) for pair in pairs)
-            return JointAngles(_stamp(message), front, rear)
         if hasattr(message, "twist"):
             return Odometry(_stamp(message), float(message.twist.twist.linear.x))
         return Odometry(now, float(message.data))  # it has no stamp of its own
 
+    def _joints(self, joints: NewestJoints, topic: str, message: Any) -> JointAngles | None:
+        """Return the newest angles; None as long as one is unknown, or of other joints."""
+        ours = self.devices.joints[topic]
+        pairs = zip(message.name, message.position, strict=False)
+        angles = {name: angle for name, angle in pairs if name in ours}
+        return joints.take(_stamp(message), angles.keys(), angles.values())
+
     def _cloud(self, message: Any) -> Cloud:
-        found = read_points(f"{self.path}: {self.topics['cloud']}", message)
+        found = read_points(f"{self.path}: {self.clouds}", message, self.times)
         mount = _placed(self, found.frame, found.time)
         time, ages = found.time, None
         if found.shifts is not None and len(found.shifts):
@@ -150,7 +175,9 @@ class Recording:
         points = mount.apply(found.points) - self.mount.place * (1.0, 0.0, 1.0)
         return Cloud(time, self.names.base, points @ mounting(self.axis), ages)
 
-    def _attitude(self, message: Any) -> Attitude:
+    def _attitude(self, message: Any) -> Attitude | None:
+        if self.devices.imu is not None and not self.devices.imu.told(message):
+            return None
         frame, time = message.header.frame_id.lstrip("/"), _stamp(message)
         q, rates = message.orientation, message.angular_velocity
         turn = np.array([q.x, q.y, q.z, q.w])
@@ -176,7 +203,7 @@ def read_recording(path: Path, names: Names) -> Recording:
     """
     transforms, odometry, remarks = Transforms(), [], list[str]()
     with opened(path) as reader:
-        topics = {"cloud": chosen_topic(path, reader, names.clouds)}
+        clouds = chosen_topic(path, reader, names.clouds)
         frames = [c for c in reader.connections if c.msgtype in (*FRAMES, ODOMETRY)]
         for connection, _, data in reader.messages(connections=frames) if frames else ():
             message = reader.deserialize(data, connection.msgtype)
@@ -185,15 +212,11 @@ def read_recording(path: Path, names: Names) -> Recording:
             else:
                 add_transforms(transforms, connection.topic, message)
         add_odometry(path, transforms, odometry)
-        cloud = first(reader, topics["cloud"])
-        if cloud is None:
-            raise RequestError(f"{path}: there is no message on {topics['cloud']}")
-        topics |= found_topics(path, reader, names, remarks)
-    found = read_points(f"{path}: {topics['cloud']}", cloud)
-    recording = Recording(path, names, topics, transforms, Pose.none(), remarks)
-    mount = _placed(recording, found.frame, found.time)
-    if mount is None:  # its transforms begin later
-        mount = next(recording.mounts(), None)
+        times = times_of(path, reader, clouds)
+        devices = found_devices(path, reader, names, transforms, remarks)
+    remarks += transforms.remarks(names.fixed, names.base)
+    recording = Recording(path, names, clouds, devices, transforms, times, Pose.none(), remarks)
+    mount = next(recording.mounts(), None)  # transforms may begin later than the clouds
     return recording if mount is None else replace(recording, mount=mount)
 
 
@@ -211,7 +234,3 @@ def _placed(recording: Recording, frame: str, time: float) -> Pose | None:
 def _stamp(message: Any) -> float:
     """Return the stamp of a message [s]; NaN without one, which the intake refuses."""
     return seconds(message.header.stamp) or math.nan
-
-
-def _mean(angles: Sequence[float]) -> float:
-    return float(np.mean(angles))

@@ -8,6 +8,7 @@ that the robot drove.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,21 +80,27 @@ def convert(
     check_output(output, GROUND)
     if source.is_dir() and (source / POSES).exists():
         scans = [_Scan(points, pose) for points, pose in read_folder(source, output)]
-        used, skipped = len(scans), 0
+        sizes, skipped, remarks = [len(scan.points) for scan in scans], 0, list[str]()
     else:
-        scans, used, skipped = _scans(source, frames)
+        scans, sizes, skipped, remarks = _scans(source, frames)
     points = thinned(_seen(scans, robot, limits), limits.cell)
     start, end = _known_line(source, points, scans, _half_length(robot))
     write_bytes(output, _text(points).encode())
     return {
         "source": str(source),
         "output": str(output),
-        "clouds": used,
+        "clouds": len(sizes),
         "clouds_without_pose": skipped,
+        "points_per_cloud": {
+            "least": min(sizes),
+            "median": round(float(np.median(sizes))),
+            "most": max(sizes),
+        },
         "points": len(points),
         "start": [round(float(number), 3) + 0.0 for number in start],
         "end": [round(float(number), 3) + 0.0 for number in end],
         "length": float(np.linalg.norm(end - start)),
+        "remarks": remarks,
     }
 
 
@@ -127,30 +134,32 @@ def _known_line(
     return first + direction * (longest[0] + _INSET), first + direction * (longest[-1] - _INSET)
 
 
-def _scans(source: Path, frames: Frames) -> tuple[list[_Scan], int, int]:
-    """Return the clouds of a bag in the frame of the chassis, and the numbers of their messages.
+def _scans(source: Path, frames: Frames) -> tuple[list[_Scan], list[int], int, list[str]]:
+    """Return the clouds of a bag in the frame of the chassis, and what became of its messages.
 
-    That is of those that are used and of those without a pose.
+    That is the number of points of each that is used, the number of those without a pose, and what
+    a reader of the result should know.
     """
     bag = read_bag(source, frames.topic)
-    found, used = [], set[int]()
+    found, sizes = [], Counter[int]()
     for cloud in bag.clouds:
         try:
             pose = bag.transforms.pose(frames.fixed, frames.base, cloud.time)
             mount = bag.transforms.pose(frames.base, cloud.frame, cloud.time)
         except RequestError as error:
             raise RequestError(f"{source}: {error}") from error
-        if pose is None or mount is None:
-            continue
-        used.add(cloud.message)
-        found.append(_Scan(mount.apply(cloud.points), pose))
-    messages = len({cloud.message for cloud in bag.clouds})
+        if pose is not None and mount is not None:
+            sizes[cloud.message] += len(cloud.points)
+            found.append(_Scan(mount.apply(cloud.points), pose))
+    if not any(len(cloud.points) for cloud in bag.clouds):
+        raise RequestError(f"{source}: the {bag.messages} clouds of {bag.topic} have no points")
     if not found:
         raise RequestError(
-            f"{source}: none of the {messages} clouds of {bag.topic} has a transform to "
+            f"{source}: none of the {bag.messages} clouds of {bag.topic} has a transform to "
             f"{frames.fixed!r} at its stamp; is another clock in the stamps?"
         )
-    return found, len(used), messages - len(used)
+    remarks = [*bag.remarks, *bag.transforms.remarks(frames.fixed, frames.base)]
+    return found, [*sizes.values()], bag.messages - len(sizes), remarks
 
 
 def _half_length(robot: Robot) -> float:

@@ -17,21 +17,29 @@ import numpy as np
 
 from flipperctl.api import FloatArray
 from flipperctl.bags.episode import typestore
-from flipperctl.bags.messages import TIME, require_rosbags
+from flipperctl.bags.messages import require_rosbags
 from flipperctl.bags.transforms import Pose, Transforms
 from flipperctl.errors import RequestError
 from flipperctl.messages import close_match
+from flipperctl.runtime.point_cloud import PointTimes, read_cloud
 
 CLOUD, ODOMETRY = "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/Odometry"
 FRAMES = "tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"
 _STATIC = "tf_static"
-_NUMBERS = {7: "f4", 8: "f8"}
-"""Datatype of a field → type of numpy."""
 _SLICE = 0.01
 """Points of a turning LiDAR are taken for simultaneous within this time [s]."""
 _METADATA = "metadata.yaml"
-_LONGEST_TURN = 1.0
-"""Largest time of a point before or after the stamp of its cloud [s]."""
+_FILES = {
+    ".mcap": "'mcap recover {} -o whole.mcap'",
+    ".db3": "'ros2 bag reindex' on its folder",
+    ".bag": "'rosbag reindex {}'",
+}
+"""Suffix of a bag's file → what mends one."""
+_MAGIC = {".mcap": b"\x89MCAP", ".db3": b"SQLite format 3", ".bag": b"#ROSBAG"}
+_LISTED = 12
+"""Topics of a bag that an error names [-]."""
+_UNIT = 0.05
+"""Most by which the length of a quaternion may differ from 1 [-]."""
 _DAMAGED = (
     *(ArithmeticError, AssertionError, EOFError, LookupError, MemoryError, OSError, RuntimeError),
     *(TypeError, ValueError),
@@ -72,7 +80,11 @@ class Bag:
 
     topic: str
     clouds: Sequence[Cloud]
+    messages: int
+    """Number of its messages, of which some may have no point."""
     transforms: Transforms
+    remarks: Sequence[str]
+    """What a reader of the result should know."""
 
 
 def read_bag(path: Path, topic: str | None = None) -> Bag:
@@ -88,18 +100,19 @@ def read_bag(path: Path, topic: str | None = None) -> Bag:
     messages = 0
     with opened(path) as reader:
         chosen = chosen_topic(path, reader, topic)
+        where, times = f"{path}: {chosen}", times_of(path, reader, chosen)
         for connection, _, data in reader.messages():
             kind = connection.msgtype
             if connection.topic == chosen:
                 read = reader.deserialize(data, kind)
-                clouds += _clouds(f"{path}: {chosen}", read, messages)
+                clouds += _clouds(read_points(where, read, times), messages)
                 messages += 1
             elif kind in FRAMES:
                 add_transforms(transforms, connection.topic, reader.deserialize(data, kind))
             elif kind == ODOMETRY:
                 odometry.append((connection.topic, reader.deserialize(data, kind)))
     add_odometry(path, transforms, odometry)
-    return Bag(chosen, clouds, transforms)
+    return Bag(chosen, clouds, messages, transforms, [f"{chosen}: {r}" for r in times.remarks()])
 
 
 def add_transforms(transforms: Transforms, topic: str, message: Any) -> None:
@@ -107,8 +120,9 @@ def add_transforms(transforms: Transforms, topic: str, message: Any) -> None:
     static = topic.rstrip("/").endswith(_STATIC)
     for one in message.transforms:
         place, turn = one.transform.translation, one.transform.rotation
-        time = None if static else seconds(one.header.stamp)
-        transforms.add(one.header.frame_id, one.child_frame_id, time, _pose(place, turn))
+        time, pose = None if static else seconds(one.header.stamp), _pose(place, turn)
+        if pose is not None:
+            transforms.add(one.header.frame_id, one.child_frame_id, time, pose)
 
 
 def add_odometry(path: Path, transforms: Transforms, odometry: Sequence[tuple[str, Any]]) -> None:
@@ -120,7 +134,7 @@ def add_odometry(path: Path, transforms: Transforms, odometry: Sequence[tuple[st
     topics: dict[str, set[str]] = {}
     for topic, one in odometry:
         if not transforms.has(one.child_frame_id):
-            topics.setdefault(one.child_frame_id, set()).add(topic)
+            topics.setdefault(one.child_frame_id.lstrip("/"), set()).add(topic)
     for frame, names in topics.items():
         if len(names) > 1:
             raise RequestError(
@@ -129,10 +143,11 @@ def add_odometry(path: Path, transforms: Transforms, odometry: Sequence[tuple[st
             )
     without = topics.keys()
     for _, one in odometry:
-        if one.child_frame_id in without:
+        if one.child_frame_id.lstrip("/") in without:
             place, turn = one.pose.pose.position, one.pose.pose.orientation
             time, pose = seconds(one.header.stamp), _pose(place, turn)
-            transforms.add(one.header.frame_id, one.child_frame_id, time, pose)
+            if pose is not None:
+                transforms.add(one.header.frame_id, one.child_frame_id, time, pose)
 
 
 @contextmanager
@@ -145,40 +160,66 @@ def opened(path: Path) -> Iterator[Any]:
     if not path.exists():
         raise RequestError(f"{path}: there is no such file or folder")
     if path.is_dir() and not (path / _METADATA).exists():
+        inside = sorted(one.name for one in path.iterdir() if one.suffix in _FILES)
+        hint = f"; {' and '.join(inside[:3])} in it can be given itself" if inside else ""
         raise RequestError(
             f"{path}: this folder has neither {_METADATA}, as a bag of ROS 2, nor poses.txt, as a "
-            "folder of clouds"
+            f"folder of clouds{hint}"
         )
     # A bag without definitions of its types, as of early ROS 2, has those of the distribution.
     try:
         with AnyReader([path], default_typestore=typestore()) as reader:
             yield reader
     except (AnyReaderError, rosbag1.ReaderError, rosbag2.ReaderError, *_DAMAGED) as error:
-        text = " ".join(str(error).split()) or type(error).__name__
-        raise RequestError(f"{path} cannot be read as a bag: {text}") from error
+        text = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+        raise RequestError(f"{path} cannot be read as a bag: {text}{_remedy(path)}") from error
+
+
+def _remedy(path: Path) -> str:
+    """Return what makes a whole bag of one that was never closed, as after a loss of power."""
+    inside = sorted(path.iterdir()) if path.is_dir() else [path]
+    for file in inside:
+        if (tool := _FILES.get(file.suffix)) and _begins_as(file):
+            return f"; if the recording was cut off, {tool.format(file)} mends it"
+    return ""
+
+
+def _begins_as(file: Path) -> bool:
+    """Return whether a file begins as its suffix says."""
+    try:
+        with file.open("rb") as stream:
+            return stream.read(16).startswith(_MAGIC[file.suffix])
+    except OSError:
+        return False
 
 
 def chosen_topic(path: Path, reader: Any, topic: str | None) -> str:
     """Return the topic of clouds, the only one unless it is named."""
     clouds = sorted({c.topic for c in reader.connections if c.msgtype == CLOUD})
-    known = ", ".join(clouds) or "none"
+    known = ", ".join(clouds) or f"none; {_held(reader)}"
     if topic is not None:
         if topic not in clouds:
             hint = close_match(topic, clouds)
             raise RequestError(f"{path}: no PointCloud2 is on {topic!r}{hint}; topics: {known}")
         return topic
     if len(clouds) != 1:
-        raise RequestError(
-            f"{path}: the PointCloud2 of one topic is needed; topics: {known}; --topic chooses one"
-        )
+        hint = "; --topic chooses one" if clouds else ""
+        raise RequestError(f"{path}: the PointCloud2 of one topic is needed; topics: {known}{hint}")
     found: str = clouds[0]
     return found
 
 
-def _clouds(where: str, message: Any, number: int) -> list[Cloud]:
+def _held(reader: Any) -> str:
+    """Return what topics a bag has."""
+    kinds = {c.topic: c.msgtype.replace("/msg/", "/") for c in reader.connections}
+    found = [f"{topic} ({kind})" for topic, kind in sorted(kinds.items())]
+    more = f" and {len(found) - _LISTED} more" if len(found) > _LISTED else ""
+    return f"the bag has {', '.join(found[:_LISTED]) or 'no message'}{more}"
+
+
+def _clouds(found: Points, number: int) -> list[Cloud]:
     """Return the points of a message, those of about one instant as one cloud."""
-    found = read_points(where, message)
-    if found.shifts is None:
+    if found.shifts is None or not len(found.shifts):
         return [Cloud(found.time, found.frame, found.points, number)]
     slices = np.round(found.shifts / _SLICE).astype(np.int64)
     return [
@@ -187,12 +228,34 @@ def _clouds(where: str, message: Any, number: int) -> list[Cloud]:
     ]
 
 
-def read_points(where: str, message: Any) -> Points:
-    """Return what a ``PointCloud2`` holds.
+def times_of(path: Path, reader: Any, topic: str) -> PointTimes:
+    """Return unit and zero of the times of the points on a topic, from its first clouds."""
+    found = PointTimes()
+    chosen = [c for c in reader.connections if c.topic == topic]
+    for connection, received, data in reader.messages(connections=chosen):
+        message = reader.deserialize(data, connection.msgtype)
+        _, _, read = _read(f"{path}: {topic}", message)
+        found.add(read.times, seconds(message.header.stamp), received * 1e-9)
+        if found.complete:
+            break
+    return found
+
+
+def read_points(where: str, message: Any, times: PointTimes) -> Points:
+    """Return what a ``PointCloud2`` holds; ``times`` of its topic.
 
     Raises:
         RequestError: it has no stamp, no frame or no coordinates; the text begins with ``where``.
     """
+    time, frame, found = _read(where, message)
+    shifts = times.shifts(found.times, time)
+    if shifts is None:
+        return Points(time, frame, found.points, None)
+    kept = np.isfinite(shifts)
+    return Points(time, frame, found.points[kept], shifts[kept])
+
+
+def _read(where: str, message: Any) -> tuple[float, str, Any]:
     time, frame = seconds(message.header.stamp), message.header.frame_id.lstrip("/")
     if time == 0:
         raise RequestError(
@@ -201,36 +264,19 @@ def read_points(where: str, message: Any) -> Points:
         )
     if not frame:
         raise RequestError(f"{where}: a cloud has no frame (header.frame_id is empty)")
-    fields = {one.name: one for one in message.fields}
-    for name in "xyz":
-        if name not in fields or fields[name].datatype not in _NUMBERS:
-            known = ", ".join(fields) or "none"
-            raise RequestError(f"{where}: a cloud needs x, y and z as floats; fields: {known}")
-    timed = TIME in fields and fields[TIME].datatype in _NUMBERS
-    names = [*"xyz", *([TIME] if timed else [])]
-    order = ">" if message.is_bigendian else "<"
-    layout = np.dtype(
-        {
-            "names": names,
-            "formats": [order + _NUMBERS[fields[name].datatype] for name in names],
-            "offsets": [fields[name].offset for name in names],
-            "itemsize": message.point_step,
-        }
-    )
-    rows = np.frombuffer(bytes(message.data), np.uint8).reshape(message.height, message.row_step)
-    data = rows[:, : message.width * message.point_step].tobytes()
-    found = np.frombuffer(data, layout)
-    points = np.column_stack([found[name].astype(np.float64) for name in "xyz"])
-    kept = np.isfinite(points).all(axis=1)
-    if not timed:
-        return Points(time, frame, points[kept], None)
-    shifts = found[TIME].astype(np.float64)
-    kept &= np.abs(shifts) <= _LONGEST_TURN  # others are of another unit or clock
-    return Points(time, frame, points[kept], shifts[kept])
+    try:
+        return time, frame, read_cloud(message)
+    except ValueError as error:
+        raise RequestError(f"{where}: {error}") from error
 
 
-def _pose(place: Any, turn: Any) -> Pose:
-    return Pose(np.array([place.x, place.y, place.z]), np.array([turn.x, turn.y, turn.z, turn.w]))
+def _pose(place: Any, turn: Any) -> Pose | None:
+    """Return a pose; None if it is none, as of a quaternion of zeros, which tf leaves out too."""
+    found = np.array([place.x, place.y, place.z]), np.array([turn.x, turn.y, turn.z, turn.w])
+    length = float(np.linalg.norm(found[1]))
+    if not (np.isfinite(found[0]).all() and abs(length - 1) < _UNIT):
+        return None
+    return Pose(found[0], found[1] / length)
 
 
 def seconds(stamp: Any) -> float:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left, insort
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -53,6 +54,11 @@ class Pose:
         both = Rotation.from_quat(self.turn) * Rotation.from_quat(inner.turn)
         return Pose(self.apply(inner.place[None])[0], both.as_quat())
 
+    def near(self, other: Pose) -> bool:
+        """Return whether another pose is the same within a millimetre and a thousandth."""
+        turned = 1 - abs(float(self.turn @ other.turn))  # of unit quaternions: 1 - cos(angle / 2)
+        return bool(np.linalg.norm(self.place - other.place) <= 1e-3 and turned <= 1e-6)
+
     def inverse(self) -> Pose:
         """Return the pose of the other frame in this one."""
         from scipy.spatial.transform import Rotation
@@ -76,7 +82,6 @@ def estimated(pose: Pose) -> ChassisPose:
 class _Track:
     """The poses of a frame in its parent, by time."""
 
-    parent: str
     fixed: Pose | None = None
     times: list[float] = field(default_factory=list)
     poses: dict[float, Pose] = field(default_factory=dict)
@@ -111,17 +116,23 @@ class _Track:
         return Pose(place, turn / np.linalg.norm(turn))
 
 
+_Link = tuple[str, str]
+"""A frame and one of its parents."""
+
+
 class Transforms:
-    """A tree of frames; each frame has one parent."""
+    """A tree of frames, or several that share a frame: a frame may have several parents."""
 
     def __init__(self) -> None:
-        self._tracks: dict[str, _Track] = {}
+        self._tracks: dict[str, dict[str, _Track]] = {}  # child → parent → its poses
+        self._known: dict[_Link, list[tuple[list[_Link], list[_Link]]]] = {}
 
     def add(self, parent: str, child: str, time: float | None, pose: Pose) -> None:
         """Add the pose of ``child`` in ``parent`` at a time [s]; None if it is fixed."""
-        parent, child = parent.lstrip("/"), child.lstrip("/")
-        track = self._tracks.setdefault(child, _Track(parent))
-        track.parent = parent
+        tracks = self._tracks.setdefault(child.lstrip("/"), {})
+        if parent.lstrip("/") not in tracks:
+            self._known.clear()
+        track = tracks.setdefault(parent.lstrip("/"), _Track())
         if time is None:
             track.fixed = pose
         else:
@@ -130,45 +141,99 @@ class Transforms:
     @property
     def frames(self) -> list[str]:
         """Names of all frames."""
-        return sorted({*self._tracks, *(track.parent for track in self._tracks.values())})
+        return sorted({*self._tracks, *(name for found in self._tracks.values() for name in found)})
 
     def has(self, child: str) -> bool:
-        """Return whether the pose of a frame in its parent is known."""
+        """Return whether the pose of a frame in a parent is known."""
         return child.lstrip("/") in self._tracks
+
+    def parents(self, child: str) -> list[str]:
+        """Return the names of the parents of a frame."""
+        return sorted(self._tracks.get(child.lstrip("/"), ()))
+
+    def remarks(self, fixed: str, base: str) -> list[str]:
+        """Return what a reader of the poses of ``base`` in ``fixed`` should know."""
+        parents = self.parents(base)
+        if len(parents) < 2:
+            return []
+        return [
+            f"{base} has {len(parents)} parents, {' and '.join(parents)}: its poses are those in "
+            f"{fixed} (--fixed-frame)"
+        ]
 
     def pose(self, frame: str, of: str, time: float) -> Pose | None:
         """Return the pose of the frame ``of`` in ``frame``; None if it is unknown at that time.
 
+        Of several parents, the one counts that leads to ``frame``.
+
         Raises:
-            RequestError: one of them is no frame, or nothing connects them.
+            RequestError: one of them is no frame, nothing connects them, or two ways do, which
+                differ.
         """
-        for name in (frame, of):
+        frame, of = frame.lstrip("/"), of.lstrip("/")
+        told: list[tuple[list[_Link], Pose]] = []
+        for up, down in self._ways(frame, of):
+            ours, theirs = self._along(down, time), self._along(up, time)
+            if ours is not None and theirs is not None:
+                told.append(([*up, *down], ours.inverse().after(theirs)))
+        for way, pose in told[1:]:
+            if not told[0][1].near(pose):
+                raise RequestError(_two(frame, of, told[0][0], way))
+        return told[0][1] if told else None
+
+    def _ways(self, frame: str, of: str) -> list[tuple[list[_Link], list[_Link]]]:
+        """Return the links from ``of`` up to a frame above both, and from ``frame`` up to it.
+
+        Ways that only climb, or only descend, come before those that do both.
+        """
+        if (frame, of) not in self._known:
+            self._require(frame, of)
+            found = []
+            above = list(self._above(frame))
+            for up in self._above(of):
+                passed = {of, *(parent for _, parent in up)}
+                for down in above:
+                    top = down[-1][1] if down else frame
+                    others = {frame, *(parent for _, parent in down)} - {top}
+                    if top == (up[-1][1] if up else of) and not others & passed:
+                        found.append((up, down))
+            if not found:
+                raise RequestError(f"nothing connects the frames {frame!r} and {of!r}")
+            straight = [way for way in found if not (way[0] and way[1])]
+            self._known[frame, of] = straight or found
+        return self._known[frame, of]
+
+    def _require(self, *names: str) -> None:
+        for name in names:
             if name not in self.frames:
                 raise RequestError(
                     f"there is no frame {name!r}{close_match(name, self.frames)}; frames with a "
                     f"transform: {', '.join(self.frames) or 'none'}"
                 )
-        ours, theirs = self._above(frame), self._above(of)
-        common = [name for name in ours if name in theirs]
-        if not common:
-            raise RequestError(f"nothing connects the frames {frame!r} and {of!r}")
-        up = self._within(theirs[: theirs.index(common[0])], time)
-        down = self._within(ours[: ours.index(common[0])], time)
-        return None if up is None or down is None else down.inverse().after(up)
 
-    def _above(self, frame: str) -> list[str]:
-        """Return the frame, its parent, and so on."""
-        found = [frame]
-        while (track := self._tracks.get(found[-1])) and track.parent not in found:
-            found.append(track.parent)
-        return found
+    def _above(self, frame: str, passed: tuple[_Link, ...] = ()) -> Iterator[list[_Link]]:
+        """Yield the links to each frame above a frame, on each way, and none to itself."""
+        yield list(passed)
+        for parent in self.parents(frame):
+            if parent not in {frame, *(child for child, _ in passed)}:
+                yield from self._above(parent, (*passed, (frame, parent)))
 
-    def _within(self, chain: list[str], time: float) -> Pose | None:
-        """Return the pose of the first frame of a chain in the parent of its last."""
+    def _along(self, links: list[_Link], time: float) -> Pose | None:
+        """Return the pose of the first frame of a chain of links in the last one."""
         total = Pose.none()
-        for name in chain:
-            pose = self._tracks[name].at(time)
+        for child, parent in links:
+            pose = self._tracks[child][parent].at(time)
             if pose is None:
                 return None
             total = pose.after(total)
         return total
+
+
+def _two(frame: str, of: str, one: list[_Link], other: list[_Link]) -> str:
+    """Return the text of the error of two ways between frames: the parents that differ."""
+    child, first = next(link for link in one if link not in other)
+    second = next((parent for name, parent in other if name == child), other[0][1])
+    return (
+        f"{child!r} has two parents, {first!r} and {second!r}, by which the poses of {of!r} in "
+        f"{frame!r} differ; a recording with one of them is needed"
+    )

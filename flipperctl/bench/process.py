@@ -6,6 +6,7 @@ import subprocess
 from collections.abc import Sequence
 
 from flipperctl.errors import FlipperctlError, MissingExtraError
+from flipperctl.rollout.children import python_environment
 
 
 def output(command: Sequence[str], what: str) -> str:
@@ -16,7 +17,9 @@ def output(command: Sequence[str], what: str) -> str:
         FlipperctlError: the command failed otherwise; the text has ``what`` and its last line.
     """
     # All callers run this interpreter with flipperctl's own modules.
-    done = subprocess.run(command, capture_output=True, text=True, check=False)  # noqa: S603
+    done = subprocess.run(  # noqa: S603
+        command, env=python_environment(), capture_output=True, text=True, check=False
+    )
     if done.returncode == 0:
         return done.stdout
     reason = (done.stderr.strip().splitlines() or ["it wrote no message"])[-1]

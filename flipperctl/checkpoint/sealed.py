@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from flipperctl.core.reading import read_whole
 from flipperctl.errors import CheckpointError
 
 if TYPE_CHECKING:
@@ -44,15 +45,24 @@ def read(path: Path, noun: str) -> tuple[str, dict[str, torch.Tensor]]:
     Raises:
         CheckpointError: the file is missing, truncated or changed, or not from flipperctl.
     """
-    from safetensors import SafetensorError, safe_open
+    import safetensors.torch  # noqa: F401  # takes a second, before the file is opened
 
     if not path.is_file():
         raise CheckpointError(f"{path}: there is no such {noun}")
     try:
-        with path.open("rb") as file:
-            start = file.read(9)
+        return read_whole(path, lambda data: _parse(data, path, noun), CheckpointError)
+    except FileNotFoundError as error:
+        raise CheckpointError(f"{path}: there is no such {noun}") from error
     except OSError as error:
         raise CheckpointError(f"{path} cannot be read: {error.strerror}") from error
+
+
+def _parse(data: bytes, path: Path, noun: str) -> tuple[str, dict[str, torch.Tensor]]:
+    """Return the text and the tensors of the bytes of the file at ``path``."""
+    from safetensors import SafetensorError
+    from safetensors.torch import load
+
+    start = data[:9]
     # A safetensors file begins with the length of its header, 8 bytes of any value, and "{"; a
     # pickle with 0x80 and the number of its protocol, 2 to 5.
     pickled = start[:1] == b"\x80" and start[1:2] in (b"\2", b"\3", b"\4", b"\5")
@@ -62,11 +72,10 @@ def read(path: Path, noun: str) -> tuple[str, dict[str, torch.Tensor]]:
             "flipperctl never loads these, since they can run code"
         )
     try:
-        with safe_open(path, framework="pt") as opened:
-            metadata = opened.metadata() or {}
-            # Copies: a tensor of safetensors is a view of the file and changes with it.
-            tensors = {n: opened.get_tensor(n).clone() for n in opened.keys()}  # noqa: SIM118
-    except (SafetensorError, OSError, ValueError) as error:
+        tensors = load(data)
+        length = int.from_bytes(data[:8], "little")
+        metadata = json.loads(data[8 : 8 + length]).get("__metadata__", {})
+    except (SafetensorError, ValueError) as error:
         raise CheckpointError(f"{path} is damaged or not a safetensors file: {error}") from error
     if "flipperctl" not in metadata:
         raise CheckpointError(f"{path} is a safetensors file, but not a {noun} of flipperctl")

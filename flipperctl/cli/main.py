@@ -98,6 +98,8 @@ def run_app(app: typer.Typer, arguments: list[str], name: str) -> int:
             raise RequestError(f"{words}; see {path} --help") from error
         return RequestError.exit_code
     except typer.Abort as error:
+        if isinstance(error.__cause__, EOFError):  # Typer takes it for the end of what is typed
+            raise error.__cause__ from None
         raise KeyboardInterrupt from error
     if code == InterruptedRunError.exit_code:  # returned by Typer after Ctrl-C
         raise KeyboardInterrupt

@@ -6,7 +6,9 @@ or settings with defaults that a later version adds.
 
 from __future__ import annotations
 
+import ast
 import hashlib
+import importlib.util
 import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -77,16 +79,40 @@ def content_digest(file: Path) -> str | None:
 def foreign_sources(plugins: Iterable[Plugin]) -> list[str | None]:
     """Return the SHA-256 of the module of each plugin that is not part of flipperctl, in order.
 
-    Plugins within settings are included. Of flipperctl's own, the version tells them apart.
+    Plugins within settings are included. Of flipperctl's own, the version tells them apart. Files
+    beside a plugin's own that it imports count too.
     """
     found = []
-    for plugin in plugins:
-        for one in nested_plugins(plugin):
-            module = type(one).__module__
-            if module.partition(".")[0] not in _OWN:
-                file = getattr(sys.modules.get(module), "__file__", None)
-                found.append(content_digest(Path(file)) if file else None)
+    for one in foreign_plugins(plugins):
+        digests = [content_digest(file) for file in _sources(type(one).__module__, {})]
+        several = hashlib.sha256(" ".join(map(str, digests)).encode()).hexdigest()
+        found.append(several if len(digests) > 1 else next(iter(digests), None))
     return found
+
+
+def foreign_plugins(plugins: Iterable[Plugin]) -> list[Plugin]:
+    """Return the plugins, those within settings included, that are not part of flipperctl."""
+    parts = (part for plugin in plugins for part in nested_plugins(plugin))
+    return [part for part in parts if type(part).__module__.partition(".")[0] not in _OWN]
+
+
+def _sources(name: str, found: dict[str, Path]) -> Iterable[Path]:
+    """Return the file of a module, and those beside it that it imports, at any depth.
+
+    Of an installed package, its file alone.
+    """
+    file = getattr(sys.modules.get(name), "__file__", None)
+    if name in found or file is None:
+        return found.values()
+    found[name] = Path(file)
+    if name.startswith(guard.USER_MODULE):
+        for node in ast.walk(ast.parse(Path(file).read_bytes())):
+            if isinstance(node, ast.ImportFrom) and node.level:
+                base = "." * node.level + (node.module or "")
+                beside = importlib.util.resolve_name(base, sys.modules[name].__package__)
+                for inner in (beside, *(f"{beside}.{alias.name}" for alias in node.names)):
+                    _sources(inner, found)
+    return found.values()
 
 
 def _names_files(value: object, names: set[str]) -> bool:

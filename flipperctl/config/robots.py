@@ -6,7 +6,6 @@ robot, or the overrides that stand for the file.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator, Sequence
 from importlib.resources import files
 from pathlib import Path
@@ -15,6 +14,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from flipperctl.api import Robot, Sensor
+from flipperctl.config import strict_yaml
 from flipperctl.config.randomise import Randomise
 from flipperctl.errors import ConfigError
 from flipperctl.messages import close_match, explain
@@ -49,8 +49,10 @@ def named_robot(name: str) -> Robot:
             f"{_KEY}: there is no robot {name!r}{close_match(name, known)}; known: "
             f"{', '.join(known)}; a file of your own ends in .yaml"
         )
-    text = files("flipperctl.configs.robot").joinpath(f"{name}.yaml").read_text(encoding="utf-8")
-    return _parse(text, f"{_KEY}={name}")
+    return _checked(
+        strict_yaml.read(files("flipperctl.configs.robot") / f"{name}.yaml", f"{_KEY}={name}"),
+        f"{_KEY}={name}",
+    )
 
 
 def read_robot(file: Path) -> Robot:
@@ -59,13 +61,7 @@ def read_robot(file: Path) -> Robot:
     Raises:
         ConfigError: the file cannot be read, is not a mapping, or a setting in it is not allowed.
     """
-    try:
-        text = file.read_text(encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{_KEY}: {file} cannot be read: {error.strerror}") from error
-    except UnicodeDecodeError as error:
-        raise ConfigError(f"{_KEY}: {file} is not text in UTF-8") from error
-    return _parse(text, str(file))
+    return _checked(strict_yaml.read(file, str(file)), str(file))
 
 
 def robot_or_name(value: object) -> object:
@@ -132,22 +128,13 @@ def _expand(word: str, given: Iterable[str]) -> Iterator[str]:
             yield f"{_KEY}.{field}={'null' if setting is None else repr(setting)}"
 
 
-def _parse(text: str, where: str) -> Robot:
-    import yaml
-
-    try:
-        found: Any = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        line = f", line {mark.line + 1}" if mark else ""
-        problem = re.sub(r"\s+", " ", str(getattr(error, "problem", None) or error))
-        raise ConfigError(f"{where}{line}: no YAML: {problem}") from error
+def _checked(found: Any, where: str) -> Robot:
     if not isinstance(found, dict):
         raise ConfigError(
             f"{where}: settings of the robot are allowed, as in chassis_length: 0.7; known: "
             f"{', '.join(Robot.model_fields)}"
         )
     try:
-        return Robot(**{str(key): value for key, value in found.items()})
+        return Robot(**found)
     except ValidationError as error:
         raise ConfigError(explain(error, where, Robot)) from error

@@ -77,7 +77,8 @@ def unreadable(word: str) -> ConfigError:
     key, _, value = word.partition("=")
     if re.search(r"\s[+~]*[\w./@]+=", value):
         return ConfigError(
-            f"{word!r}: one word holds several overrides; leave the quotes around them out: {word}"
+            f"{word!r}: if this word holds several overrides, leave the quotes around them out: "
+            f"{word}; if it is one value, quote it: {quote_override(key, value)}"
         )
     return ConfigError(
         f"{word!r}: Hydra cannot read this override; if its value is meant as it stands, quote "

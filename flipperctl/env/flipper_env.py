@@ -26,7 +26,8 @@ from flipperctl.api import (
     Transition,
 )
 from flipperctl.config import EnvConfig, with_overrides
-from flipperctl.env import ground, start
+from flipperctl.config.identity import foreign_plugins
+from flipperctl.env import copying, ground, start
 from flipperctl.env.actions import ALLOWED, action_index
 from flipperctl.env.drive import Drive
 from flipperctl.env.finish import run_out_of
@@ -34,10 +35,12 @@ from flipperctl.env.metrics import DRAWN, EpisodeMetrics, measures
 from flipperctl.env.observer import Observer, attach
 from flipperctl.env.perceiving import Perceiver, initial_copy
 from flipperctl.env.rendering import MODES, Picture, Pictures, Renderer, check_mode
+from flipperctl.env.repeating import require_unmoved
 from flipperctl.env.scene import Perceived, Scene
 from flipperctl.env.sensing import exact as exact_sensor
 from flipperctl.env.simulator import SceneSimulator
 from flipperctl.guard import naming_seed
+from flipperctl.randomness import global_states
 from flipperctl.reward_sum import RewardSum
 
 Observation = NDArray[np.float32]
@@ -86,6 +89,9 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self.layout = config.perception.layout
         self.render_mode = render_mode
         self._reward, self._measures = RewardSum(config.rewards), measures()
+        parts = (config.terrain, config.sim, config.perception, *config.rewards.values())
+        self.foreign = foreign_plugins([*parts, *self._measures.values()])
+        """Plugins of the episodes that are not part of flipperctl."""
         self.observers: tuple[Observer, ...] = ()
         """Observers of the episodes that begin from now on."""
         high = np.concatenate([np.full(self.layout.bins, 100.0), np.full(3, math.pi)])
@@ -93,11 +99,12 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             -high.astype(np.float32), high.astype(np.float32)
         )
         self.action_space = gymnasium.spaces.Discrete(len(ACTIONS))
-        self._pictures = Pictures(renderer)
+        self._pictures, self.renderer = Pictures(renderer), renderer
         self._generated: Profile | None = None  # before thinning
         self._prepared: Profile  # after it
         self._last_move: tuple[int, int] | None = None
         self._outcome: Outcome | None = None
+        self._replayed: copying.Replayed | None = None
         self._running = False
 
     def reset(
@@ -108,13 +115,23 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         ``options``: ``difficulty`` from 0 to 1 for terrains that use it; without it, it is 1.
 
         Raises:
-            ValueError: the difficulty is not a number from 0 to 1.
+            ValueError: the difficulty is not a number from 0 to 1, or the seed true or false.
             TerrainError: the terrain generates no ground that a robot can start on.
             PluginFailedError: the code of the terrain, engine or sensor failed.
         """
         difficulty = ground.asked_difficulty(options)
+        if isinstance(seed, bool):
+            raise ValueError(f"seed: a number is allowed; the value is {seed}")
         self._running = False
+        before = global_states() if self.foreign else None
         super().reset(seed=seed)
+        self._begin(difficulty, seed)
+        require_unmoved(before, self.foreign, "at the start of an episode")
+        return self.perception.observation.copy(), {}
+
+    def _begin(self, difficulty: float, seed: int | None) -> None:
+        """Begin an episode with the next children of the environment's generator."""
+        spawned = copying.children(self.np_random)
         # Each has a generator of its own, so that sensing noise never changes the terrain.
         terrain_rng, start_rng, *rngs, randomise_rng = self.np_random.spawn(5)
         # Spawned from the start's, so that the others stay the same, here and in later episodes.
@@ -140,8 +157,16 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self._pitches = [self.state.pitch]
         self._metrics = EpisodeMetrics(self._measures)
         self.perception = self._perceiver.perceive(self.drive.delayed_state)
+        self._replayed = copying.Replayed(spawned, difficulty)
         self._running = True
-        return self.perception.observation, {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what repeats the episode so far; observers stay with the original."""
+        return copying.state_of(self, self._replayed)
+
+    def __setstate__(self, kept: dict[str, Any]) -> None:
+        """Repeat the episode of ``__getstate__``; see ``copying.restore``."""
+        copying.restore(self, kept, self._begin)
 
     def _place(self, rng: np.random.Generator) -> dict[str, float]:
         """Place the robot at a sampled start; return what was drawn for it, by name."""
@@ -201,7 +226,10 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
 
     def _generate(self, rng: np.random.Generator, difficulty: float) -> Profile:
         terrain = self.config.terrain
+        foreign = foreign_plugins([terrain]) if self.foreign else ()
+        before = global_states() if foreign else None
         profile = ground.generate_profile(terrain, rng, difficulty)
+        require_unmoved(before, foreign, "in generate")
         if profile is not self._generated:  # recorded ground returns the same profile each time
             radius = self.config.robot.track_radius
             self._prepared = ground.prepare_profile(profile, terrain, radius)
@@ -225,8 +253,10 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         index = action_index(action)
         if index is None:
             raise ValueError(f"there is no action {action!r}; {ALLOWED}")
-        if not self._running:
+        if not self._running or self._replayed is None:
             raise ResetNeeded("no episode is running: call reset before step")
+        states = global_states() if self.foreign else None
+        self._replayed.actions.append(index)
         move, before = ACTIONS[index], self.state
         outcome = self.drive.decide(index)
         after = self.state
@@ -253,7 +283,10 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         for observer in self.observers:
             observer.decided(self.transition, self.perception, parts)
         self.perception = self._perceiver.perceive(self.drive.delayed_state)
-        info: dict[str, Any] = {"rewards": parts}
+        if states is not None:
+            used = [plugin for plugin in self.foreign if plugin.kind != "terrain"]
+            require_unmoved(states, used or self.foreign, "in a decision")
+        info: dict[str, Any] = {"rewards": dict(parts)}
         if outcome is not None:
             self._running = False
             info["outcome"] = outcome
@@ -265,7 +298,8 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             }
         truncated = outcome is Outcome.TIMEOUT
         terminated = outcome is not None and not truncated
-        return self.perception.observation, sum(parts.values()), terminated, truncated, info
+        reward = sum(parts.values())
+        return self.perception.observation.copy(), reward, terminated, truncated, info
 
     @property
     def scene(self) -> Scene:

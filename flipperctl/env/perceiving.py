@@ -101,7 +101,8 @@ class Perceiver:
     def perceive(self, state: RobotState) -> Perception:
         """Perceive the robot in this state; equal generators and states give equal perceptions.
 
-        The estimator receives the measurements up to the state's time.
+        The estimator receives the measurements up to the state's time. The arrays are the caller's,
+        except for earlier observations, which are read-only.
 
         Raises:
             PluginFailedError: the sensor's code failed, or returned a value that is not allowed.
@@ -119,23 +120,25 @@ class Perceiver:
         observation = assemble(
             ground.heights, front=angles.front, rear=angles.rear, pitch=angles.pitch
         )
-        self._recent.append(observation)
+        earlier = tuple(self._recent)[1 - MAX_HISTORY :]
+        self._recent.append(observation.copy())
+        self._recent[-1].setflags(write=False)  # later perceptions share it
         return Perception(
             observation=observation,
-            points=ground.points,
+            points=ground.points.copy(),
             pitch=angles.pitch,
             front=angles.front,
             rear=angles.rear,
             robot=self._robot,
             layout=self._layout,
             rng=self._controller_rng,
-            recent=tuple(self._recent),
-            filled=ground.filled,
+            recent=(*earlier, observation),
+            filled=_copy(ground.filled),
             friction=self._friction,
-            seen=ground.seen,
-            position=ground.position,
-            deviation=ground.deviation,
-            sides=ground.sides,
+            seen=_copy(ground.seen),
+            position=_copy(ground.position),
+            deviation=_copy(ground.deviation),
+            sides=_copy(ground.sides),
         )
 
     def save(self) -> tuple[Any, ...]:
@@ -154,6 +157,10 @@ class Perceiver:
         self._estimator.load(estimator)
         self._pending = list(pending)
         self._recent = deque(recent, maxlen=MAX_HISTORY)
+
+
+def _copy(array: Any) -> Any:
+    return None if array is None else array.copy()
 
 
 def initial_copy(rng: np.random.Generator) -> np.random.Generator:

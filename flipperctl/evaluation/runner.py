@@ -14,6 +14,7 @@ import numpy as np
 from flipperctl.api import Profile, Transition
 from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.repeating import require_repeatable
 from flipperctl.evaluation.rows import DIGEST, RECORDED, Row, arranged
 from flipperctl.policies.demonstrating import DemonstratingPolicy
 from flipperctl.policies.source import PolicySource
@@ -63,6 +64,7 @@ class EpisodeRunner:
         self._policy = source.build(config)
         self._seeds = EvaluationSeeds.of(seed, config.terrain)
         self._record = record
+        require_repeatable(self.env, self._seeds(0))
 
     def play(self, index: int) -> Row:
         """Play one episode, counted from 0, to its end; return its row."""

@@ -25,7 +25,7 @@ class ExploringPolicy:
         noise_rng: np.random.Generator,
         share: float = 1.0,
     ) -> None:
-        """``module`` must be in ``train()`` mode.
+        """``module`` is put into the mode of decisions at the start of each episode.
 
         ``frames``: number of observations that the network takes as one input. ``epsilon`` is
         called at each decision. ``rng`` draws the actions, ``noise_rng`` the noise.
@@ -41,6 +41,7 @@ class ExploringPolicy:
 
     def reset(self, simulator: Simulator) -> None:
         """Begin an episode; decide whether it has random actions."""
+        self._noise.acts()
         self._greedy = self._share < 1 and self._rng.random() >= self._share
 
     def act(self, p: Perception) -> int:

@@ -22,6 +22,7 @@ from flipperctl.policies.abilities import PolicyUser, ValueUser
 from flipperctl.policies.exported import ExportedPolicy, is_exported
 from flipperctl.policies.source import PolicySource
 
+_ATTEMPTS = 10
 _PLACES = ("seed", "device", "collector", "logger")
 """Settings in which the trainings of one method may differ."""
 _PACE = ("workers", "threads", "checkpoint_every", "regret_episodes")
@@ -58,11 +59,18 @@ class PolicyIdentity:
         if source.checkpoint is None:
             return cls(source.label(), _of_controller(source.controller()), None)
         file = source.checkpoint
-        if is_exported(file):
-            digest, seed = content_digest(file), ExportedPolicy(file).interface.seed
-            return cls(source.label(), _required(file, digest), seed)
-        config = read_policy(file).policy_config()
-        digest = _required(file, content_digest(file))
+        digest = ""
+        for _ in range(_ATTEMPTS):  # what is read and the digest are of one file
+            before, digest = digest, _required(file, content_digest(file))
+            if digest == before:
+                break
+            exported = ExportedPolicy(file).interface if is_exported(file) else None
+            config = read_policy(file).policy_config() if exported is None else None
+        else:
+            raise CheckpointError(f"{file} is being replaced by another process; try again")
+        if exported is not None:
+            return cls(source.label(), digest, exported.seed)
+        assert config is not None
         if sources := foreign_sources([config.network]):  # its code acts as well
             digest = _digest([digest, *sources])
         return cls(source.label(), digest, config.seed, method_settings(config))

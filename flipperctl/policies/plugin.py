@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
 import numpy as np
@@ -17,9 +19,12 @@ from flipperctl.api import (
     StateGroups,
 )
 from flipperctl.api.controllers import Rule
+from flipperctl.config.identity import foreign_plugins
 from flipperctl.env.actions import ALLOWED, action_index
+from flipperctl.env.repeating import require_unmoved
 from flipperctl.guard import naming, refusal, short_repr
 from flipperctl.policies.abilities import FollowingPolicy, ValuingPolicy
+from flipperctl.randomness import global_states
 
 
 def plugin_policy(controller: Controller) -> PluginPolicy:
@@ -57,17 +62,29 @@ class PluginPolicy:
 
     def __init__(self, controller: Controller, policy: Policy) -> None:
         """Run ``policy``, which ``controller`` built."""
-        self._controller = controller
+        self._controller, self._foreign = controller, foreign_plugins([controller])
         self._policy: Any = policy
+
+    def _calling(self, method: str) -> AbstractContextManager[None]:
+        """Return a context for a call of ``method``, in which errors name the controller."""
+        call = naming(self._controller, method)
+        return self._watching(call, method) if self._foreign else call
+
+    @contextmanager
+    def _watching(self, call: naming, method: str) -> Iterator[None]:
+        before = global_states()
+        with call:
+            yield
+        require_unmoved(before, self._foreign, f"in {method}")
 
     def reset(self, simulator: Simulator) -> None:
         """Begin an episode."""
-        with naming(self._controller, "reset"):
+        with self._calling("reset"):
             self._policy.reset(simulator)
 
     def act(self, p: Perception) -> int:
         """Return the controller's action."""
-        with naming(self._controller, "act"):
+        with self._calling("act"):
             answer: object = self._policy.act(p)
             index = action_index(answer)
         if index is None:
@@ -82,7 +99,7 @@ class PluginCostPolicy(PluginPolicy):
 
     def costs(self, p: Perception) -> FloatArray:
         """Return the policy's finite cost of each action, (9,) [s]."""
-        with naming(self._controller, "costs"):
+        with self._calling("costs"):
             answer: object = self._policy.costs(p)
             found = np.asarray(answer, np.float64)
         if found.shape != (len(ACTIONS),) or not np.isfinite(found).all():
@@ -92,7 +109,7 @@ class PluginCostPolicy(PluginPolicy):
 
     def took(self, action: int) -> None:
         """Tell the policy which action was taken after its ``costs``."""
-        with naming(self._controller, "took"):
+        with self._calling("took"):
             self._policy.took(action)
 
 
@@ -101,7 +118,7 @@ class PluginFollowingPolicy(PluginCostPolicy):
 
     def follow(self, p: Perception, action: int) -> None:
         """Tell the policy what another one perceived and did."""
-        with naming(self._controller, "follow"):
+        with self._calling("follow"):
             self._policy.follow(p, action)
 
 
@@ -110,7 +127,7 @@ class PluginValuingPolicy(PluginCostPolicy):
 
     def groups(self, rng: np.random.Generator) -> StateGroups:
         """Return the policy's groups of states with finite values."""
-        with naming(self._controller, "groups"):
+        with self._calling("groups"):
             found: object = self._policy.groups(rng)
             shaped = isinstance(found, StateGroups) and (
                 found.observations.ndim == 3

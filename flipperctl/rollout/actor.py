@@ -61,7 +61,6 @@ class Actor:
         The weights are separate from the request, since many requests share them.
         """
         self._greedy.load(weights)
-        self._module.train()
         rng = exploration_rng(self._seed, request.episode)
         policy = self._driver(request, rng)
         if self._teacher is not None:

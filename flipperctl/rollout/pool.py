@@ -1,30 +1,23 @@
 """A pool of worker processes that replaces those that die.
 
 In: functions and their arguments. Out: futures of their results. Calls wait in one queue; each free
-worker takes the next one, so that a long call delays no other. Each worker is a process pool of one
-from the standard library, so a process that dies fails only its current call.
+worker takes the next one, so that a long call delays no other. A process that dies fails only its
+current call.
 """
 
 from __future__ import annotations
 
-import contextlib
-import multiprocessing
 import os
-import signal
-import sys
 import threading
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import resource_tracker
+from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from queue import LifoQueue
-from types import ModuleType
 from typing import Any
 
+from flipperctl import guard
 from flipperctl.errors import FlipperctlError
+from flipperctl.rollout.children import Child, ChildDiedError, fork, spawn
 
-_ACTOR = "flipperctl.rollout.actor"
-_STOPS = (signal.SIGINT, signal.SIGTERM)
 _MAX_DEATHS = 3
 """Number of successive deaths of a worker after which its calls fail."""
 
@@ -45,21 +38,9 @@ class WorkerPool:
         self.count = count
         # A fork server imports torch once for all workers; for one worker it would only add to
         # the memory.
-        several = count > 1 and "forkserver" in multiprocessing.get_all_start_methods()
-        context = multiprocessing.get_context("forkserver" if several else "spawn")
-        known = multiprocessing.get_all_start_methods()
-        if multiprocessing.get_start_method(allow_none=True) not in (None, *known):
-            # A joblib worker has its own start method, which its children do not know.
-            multiprocessing.set_start_method("spawn", force=True)
-        if several:
-            context.set_forkserver_preload([_ACTOR, "flipperctl.sim.planar.compiled"])
-
-        given = dict(os.environ), initializer, arguments
-
-        def create() -> ProcessPoolExecutor:
-            return ProcessPoolExecutor(1, context, _initialize_process, given)
-
-        self._workers = [_Worker(number, create) for number in range(count)]
+        start = fork if count > 1 else spawn
+        first = initializer, arguments
+        self._workers = [_Worker(number, start, first) for number in range(count)]
         self._idle: LifoQueue[_Worker] = LifoQueue()
         for worker in reversed(self._workers):
             self._idle.put(worker)
@@ -98,107 +79,83 @@ class WorkerPool:
 class _Worker:
     """A process that runs one call at a time, replaced when it dies."""
 
-    _starting = threading.Lock()  # processes are started one at a time
-
-    def __init__(self, number: int, create: Callable[[], ProcessPoolExecutor]) -> None:
-        self._number, self._create = number, create
-        self._executor = create()
+    def __init__(
+        self,
+        number: int,
+        start: Callable[[], Child],
+        first: tuple[Callable[..., None], tuple[Any, ...]],
+    ) -> None:
+        self._number, self._start, self._first = number, start, first
+        self._child: Child | None = None
         self._deaths = 0
+        self._lock = threading.Lock()  # held while a process starts or is ended
         self._busy = self._closed = False
 
     def run(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
         """Call ``function`` in the process; raise as described in ``WorkerPool.submit``."""
         try:
-            value = self._submit(function, arguments).result()
-        except BrokenProcessPool as error:
-            self._deaths += 1
-            if self._deaths >= _MAX_DEATHS:
-                raise FlipperctlError(
-                    f"worker process {self._number} died {_MAX_DEATHS} times in a row, the last "
-                    "time in its first job; is the memory full?"
-                ) from error
-            raise WorkerDiedError(f"worker process {self._number} died") from error
+            value = self._ready().call(function, arguments)
+        except ChildDiedError as error:
+            raise self._death(error) from error
         finally:
             self._busy = False
         self._deaths = 0
         return value
 
-    def _submit(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Future[Any]:
-        """Send the call to the process, or to a new one if it has died since its last call."""
-        with self._starting, _blocked_stops(), _without_script():
+    def _ready(self) -> Child:
+        """Return the process, or a new one if there is none or it has died since its last call."""
+        with self._lock:
             if self._closed:
                 raise WorkerDiedError(f"worker process {self._number} was stopped")
             self._busy = True
+            if self._child is not None and self._child.idle:
+                return self._child
+            self._discard()
             try:
-                return self._executor.submit(function, *arguments)
-            except BrokenProcessPool:
-                self._executor.shutdown(wait=False)
-                self._executor = self._create()
-                return self._executor.submit(function, *arguments)
+                child = self._child = self._start()
+            except OSError as error:
+                raise FlipperctlError(
+                    f"a worker process cannot start: {os.strerror(error.errno or 0)}; without any, "
+                    "--jobs 1 evaluates and train.mode=exact trains"
+                ) from error
+        try:
+            child.call(*self._first)
+        except ChildDiedError:
+            raise
+        except BaseException as error:
+            with self._lock:
+                self._discard()
+            if isinstance(error, FlipperctlError):
+                raise
+            raise FlipperctlError(
+                f"worker process {self._number} cannot start: {guard.error_line(error)}"
+            ) from error
+        return child
+
+    def _discard(self) -> str:
+        """End the process and forget it; return in words how it ended, if there is one."""
+        child, self._child = self._child, None
+        return "" if child is None else f"it {child.end(kill=True)}"
+
+    def _death(self, error: ChildDiedError) -> FlipperctlError:
+        """Return the error of a call whose process has died."""
+        with self._lock:
+            how = self._discard() or str(error)
+        self._deaths += 1
+        if self._deaths < _MAX_DEATHS or self._closed:
+            return WorkerDiedError(f"worker process {self._number} died: {how}")
+        return FlipperctlError(
+            f"worker process {self._number} died {_MAX_DEATHS} times in a row; the last time, {how}"
+        )
 
     def process_ids(self) -> list[int]:
         """Return the identifier of the process, if it has started."""
-        return list(self._executor._processes or {})
+        child = self._child
+        return [] if child is None else [child.pid]
 
     def close(self) -> None:
         """Stop the process, even during a call."""
-        with self._starting:
+        with self._lock:
             self._closed = True
-        if self._busy:
-            for process in list((self._executor._processes or {}).values()):
-                process.kill()
-        self._executor.shutdown(wait=True, cancel_futures=True)
-
-
-@contextlib.contextmanager
-def _blocked_stops() -> Iterator[None]:
-    """Block SIGINT and SIGTERM while a worker starts.
-
-    The process inherits the block, so that Ctrl-C, which reaches every process of the run in a
-    terminal, does not interrupt its imports.
-    """
-    if not hasattr(signal, "pthread_sigmask"):  # on Windows
-        yield
-        return
-    resource_tracker.ensure_running()  # starting it later would unblock the signals
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, _STOPS)
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-@contextlib.contextmanager
-def _without_script() -> Iterator[None]:
-    """Keep a worker that starts from running the script of this process once more.
-
-    It needs nothing of the script, which would train or evaluate again in each worker.
-    """
-    main = sys.modules["__main__"]
-    sys.modules["__main__"] = ModuleType("__main__")
-    try:
-        yield
-    finally:
-        sys.modules["__main__"] = main
-
-
-def _initialize_process(
-    environment: dict[str, str], initializer: Callable[..., None], arguments: tuple[Any, ...]
-) -> None:
-    os.environ.clear()  # a fork server keeps that of its start, with the plugins of then
-    os.environ.update(environment)
-    with contextlib.suppress(ValueError):  # not in the main thread
-        for number in _STOPS:  # the main process handles them and stops its workers
-            signal.signal(number, signal.SIG_IGN)
-    if hasattr(signal, "pthread_sigmask"):  # not on Windows
-        signal.pthread_sigmask(signal.SIG_UNBLOCK, _STOPS)
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        threading.Thread(target=_exit_with_parent, args=(parent,), daemon=True).start()
-    initializer(*arguments)
-
-
-def _exit_with_parent(parent: Any) -> None:
-    """Wait for the end of the parent process, then end this one."""
-    parent.join()
-    os._exit(1)
+            if self._child is not None:
+                self._child.end(kill=self._busy)

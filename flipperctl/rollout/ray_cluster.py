@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from flipperctl.errors import ConfigError, MissingExtraError
+from flipperctl.rollout.children import import_path
 
 QUIET: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR"}
 """Settings of ``ray.init`` for a process that shows its own messages."""
@@ -43,7 +44,13 @@ def start_local(cpus: int) -> None:
     ray = import_ray()
     if not ray.is_initialized():  # "local": do not join a cluster of this machine
         with _kept_sigterm():
-            ray.init(address="local", num_cpus=cpus, include_dashboard=False, **QUIET)
+            ray.init(
+                address="local",
+                num_cpus=cpus,
+                include_dashboard=False,
+                job_config=_job_config(),
+                **QUIET,
+            )
 
 
 def join(address: str | None, key: str, **settings: Any) -> None:
@@ -57,6 +64,8 @@ def join(address: str | None, key: str, **settings: Any) -> None:
         ConfigError: no cluster answers, it asks for a token, or it refuses a setting.
     """
     ray = import_ray()
+    if "runtime_env" not in settings:  # which may have an import path of its own
+        settings = {"job_config": _job_config(), **settings}
     try:
         _check_reachable(address)
         with _kept_sigterm():
@@ -71,6 +80,18 @@ def join(address: str | None, key: str, **settings: Any) -> None:
         if isinstance(error, ValueError):  # raised before connecting, about the settings
             raise ConfigError(f"{key}: Ray cannot use {address!r}: {reason}") from error
         raise ConfigError(f"{key}: no Ray cluster answers at {address!r}: {reason}") from error
+
+
+def _job_config() -> Any:
+    """Return the settings by which workers import from where this process does.
+
+    Ray itself would let them import from the working directory first, except those of a job that it
+    takes for a client's.
+    """
+    from ray.job_config import JobConfig
+
+    # A worker inserts one folder after the other at the head of its own.
+    return JobConfig(_client_job=True, _py_driver_sys_path=import_path()[::-1])
 
 
 def is_connected() -> bool:

@@ -30,9 +30,12 @@ class CommandProcess:
         typed = follow_up.plugin_paths()
         return cls(plugins.configured_paths(), typed, Path.cwd(), lock.holder())
 
-    def restore(self, *, folder: bool) -> None:
-        """Load the plugins in a job; with ``folder``, enter the working directory if it exists."""
-        if folder and self.folder.is_dir():
+    def restore(self) -> None:
+        """Load the plugins in a job, and enter the working directory if it exists.
+
+        A job of Hydra leaves it with ``hydra.job.chdir=true``, but the user's paths start there.
+        """
+        if self.folder.is_dir():
             os.chdir(self.folder)
         plugins.load(self.plugins)
         follow_up.remember_plugins(self.typed)

@@ -14,11 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from omegaconf import OmegaConf
-from omegaconf.errors import OmegaConfBaseException
-from yaml import YAMLError
 
 from flipperctl import checkpoint
-from flipperctl.config import TrainConfig, parse, to_dict
+from flipperctl.config import TrainConfig, parse, strict_yaml, to_dict
 from flipperctl.errors import CheckpointError, ConfigError, OutputError
 from flipperctl.files import make_folder, remove_partial, write_bytes
 from flipperctl.training import timing
@@ -101,19 +99,20 @@ def read(directory: Path) -> tuple[checkpoint.Checkpoint | None, TrainConfig]:
     if (directory / checkpoint.LAST).is_file():
         saved = checkpoint.read(directory / checkpoint.LAST)
         return saved, saved.config()
-    document = _read_mapping(directory / CONFIG)
+    config = directory / CONFIG
+    document, fault = _read_config(config)
     if document:
         try:
-            return None, parse(TrainConfig, document)
+            if isinstance(document, dict):
+                return None, parse(TrainConfig, document)
+            raise ConfigError("it is not a mapping")
         except ConfigError as error:
-            raise CheckpointError(
-                f"{directory / CONFIG}: its configuration does not fit: {error}"
-            ) from error
+            raise CheckpointError(f"{config}: its configuration does not fit: {error}") from error
     if (directory / checkpoint.BEST).is_file():
         return None, checkpoint.read(directory / checkpoint.BEST).config()
     raise CheckpointError(
-        f"{directory / CONFIG} is damaged and there is no checkpoint, so the run cannot be "
-        f"resumed; delete {directory} and start the run again"
+        f"{config} is damaged ({fault}) and there is no checkpoint, so the run cannot be resumed; "
+        f"delete {directory} and start the run again"
     )
 
 
@@ -129,13 +128,12 @@ def write_hydra(directory: Path, documents: Mapping[str, Any]) -> None:
         write_bytes(folder / f"{name}.yaml", OmegaConf.to_yaml(document).encode())
 
 
-def _read_mapping(path: Path) -> dict[str, Any] | None:
-    """Return the contents of a ``config.yaml``; None if it is missing or not a mapping."""
+def _read_config(path: Path) -> tuple[Any, str]:
+    """Return the contents of a ``config.yaml``, or None and the reason that there are none."""
     try:
-        plain = OmegaConf.to_container(OmegaConf.load(path), resolve=True)
-    except (OSError, YAMLError, OmegaConfBaseException, UnicodeDecodeError):
-        return None
-    return {str(key): value for key, value in plain.items()} if isinstance(plain, dict) else None
+        return strict_yaml.read(path, path.name), "it is empty"
+    except ConfigError as error:
+        return None, str(error)
 
 
 def differing_settings(there: TrainConfig, here: TrainConfig) -> list[str]:
@@ -174,8 +172,9 @@ def finished(directory: Path, decision: int) -> dict[str, Any] | None:
 
 def unfinished(directory: Path) -> bool:
     """Return whether a run is not trained to its end: stopped, failed or being trained."""
-    train = (_read_mapping(directory / CONFIG) or {}).get("train")
-    planned = train.get("decisions") if isinstance(train, dict) else None
+    planned, _ = _read_config(directory / CONFIG)
+    for key in ("train", "decisions"):
+        planned = planned.get(key) if isinstance(planned, dict) else None
     return isinstance(planned, int) and finished(directory, planned) is None
 
 

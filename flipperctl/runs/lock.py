@@ -8,6 +8,7 @@ process dies; on a file system without locks, a lock file names the process.
 from __future__ import annotations
 
 import errno
+import itertools
 import json
 import os
 import socket
@@ -56,6 +57,13 @@ def hold(directory: Path, name: str = "run", use: str = "being trained") -> Iter
     finally:
         note.unlink(missing_ok=True)
         lock.release()
+
+
+def names(directory: Path, *, numbered: bool) -> Iterator[Path]:
+    """Yield the directory and, with ``numbered``, ``…_2``, ``…_3`` and so on beside it."""
+    yield directory
+    if numbered:
+        yield from (directory.with_name(f"{directory.name}_{i}") for i in itertools.count(2))
 
 
 def _acquire(path: Path) -> BaseFileLock:

@@ -85,8 +85,11 @@ def check_device(config: TrainConfig) -> None:
 
 def _check_terrain(config: TrainConfig) -> None:
     from flipperctl.env.flipper_env import FlipperEnv
+    from flipperctl.env.repeating import require_repeatable
 
-    FlipperEnv(config=config.environment()).reset(seed=0)
+    env = FlipperEnv(config=config.environment())
+    env.reset(seed=0)
+    require_repeatable(env, 0)
 
 
 def _recorded_decisions(config: TrainConfig) -> int:
@@ -111,4 +114,5 @@ def _check_network(config: TrainConfig, recorded: int) -> None:
         *(config.network, config.perception, len(ACTIONS), config.agent),
         config.train.decisions + recorded,
         labelled=config.teacher.teaches,
+        contract=True,
     )

@@ -10,11 +10,9 @@ from dataclasses import dataclass
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
-from typing import Any
-
-import yaml
 
 from flipperctl import plugins
+from flipperctl.config import strict_yaml
 from flipperctl.config.words import check_words, key_of
 from flipperctl.errors import ConfigError
 from flipperctl.messages import close_match
@@ -89,7 +87,7 @@ def find_suite(name: str) -> Suite:
     """
     shipped, others = shipped_suites(), plugin_suites()
     if name in shipped:
-        return _parse(name, shipped[name].read_text())
+        return _read(name, shipped[name])
     if name not in others and not name.endswith((_SUFFIX, ".yml")):
         known = [*shipped, *others]
         raise ConfigError(
@@ -97,25 +95,19 @@ def find_suite(name: str) -> Suite:
             f"{', '.join(known)}, or a file as in suite=mine.yaml"
         )
     file = others.get(name, Path(name))
-    try:
-        return _parse(file.stem, file.read_text(encoding="utf-8"), str(file))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"suite: {file} cannot be read: {error}") from error
+    return _read(file.stem, file, str(file))
 
 
-def _parse(name: str, text: str, file: str | None = None) -> Suite:
-    where = f"suite {file or name}"
-    try:
-        document: Any = yaml.safe_load(text)
-    except yaml.YAMLError as error:
-        raise ConfigError(f"{where} is not YAML: {' '.join(str(error).split())}") from error
+def _read(name: str, file: Traversable, shown: str | None = None) -> Suite:
+    where = f"suite {shown or name}"
+    document = strict_yaml.read(file, where)
     scenes = document.get("scenes") if isinstance(document, dict) else None
     if not isinstance(scenes, dict) or not scenes or not set(document) <= {"about", "scenes"}:
         raise ConfigError(f"{where}: {_ALLOWED}")
     return Suite(
         name,
-        str(document.get("about", "")),
-        tuple(_scene(where, str(scene), words) for scene, words in scenes.items()),
+        str(document.get("about") or ""),
+        tuple(_scene(where, scene, words) for scene, words in scenes.items()),
     )
 
 

@@ -12,10 +12,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from flipperctl.errors import InterruptedRunError
+from flipperctl.errors import InterruptedRunError, RunHeldError
 from flipperctl.files import make_folder
 from flipperctl.runs.comparison import SweepRun, sweep_run, unreturned_run, write_comparison
-from flipperctl.runs.lock import hold
+from flipperctl.runs.lock import hold, names
 from flipperctl.runs.sweep_folder import folder_name
 from flipperctl.runs.sweep_stop import stopping
 
@@ -54,14 +54,17 @@ class Sweep:
         *,
         named: bool,
         serial: bool,
+        numbered: bool = False,
         tell: Callable[[str], None] = lambda text: None,
     ) -> None:
         """``folder`` is that of the sweep; ``show`` is called with it and the runs at the end.
 
         ``named``: whether runs are named after the swept values. ``serial``: whether jobs are
         launched one by one, so that none begins after Ctrl-C; ``tell`` is then called with a line
-        before each of several.
+        before each of several. ``numbered``: whether another folder beside ``folder`` is taken if
+        another process works in it.
         """
+        self._numbered = numbered
         self.folder = folder
         self._launcher, self._show, self._named, self._serial = launch, show, named, serial
         self._tell = tell
@@ -80,7 +83,15 @@ class Sweep:
         Raises:
             RunHeldError: another process works in the folder.
         """
-        with hold(make_folder(self.folder), "sweep", "in use"):
+        with contextlib.ExitStack() as stack:
+            for place in names(self.folder, numbered=self._numbered):
+                try:
+                    stack.enter_context(hold(make_folder(place), "sweep", "in use"))
+                    self.folder = place
+                    break
+                except RunHeldError:
+                    if not self._numbered:
+                        raise
             try:
                 with stopping(self.folder) as self.stop:
                     yield

@@ -9,8 +9,11 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
+
+import torch
 
 from flipperctl import checkpoint
 from flipperctl.api import Listener
@@ -22,6 +25,7 @@ from flipperctl.errors import (
     InterruptedRunError,
     OutputError,
     RequestError,
+    RunHeldError,
     WriteError,
 )
 from flipperctl.files import make_folder
@@ -29,7 +33,7 @@ from flipperctl.runs import folder as run_folder
 from flipperctl.runs.final_regret import FinalRegret
 from flipperctl.runs.follow_up import command, quote_path
 from flipperctl.runs.interrupts import interrupts
-from flipperctl.runs.lock import hold
+from flipperctl.runs.lock import hold, names
 from flipperctl.runs.preflight import check_device, require_kept
 from flipperctl.training.closing import open_all
 from flipperctl.training.events import MetricsCsv
@@ -63,11 +67,13 @@ def start(
     directory: Path,
     reports: Reports = Reports(),  # frozen
     *,
-    keep_more: Callable[[], None] = lambda: None,
+    keep_more: Callable[[Path], None] = lambda place: None,
+    numbered: bool = False,
 ) -> Finished:
     """Train in a new run directory.
 
-    ``keep_more`` writes further files into it, once it is known to be new and locked.
+    ``keep_more`` writes further files into it, once it is known to be new and locked. ``numbered``:
+    if it has a run, or another process trains there, take the first free of ``…_2``, ``…_3``, ….
 
     Raises:
         InterruptedRunError: the run was stopped by Ctrl-C; all is saved.
@@ -75,14 +81,23 @@ def start(
         OutputError: it already holds a run.
         RequestError: the training cannot begin; nothing of it is left in the directory.
     """
-    make_folder(directory)
-    with _held(directory):
-        if run_folder.holds_run(directory):
-            raise OutputError(
-                f"{directory} already holds a run; resume it with: "
-                f"{command('train', '--resume', directory)}, or choose another hydra.run.dir"
-            )
-        return _begin(config, directory, reports, keep_more)
+    with _kept_threads():
+        for place in names(directory, numbered=numbered):
+            make_folder(place)
+            held = contextlib.ExitStack()
+            try:
+                held.enter_context(_held(place))
+            except RunHeldError:
+                if not numbered:
+                    raise
+                continue
+            with held:
+                if not run_folder.holds_run(place):
+                    return _begin(config, place, reports, partial(keep_more, place))
+        raise OutputError(
+            f"{directory} already holds a run; resume it with: "
+            f"{command('train', '--resume', directory)}, or choose another hydra.run.dir"
+        )
 
 
 def start_or_continue(
@@ -105,7 +120,7 @@ def start_or_continue(
         RequestError: the training cannot begin; nothing of it is left in the directory.
     """
     make_folder(directory)
-    with _held(directory):
+    with _held(directory), _kept_threads():
         if not run_folder.holds_run(directory):
             return _begin(config, directory, reports, keep_more, stop)
         saved, earlier = run_folder.read(directory)
@@ -140,7 +155,7 @@ def resume(
         ConfigError: a setting is changed that holds from the start of a run.
     """
     directory = run_folder.find(run)
-    with hold(directory):
+    with hold(directory), _kept_threads():
         saved, before = run_folder.read(directory)
         config = with_overrides(before, dict(changes))
         if saved is not None and (state := saved.document.state) is not None:
@@ -158,6 +173,16 @@ def _held(directory: Path) -> Iterator[None]:
     finally:
         with contextlib.suppress(OSError):  # it holds files
             directory.rmdir()
+
+
+@contextlib.contextmanager
+def _kept_threads() -> Iterator[None]:
+    """Give torch as many threads afterwards as it had before the training."""
+    threads = torch.get_num_threads()
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 def _begin(

@@ -12,8 +12,10 @@ if TYPE_CHECKING:
     from flipperctl.runtime.answer import Answer
     from flipperctl.runtime.controller import FlipperController
     from flipperctl.runtime.interface import Interface, Quantity
+    from flipperctl.runtime.joint_states import NewestJoints
     from flipperctl.runtime.limits import Ages, Limits
     from flipperctl.runtime.messages import Attitude, Cloud, JointAngles, Odometry
+    from flipperctl.runtime.point_cloud import PointTimes, read_cloud
     from flipperctl.runtime.policy import OnnxPolicy
     from flipperctl.runtime.robot_setup import RobotSetup
     from flipperctl.runtime.signs import OURS, REP_103, Signs
@@ -30,12 +32,15 @@ __all__ = [
     "JointAngles",
     "Limits",
     "Mount",
+    "NewestJoints",
     "Odometry",
     "OnnxPolicy",
+    "PointTimes",
     "Quantity",
     "RobotSetup",
     "Signs",
     "TargetRule",
+    "read_cloud",
 ]
 
 _MODULES = {
@@ -45,6 +50,9 @@ _MODULES = {
     "Cloud": "flipperctl.runtime.messages",
     "JointAngles": "flipperctl.runtime.messages",
     "Odometry": "flipperctl.runtime.messages",
+    "NewestJoints": "flipperctl.runtime.joint_states",
+    "PointTimes": "flipperctl.runtime.point_cloud",
+    "read_cloud": "flipperctl.runtime.point_cloud",
     "Ages": "flipperctl.runtime.limits",
     "Limits": "flipperctl.runtime.limits",
     "RobotSetup": "flipperctl.runtime.robot_setup",

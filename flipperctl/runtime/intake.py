@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Scan
 from flipperctl.runtime.limits import Limits
 from flipperctl.runtime.messages import Attitude, Cloud, JointAngles, Odometry
+from flipperctl.runtime.orientations import ABSENT, Levels
 from flipperctl.runtime.robot_setup import RobotSetup
 
 Accepted = Scan | Inertial | Joints | Belts
@@ -61,6 +62,7 @@ class Intake:
         """Know nothing, as at the start."""
         self._times: dict[str, float] = {}
         self._refused: dict[str, Fault] = {}
+        self._levels = Levels()
         self.joints: Joints | None = None
         self.inertial: Inertial | None = None
 
@@ -143,7 +145,7 @@ class Intake:
             self._check_posture(time)
             return time, self._scan(message)
         if isinstance(message, Attitude):
-            return time, self._attitude(message)
+            return time, self._attitude(time, message)
         signs = self._setup.signs
         if isinstance(message, JointAngles):
             front = _number(device, "front", message.front, math.pi)
@@ -185,12 +187,21 @@ class Intake:
             points = points * (-1.0, -1.0, 1.0)
         return Scan(points, ages)
 
-    def _attitude(self, message: Attitude) -> Inertial:
+    def _attitude(self, time: float, message: Attitude) -> Inertial:
         _check_frame("attitude", message.frame, self._setup.attitude_frame)
+        if all(isinstance(v, float) and math.isnan(v) for v in (message.roll, message.pitch)):
+            text = f"attitude has no orientation, or one that is marked as none; {ABSENT}"
+            raise _RefusedError(Fault("attitude_value", text))
+        roll = _number("attitude", "roll", message.roll, math.pi)
+        pitch = _number("attitude", "pitch", message.pitch, math.pi)
+        rates = message.tilt_rates
+        if self._levels.add(time, math.hypot(roll, pitch), (rates[0], rates[1])):
+            text = f"attitude {self._levels.unset}: no one fills it in; {ABSENT}"
+            raise _RefusedError(Fault("attitude_unset", text))
         signs = self._setup.signs
         return Inertial(
-            roll=_number("attitude", "roll", message.roll, math.pi),
-            pitch=signs.pitch * _number("attitude", "pitch", message.pitch, math.pi),
+            roll=roll,
+            pitch=signs.pitch * pitch,
             yaw_rate=signs.yaw * _number("attitude", "yaw_rate", message.yaw_rate, _FASTEST_TURN),
         )
 

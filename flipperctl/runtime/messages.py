@@ -7,7 +7,7 @@ here: the controller refuses what does not fit, with a reason.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from numpy.typing import ArrayLike
 
@@ -44,6 +44,9 @@ class Attitude:
     """Angle of the x axis, ahead, above the horizontal [rad], before the sign of ``Signs``."""
     yaw_rate: float
     """Turn of the heading, to the left positive [rad/s]."""
+    tilt_rates: tuple[float, float] = (0.0, 0.0)
+    """Rates about the x and y axes, by which an orientation that no one fills in is noticed
+    [rad/s]."""
 
     @classmethod
     def from_quaternion(
@@ -77,7 +80,8 @@ class Attitude:
         rises = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)  # of the axes
         level = max(1 - rises[0] ** 2, _STEEPEST)
         turn = (rises[1] * rates[1] + rises[2] * rates[2]) / level
-        return cls.from_quaternion(time, frame, x, y, z, w, turn)
+        found = cls.from_quaternion(time, frame, x, y, z, w, turn)
+        return replace(found, tilt_rates=(rates[0], rates[1]))
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from flipperctl.core.actions import ACTIONS
+from flipperctl.core.reading import read_whole
 from flipperctl.core.risk import LAGS
 from flipperctl.errors import MissingExtraError, PolicyError
 from flipperctl.runtime.checksum import verify
@@ -40,9 +41,7 @@ def open_session(path: Path) -> InferenceSession:
         raise MissingExtraError(
             "an exported policy needs the package onnxruntime; install flipperctl[robot]"
         ) from error
-    data = _read_bytes(path)
-    if not verify(data, str(path)):
-        _warn_once(str(path))
+    data = _read(path)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
@@ -60,9 +59,16 @@ def open_session(path: Path) -> InferenceSession:
         ) from error
 
 
-def _read_bytes(path: Path) -> bytes:
+def _read(path: Path) -> bytes:
+    """Return the bytes of a file whose checksum is right."""
+
+    def verified(data: bytes) -> bytes:
+        if not verify(data, str(path)):
+            _warn_once(str(path))
+        return data
+
     try:
-        return path.read_bytes()
+        return read_whole(path, verified, PolicyError)
     except FileNotFoundError as error:
         raise PolicyError(f"{path}: there is no such policy file") from error
     except (OSError, ValueError) as error:  # ValueError: the name is not valid

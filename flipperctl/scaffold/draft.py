@@ -5,8 +5,11 @@ from __future__ import annotations
 import keyword
 import shlex
 import shutil
+import sys
 from dataclasses import dataclass
+from importlib.metadata import packages_distributions
 from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 from string import Template
 from tempfile import mkdtemp
@@ -68,6 +71,12 @@ class Draft:
         if not api.is_plugin_name(self.name) or keyword.iskeyword(self.name):
             raise PluginError(
                 f"plugin name {self.name!r}: {api.NAME_RULE}, and not a keyword of Python"
+            )
+        if owner := _module_owner(self.name):
+            raise PluginError(
+                f"plugin name {self.name!r}: {owner} has a module of this name, which a file "
+                f"{self.name}.py would hide from scripts beside it; "
+                f"{self.name}_{self.kind} is free"
             )
         taken = api.registry.get((_REGISTERED.get(self.kind, self.kind), self.name))
         if taken is not None:
@@ -148,6 +157,19 @@ class Draft:
             project=self.package.replace("_", "-"),
             commands="\n".join(usage_commands(self)),
         )
+
+
+def _module_owner(name: str) -> str | None:
+    """Return whose top-level module has this name, if not that of a file in this folder."""
+    if name in sys.stdlib_module_names:
+        return "Python's standard library"
+    spec = find_spec(name)
+    if spec is None or spec.origin is None:  # a mere folder, which hides nothing
+        return None
+    if Path(spec.origin) == Path(f"{name}.py").absolute():
+        return None
+    owners = packages_distributions().get(name)
+    return f"the package {owners[0]}" if owners else spec.origin
 
 
 def usage_commands(draft: Draft, plugins: str = "") -> list[str]:

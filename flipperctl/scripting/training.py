@@ -9,6 +9,7 @@ from pathlib import Path
 from flipperctl.cli.hydra.compose import compose_train, run_directory
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import TrainConfig
+from flipperctl.config.words import key_of
 from flipperctl.errors import ConfigError, InterruptedRunError
 from flipperctl.runs import preflight
 from flipperctl.runs.interrupts import interrupts
@@ -64,11 +65,16 @@ def train(
         preflight.check_resumable(typed)
         changes = Overrides.parse(typed).values()
         finished = _interruptible(
-            lambda: resume_run(run, changes, shown, check=check_resumed), run, plugins
+            lambda: resume_run(run, changes, shown, check=check_resumed), [run], plugins
         )
     else:
         config, folder = _composed(typed, directory)
-        finished = _interruptible(lambda: start(config, folder, shown), folder, plugins)
+        unnamed = directory is None and _FOLDER not in map(key_of, typed)
+        places = [folder]
+        finished = _interruptible(
+            lambda: start(config, folder, shown, keep_more=places.append, numbered=unnamed),
+            *(places, plugins),
+        )
     if progress:
         print_best(finished)
     return Run(finished.directory, finished.summary)
@@ -95,13 +101,14 @@ def _composed(
     return config, run_directory(every).absolute()
 
 
-def _interruptible(work: Callable[[], Finished], run: Path, plugins: Paths) -> Finished:
-    """Train; say in Python how a run that was stopped is resumed."""
-    named = f", plugins={[os.fspath(path) for path in plugins]!r}" if plugins else ""
-    call = f"flipperctl.train(resume={str(run)!r}{named})"
+def _interruptible(work: Callable[[], Finished], runs: list[Path], plugins: Paths) -> Finished:
+    """Train; say in Python how a run that was stopped, the last of ``runs``, is resumed."""
     try:
         return work()
-    except KeyboardInterrupt as error:  # before or after the episodes, which end by themselves
-        raise InterruptedRunError(f"interrupted. Resume with: {call}") from error
-    except InterruptedRunError as error:
-        raise InterruptedRunError(f"{error}, or in Python: {call}") from error
+    except (KeyboardInterrupt, InterruptedRunError) as error:
+        named = f", plugins={[os.fspath(path) for path in plugins]!r}" if plugins else ""
+        call = f"flipperctl.train(resume={str(runs[-1])!r}{named})"
+        # Ctrl-C is raised before or after the episodes, which end by themselves.
+        interrupted = isinstance(error, KeyboardInterrupt)
+        said = "interrupted. Resume with:" if interrupted else f"{error}, or in Python:"
+        raise InterruptedRunError(f"{said} {call}") from error

@@ -46,9 +46,13 @@ def print_ground(found: dict[str, Any]) -> None:
     """Print what recorded ground covers, and how to drive over it."""
     (x0, y0), (x1, y1) = found["start"], found["end"]
     without = f" ({found['clouds_without_pose']} more have no pose)"
+    each = found["points_per_cloud"]
+    for remark in found["remarks"]:
+        print(remark)
     print(
         f"{found['output']}: {found['points']} points of {found['clouds']} clouds"
-        f"{without if found['clouds_without_pose'] else ''}, along {found['length']:.2f} m\n"
+        f"{without if found['clouds_without_pose'] else ''} with {each['least']} to "
+        f"{each['most']} points each, along {found['length']:.2f} m\n"
         f"drive over it with terrain=profile_file terrain.path={found['output']} "
         f"'terrain.start=[{x0},{y0}]' 'terrain.end=[{x1},{y1}]'"
     )

@@ -14,6 +14,8 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from typing import TextIO
 
+from flipperctl import entry
+
 PLAIN = "flipperctl.plain"
 """Name of the error handler for codecs."""
 
@@ -81,6 +83,10 @@ def _moved(out: TextIO) -> Iterator[TextIO]:
     moved = os.fdopen(saved, "w", encoding=out.encoding, errors=out.errors)
     try:
         yield moved
+    except OSError as error:
+        if error.filename is None and entry.is_broken(moved):
+            error.filename = entry.STDOUT
+        raise
     finally:
         os.dup2(saved, descriptor)
         with suppress(OSError):  # the first attempt to write has raised it

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 LAYOUTS = (ObservationLayout(bins=3), ObservationLayout())
 _BATCH = 64
 """Batch size at which no working unit stays inactive on the whole batch [-]."""
-_ALONE = 1e-3
-"""Tolerance of Q-values whose sums are in another order, relative and absolute [-]."""
 
 
 @contextmanager
@@ -44,12 +42,9 @@ def one_thread() -> Iterator[None]:
 
 def shape(network: Network) -> None:
     """Check that observations (B, N + 3) give finite float32 Q-values (B, 9), for any N."""
-    from flipperctl.agent.building import build_network
-
     for layout in LAYOUTS:
-        _seed()
         try:
-            module = build_network(network, layout, len(ACTIONS))
+            module = _built(network, layout)
         except FlipperctlError as error:
             raise ConformanceError(f"with perception.bins={layout.bins}: {error}") from error
         q = module(_observations(network, layout))
@@ -82,28 +77,27 @@ def gradient(network: Network) -> None:
 
 
 def repeats(network: Network) -> None:
-    """Check that equal seeds build equal networks, and that eval mode is deterministic.
+    """Check that equal seeds build equal networks, and what their Q-values depend on.
 
-    An observation has the same Q-values alone as in a batch: policies act on one at a time.
+    It is the input and the weights alone, in training the loss's random numbers too; see
+    ``agent.contract``, which every training checks as well.
     """
     import torch
 
-    observations = _observations(network, LAYOUTS[-1])
+    from flipperctl.agent.contract import check_contract
+
+    rows = _observations(network, LAYOUTS[-1])
     one, other = (_built(network).eval() for _ in range(2))
-    with torch.inference_mode():
-        first, again, second = one(observations), one(observations), other(observations)
-        alone = torch.cat([one(row[None]) for row in observations])
-    require(bool((first == again).all()), "in eval mode, equal observations give unequal Q-values")
-    require(
-        bool((first == second).all()),
-        "two networks built after torch.manual_seed(0) differ; "
-        "draw the weights from torch's own generator",
-    )
-    require(
-        torch.allclose(first, alone, rtol=_ALONE, atol=_ALONE),
-        "an observation has other Q-values alone than in a batch; a mean over the batch, such as "
-        ".mean() without dim=1, mixes them",
-    )
+    with torch.no_grad(), torch.random.fork_rng(devices=[]):
+        try:
+            check_contract(network, _built(network), LAYOUTS[-1])
+        except FlipperctlError as error:
+            raise ConformanceError(str(error)) from error
+        require(
+            bool((one(rows) == other(rows)).all()),
+            "two networks built after torch.manual_seed(0) differ; "
+            "draw the weights from torch's own generator",
+        )
 
 
 def exportable(network: Network) -> None:
@@ -125,41 +119,31 @@ def exportable(network: Network) -> None:
         raise ConformanceError(str(error)) from error
 
 
-def _built(network: Network) -> torch.nn.Module:
-    _seed()
-    module = network.build(LAYOUTS[-1], len(ACTIONS))
-    for part in module.modules():
-        draw: Any = getattr(part, "draw_noise", None)
-        if draw is not None:  # without noise, its weights have no gradient
-            draw(np.random.default_rng(0))
-    return module
-
-
-def _seed() -> None:
+def _built(network: Network, layout: ObservationLayout = LAYOUTS[-1]) -> torch.nn.Module:
     import torch
 
-    torch.manual_seed(0)
+    from flipperctl.agent.building import build_network
+    from flipperctl.agent.noise import Noise
 
-
-def _frames(network: Network) -> int:
-    """Return the number of successive observations that the network takes as input [-]."""
-    return int(getattr(network, "frames", 1))
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        module = build_network(network, layout, len(ACTIONS))
+    Noise(module).draw(np.random.default_rng(0))  # without noise, its weights have no gradient
+    return module
 
 
 def _observations(network: Network, layout: ObservationLayout) -> torch.Tensor:
     """Return random numbers of the magnitude of observations, (B, frames · (N + 3))."""
-    import torch
+    from flipperctl.agent.contract import observations
 
-    scale = torch.tensor(np.tile(layout.scale, _frames(network)), dtype=torch.float32)
-    generator = torch.Generator().manual_seed(0)
-    return torch.randn(_BATCH, len(scale), generator=generator) * scale
+    return observations(network, layout, _BATCH)
 
 
 def _recorded(network: Network) -> Any:
     """Return the observations of an episode on the first scene, (M, frames · (N + 3))."""
     scene = SCENES[0]
     found = [d.perception.observation for d in decisions(scene.environment(), scene.policy, 0)]
-    return np.tile(np.stack(found), (1, _frames(network)))
+    return np.tile(np.stack(found), (1, network.frames))
 
 
 def _describe(slope: torch.Tensor | None) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import random
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from flipperctl.api import Profile, Terrain
 from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConformanceError, TerrainError
+from flipperctl.randomness import global_states, moved_since
 from flipperctl.testing.check import require
 from flipperctl.testing.recorded import HOLD, NoReward
 from flipperctl.testing.variants import Variant
@@ -46,13 +46,11 @@ def repeats(terrain: Terrain) -> None:
 
 
 def leaves_global_randomness(terrain: Terrain) -> None:
-    """Check that the states of ``random`` and ``numpy.random`` do not change."""
-    before = _global_state()
+    """Check that the global generators of Python, numpy and torch are not used."""
+    before = global_states()
     _draw(terrain, 0)
-    require(
-        _global_state() == before,
-        "generate draws from random or numpy.random; only rng is allowed",
-    )
+    moved = moved_since(before)
+    require(not moved, f"generate draws from {moved}; only rng is allowed")
 
 
 def graded(terrain: Terrain) -> None:
@@ -148,9 +146,3 @@ def _draw(terrain: Terrain, seed: int) -> Profile:
         f"generate returns a {type(profile).__name__}; it must return a Profile",
     )
     return profile
-
-
-def _global_state() -> tuple[object, ...]:
-    state = np.random.get_state(legacy=False)  # noqa: NPY002  # read only
-    words = state["state"]
-    return random.getstate(), words["key"].tobytes(), words["pos"], state["gauss"]

@@ -50,15 +50,9 @@ class Relearning:
         self._relearns = bool(config.teacher.final_updates and config.teacher.teaches)
         self._start: Start | None = None
 
-    def begin(self) -> None:
-        """Remember the weights that a new training starts with; their file may change later.
-
-        Raises:
-            CheckpointError: the file is missing, damaged or an exported one, or takes other
-                observations than the training.
-            ConfigError: it has another network than the training.
-        """
-        self._start = read_start(self._config) if self._relearns else None
+    def begin(self, found: Start | None) -> None:
+        """Remember the weights that a new training starts with; their file may change later."""
+        self._start = found if self._relearns else None
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """Return the weights to begin with, for the checkpoint of the run."""
@@ -69,13 +63,13 @@ class Relearning:
         """Restore the weights to begin with; those of a run of an earlier version are read again.
 
         Raises:
-            CheckpointError: they are not those of this network; see ``begin``, too.
-            ConfigError: see ``begin``.
+            CheckpointError: they are not those of this network; see ``read_start``, too.
+            ConfigError: see ``read_start``.
         """
         if not (self._relearns and self._config.agent.start_from):
             return
         if not (weights := saved.part(_PART)):
-            self.begin()
+            self.begin(read_start(self._config))
             return
         module = build_network(self._config.network, self._layout, len(ACTIONS))
         try:

@@ -111,8 +111,10 @@ def _returns(config: TrainConfig) -> dict[str, object]:
     return {"agent.gamma": agent.gamma, "agent.reward_scale": agent.reward_scale, **terms}
 
 
-def start(config: TrainConfig, agent: Learner) -> None:
-    """Give the networks of a new training the weights that it starts with, if it names any.
+def start(config: TrainConfig, agent: Learner) -> Start | None:
+    """Give the networks of a new training the weights that it starts with, and return them.
+
+    Returns None if it names none.
 
     Raises:
         CheckpointError: the file is missing, damaged or an exported one, or takes other
@@ -125,6 +127,7 @@ def start(config: TrainConfig, agent: Learner) -> None:
     if values is not None:
         assert isinstance(agent, PolicyGradient)  # the only learner whose values can be given
         agent.values.load_state_dict(values)
+    return found
 
 
 def give(found: Start, agent: Learner) -> None:

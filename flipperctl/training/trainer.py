@@ -127,8 +127,7 @@ class Trainer:
             self._stopwatch.start()
             if not self._restored:  # else the checkpoint has what follows
                 self._recorder.restore(0)
-                start(self.config, self.agent)
-                self._relearning.begin()
+                self._relearning.begin(start(self.config, self.agent))
                 add_recorded(self.replay, self.config, self._report)
             self._save_all(self._outstanding)
             collector = self.episodes.start_collector(self._outstanding, stop, self.replay.kept)

@@ -8,11 +8,12 @@ import pytest
 
 from flipperctl.api import Robot
 from flipperctl.bags.devices import read_recording
-from flipperctl.bags.episode import Stamped, write_bag
+from flipperctl.bags.episode import TYPES, Stamped, typestore, write_bag
+from flipperctl.bags.messages import JOINTS, Messages
 from flipperctl.bags.perceiving import replay
 from flipperctl.bags.topics import Names
 from flipperctl.sim.lidar.sensor import LidarSensor
-from tests.bags.driving import HEIGHT, MOUNT, SPEED, driving, points
+from tests.bags.driving import FRONT, HEIGHT, MOUNT, REAR, SECONDS, SPEED, driving, points, state
 
 _EPOCH = 1_000_000_000
 """Seconds at which the bags of the simulator begin."""
@@ -85,3 +86,83 @@ def test_a_folder_is_in_the_order_of_its_numbers_and_its_map_may_begin_anywhere(
     heights = found.instants[-1].ground.heights
     assert heights[:8] == pytest.approx([-0.1] * 8, abs=0.01)
     assert heights[-1] == pytest.approx(HEIGHT - 0.1, abs=0.01)
+
+
+def recorded(tmp_path, change):
+    """The recording of a drive whose messages are changed: topic and message → those instead."""
+    messages = []
+    for one in driving():
+        for topic, message in change(one.topic, one.message):
+            messages.append(one._replace(topic=topic, message=message))
+    write_bag(tmp_path / "bag", messages)
+    return read_recording(tmp_path / "bag", Names())
+
+
+def joints_in_parts(topic, message, each, names=JOINTS):
+    """Yield the joints of some names, ``each`` a message, on topics that the function returns."""
+    if topic != "/joint_states":
+        yield topic, message
+        return
+    for at in range(0, len(names), each):
+        part = [*message.name].index(names[at])
+        some = slice(part, part + each)
+        told = dataclasses.replace(
+            message, name=message.name[some], position=message.position[some]
+        )
+        yield topic, told
+
+
+@pytest.mark.parametrize("each", [1, 2])
+def test_joints_may_come_in_parts(tmp_path, each):
+    recording = recorded(tmp_path, lambda *one: joints_in_parts(*one, each))
+    assert recording.remarks == []
+    told = [s.messages["joints"] for s in recording.steps() if "joints" in s.messages]
+    assert [told[-1].front, told[-1].rear] == pytest.approx([-FRONT, REAR])
+    assert told[-1].time == pytest.approx(_EPOCH + SECONDS)
+
+
+def test_joints_may_come_on_several_topics(tmp_path, monkeypatch):
+    for name in JOINTS:
+        monkeypatch.setitem(TYPES, f"/{name}", TYPES["/joint_states"])
+
+    def change(topic, message):
+        for where, part in joints_in_parts(topic, message, 1):
+            yield (f"/{part.name[0]}" if where == "/joint_states" else where), part
+
+    recording = recorded(tmp_path, change)
+    assert (recording.remarks, list(recording.devices.joints)) == ([], [f"/{n}" for n in JOINTS])
+    told = [s.messages["joints"] for s in recording.steps() if "joints" in s.messages]
+    assert [told[-1].front, told[-1].rear] == pytest.approx([-FRONT, REAR])
+
+
+def test_a_joint_that_is_missing_is_named(tmp_path):
+    recording = recorded(tmp_path, lambda *one: joints_in_parts(*one, 1, JOINTS[:3]))
+    assert recording.remarks == [
+        "no JointState has the joint rear_right_flipper, only front_left_flipper, "
+        "front_right_flipper, rear_left_flipper: the flippers are taken for level"
+    ]
+
+
+def test_an_orientation_that_is_never_filled_in_is_not_used(tmp_path):
+    def change(topic, message):
+        if topic == "/imu/data":
+            rates = dataclasses.replace(message.angular_velocity, y=0.2)
+            message = dataclasses.replace(message, angular_velocity=rates)
+        yield topic, message
+
+    recording = recorded(tmp_path, change)
+    assert "attitude" not in recording.topics
+    assert "/imu/data is not used: it tells no orientation (it is level in" in recording.remarks[0]
+
+
+def test_an_odometry_without_speed_is_not_that_of_the_belts(tmp_path):
+    make = Messages(typestore())
+    messages = [one for one in driving() if one.topic != "/belt_speed"]
+    for tick in range(20):
+        told = make.odometry(state(tick / 10))
+        told.twist.twist.linear.x = 0.0
+        messages.append(Stamped(tick / 10, "/odom", told))
+    recording = read_recording(bag(tmp_path, messages), Names())
+    assert "odometry" not in recording.topics
+    (remark,) = recording.remarks
+    assert remark == "/odom is not used for the belts: its speed is 0 while its pose moves 0.5 m"

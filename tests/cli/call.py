@@ -33,8 +33,9 @@ class Done:
 
 def call(*arguments: str, cwd: Path) -> Done:
     """Run ``flipperctl`` in ``cwd``; plugins that it loads are unloaded afterwards."""
-    known, loaded = dict(api.registry), set(plugins._loaded)
+    known, loaded, given = dict(api.registry), set(plugins._loaded), list(plugins._given)
     before = os.environ.pop(plugins.VARIABLE, None)
+    plugins._given.clear()
     out, err = io.StringIO(), io.StringIO()
     try:
         with (
@@ -52,7 +53,7 @@ def call(*arguments: str, cwd: Path) -> Done:
         api.registry.update(known)
         plugins._loaded.clear()
         plugins._loaded.update(loaded)
-        os.environ.pop(plugins.VARIABLE, None)
+        plugins._given[:] = given
         if before is not None:
             os.environ[plugins.VARIABLE] = before
 

@@ -116,6 +116,9 @@ def test_nothing_is_overwritten(option: list[str], tmp_path: Path) -> None:
         (["terrain", "My Own"], ["'My Own'", "lower-case letters"]),
         (["terrain", "class"], ["'class'", "word of Python"]),
         (["terrain", "null"], ["'null'", "word of YAML"]),
+        (["reward", "signal"], ["'signal'", "standard library", "signal_reward is free"]),
+        (["terrain", "torch"], ["'torch'", "the package torch", "torch_terrain is free"]),
+        (["network", "flipperctl", "--package"], ["'flipperctl'", "flipperctl_network is free"]),
         (["terrain", "stair"], ["'stair'", "already", "stair.py:"]),
         (["engine", "planar"], ["engine plugin 'planar'", "already", "engine.py:"]),
         (["sensor", "planar"], ["sensor plugin 'planar'", "already", "sensing.py:"]),
@@ -131,8 +134,8 @@ def test_a_wrong_request_is_named(arguments: list[str], words: list[str], tmp_pa
 
 
 def test_a_name_that_the_contract_uses_makes_another_class(tmp_path: Path) -> None:
-    for name, cls in (("profile", "ProfileTerrain"), ("none", "NoneTerrain"), ("a_b", "AB")):
+    for name, cls in (("outcome", "OutcomeTerrain"), ("none", "NoneTerrain"), ("a_b", "AB")):
         assert call("new", "terrain", name, "--output", "here", cwd=tmp_path).code == 0
         assert f"class {cls}(Terrain)" in (tmp_path / "here" / f"{name}.py").read_text()
-    done = call("inspect", "plugins", "profile", "--plugins", "here", cwd=tmp_path)
+    done = call("inspect", "plugins", "outcome", "--plugins", "here", cwd=tmp_path)
     assert done.code == 0, done.err

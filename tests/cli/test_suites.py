@@ -102,7 +102,7 @@ def test_suites_beside_a_plugin_have_names(tmp_path: Path, monkeypatch: pytest.M
         ("scene: {a: terrain=flat}", "about: TEXT and scenes"),
         ("scenes: {a: [terrain=flat]}", "scenes.a: about: TEXT"),
         ("scenes: {a: flat}", "scenes.a: 'flat' is no override"),
-        ("scenes: {a: 'x", "is not YAML"),
+        ("scenes: {a: 'x", "line 1: no YAML"),
     ],
 )
 def test_a_file_that_is_no_suite_is_refused(tmp_path: Path, text: str, expected: str) -> None:

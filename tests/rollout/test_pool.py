@@ -71,7 +71,8 @@ def test_a_dead_worker_is_replaced_and_runs_the_calls_after_it() -> None:
         assert [call.result() for call in after] == [0, 2, 4, 6]
         for pid in workers.process_ids():  # while they wait for calls
             os.kill(pid, signal.SIGKILL)
-        time.sleep(0.2)
+        while any(worker._child is not None and worker._child.idle for worker in workers._workers):
+            time.sleep(0.001)
         assert workers.submit(double, 2).result() == 4
     finally:
         workers.close()

@@ -103,7 +103,7 @@ def test_a_wrong_training_is_refused_in_one_line(request_: dict, text: str) -> N
 def test_a_stopped_training_says_how_to_resume(
     stopped: BaseException, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(training, "start", lambda *given: (_ for _ in ()).throw(stopped))
+    monkeypatch.setattr(training, "start", lambda *given, **named: (_ for _ in ()).throw(stopped))
     with pytest.raises(InterruptedRunError) as raised:
         flipperctl.train(directory=tmp_path / "run", progress=False)
     assert f"flipperctl.train(resume={str(tmp_path / 'run')!r})" in str(raised.value)
@@ -114,7 +114,7 @@ def test_the_directory_of_a_run_is_that_of_the_command(
 ) -> None:
     began: list[Path] = []
 
-    def start(config: object, folder: Path, reports: object) -> None:
+    def start(config: object, folder: Path, *given: object, **named: object) -> None:
         began.append(folder)
         raise KeyboardInterrupt
 

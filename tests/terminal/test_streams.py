@@ -1,10 +1,17 @@
 """Standard output with ``--json``: the document alone, whatever plugins and processes print."""
 
+import errno
 import json
+import shlex
 import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+import typer
+
+from flipperctl import entry
+from flipperctl.cli.main import run_app
 from tests.cli.call import call
 
 LOUD = """
@@ -52,3 +59,42 @@ def test_a_document_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
         done = subprocess.run(command, cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True)
     assert done.returncode == 1
     assert done.stderr == "error: standard output cannot be written: No space left on device\n"
+
+
+def test_an_error_of_the_system_is_one_of_standard_output_only_if_that_fails(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def full() -> int:
+        raise OSError(errno.ENOSPC, "as of a semaphore in a full /dev/shm")
+
+    def many() -> int:
+        raise OSError(errno.EMFILE, "", "some.csv")
+
+    for program in (full, many):
+        with pytest.raises(SystemExit) as left:
+            entry.run(program)
+        assert left.value.code == 1
+    first, second = capsys.readouterr().err.splitlines()
+    assert first.startswith("error: No space left on device: ")
+    assert "/dev/shm" in first
+    assert "train.mode=exact" in first
+    assert second == "error: some.csv: Too many open files"
+
+
+def test_a_truncated_file_is_no_interruption() -> None:
+    def read() -> None:
+        raise EOFError("a plugin's file is cut off")
+
+    app = typer.Typer()
+    app.command()(read)
+    with pytest.raises(EOFError, match="cut off"):
+        run_app(app, [], "reader")
+
+
+def test_closed_standard_streams_lead_nowhere(tmp_path: Path) -> None:
+    script = f"exec {shlex.quote(sys.executable)} -m flipperctl inspect config terrain=flat"
+    for closed in ("<&- >&-", "2>&-"):
+        done = subprocess.run(
+            ["sh", "-c", f"{script} {closed}"], cwd=tmp_path, capture_output=True, text=True
+        )
+        assert (done.returncode, done.stderr) == (0, "")

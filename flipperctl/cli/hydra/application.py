@@ -5,24 +5,29 @@ In: the words of the command, including Hydra's options. Out: a run in each job'
 
 from __future__ import annotations
 
+import argparse
+import contextlib
+import io
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import hydra
+from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.utils import env_override
 from hydra.types import RunMode
-from omegaconf import OmegaConf
+from omegaconf import OmegaConf, read_write
 
 from flipperctl.cli.hydra import config_store
 from flipperctl.cli.hydra.compose import check_training_effect, compose_train, parse_training
-from flipperctl.cli.hydra.errors import convert_hydra_errors
-from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.config.robots import expand_files
-from flipperctl.errors import InterruptedRunError
+from flipperctl.cli.hydra.config_files import strict_files
+from flipperctl.cli.hydra.errors import check_choices, convert_hydra_errors
+from flipperctl.cli.hydra.overrides import SEARCH_PATH, Overrides
+from flipperctl.cli.hydra.sweeps import named_by_time
+from flipperctl.errors import ConfigError, InterruptedRunError
 from flipperctl.files import failure
 from flipperctl.rollout import ray_cluster
 from flipperctl.runs import folder as run_folder
@@ -31,6 +36,11 @@ from flipperctl.runs.command_process import CommandProcess
 from flipperctl.runs.interrupts import interrupts
 from flipperctl.runs.sweep_stop import stop_of
 from flipperctl.terminal.notices import print_notices
+from flipperctl.terminal.streams import print_note
+
+_VALUED = ("cfg", "package", "info", "config_dir", "config_name", "config_path")
+_FLAGS = ("multirun", "resolve", "hydra_help")
+"""Hydra's options that ``flipperctl train`` passes on, with a value and without."""
 
 
 def train(arguments: list[str], *, check: bool) -> None:
@@ -44,9 +54,24 @@ def train(arguments: list[str], *, check: bool) -> None:
     """
     config_store.register_defaults()
     config_store.register_sweepers()
-    several = "--multirun" in arguments
-    arguments = expand_files(arguments)
-    checked = _check([a for a in arguments if a != "--multirun"], several=several, compose=check)
+    chosen = _options(arguments)
+    overrides = Overrides.parse(chosen.overrides)
+    several = _several(overrides, multirun=chosen.multirun)
+    _check_options(chosen, overrides, several=several)
+    options = [
+        word
+        for name in _VALUED
+        if (value := getattr(chosen, name))
+        for word in (f"--{name}".replace("_", "-"), value)
+    ]
+    # They may add other configuration files; then each job checks its own.
+    checked = check and not options
+    overrides.check_training(several=several or bool(options))
+    check_choices(overrides)
+    if checked:
+        _check(overrides)
+    options += [f"--{name}".replace("_", "-") for name in _FLAGS if getattr(chosen, name)]
+    arguments = [*options, *overrides.words]
     errors: list[BaseException] = []
     job = _Job(CommandProcess.current(), checked)
 
@@ -54,7 +79,7 @@ def train(arguments: list[str], *, check: bool) -> None:
         try:
             return job.run(composed)
         except (Exception, KeyboardInterrupt) as error:  # raised again below
-            if several:
+            if HydraConfig.get().mode is RunMode.MULTIRUN:
                 raise
             directory = Path(HydraConfig.get().runtime.output_dir)
             stopped = follow_up.interrupted_run(directory)
@@ -65,9 +90,12 @@ def train(arguments: list[str], *, check: bool) -> None:
     configured = hydra.main(config_store.CONFIGS, "train", version_base="1.3")
     previous_argv, sys.argv = sys.argv, ["flipperctl train", *arguments]
     try:
-        # Hydra passes exceptions on instead of printing them.
-        with convert_hydra_errors(), env_override({"HYDRA_FULL_ERROR": "1"}):
-            configured(task)()
+        # Hydra passes exceptions on instead of printing them. The processes of a launcher must not
+        # import from the working directory, where a user's random.py may lie.
+        environment = {"HYDRA_FULL_ERROR": "1", "PYTHONSAFEPATH": "1"}
+        with convert_hydra_errors(), strict_files(), env_override(environment):
+            application = configured(task)
+            _show(application) if chosen.cfg else application()
         if errors:
             raise errors[0]
     except KeyboardInterrupt as error:  # while worker processes train
@@ -84,17 +112,57 @@ def train(arguments: list[str], *, check: bool) -> None:
             ray_cluster.shut_down()  # Hydra's launcher leaves it running
 
 
-def _check(words: list[str], *, several: bool, compose: bool) -> bool:
-    """Refuse a wrong request; return whether the composed configurations were checked."""
-    plain = not any(word.startswith("-") for word in words)
-    # With options of Hydra, other words may be values of these.
-    typed = words if plain else [w for w in words if "=" in w and not w.startswith("-")]
-    overrides = Overrides.parse(typed)
-    overrides.check_training(several=several)
-    # Hydra's options may add other configuration files; then each job checks its own.
-    if not (compose and plain):
-        return False
-    own = overrides.where(lambda key: not key.startswith("hydra"))
+def _options(arguments: Sequence[str]) -> argparse.Namespace:
+    """Return the words as Hydra's options and overrides, which may stand in any order."""
+    parser = get_args_parser()
+
+    def refuse(message: str) -> NoReturn:
+        raise ConfigError(f"{message}; see flipperctl train --hydra-help")
+
+    parser.error = refuse  # type: ignore[method-assign]  # its own prints two dozen lines
+    return parser.parse_intermixed_args(arguments)
+
+
+def _show(application: Callable[[], object]) -> None:
+    """Let Hydra print a configuration; where it prints the reason that it cannot, raise it."""
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            application()
+    except SystemExit as left:
+        raise ConfigError(f"--cfg: {' '.join(said.getvalue().split())}") from left
+    sys.stderr.write(said.getvalue())
+
+
+def _several(overrides: Overrides, *, multirun: bool) -> bool:
+    """Return whether the command makes several runs: by its option, or by Hydra's setting."""
+    modes = [mode.name for mode in RunMode]
+    mode = overrides.choice("hydra.mode")
+    if mode is not None and mode not in modes:
+        raise ConfigError(f"hydra.mode: {' or '.join(modes)} is allowed; the value is {mode}")
+    if multirun and mode == RunMode.RUN.name:
+        raise ConfigError(f"hydra.mode={mode}: no meaning beside --multirun; leave it out")
+    return multirun or mode == RunMode.MULTIRUN.name
+
+
+def _check_options(chosen: argparse.Namespace, overrides: Overrides, *, several: bool) -> None:
+    """Refuse options of Hydra that do not go together, on which Hydra fails."""
+    shown = [f"--{name}" for name in ("cfg", "info") if getattr(chosen, name)]
+    if shown and (several or overrides.swept):
+        raise ConfigError(
+            f"{shown[0]}: it shows one configuration; leave --multirun out, and give one value of "
+            f"{', '.join(overrides.swept) or 'each setting'}"
+        )
+    if len(shown) > 1:
+        raise ConfigError(f"{shown[1]}: no meaning beside {shown[0]}; leave one out")
+    for name in ("resolve", "package"):
+        if getattr(chosen, name) and not chosen.cfg:
+            raise ConfigError(f"--{name}: no meaning without --cfg")
+
+
+def _check(overrides: Overrides) -> None:
+    """Refuse a wrong request before Hydra creates a directory."""
+    own = overrides.where(lambda key: not key.startswith("hydra") or key == SEARCH_PATH)
     # pymunk swallows a KeyboardInterrupt that is raised while it frees a body.
     with interrupts("stopping …") as stop:
         for probe in (own, *own.interval_probes()):
@@ -103,7 +171,6 @@ def _check(words: list[str], *, several: bool, compose: bool) -> bool:
                     preflight.check(config)
     if stop():
         raise KeyboardInterrupt
-    return True
 
 
 @dataclass(frozen=True)
@@ -121,7 +188,11 @@ class _Job:
         from flipperctl.terminal.training import print_best, reports
 
         settings = HydraConfig.get()
-        self.process.restore(folder=not settings.job.chdir)
+        self.process.restore()
+        if settings.job.chdir:
+            print_note(
+                f"note: hydra.job.chdir=true: the run stays in {Path.cwd()}, where all paths start"
+            )
         config = parse_training(composed)
         preflight.check_device(config)
         if not self.checked:
@@ -129,24 +200,31 @@ class _Job:
             preflight.check(config)
             print_notices(config)
         directory = Path(settings.runtime.output_dir)
-        keep = _keeper(composed, directory)
+        keep = _keeper(composed)
         if settings.mode is RunMode.MULTIRUN:
             stop = stop_of(Path(settings.runtime.cwd, settings.sweep.dir), self.process.holder)
             if stop():
                 raise InterruptedRunError(f"{directory.name} was not started")
-            run = start_or_continue(config, directory, reports(), keep_more=keep, stop=stop)
+            run = start_or_continue(
+                config, directory, reports(), keep_more=lambda: keep(directory), stop=stop
+            )
         else:
-            run = start(config, directory, reports(), keep_more=keep)
+            own: Any = HydraConfig.instance().cfg
+            numbered = named_by_time(own, "run")
+            run = start(config, directory, reports(), keep_more=keep, numbered=numbered)
         print_best(run)
         train = config.train
         return objective(run.summary["best"], train.validation_episodes, train.best_by)
 
 
-def _keeper(composed: Any, directory: Path) -> Callable[[], None]:
+def _keeper(composed: Any) -> Callable[[Path], None]:
     """Return a function that writes Hydra's own files, to call once the directory is locked."""
 
-    def keep() -> None:
+    def keep(directory: Path) -> None:
         settings = HydraConfig.get()
+        runtime: Any = settings.runtime
+        with read_write(runtime):  # another one was taken
+            runtime.output_dir = str(directory)
         if settings.output_subdir is None:  # else Hydra has written them
             documents = {
                 "config": composed,

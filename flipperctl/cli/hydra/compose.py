@@ -7,7 +7,7 @@ overrides. ``config_store`` holds the defaults.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -17,6 +17,7 @@ from hydra.errors import ConfigCompositionException, MissingConfigException
 from omegaconf import DictConfig, OmegaConf
 
 from flipperctl.cli.hydra import config_store, errors
+from flipperctl.cli.hydra.config_files import strict_files
 from flipperctl.cli.hydra.config_store import CONFIGS, EVAL_CHECKPOINT, EVAL_CONTROLLER, EVAL_EXPORT
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, parse
@@ -63,7 +64,7 @@ def check_training_effect(config: TrainConfig, overrides: Overrides) -> None:
 
 def run_directory(overrides: Overrides) -> Path:
     """Return the directory of a single run, ``hydra.run.dir``, for overrides that compose."""
-    with errors.convert_hydra_errors(), initialize_config_dir(CONFIGS, version_base="1.3"):
+    with errors.convert_hydra_errors(), _initialized():
         return Path(compose("train", overrides.words, return_hydra_config=True).hydra.run.dir)
 
 
@@ -129,24 +130,26 @@ def _compositions(primary: str, overrides: Overrides) -> Iterator[tuple[Override
         for combination in overrides.combinations(CHOICES):
             if primary != EVAL_CHECKPOINT and combination.choice("conditions") == TRAINED:
                 raise ConfigError(explain_missing_training(exported=primary == EVAL_EXPORT))
+            errors.check_choices(combination)
             try:
                 yield combination, _plain(compose(primary, combination.words))
             except MissingConfigException as error:
                 raise errors.missing_choice(error) from error
             except ConfigCompositionException as error:
                 raise errors.unknown_key(error, primary, combination) from error
-            except (TypeError, ValueError) as error:  # from Hydra: a choice is not a name
-                raise errors.wrong_choice(error, combination) from error
 
 
-def _initialized() -> AbstractContextManager[Any]:
-    """Return a context in which Hydra composes.
+@contextmanager
+def _initialized() -> Iterator[None]:
+    """Let Hydra compose in the body.
 
     Within an application of Hydra, which knows --config-dir, it does so already.
     """
     if GlobalHydra.instance().is_initialized():
-        return nullcontext()
-    return initialize_config_dir(CONFIGS, version_base="1.3")
+        yield
+        return
+    with strict_files(), initialize_config_dir(CONFIGS, version_base="1.3"):
+        yield
 
 
 def _training(plain: dict[str, Any]) -> TrainConfig:

@@ -6,6 +6,8 @@ of an exception is never parsed; the wrong override is the first that Hydra refu
 
 from __future__ import annotations
 
+import sys
+import traceback
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
@@ -26,9 +28,9 @@ from flipperctl.api import Logger, RewardTerm
 from flipperctl.api.plugin import registered_names
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import TrainConfig
-from flipperctl.config.defaults import CHOICES, GROUPS, missing_entry
+from flipperctl.config.defaults import CHOICES, missing_entry
 from flipperctl.config.words import unreadable
-from flipperctl.errors import ConfigError, MissingExtraError, RequestError
+from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError, RequestError
 from flipperctl.messages import explain_unknown_key
 
 _HOLDERS = {"rewards": RewardTerm.kind, Logger.kind: Logger.kind}
@@ -42,7 +44,10 @@ _LAUNCHER_EXTRAS = {"joblib": "joblib", "ray": "ray", "ray_aws": "ray"}
 
 @contextmanager
 def convert_hydra_errors() -> Iterator[None]:
-    """Convert errors of Hydra and OmegaConf to the package's own, in one line."""
+    """Convert errors of Hydra and OmegaConf to the package's own, in one line.
+
+    On values that they do not expect, such as ``hydra.verbose=1``, they raise Python's own, too.
+    """
     try:
         yield
     except OverrideParseException as error:
@@ -51,6 +56,22 @@ def convert_hydra_errors() -> Iterator[None]:
         raise missing_choice(error) from error
     except (HydraException, OmegaConfBaseException) as error:
         raise ConfigError(_one_line(error)) from error
+    except (FlipperctlError, OSError):
+        raise
+    except Exception as error:
+        if not _is_of_hydra(error):
+            raise
+        text = _one_line(error) or type(error).__name__
+        raise ConfigError(f"Hydra cannot use the words or its settings: {text}") from error
+
+
+def _is_of_hydra(error: Exception) -> bool:
+    """Return whether Hydra or OmegaConf raised the error, or called the library that did."""
+    for frame, _ in reversed(list(traceback.walk_tb(error.__traceback__))):
+        package = str(frame.f_globals.get("__name__")).partition(".")[0]
+        if package not in sys.stdlib_module_names:
+            return package in ("hydra", "omegaconf", "antlr4")
+    return False
 
 
 def missing_choice(error: MissingConfigException) -> RequestError:
@@ -70,15 +91,24 @@ def missing_choice(error: MissingConfigException) -> RequestError:
     return ConfigError(f"{missing}; {_OWN_CONDITIONS}") if group == "conditions" else missing
 
 
-def wrong_choice(error: Exception, overrides: Overrides) -> ConfigError:
-    """Return the error for a config group whose choice is not a name, as in ``terrain=3``."""
+def check_choices(overrides: Overrides) -> None:
+    """Refuse the choice of a config group that is not a name, as in ``terrain=3``.
+
+    Raises:
+        ConfigError: a choice is not a name.
+    """
     for override in overrides.parsed:
         key, value = override.get_key_element(), override.value()
+        if override.is_sweep_override() or not _is_group_key(override) or isinstance(value, dict):
+            continue
         names = all(isinstance(v, str) for v in (value if isinstance(value, list) else [value]))
-        optional = key == "experiment" and value is None
-        if key in (*GROUPS, "experiment") and not optional and not names:
-            return ConfigError(f"{key}: a name is allowed; the value is {value!r}")
-    return ConfigError(_one_line(error))
+        if not names and not (override.is_delete() and value is None):
+            raise ConfigError(f"{key}: a name is allowed; the value is {value!r}")
+
+
+def _is_group_key(override: Override) -> bool:
+    key = override.key_or_group
+    return key in CHOICES or "/" in key or override.package is not None
 
 
 def unknown_key(

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from hydra.core.plugins import Plugins
@@ -19,7 +18,7 @@ from omegaconf import DictConfig
 
 from flipperctl.cli.hydra.compose import compose_train
 from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.cli.hydra.sweeps import launched_by, uses_default_naming
+from flipperctl.cli.hydra.sweeps import launched_by
 from flipperctl.errors import ConfigError
 from flipperctl.runs.optuna_search import search
 from flipperctl.runs.search import SearchSettings, check_settings
@@ -49,8 +48,7 @@ def prepare(
     launcher = Plugins.instance().instantiate_launcher(
         config=config, hydra_context=hydra_context, task_function=task_function
     )
-    folder = Path(config.hydra.sweep.dir)
-    return SearchSweep(settings, launched_by(launcher, folder, named=uses_default_naming(config)))
+    return SearchSweep(settings, launched_by(launcher, config))
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import OverrideParseException
@@ -19,6 +20,8 @@ from flipperctl.config.words import check_different, check_words, unreadable
 from flipperctl.errors import ConfigError
 from flipperctl.runs.search_space import Interval
 
+SEARCH_PATH = "hydra.searchpath"
+"""Key of the folders with further configuration files."""
 _FOLDERS = ("hydra.run.dir", "hydra.sweep.dir")
 
 
@@ -111,10 +114,18 @@ class Overrides:
         """Refuse words that Hydra would apply without the effect that they state.
 
         Raises:
-            ConfigError: a value is an empty mapping, or a word drops what another one brings.
+            ConfigError: a value is an empty mapping or no search path, or a word drops what another
+                one brings.
         """
         self._check_mappings()
         self._check_drops()
+        for override in self.where(lambda key: key == SEARCH_PATH).parsed:
+            folders = override.value()
+            if not (isinstance(folders, list) and all(isinstance(f, str) for f in folders)):
+                raise ConfigError(
+                    f"{SEARCH_PATH}: a list of folders is allowed, as in [file:///home/me/my]; the "
+                    f"value is {folders!r}"
+                )
 
     def _check_drops(self) -> None:
         """Refuse ``~rewards.pitch`` beside ``reward@rewards.pitch=…``, which Hydra drops too."""
@@ -151,7 +162,7 @@ class Overrides:
             if override.is_interval_sweep():
                 found[key] = _interval(override)
             elif override.is_sweep_override():
-                found[key] = list(override.sweep_string_iterator())
+                found[key] = _swept_values(override)
             else:
                 fixed.append(typed)
         return found, fixed
@@ -175,7 +186,7 @@ class Overrides:
                 continue
             if override.is_sweep_override():
                 key = override.get_key_element()
-                words = [f"{key}={value}" for value in override.sweep_string_iterator()]
+                words = [f"{key}={value}" for value in _swept_values(override)]
                 parts.append(Overrides.parse(words, check=False).parsed)
                 values = [one.value() for one in parts[-1]]
                 check_different(str(override.input_line), values)
@@ -204,6 +215,23 @@ def _inner_keys(key: str, value: object) -> Iterator[str]:
     for name, item in value.items() if isinstance(value, Mapping) else ():
         yield f"{key}.{name}"
         yield from _inner_keys(f"{key}.{name}", item)
+
+
+def _swept_values(override: Override) -> list[str]:
+    """Return the values of a list, or the names of a group that a ``glob(…)`` chooses.
+
+    Raises:
+        ConfigError: it chooses none.
+    """
+    hydra = GlobalHydra.instance()
+    override.config_loader = hydra.config_loader() if hydra.is_initialized() else None
+    found = list(override.sweep_string_iterator())
+    if not found:
+        raise ConfigError(
+            f"{override.input_line}: no name fits; glob(…) chooses among the names of a group, as "
+            "in terrain=glob(st*)"
+        )
+    return found
 
 
 def _interval(override: Override) -> Interval:

@@ -14,6 +14,8 @@ from omegaconf import OmegaConf
 
 from flipperctl.rollout.ray_cluster import is_connected, join
 
+_OBJECT_STORE = 75 * 2**20
+"""Memory for objects of a cluster of the launcher's own, which is its default [B]."""
 _MODULE = "hydra_plugins.hydra_ray_launcher.ray_launcher"
 
 
@@ -21,7 +23,7 @@ def connect(launcher: Launcher) -> None:
     """Connect to the cluster of a Ray launcher; do nothing for other launchers.
 
     Without an address, Ray joins the cluster that ``ray start`` has started on this machine, or
-    starts one. The launcher itself starts one at the address ``local``.
+    starts one; at the address ``local``, it always starts one.
 
     Raises:
         ConfigError: no cluster answers, it asks for a token, or it refuses a setting.
@@ -34,5 +36,6 @@ def connect(launcher: Launcher) -> None:
     found: Any = launcher
     settings: Any = OmegaConf.to_container(found.ray_cfg.init, resolve=True)
     address = settings.pop("address", None)
-    if address != "local":
-        join(address, "hydra.launcher.ray.init.address", **settings)
+    if address == "local":
+        settings.setdefault("object_store_memory", _OBJECT_STORE)
+    join(address, "hydra.launcher.ray.init.address", **settings)

@@ -15,7 +15,7 @@ from typing import Any, cast
 from hydra.core.utils import JobReturn
 from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, read_write
 
 from flipperctl.cli.hydra import ray_launcher
 from flipperctl.cli.hydra.overrides import Overrides
@@ -36,13 +36,23 @@ def uses_default_naming(config: DictConfig) -> bool:
     return bool(sweep["subdir"] == UNNAMED)
 
 
-def launched_by(launcher: Launcher, folder: Path, *, named: bool) -> Sweep:
-    """Return a sweep in ``folder`` whose jobs are trained by a launcher of Hydra."""
+def named_by_time(config: DictConfig, mode: str) -> bool:
+    """Return whether the folder of ``hydra.run`` or ``hydra.sweep`` is named by the time."""
+    settings: Any = OmegaConf.to_container(config.hydra[mode], resolve=False)
+    return "${now:" in str(settings["dir"])
+
+
+def launched_by(launcher: Launcher, config: DictConfig) -> Sweep:
+    """Return a sweep in Hydra's folder, whose jobs are trained by a launcher of Hydra.
+
+    If the folder is named by the time, and another sweep of the same second is in it, another one
+    beside it is taken.
+    """
     from hydra._internal.core_plugins.basic_launcher import BasicLauncher
 
     def launch(jobs: Sequence[Job], names: Sequence[str], first: int) -> list[JobResult]:
         # A worker of a running cluster has another working directory.
-        place = literal_override("hydra.sweep.dir", str(folder.absolute()))
+        place = literal_override("hydra.sweep.dir", str(sweep.folder.absolute()))
         words = [[*job, place] for job in jobs]
         for job, name in zip(words, names, strict=False):
             job.append(f"hydra.sweep.subdir='{name}'")
@@ -51,7 +61,16 @@ def launched_by(launcher: Launcher, folder: Path, *, named: bool) -> Sweep:
 
     # The basic launcher runs the jobs in sequence and would continue after Ctrl-C.
     serial = isinstance(launcher, BasicLauncher)
-    return Sweep(folder, launch, print_comparison, named=named, serial=serial, tell=print_note)
+    sweep = Sweep(
+        Path(str(config.hydra.sweep.dir)),
+        launch,
+        print_comparison,
+        named=uses_default_naming(config),
+        serial=serial,
+        numbered=named_by_time(config, "sweep"),
+        tell=print_note,
+    )
+    return sweep
 
 
 def job_result(job: JobReturn) -> JobResult:
@@ -87,8 +106,8 @@ class ListSweep:
         self._params = settings["params"] or {}
         self._sweeper = cast("Any", BasicSweeper(**settings))
         self._sweeper.setup(hydra_context=hydra_context, task_function=task_function, config=config)
-        folder, named = Path(str(config.hydra.sweep.dir)), uses_default_naming(config)
-        self._jobs = launched_by(self._sweeper.launcher, folder, named=named)
+        self._jobs = launched_by(self._sweeper.launcher, config)
+        self._config = config
         self._sweeper.launcher = self
 
     def launch(
@@ -110,6 +129,8 @@ class ListSweep:
         overrides = [*(f"{key}={value}" for key, value in self._params.items()), *arguments]
         self._jobs.swept = Overrides.parse(overrides, check=False).swept
         with self._jobs.held():
+            with read_write(self._config.hydra.sweep):  # where Hydra writes multirun.yaml
+                self._config.hydra.sweep.dir = str(self._jobs.folder)
             try:
                 self._sweeper.sweep(arguments)
             except (InterruptedRunError, KeyboardInterrupt) as error:

@@ -19,10 +19,10 @@ import yaml
 
 from flipperctl import checkpoint as checkpoints
 from flipperctl.checkpoint import Checkpoint
-from flipperctl.config import TrainConfig
+from flipperctl.config import TrainConfig, strict_yaml
 from flipperctl.config.describe import settings
 from flipperctl.config.identity import content_digest
-from flipperctl.errors import RequestError
+from flipperctl.errors import ConfigError, RequestError
 from flipperctl.evaluation.store import FOLDER, played_policies
 from flipperctl.evaluation.stored import SUMMARY
 from flipperctl.evaluation.views import risk
@@ -318,8 +318,8 @@ def _seconds(run: Path) -> float | None:
 def _command(run: Path) -> str | None:
     """Return the command of a run, from the overrides that were stored with it."""
     try:
-        words: Any = yaml.safe_load((run / _OVERRIDES).read_text(encoding="utf-8"))
-    except (OSError, yaml.YAMLError):
+        words = strict_yaml.read(run / _OVERRIDES, _OVERRIDES.parent.name)
+    except ConfigError:
         return None
     return shlex.join(["flipperctl", "train", *map(str, words or ())])
 

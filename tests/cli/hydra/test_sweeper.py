@@ -60,7 +60,8 @@ def search(
     """The jobs of this start, and all trials of the study."""
     storage = f"sqlite:///{folder}/search.db"
     launcher = Launcher(fails)
-    jobs = launched_by(launcher, folder / own, named=False)
+    sweep = {"dir": str(folder / own), "subdir": "${hydra.job.num}"}
+    jobs = launched_by(launcher, OmegaConf.create({"hydra": {"sweep": sweep}}))
     SearchSweep(SearchSettings(storage=storage, **settings), jobs).run(overrides)
     return launcher.jobs, trials(folder)
 

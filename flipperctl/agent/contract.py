@@ -1,0 +1,154 @@
+"""Checks that a network's Q-values depend on its input and its weights alone.
+
+In: a network that was built. Out: nothing, or an error that says what else they depend on, such as
+earlier inputs, other rows of a batch, or random numbers that a resumed run could not repeat.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+
+from flipperctl.agent.building import describe_fault
+from flipperctl.agent.heads import Distributional
+from flipperctl.agent.noise import Noise, seeded
+from flipperctl.api import Network, ObservationLayout
+from flipperctl.errors import ConfigError
+from flipperctl.guard import naming
+from flipperctl.randomness import global_states, moved_since
+
+_ALONE = 1e-3
+"""Tolerance of Q-values whose sums are in another order, relative and absolute [-]."""
+_CPU = torch.device("cpu")
+
+Values = tuple[torch.Tensor, ...]
+"""Q-values (B, 9) of a batch, and its quantiles (B, 9, K) if the network has some."""
+
+
+def observations(network: Network, layout: ObservationLayout, rows: int) -> torch.Tensor:
+    """Return random numbers of the magnitude of observations, (rows, frames · (N + 3))."""
+    scale = torch.tensor(np.tile(layout.scale, network.frames), dtype=torch.float32)
+    generator = torch.Generator().manual_seed(0)
+    return torch.randn(rows, len(scale), generator=generator) * scale
+
+
+def check_contract(network: Network, module: torch.nn.Module, layout: ObservationLayout) -> None:
+    """Check a network that ``build_network`` returned; its mode, noise and statistics change.
+
+    Raises:
+        ConfigError: its Q-values depend on something else than its input and its weights, or it
+            changes its input.
+    """
+    rows = observations(network, layout, 2)
+    one, other = rows[:1], rows[1:]
+    trial = _Trial(network, module)
+    noise = Noise(module)
+    modes: list[tuple[str, Callable[[], object]]] = [("in eval mode", module.eval)]
+    if noise.parts:
+        trial.require_noise_from_rng(noise, one)
+        modes.append(("in decisions with noise", noise.acts))
+    for use, begin in modes:
+        begin()
+        trial.require_nothing_kept(use, one, other)
+    module.train()
+    with torch.enable_grad():  # as the loss does
+        trial.require_seeded(torch.cat([one, other]), torch.cat([other, other]))
+
+
+class _Trial:
+    """Calls a network and refuses what it must not do."""
+
+    def __init__(self, network: Network, module: torch.nn.Module) -> None:
+        self._network, self._module = network, module
+
+    def _call(self, rows: torch.Tensor) -> Values:
+        given = rows.clone()
+        with naming(self._network, "forward", ConfigError):
+            found = [self._module(given)]
+            if isinstance(self._module, Distributional):
+                found.append(self._module.quantiles(given))
+        if not torch.equal(given, rows):
+            raise self._refusal("changes its input in place; a copy of it may be changed")
+        return tuple(tensor.detach().clone() for tensor in found)
+
+    def require_noise_from_rng(self, noise: Noise, one: torch.Tensor) -> None:
+        """Refuse noise that is drawn from another generator than the one that is given."""
+        before, found = global_states(), []
+        self._module.train()
+        for seed in (0, 1, 0):
+            noise.draw(np.random.default_rng(seed))
+            with torch.enable_grad(), seeded(_CPU, 0):
+                found.append(self._call(one))
+        if (moved := moved_since(before)) or not _equal(found[0], found[2]):
+            text = f"uses {moved}" if moved else "draws unequal noise from equal generators"
+            raise self._refusal(f"{text}; only rng is allowed", "draw_noise")
+
+    def require_nothing_kept(self, use: str, one: torch.Tensor, other: torch.Tensor) -> None:
+        """Refuse decisions that depend on chance, on earlier ones or on others of the batch."""
+        before, kept = global_states(), _clones(self._module)
+        first, second, again = self._call(one), self._call(other), self._call(one)
+        if moved := moved_since(before):
+            raise self._refusal(
+                f"uses {moved} {use}, so that equal observations give unequal Q-values; random "
+                "numbers are allowed in the loss, where train() mode and gradients are on"
+            )
+        if changed := _differing(kept, _clones(self._module)):
+            raise self._refusal(f"changes its buffer {changed!r} {use}; it must stay as it is")
+        if not _equal(first, again):
+            raise self._refusal(
+                f"gives unequal Q-values for equal observations {use}; it must remember nothing of "
+                "earlier calls, and draw no random numbers"
+            )
+        together = self._call(torch.cat([one, other]))
+        alone = tuple(torch.cat(pair) for pair in zip(first, second, strict=True))
+        if not all(map(_close, together, alone)):
+            raise self._refusal(
+                f"gives an observation other Q-values alone than in a batch {use}; a mean over the "
+                "batch, such as .mean() without dim=1, mixes them"
+            )
+
+    def require_seeded(self, batch: torch.Tensor, other: torch.Tensor) -> None:
+        """Refuse a loss that depends on more than the batch and torch's own generator."""
+        kept, before = _clones(self._module), global_states()
+        found = []
+        for rows in (batch, other, batch):
+            with torch.no_grad():
+                self._module.load_state_dict(kept)  # statistics may follow the batches
+            with seeded(_CPU, 0):
+                found.append(self._call(rows))
+        if moved := moved_since(before):
+            raise self._refusal(f"uses {moved} in train() mode; only torch's generator is allowed")
+        if not _equal(found[0], found[2]):
+            raise self._refusal(
+                "gives unequal Q-values for equal observations in train() mode, though torch's "
+                "generator is in equal states; other random numbers, and memory of earlier calls, "
+                "are not allowed"
+            )
+
+    def _refusal(self, text: str, method: str = "forward") -> ConfigError:
+        return ConfigError(describe_fault(self._module, method, text))
+
+
+def _clones(module: torch.nn.Module) -> dict[str, torch.Tensor]:
+    return {name: tensor.detach().clone() for name, tensor in module.state_dict().items()}
+
+
+def _differing(before: dict[str, torch.Tensor], after: dict[str, torch.Tensor]) -> str | None:
+    return next((n for n, tensor in before.items() if not _same(tensor, after[n])), None)
+
+
+def _equal(first: Values, second: Values) -> bool:
+    return all(map(_same, first, second))
+
+
+def _same(first: torch.Tensor, second: torch.Tensor) -> bool:
+    """Return whether two tensors are equal; NaN equals NaN."""
+    return first.shape == second.shape and bool(
+        ((first == second) | ((first != first) & (second != second))).all()
+    )
+
+
+def _close(first: torch.Tensor, second: torch.Tensor) -> bool:
+    return torch.allclose(first, second, rtol=_ALONE, atol=_ALONE)

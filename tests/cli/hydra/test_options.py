@@ -1,0 +1,143 @@
+"""Hydra's options and settings of ``flipperctl train``, and its files of configuration."""
+
+import contextlib
+from datetime import datetime, tzinfo
+from pathlib import Path
+
+import pytest
+from hydra.core import utils
+
+from flipperctl.errors import OutputError
+from flipperctl.runs.lock import hold
+from flipperctl.scripting.training import train
+from tests.cli.call import EXACT, call, refused
+
+QUICK = [
+    *(f"{key}={value}" for key, value in EXACT.items()),
+    *("terrain=flat", "train.decisions=40", "train.validation_episodes=1"),
+]
+QUICK = list({word.partition("=")[0]: word for word in QUICK}.values())
+
+
+@pytest.fixture
+def my(tmp_path: Path) -> Path:
+    """A folder with an experiment whose numbers YAML 1.1 reads otherwise."""
+    file = tmp_path / "my" / "experiment" / "mine.yaml"
+    file.parent.mkdir(parents=True)
+    file.write_text("# @package _global_\nagent:\n  batch_size: 064\n  learning_rate: 1e-4\n")
+    return file
+
+
+@pytest.mark.parametrize(
+    ("words", "error"),
+    [
+        ("-m seed=1,2 --cfg job", "--cfg: it shows one configuration; leave --multirun out"),
+        ("seed=1,2 --cfg job", "give one value of seed"),
+        ("--info all --cfg job", "--info: no meaning beside --cfg"),
+        ("--info all -m", "--info: it shows one configuration"),
+        ("--resolve", "--resolve: no meaning without --cfg"),
+        ("--cfg nonsense", "invalid choice: 'nonsense'"),
+        ("--config-dir", "expected one argument"),
+        ("-m hydra.mode=RUN seed=1,2", "hydra.mode=RUN: no meaning beside --multirun"),
+        ("hydra.mode=BOTH", "hydra.mode: RUN or MULTIRUN is allowed; the value is BOTH"),
+        ("-m seed=glob(*)", "seed=glob(*): no name fits"),
+        ("hydra.searchpath=3", "hydra.searchpath: a list of folders is allowed"),
+        ("--cfg job -p nope", "--cfg: package 'nope' not found in config"),
+        ("--cfg job terrain=3", "terrain: a name is allowed; the value is 3"),
+        ("--cfg job hydra/launcher=[1]", "hydra/launcher: a name is allowed"),
+        ("hydra.verbose=inf", "Hydra cannot use the words or its settings"),
+        ("seed=true", "seed: a number is allowed, not true or false"),
+        ("-m seed=2,true", "seed: a number is allowed, not true or false"),
+        ("agent.learning_rate=true", "agent.learning_rate: a number is allowed"),
+    ],
+)
+def test_requests_that_hydra_fails_on_are_refused(tmp_path: Path, words: str, error: str) -> None:
+    assert error in refused("train", *words.split(), cwd=tmp_path)
+
+
+def test_one_word_with_a_space_may_be_one_value_or_several_words(tmp_path: Path) -> None:
+    text = refused("train", "hydra.run.dir=my run=1", cwd=tmp_path)
+    assert """if it is one value, quote it: 'hydra.run.dir="my run=1"'""" in text
+
+
+def test_options_may_stand_between_overrides(tmp_path: Path) -> None:
+    words = "seed=4 -p agent agent.batch_size=9 --cfg job device=cpu"
+    done = call("train", *words.split(), cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert "batch_size: 9" in done.out
+
+
+@pytest.mark.parametrize("word", ["--config-dir my", "hydra.searchpath=[file://my]"])
+def test_files_of_configuration_are_read_strictly(tmp_path: Path, my: Path, word: str) -> None:
+    words = [*word.split(), "experiment=mine", "--cfg", "job", "--package", "agent"]
+    done = call("train", *words, cwd=tmp_path)
+    assert "batch_size: '064'" in done.out  # 64, as on the command line
+    assert "learning_rate: 0.0001" in done.out
+    my.write_text(my.read_text() + "  batch_size: 32\n")
+    assert "mine.yaml, line 5: batch_size is given twice, also in line 3" in refused(
+        "train", *words, cwd=tmp_path
+    )
+
+
+def test_paths_start_in_the_folder_of_the_command(tmp_path: Path, my: Path) -> None:
+    (tmp_path / "g.csv").write_text("x,z\n0,0\n0.5,0\n0.5,0.05\n1,0.05\n")
+    words = [w for w in QUICK if not w.startswith("terrain")]
+    words += ["terrain=profile_file", "terrain.path=g.csv", "hydra.job.chdir=true"]
+    words += ["hydra.run.dir=run", "hydra.searchpath=[my]", "experiment=mine"]
+    here = Path.cwd()
+    done = call("train", *words, cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert "hydra.job.chdir=true: the run stays in" in done.err
+    assert "flipperctl eval --checkpoint run\n" in done.err
+    assert Path.cwd() == here
+
+
+def test_a_default_folder_that_is_taken_gives_way_to_another(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Jobs of an array and loops with & begin in the same second."""
+
+    class Noon(datetime):
+        @classmethod
+        def now(cls, tz: tzinfo | None = None) -> datetime:
+            return cls(2026, 1, 1, 12)
+
+    monkeypatch.setattr(utils, "datetime", Noon)
+    runs = tmp_path / "runs" / "flat"
+    taken = runs / "2026-01-01_12-00-00"
+    taken.mkdir(parents=True)
+    with hold(taken):
+        done = call("train", *QUICK, cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert "--checkpoint runs/flat/2026-01-01_12-00-00_2\n" in done.err
+    record = (runs / f"{taken.name}_2" / ".hydra" / "hydra.yaml").read_text()
+    assert f"output_dir: {runs / taken.name}_2\n" in record
+    (taken / "config.yaml").write_text("mine")  # now a run in it, too
+    (runs / f"{taken.name}_2").rename(runs / f"{taken.name}_3")
+    assert flipperctl_train(tmp_path).name == f"{taken.name}_2"
+    chosen = [*QUICK, f"hydra.run.dir={taken}"]
+    assert "already holds a run" in refused("train", *chosen, cwd=tmp_path)
+    with pytest.raises(OutputError, match="already holds a run"):
+        train(overrides=chosen, progress=False)
+    sweep = tmp_path / "runs" / "multirun" / taken.name
+    sweep.mkdir(parents=True)
+    with hold(sweep, "sweep"):
+        done = call("train", "-m", *QUICK, "seed=1,2", cwd=tmp_path)
+    assert done.code == 0, done.err
+    kept = sorted(path.name for path in sweep.with_name(f"{taken.name}_2").iterdir())
+    assert [name for name in kept if name[0] != "."] == [
+        *("0_seed=1", "1_seed=2", "multirun.yaml", "sweep.csv")
+    ]
+
+
+def flipperctl_train(folder: Path) -> Path:
+    """The run directory of a training by the Python interface."""
+    with contextlib.chdir(folder):
+        return train(overrides=QUICK, progress=False).directory
+
+
+def test_hydras_own_setting_makes_several_runs(tmp_path: Path) -> None:
+    words = [*QUICK, "hydra.mode=MULTIRUN", "network=glob(at*)", "hydra.sweep.dir=sweep"]
+    done = call("train", *words, cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert (tmp_path / "sweep" / "0_network=at_d3qn" / "summary.json").exists()

@@ -1,0 +1,129 @@
+"""Files in YAML are read as they are written, with one value for a key; booleans are no numbers."""
+
+import random
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from flipperctl.api import Robot
+from flipperctl.config import TrainConfig, parse, strict_yaml, with_overrides
+from flipperctl.config.robots import read_robot
+from flipperctl.errors import ConfigError
+from flipperctl.runs.suites import find_suite
+from tests.long.yaml_texts import document, expected
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("35", 35), ("-0", 0), ("1e3", 1000.0), (".5", 0.5), ("5.", 5.0), ("035.5", 35.5),
+        ("1.5e-3", 0.0015), ("true", True), ("False", False), ("null", None), ("~", None),
+        ("", None), ("035", "035"), ("0x23", "0x23"), ("0o43", "0o43"), ("0b11", "0b11"),
+        ("1_000", "1_000"), ("12:30", "12:30"), ("yes", "yes"), ("off", "off"), ("'35'", "35"),
+        ("2026-01-01", "2026-01-01"), ("!!str 35", "35"), ("!!float 3", 3.0), ("inf", "inf"),
+    ],
+)  # fmt: skip
+def test_a_value_is_decimal_a_word_of_yaml_or_text(text: str, value: object) -> None:
+    found = strict_yaml.parse(f"a: {text}", "x")["a"]
+    assert (found, type(found)) == (value, type(value))
+
+
+@pytest.mark.parametrize(
+    ("text", "error"),
+    [
+        ("a: 1\nb: 2\na: 3", "x, line 3: a is given twice, also in line 1"),
+        ("'8': 1\n8: 2", "8 is given twice"),
+        ("a: {b: 1, b: 1}", "b is given twice"),
+        ("? [1]\n: 2", "a key is a text"),
+        ("a: &a [*a]", "recursive"),
+        ("a: !!int 035", "'035' is not of the type !!int"),
+        ("a: !!python/object:os.x 3", "could not determine a constructor"),
+        ("a: " + 5000 * "9", "cannot be read"),
+        ("[" * 1000, "nested too deeply"),
+        ("a: 1\n--- \na: 2", "another document"),
+    ],
+)
+def test_what_is_ambiguous_is_refused(text: str, error: str) -> None:
+    with pytest.raises(ConfigError, match=error):
+        strict_yaml.parse(text, "x")
+
+
+def test_merged_keys_may_be_overridden() -> None:
+    text = "x: &x {a: 1, b: 2}\ny: {<<: *x, b: 3}"
+    assert strict_yaml.parse(text, "x")["y"] == {"a": 1, "b": 3}
+
+
+@pytest.mark.parametrize("file", sorted(CONFIGS.rglob("*.yaml")), ids=lambda file: file.name)
+def test_shipped_files_are_read_as_before(file: Path) -> None:
+    def floats(value: object) -> object:  # YAML 1.1 reads 1e-4 as text
+        if isinstance(value, dict):
+            return {key: floats(inner) for key, inner in value.items()}
+        return float(value) if isinstance(value, str) and value[:1].isdigit() else value
+
+    text = file.read_text(encoding="utf-8")
+    assert strict_yaml.parse(text, file.name) == floats(yaml.safe_load(text))
+
+
+def test_random_documents_are_read_as_they_are_written() -> None:
+    for seed in range(150):
+        rng = random.Random(seed)
+        made = document(rng)
+        try:
+            assert strict_yaml.parse(made.text, "x") == expected(made), made.text
+        except ConfigError:
+            assert made.twice, made.text
+        else:
+            assert not made.twice, made.text
+
+
+@pytest.mark.parametrize(
+    ("line", "mass"),
+    [("035", 35), ("040", 40), ("1_00", 100), ("4e1", 40), ("'40'", 40), ("40.", 40)],
+)
+def test_numbers_of_a_robot_file_are_those_of_the_command_line(
+    tmp_path: Path, line: str, mass: float
+) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text(f"chassis_mass: {line}\n")
+    assert read_robot(file).chassis_mass == mass
+
+
+@pytest.mark.parametrize("value", ["yes", "on", "true", "12:30", "0x2A", "0o50", ".inf", ".nan"])
+def test_a_robot_file_with_another_value_is_refused(tmp_path: Path, value: str) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text(f"flipper_speed: {value}\n")
+    with pytest.raises(ConfigError, match=r"mine\.yaml\.flipper_speed: .*number"):
+        read_robot(file)
+
+
+def test_scenes_have_the_names_that_are_written(tmp_path: Path) -> None:
+    names = ["010", "8", "yes", "on", "1.0", "1", "1.10", "1.1", "12:30", "null"]
+    file = tmp_path / "mine.yaml"
+    file.write_text("scenes:\n" + "".join(f"  {name}: terrain=flat\n" for name in names))
+    assert [scene.name for scene in find_suite(str(file)).scenes] == names
+    file.write_text("scenes: {dry: sim.friction=1, wet: sim.friction=0.6, dry: sim.friction=0.4}")
+    with pytest.raises(ConfigError, match="line 1: dry is given twice"):
+        find_suite(str(file))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"seed": True},
+        {"seed": np.True_},
+        {"agent.learning_rate": True},
+        {"agent.n_step": False},
+        {"robot.payload": True},
+        {"eval": {"episodes": True}},
+    ],
+)
+def test_a_boolean_is_no_number(change: dict[str, object]) -> None:
+    config = parse(TrainConfig, {"terrain": "step", "network": "at_d3qn"})
+    with pytest.raises(ConfigError, match="a number is allowed, not true or false"):
+        with_overrides(config, change)
+    assert with_overrides(config, {"train.record": True}).train.record
+    assert Robot(payload=1).payload == 1.0
