@@ -14,9 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from flipperctl.evaluation.best_known import is_best_known
-from flipperctl.evaluation.estimates import Interval
-from flipperctl.evaluation.intervals import interval
-from flipperctl.report.result_table import NONE, ends_text
+from flipperctl.evaluation.statistics import Interval, interval
+from flipperctl.evaluation.views.markdown import NONE, ends_text
 
 _SWING = "pitch_variation_100hz"
 _ROCKED = 5.0

@@ -23,8 +23,7 @@ import numpy as np
 from flipperctl import entry
 from flipperctl.api import FloatArray, Outcome
 from flipperctl.evaluation.best_known import is_best_known
-from flipperctl.evaluation.estimates import Interval
-from flipperctl.evaluation.intervals import interval, paired_success, proportion
+from flipperctl.evaluation.statistics import Interval, interval, paired_success, proportion
 
 COUNTS = (2, 3, 5, 10, 20, 100)
 """Numbers of values in a sample [-]."""

@@ -27,8 +27,7 @@ from flipperctl.config import DEFAULT_ENGINE, EnvConfig, EvalConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
-from flipperctl.evaluation.judging import Progress, no_progress
-from flipperctl.evaluation.scenes import Scene
+from flipperctl.evaluation.play import Progress, no_progress
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import Row, decisions
 from flipperctl.rollout.seeds import EvaluationSeeds
@@ -161,7 +160,7 @@ def in_default_engine(config: Config) -> Config:
 
 
 def compare_scenes(
-    scenes: Sequence[Scene], progress: Progress = no_progress
+    scenes: Sequence[tuple[EvalConfig, PolicySource]], progress: Progress = no_progress
 ) -> list[EngineComparison]:
     """Compare the engines on every scene.
 

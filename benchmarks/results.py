@@ -21,7 +21,7 @@ from benchmarks import cells, shipped, tables
 from flipperctl import __version__, entry
 from flipperctl.cli.main import main as flipperctl
 from flipperctl.errors import FlipperctlError
-from flipperctl.evaluation.result_rows import rows_of
+from flipperctl.evaluation.views.markdown import rows_of
 from flipperctl.files import write_bytes
 
 FOLDER = Path(__file__).parents[1] / "docs" / "results"

@@ -21,9 +21,9 @@ import numpy as np
 
 from flipperctl import entry
 from flipperctl.api import FloatArray
-from flipperctl.evaluation import seed_intervals
-from flipperctl.evaluation.aggregates import interquartile_mean, mean
-from flipperctl.evaluation.estimates import Interval
+from flipperctl.evaluation import seeds as seed_intervals
+from flipperctl.evaluation.seeds import interquartile_mean, mean
+from flipperctl.evaluation.statistics import Interval
 
 SEEDS = (2, 3, 4, 5, 10)
 """Numbers of training seeds [-]."""

@@ -11,7 +11,7 @@ from typing import Any
 
 from flipperctl.errors import RequestError
 from flipperctl.messages import close_match
-from flipperctl.report.result_table import NONE, ends_text
+from flipperctl.evaluation.views.markdown import NONE, ends_text
 
 _SWING = "pitch_variation_100hz"
 

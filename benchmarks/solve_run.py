@@ -12,7 +12,7 @@ import torch
 from benchmarks.settings import BenchmarkSettings
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.evaluation.statistics import reached
+from flipperctl.evaluation.rows import reached
 from flipperctl.policies.trained import TrainedPolicy
 from flipperctl.rollout.episode import play
 from flipperctl.rollout.seeds import validation_seed
@@ -108,4 +108,4 @@ class Validation:
         """Return the success rate, the fraction of episodes that reach the finish [-]."""
         policy = TrainedPolicy(module)
         seeds = (validation_seed(self._seed, i) for i in range(self._episodes))
-        return len(reached([play(self._env, policy, seed) for seed in seeds])) / self._episodes
+        return sum(reached(play(self._env, policy, seed)) for seed in seeds) / self._episodes

@@ -23,9 +23,8 @@ from benchmarks import cells
 from benchmarks.shipped_table import markdown
 from flipperctl import entry
 from flipperctl.errors import RequestError
-from flipperctl.evaluation.result_rows import StoredRow
+from flipperctl.evaluation.views.markdown import StoredRow, markdown_table
 from flipperctl.files import write_bytes
-from flipperctl.report.result_table import markdown_table
 
 ROOT = Path(__file__).parents[1]
 SHIPPED = "shipped_"

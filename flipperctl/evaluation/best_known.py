@@ -21,6 +21,11 @@ _DIGITS = 8
 """Digits of a policy's digest in its label."""
 
 
+def is_best_known(label: str) -> bool:
+    """Return whether a row's label is that of the best stored policy."""
+    return label.startswith(f"{BEST_KNOWN} (")
+
+
 def with_best_known(result: Result, store: EpisodeStore) -> Result:
     """Return the result with a row for the best stored policy, after the rows of each scene.
 
