@@ -102,7 +102,9 @@ def check_choices(overrides: Overrides) -> None:
         if override.is_sweep_override() or not _is_group_key(override) or isinstance(value, dict):
             continue
         names = all(isinstance(v, str) for v in (value if isinstance(value, list) else [value]))
-        if not names and not (override.is_delete() and value is None):
+        if value is None and not override.is_delete():
+            raise ConfigError(f"{override.input_line}: null is not allowed here; give a name")
+        if not names and value is not None:
             raise ConfigError(f"{key}: a name is allowed; the value is {value!r}")
 
 
