@@ -37,7 +37,7 @@ def strict_files() -> Iterator[None]:
         return next((ours for ours in (_Files, _Packages) if issubclass(ours, found)), found)
 
     # Not registered in their place, since launchers hand the registry to their processes.
-    SourcesRegistry.resolve = resolve_strictly  # type: ignore[assignment, method-assign]
+    SourcesRegistry.resolve = resolve_strictly  # type: ignore[method-assign]
     try:
         yield
     finally:
