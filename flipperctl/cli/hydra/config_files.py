@@ -33,8 +33,8 @@ def strict_files() -> Iterator[None]:
     resolve = SourcesRegistry.resolve
 
     def resolve_strictly(self: SourcesRegistry, scheme: str) -> type[ConfigSource]:
-        found = resolve(self, scheme)
-        return next((ours for ours in (_Files, _Packages) if issubclass(ours, found)), found)
+        ours = {source.scheme(): source for source in (_Files, _Packages)}
+        return ours.get(scheme) or resolve(self, scheme)
 
     # Not registered in their place, since launchers hand the registry to their processes.
     SourcesRegistry.resolve = resolve_strictly  # type: ignore[method-assign]
