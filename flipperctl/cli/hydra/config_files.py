@@ -37,11 +37,11 @@ def strict_files() -> Iterator[None]:
         return ours.get(scheme) or resolve(self, scheme)
 
     # Not registered in their place, since launchers hand the registry to their processes.
-    SourcesRegistry.resolve = resolve_strictly  # type: ignore[method-assign]
+    SourcesRegistry.resolve = resolve_strictly  # type: ignore[method-assign]  # for a while
     try:
         yield
     finally:
-        SourcesRegistry.resolve = resolve  # type: ignore[method-assign]
+        SourcesRegistry.resolve = resolve  # type: ignore[method-assign]  # Hydra's own
 
 
 class _Files(FileConfigSource):
