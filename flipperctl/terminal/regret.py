@@ -110,9 +110,9 @@ def _level_line(found: Mapping[str, Any]) -> str:
 
 def _pitch_text(above: Interval) -> str:
     words = f"not shown to pitch less than {_STILL}"
-    if above.low is not None and above.low > 0:
+    if above.low is not None and round(above.low, 2) > 0:  # as it is shown
         words = f"PITCHES MORE THAN {_STILL.upper()}"
-    elif above.high is not None and above.high < 0:
+    elif above.high is not None and round(above.high, 2) < 0:
         words = f"pitches less than {_STILL}"
     return f"{words}, difference {interval_text(above, sign='+')} rad where both reached the finish"
 

@@ -137,6 +137,7 @@ def test_shaping_alone_is_no_return() -> None:
         ),
         ([0.5] * 5 + [9.0], "; pitches less than holding the flippers still, difference -0.50 ["),
         ([0.5, 1.6, 0.9, 1.2, 1.0, 9.0], "; not shown to pitch less than holding the flippers"),
+        ([1.001] * 5 + [9.0], "; not shown to pitch less than holding the flippers"),
     ],
 )
 def test_a_training_that_earns_more_is_told_where_it_pitches_more(
