@@ -33,7 +33,7 @@ def moved_since(before: dict[str, object]) -> str:
 
 
 def _state_of_numpy() -> object:
-    bits = np.random.get_bit_generator()  # type: ignore[attr-defined]
+    bits = np.random.get_bit_generator()  # type: ignore[attr-defined]  # not in the stubs
     if isinstance(bits, np.random.MT19937):  # its ``state`` copies word by word, which takes 40 µs
         return ctypes.string_at(bits.ctypes.state_address, _MT19937)
     return repr(bits.state)

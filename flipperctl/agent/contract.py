@@ -1,6 +1,6 @@
 """Checks that a network's Q-values depend on its input and its weights alone.
 
-In: a network that was built. Out: nothing, or an error that says what else they depend on, such as
+In: a network plugin. Out: nothing, or an error that says what else they depend on, such as
 earlier inputs, other rows of a batch, or random numbers that a resumed run could not repeat.
 """
 
@@ -11,10 +11,10 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from flipperctl.agent.building import describe_fault
+from flipperctl.agent.building import build_network, describe_fault
 from flipperctl.agent.heads import Distributional
 from flipperctl.agent.noise import Noise, seeded
-from flipperctl.api import Network, ObservationLayout
+from flipperctl.api import ACTIONS, Network, ObservationLayout
 from flipperctl.errors import ConfigError
 from flipperctl.guard import naming
 from flipperctl.randomness import global_states, moved_since
@@ -34,13 +34,16 @@ def observations(network: Network, layout: ObservationLayout, rows: int) -> torc
     return torch.randn(rows, len(scale), generator=generator) * scale
 
 
-def check_contract(network: Network, module: torch.nn.Module, layout: ObservationLayout) -> None:
-    """Check a network that ``build_network`` returned; its mode, noise and statistics change.
+@torch.no_grad()
+def check_contract(network: Network, layout: ObservationLayout) -> None:
+    """Build a network and check it.
 
     Raises:
-        ConfigError: its Q-values depend on something else than its input and its weights, or it
-            changes its input.
+        ConfigError: it cannot be built, its Q-values depend on something else than its input and
+            its weights, or it changes its input.
     """
+    with torch.random.fork_rng(devices=[]):
+        module = build_network(network, layout, len(ACTIONS))
     rows = observations(network, layout, 2)
     one, other = rows[:1], rows[1:]
     trial = _Trial(network, module)

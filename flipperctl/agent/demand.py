@@ -1,4 +1,4 @@
-"""Checks before a training starts that its network can be trained, and that memory suffices."""
+"""Compares the memory that a training will need with the free memory, before it starts."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import torch
 
 from flipperctl.agent import memory
 from flipperctl.agent.building import TRAINING_COPIES, build_network, naming_network
-from flipperctl.agent.contract import check_contract
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.replay import row_bytes
 from flipperctl.api import Network, ObservationLayout
@@ -24,22 +23,17 @@ def check_demand(
     *,
     labelled: bool = False,
     privileged: int = 0,
-    contract: bool = False,
 ) -> None:
     """Check that the network, the replay and the batches of a training fit into memory.
 
     ``decisions``: the run's budget, which also limits the transitions in the replay; they have
     labels if the run is ``labelled``, and ``privileged`` numbers of a privileged state.
-    ``contract``: whether the network is also checked by ``check_contract``.
 
     Raises:
-        ConfigError: they do not fit; the message says how much memory is needed and free. Or the
-            network breaks the contract (see ``check_contract``).
+        ConfigError: they do not fit; the message says how much memory is needed and free.
     """
-    with torch.random.fork_rng(devices=[]), torch.no_grad():
+    with torch.random.fork_rng(devices=[]):
         module = build_network(network, layout, n_actions, copies=TRAINING_COPIES)
-        if contract:
-            check_contract(network, module, layout)
         inputs = input_size(network, layout)
         activations = _count_activations(module, inputs)
     rows = min(settings.replay_size, decisions)
@@ -70,6 +64,6 @@ def _count_activations(module: torch.nn.Module, inputs: int) -> int:
 
     for part in module.modules():  # the module is discarded after this
         part.register_forward_hook(add)
-    with naming_network(module, "forward"):
+    with naming_network(module, "forward"), torch.no_grad():
         module.eval()(torch.zeros(1, inputs))
     return count

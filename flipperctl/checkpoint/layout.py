@@ -23,8 +23,8 @@ def require_equal_layout(
         raise ValueError(f"{missing[0]} is missing")
     if unknown := sorted(found.keys() - expected.keys()):
         raise ValueError(f"there is no tensor {unknown[0]!r:.60}")
-    for name, tensor in found.items():
-        wanted = expected[name]
+    for name, wanted in expected.items():  # safetensors lists a file's tensors in any order
+        tensor = found[name]
         if tensor.shape != wanted.shape or tensor.dtype != wanted.dtype:
             raise ValueError(
                 f"{name} is {_shape_and_type(tensor)}; {_shape_and_type(wanted)} is needed"

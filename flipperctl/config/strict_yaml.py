@@ -81,7 +81,7 @@ class _RefusedError(yaml.MarkedYAMLError):  # type: ignore[misc]  # PyYAML has n
         super().__init__(problem=text, problem_mark=node.start_mark)
 
 
-class _Loader(yaml.SafeLoader):  # type: ignore[misc]
+class _Loader(yaml.SafeLoader):  # type: ignore[misc]  # as above
     yaml_implicit_resolvers: ClassVar[dict[str | None, list[Any]]] = {}
     yaml_constructors: ClassVar[dict[str | None, Any]] = {}
 

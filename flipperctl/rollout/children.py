@@ -174,7 +174,7 @@ def _start(*preload: str) -> tuple[Connection, subprocess.Popen[bytes]]:
     """Start a process that runs ``worker``; return the connection to it with it."""
     ours, theirs = _pipe()
     # -P: the working directory is not searched, not even for the imports of this first file.
-    flags = [*subprocess._args_from_interpreter_flags(), "-P"]  # type: ignore[attr-defined]
+    flags = [*subprocess._args_from_interpreter_flags(), "-P"]  # type: ignore[attr-defined]  # private
     command = [sys.executable, *flags, worker.__file__, str(theirs.fileno()), *preload]
     with theirs, _blocked_stops():
         started = subprocess.Popen(  # noqa: S603 - this interpreter and our own file

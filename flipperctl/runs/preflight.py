@@ -107,6 +107,7 @@ def _check_start(config: TrainConfig) -> None:
 
 
 def _check_network(config: TrainConfig, recorded: int) -> None:
+    from flipperctl.agent.contract import check_contract
     from flipperctl.agent.demand import check_demand
     from flipperctl.api import ACTIONS
 
@@ -114,5 +115,5 @@ def _check_network(config: TrainConfig, recorded: int) -> None:
         *(config.network, config.perception, len(ACTIONS), config.agent),
         config.train.decisions + recorded,
         labelled=config.teacher.teaches,
-        contract=True,
     )
+    check_contract(config.network, config.perception)

@@ -96,8 +96,8 @@ def read_text(path: Path) -> CloudFile:
     before = [text for number, text in lines if number < first]
     if _numbers(used[0][1], columns) is None:
         columns = _named(first, used.pop(0)[1])
-    elif before:  # a header may be a comment
-        columns = _places(before[-1].lstrip("#/ ")) or columns
+    elif before:  # a header may be a comment that names each column
+        columns = _places(before[-1].lstrip("#/ "), len(_split(used[0][1]))) or columns
     try:
         texts = (" ".join(_split(text)) for _, text in used)
         points = np.loadtxt(texts, usecols=columns, ndmin=2)
@@ -139,12 +139,17 @@ def _named(number: int, header: str) -> tuple[int, ...]:
     return columns
 
 
-def _places(header: str) -> tuple[int, ...] | None:
-    """Return the places of x, y and z among a header's columns; a unit may follow a name."""
+def _places(header: str, count: int | None = None) -> tuple[int, ...] | None:
+    """Return the places of x, y and z among a header's columns; a unit may follow a name.
+
+    None if they are not named, or if the header has other than ``count`` columns.
+    """
     header = re.sub(r"[\[(][^\])]*[\])]", "", header.lower())
     sign = next((sign for sign in ";\t," if sign in header), None)
     names = [name.strip() for name in header.split(sign)]
-    return tuple(map(names.index, "xyz")) if all(names.count(axis) == 1 for axis in "xyz") else None
+    if count not in (None, len(names)) or any(names.count(axis) != 1 for axis in "xyz"):
+        return None
+    return tuple(map(names.index, "xyz"))
 
 
 def _split(line: str) -> list[str]:

@@ -5,8 +5,6 @@ In: the triangles' corners. Out: the number of the surface that each triangle be
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from flipperctl.api import FloatArray
 
@@ -40,6 +38,9 @@ def surfaces(places: FloatArray, corners: NDArray[np.int64]) -> NDArray[np.int64
             break
     one, other = np.concatenate(pairs, axis=1) // 3  # the triangles of the sides
     size = (len(corners), len(corners))
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
     graph = coo_array((np.ones(len(one), np.bool_), (one, other)), size)
     labels: NDArray[np.int64] = connected_components(graph, directed=False)[1].astype(np.int64)
     return labels

@@ -117,7 +117,7 @@ LABELS = torch.full((6, 9), 1 / 9)
         ({"driver": 3}, {}, r"document\.driver"),
         ({"more": 3}, {}, r"document\.more: there is no such key"),
         ({"environments": []}, {}, "environment is 0; there are 0"),
-        ({"episodes": []}, {}, r"action is int64 \(6,\); int64 \(0,\) is needed"),
+        ({"episodes": []}, {}, r"observation is float32 \(\d+, \d+\); float32 \(0, "),
         ({}, {"more": LABELS}, "there is no tensor 'more'"),
         ({}, {"action": torch.full((6,), 9)}, "action lies outside of 0 to 8"),
         ({}, {"action": torch.zeros(6)}, r"action is float32 \(6,\); int64 \(6,\) is needed"),

@@ -105,8 +105,10 @@ def test_a_bad_plugin_file_stops_the_command(source: str, words: list[str], tmp_
 
 def test_a_reward_that_returns_nan_is_named_and_stops(tmp_path: Path) -> None:
     (tmp_path / "r.py").write_text(
-        HEADER + '@reward("hole")\nclass Hole(RewardTerm):\n    def __call__(self, t):\n'
-        "        return float('nan')\n"
+        HEADER
+        + 'CALLS = []\n@reward("hole")\nclass Hole(RewardTerm):\n    def __call__(self, t):\n'
+        "        CALLS.append(t)  # fewer are tried before a training begins\n"
+        "        return 0.0 if len(CALLS) < 20 else float('nan')\n"
     )
     words = ["+reward@rewards.hole=hole", "hydra.run.dir=run", "--plugins", "r.py"]
     done = call("train", *words, *QUICK, cwd=tmp_path)

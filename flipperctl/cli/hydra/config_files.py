@@ -17,7 +17,6 @@ from hydra._internal.core_plugins.importlib_resources_config_source import (
     ImportlibResourcesConfigSource,
 )
 from hydra._internal.sources_registry import SourcesRegistry
-from hydra.core.plugins import Plugins
 from hydra.plugins.config_source import ConfigLoadError, ConfigResult, ConfigSource
 from omegaconf import OmegaConf
 
@@ -31,15 +30,18 @@ _HEADER = 512
 @contextlib.contextmanager
 def strict_files() -> Iterator[None]:
     """Let Hydra read the files of its configuration with ours while the body composes."""
-    Plugins.instance()  # the discovery registers Hydra's own
-    types = SourcesRegistry.instance().types
-    before = dict(types)
-    types.update({source.scheme(): source for source in (_Files, _Packages)})
+    resolve = SourcesRegistry.resolve
+
+    def resolve_strictly(self: SourcesRegistry, scheme: str) -> type[ConfigSource]:
+        ours = {source.scheme(): source for source in (_Files, _Packages)}
+        return ours.get(scheme) or resolve(self, scheme)
+
+    # Not registered in their place, since launchers hand the registry to their processes.
+    SourcesRegistry.resolve = resolve_strictly  # type: ignore[method-assign]  # for a while
     try:
         yield
     finally:
-        types.clear()
-        types.update(before)
+        SourcesRegistry.resolve = resolve  # type: ignore[method-assign]  # Hydra's own
 
 
 class _Files(FileConfigSource):

@@ -58,7 +58,7 @@ def convert_hydra_errors() -> Iterator[None]:
         raise ConfigError(_one_line(error)) from error
     except (FlipperctlError, OSError):
         raise
-    except Exception as error:
+    except Exception as error:  # any, since Hydra does not convert those of the values
         if not _is_of_hydra(error):
             raise
         text = _one_line(error) or type(error).__name__
@@ -101,8 +101,11 @@ def check_choices(overrides: Overrides) -> None:
         key, value = override.get_key_element(), override.value()
         if override.is_sweep_override() or not _is_group_key(override) or isinstance(value, dict):
             continue
-        names = all(isinstance(v, str) for v in (value if isinstance(value, list) else [value]))
-        if not names and not (override.is_delete() and value is None):
+        if value is None and override.is_delete():
+            continue
+        if value is None:
+            raise ConfigError(f"{override.input_line}: null is not allowed here; give a name")
+        if not all(isinstance(v, str) for v in (value if isinstance(value, list) else [value])):
             raise ConfigError(f"{key}: a name is allowed; the value is {value!r}")
 
 

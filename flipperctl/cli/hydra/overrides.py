@@ -123,7 +123,7 @@ class Overrides:
             folders = override.value()
             if not (isinstance(folders, list) and all(isinstance(f, str) for f in folders)):
                 raise ConfigError(
-                    f"{SEARCH_PATH}: a list of folders is allowed, as in [file:///home/me/my]; the "
+                    f"{SEARCH_PATH}: a list of folders is allowed, as in [my,pkg://package]; the "
                     f"value is {folders!r}"
                 )
 

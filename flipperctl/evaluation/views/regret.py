@@ -267,9 +267,9 @@ def _level_line(found: Mapping[str, Any]) -> str:
     line = f"On the same episodes: {'; '.join(told)}"
     if (above := own["pitch_above_level"]) is not None:
         words = f"not shown to pitch less than {_STILL}"
-        if above["low"] is not None and above["low"] > 0:
+        if above["low"] is not None and round(above["low"], 2) > 0:  # as it is shown
             words = f"PITCHES MORE THAN {_STILL.upper()}"
-        elif above["high"] is not None and above["high"] < 0:
+        elif above["high"] is not None and round(above["high"], 2) < 0:
             words = f"pitches less than {_STILL}"
         line += f"; {words}, difference {interval_text(above, sign='+')} rad where both reached"
     return f"{line}.\n"
