@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import typer
 from typer.core import TyperCommand, TyperGroup, TyperOption
 
+from flipperctl.cli.moved import check_moved
 from flipperctl.errors import RequestError
 
 if TYPE_CHECKING:
@@ -59,6 +60,7 @@ class Command(TyperCommand):
         for word in words:
             name = word.partition("=")[0]
             if name.startswith("-") and name not in known:
+                check_moved(ctx.command_path, name)
                 self._refuse(name, args, known)
 
     def _refuse(self, name: str, args: list[str], known: list[str]) -> None:
@@ -95,6 +97,16 @@ class Group(TyperGroup):
             if name not in known:
                 self._refuse(name, args, known)
         return super().parse_args(ctx, args)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the subcommand that the first word names.
+
+        Raises:
+            RequestError: an earlier version had it, and it has moved.
+        """
+        if not ctx.resilient_parsing:
+            check_moved(ctx.command_path, args[0])
+        return super().resolve_command(ctx, args)
 
     def _refuse(self, name: str, args: list[str], known: list[str]) -> None:
         named = next((self.commands[word] for word in args if word in self.commands), None)

@@ -38,20 +38,6 @@ def require_one_policy(
     raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
 
 
-def only(checkpoints: Sequence[Path], option: str, controllers: str | None = None) -> Path | None:
-    """Return the only checkpoint, if there is one; ``controllers`` are those of --controller.
-
-    Raises:
-        RequestError: there are several, and ``option`` takes one.
-    """
-    if len(checkpoints) > 1:
-        raise RequestError(f"{option} takes one policy; --checkpoint is given several times")
-    if controllers is not None and (checkpoints or "," in controllers):
-        given = ", ".join([*map(str, checkpoints), controllers])
-        raise RequestError(f"{option} takes one policy; {given} are given")
-    return next(iter(checkpoints), None)
-
-
 def refuse_beside(option: str, others: Mapping[str, Any]) -> None:
     """Refuse options that have no meaning beside ``option``; ``others`` has their values.
 
@@ -62,24 +48,6 @@ def refuse_beside(option: str, others: Mapping[str, Any]) -> None:
         if value:
             name = name if name == "overrides" or "=" in name else f"--{name}"
             raise RequestError(f"{name}: no meaning beside {option}; leave it out")
-
-
-def require_policy(
-    checkpoints: Sequence[Path], controller: str | None, overrides: Sequence[str] | None
-) -> None:
-    """Check that a policy is given; several are allowed. See ``require_one_policy``.
-
-    Raises:
-        RequestError: none is given, or one with the option that is not its own.
-    """
-    for name in map(str.strip, (controller or "").split(",")):
-        if name in shipped_policies() and ("controller", name) not in registry:
-            raise RequestError(f"{name} is a shipped policy: write --checkpoint {name}")
-    for path in checkpoints:
-        if ("controller", str(path)) in registry and not path.exists():
-            raise RequestError(f"{path} is a controller: write --controller {path}")
-    if not checkpoints or controller is None:
-        require_one_policy(next(iter(checkpoints), None), controller, overrides)
 
 
 def controller_or_okada(checkpoint: Path | None, controller: str | None) -> str | None:

@@ -1,0 +1,31 @@
+"""Commands and options of earlier versions, and what is typed in their place."""
+
+from __future__ import annotations
+
+from flipperctl.errors import RequestError
+
+_ENGINES = "is now: flipperctl eval POLICY sim=planar,mujoco"
+_INTERVALS = "is gone; flipperctl compare DIR... gives the 95 % interval of each difference"
+_MOVED = {
+    "transfer": _ENGINES,
+    "inspect engines": _ENGINES,
+    "inspect results": "is now: flipperctl compare DIR...",
+    "eval --map": "is now: flipperctl map POLICY --over SETTINGS",
+    "eval --replay": "is now: flipperctl replay FILE",
+    **{
+        f"{command} {option}": _INTERVALS
+        for command in ("eval", "compare")
+        for option in ("--detect", "--detect-success")
+    },
+}
+
+
+def check_moved(command_path: str, word: str) -> None:
+    """Refuse a subcommand or an option of ``flipperctl …`` that an earlier version had.
+
+    Raises:
+        RequestError: it has moved; the text says what to type.
+    """
+    name = " ".join([*command_path.split()[1:], word])
+    if name in _MOVED:
+        raise RequestError(f"{name} {_MOVED[name]}")
