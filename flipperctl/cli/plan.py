@@ -12,6 +12,7 @@ from pathlib import Path
 from flipperctl.cli.scenes import scenes
 from flipperctl.config import DEFAULT_ENGINE, EvalConfig, resolver
 from flipperctl.config.words import key_of
+from flipperctl.errors import RequestError
 from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.views.engines import steps
 from flipperctl.evaluation.views.summary import short
@@ -36,6 +37,7 @@ def make_plan(
     Raises:
         CheckpointError: there is no such policy, or its observation layout differs.
         ConfigError: an override, a suite or a controller is wrong.
+        RequestError: a name of a baseline is wrong, or an engine is compared with itself.
     """
     suite, arguments = split_suite(list(words))
     arguments, engines = _split_engines(arguments)
@@ -58,14 +60,24 @@ def make_plan(
 
 
 def _split_engines(words: Sequence[str]) -> tuple[list[str], bool]:
-    """Return the words without the default engine among several, and whether it was there."""
+    """Return the words without the default engine among several, and whether it was there.
+
+    Raises:
+        RequestError: no other engine is named beside it.
+    """
     found, several = [], False
     for word in words:
         key, _, value = word.partition("=")
         names = value.split(",")
         if key == "sim" and len(names) > 1 and DEFAULT_ENGINE in names:
             several = True
-            word = f"sim={','.join(name for name in names if name != DEFAULT_ENGINE)}"
+            others = [name for name in names if name not in (DEFAULT_ENGINE, "")]
+            if not others:
+                raise RequestError(
+                    f"{word}: another engine is compared with {DEFAULT_ENGINE}, as in "
+                    f"sim={DEFAULT_ENGINE},mujoco"
+                )
+            word = f"sim={','.join(others)}"
         found.append(word)
     return found, several
 

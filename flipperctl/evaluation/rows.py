@@ -25,7 +25,14 @@ RECORDED = "recorded"
 REWARD = "reward_"
 """Prefix of the columns of reward terms."""
 _FIRST = ("episode", "seed", "outcome", "terrain", *CORE)
-_LAST = ("crossed_by", "failed_by", "risk_horizon", "risk_threshold", "risks")
+CAUSE = "cause"
+"""Column of the cause of a failure, where engines are compared."""
+END = {name: f"end_{name}" for name in ("x", "pitch", "roll", "yaw", "side")}
+"""Columns of the robot's posture at the end of such a failure; [m] and [rad]."""
+_LAST = (
+    *("crossed_by", "failed_by", CAUSE, *END.values()),
+    *("risk_horizon", "risk_threshold", "risks"),
+)
 _MOST_BINS = 8
 """Largest number of different values that have a group each; more are split at their quartiles."""
 

@@ -19,7 +19,7 @@ from flipperctl.config import DEFAULT_ENGINE, EnvConfig, EvalConfig, resolver, w
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.evaluate import Played, Result
-from flipperctl.evaluation.rows import Episodes, Row, reached
+from flipperctl.evaluation.rows import CAUSE, END, Episodes, Row, reached
 from flipperctl.evaluation.sensing import SensingCause, on_true_ground
 from flipperctl.evaluation.show import Column, Table
 from flipperctl.evaluation.views.summary import (
@@ -34,10 +34,6 @@ from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import Decision, play
 
 Config = TypeVar("Config", bound=EnvConfig)
-CAUSE = "cause"
-"""Column of the cause of a failure, of rows in the last engine."""
-_END = ("x", "pitch", "roll", "yaw", "side")
-"""What the rows of failures have of the robot's end, behind ``end_``; [m] and [rad]."""
 _SHARED: tuple[SharedSetting, ...] = ("friction", "gravity")
 """Settings that the default engine takes from the other one."""
 _OFF_HEADING = math.radians(30)
@@ -181,7 +177,7 @@ def _failure(first: Played, row: Row) -> Document:
         "cause": row[CAUSE],
         "default_outcome": before["outcome"],
         "time": row["t_cost"],
-        **{name: row[f"end_{name}"] for name in _END},
+        **{name: row[column] for name, column in END.items()},
     }
 
 
@@ -202,8 +198,7 @@ def _explain(config: EvalConfig, source: PolicySource, row: Row) -> Row:
         if cause is Cause.STUCK and _reached_with_friction(config, source, row["seed"]):
             cause = Cause.TRACTION
     posture = float(end.position[0]), end.pitch, end.roll, end.yaw, end.side
-    ends = {f"end_{name}": value for name, value in zip(_END, posture, strict=True)}
-    return {CAUSE: str(cause), **ends}
+    return {CAUSE: str(cause), **dict(zip(END.values(), posture, strict=True))}
 
 
 def _cause(end: RobotState, outcome: str, config: EvalConfig) -> Cause:
@@ -273,7 +268,7 @@ def _gap(one: Mapping[str, Any]) -> Document:
     return {
         "success": gap_text(gap["success"]),
         "variation": gap["pitch_variation_100hz"],
-        "kept": "–" if kept is None else f"{kept:.1%}",
+        "kept": "–" if kept is None else f"{100 * kept:.3g} %",
     }
 
 
