@@ -71,11 +71,12 @@ def run(
 
     def printed() -> None:
         out = console()
+        print_lines(out, view.price_warnings(document))
         for at, table in enumerate(tables):
             if at:
                 out.print()
             print_table(table, out)
-        print_lines(out, view.warnings(document))
+        print_lines(out, view.seed_warnings(document))
 
     show(document, printed, as_json=as_json)
     if output is not None:

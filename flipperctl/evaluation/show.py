@@ -30,6 +30,8 @@ _ESCAPES = str.maketrans(
         "\\": r"\textbackslash{}",
         "~": r"\textasciitilde{}",
         "^": r"\textasciicircum{}",
+        # Without a package, LaTeX has these in mathematics alone.
+        **{"Δ": r"$\Delta$", "±": r"$\pm$", "−": "$-$", "→": r"$\to$", "<": "$<$", ">": "$>$"},
     }
 )
 NONE = "–"

@@ -1,13 +1,14 @@
-"""``inspect results``: methods over their training seeds, from files of evaluations."""
+"""``compare``: methods over their training seeds, from files of evaluations."""
 
 import csv
 import json
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from tests.cli.call import call
+from tests.cli.call import call, refused
 
 HEAD = ("scene", "controller", "conditions_hash", "seed", "outcome", "pitch_variation_100hz")
 
@@ -24,6 +25,17 @@ def write(folder: Path, policies: Mapping[str, float], *, failed: int = -1, coun
                 writer.writerow(("stair", name, "abcd", seed, outcome, value + seed / 10))
 
 
+def compared(*arguments: str, cwd: Path) -> dict[str, Any]:
+    """Return the row of each method."""
+    done = call("compare", *arguments, "--json", cwd=cwd)
+    assert done.code == 0, done.err
+    return {row["method"]: row for row in json.loads(done.out)["methods"]}
+
+
+def seeds_of(*arguments: str, cwd: Path) -> dict[str, int]:
+    return {name: row["seeds"] for name, row in compared(*arguments, cwd=cwd).items()}
+
+
 @pytest.fixture
 def seeds(tmp_path: Path) -> Path:
     for seed in range(3):
@@ -34,9 +46,7 @@ def seeds(tmp_path: Path) -> Path:
 def test_a_folder_of_folders_is_a_method_with_a_training_seed_in_each(seeds: Path) -> None:
     write(seeds / "other", {"runs/9/best": 1.5, "level": 2.0}, failed=0)
     arguments = ("plain", "searched=other", "--against", "level", "--price", "5")
-    done = call("inspect", "results", *arguments, "--json", cwd=seeds)
-    assert done.code == 0, done.err
-    rows = {row["method"]: row for row in json.loads(done.out)["methods"]}
+    rows = compared(*arguments, cwd=seeds)
     assert {name: row["seeds"] for name, row in rows.items()} == {
         "plain": 3,
         "level": 1,  # the same in each file
@@ -52,17 +62,21 @@ def test_a_folder_of_folders_is_a_method_with_a_training_seed_in_each(seeds: Pat
     assert rows["level"]["comparison"] is None
 
 
-def test_tables_a_picture_and_the_episodes_that_show_a_difference(seeds: Path) -> None:
+def test_tables_on_the_terminal_in_latex_and_a_picture(seeds: Path) -> None:
     write(seeds / "other", {"runs/9/best": 1.5, "level": 2.0}, failed=0, count=9)
-    arguments = ("plain", "searched=other", "--detect", "0.1", "--detect-success", "1")
-    done = call("inspect", "results", *arguments, "--output", "profile.png", cwd=seeds)
+    arguments = ("plain", "searched=other", "--against", "all")
+    done = call("compare", *arguments, "--output", "profile.png", cwd=seeds)
     assert done.code == 0, done.err
     assert "8 of up to 9 episodes were played by all; plain/0 has 8" in done.err
-    assert "compared with plain" in done.out
-    assert "searched, plain: 6 episodes show a difference of 1 of success" in done.out
-    assert "not between the methods, whose other trainings differ" in done.out
-    assert "fewer than five training seeds: plain" in done.out
+    pairs = [line.split()[:2] for line in done.out.split("against")[1].splitlines()[1:4]]
+    assert pairs == [["level", "plain"], ["searched", "plain"], ["searched", "level"]]
+    assert "One training seed: searched. The interval is over episodes alone" in done.out
+    assert "Few training seeds: plain 3; report 5 or more." in done.out
     assert (seeds / "profile.png").stat().st_size > 0
+    assert call("compare", *arguments, "--output", "table.tex", cwd=seeds).code == 0
+    latex = (seeds / "table.tex").read_text()
+    assert r"level & plain & +0.900 [+0.652, +1.148] &" in latex
+    assert r"& $\Delta$ score & p (Holm) & $\Delta$ success [\%] (p) &" in latex
 
 
 @pytest.mark.parametrize(
@@ -71,7 +85,6 @@ def test_tables_a_picture_and_the_episodes_that_show_a_difference(seeds: Path) -
         (("missing",), "missing: there is no episodes.csv"),
         (("plain", "--against", "leve"), "did you mean 'level'?"),
         (("plain", "--price", "0"), "--price: 0; a number above 0 is allowed"),
-        (("plain", "--detect-success", "2"), "--detect-success: 2; a number in (0, 1]"),
         (("plain", "--measure", "t_cost"), "--price: t_cost has no default"),
         (("plain", "--measure", "t_cost", "--price", "60"), "there is no column 't_cost'"),
         (("plain", "--measure", "decisions"), "less is better is allowed"),
@@ -89,10 +102,9 @@ def test_a_wrong_request_says_what_is_allowed(
     write(seeds / "damaged", {"okada": 1.0})
     path = seeds / "damaged" / "episodes.csv"
     path.write_text(path.read_text().replace("1.3", "x"))
-    done = call("inspect", "results", *arguments, cwd=seeds)
-    assert done.code == 2
-    assert words in done.err
-    assert done.err.count("\n") == 1
+    error = refused("compare", *arguments, cwd=seeds)
+    assert words in error
+    assert error.count("\n") == 1
 
 
 def test_results_of_several_settings_of_a_policy_in_one_file_are_refused(tmp_path: Path) -> None:
@@ -100,52 +112,40 @@ def test_results_of_several_settings_of_a_policy_in_one_file_are_refused(tmp_pat
     file = tmp_path / "both" / "episodes.csv"
     lines = file.read_text().splitlines()
     file.write_text("\n".join([*lines, lines[-1]]) + "\n")  # the same episode, as a baseline
-    assert call("inspect", "results", "both", cwd=tmp_path).code == 0
+    assert call("compare", "both", cwd=tmp_path).code == 0
     file.write_text("\n".join([*lines, lines[-1].replace("reached", "stuck")]) + "\n")
-    done = call("inspect", "results", "both", cwd=tmp_path)
-    assert done.code == 2
-    assert "okada has several results on stair abcd, seed 7, as with several of its" in done.err
+    assert "okada has several results on stair abcd, seed 7, as with several of its" in refused(
+        "compare", "both", cwd=tmp_path
+    )
 
 
 def test_settings_of_a_controller_are_no_training_seeds(tmp_path: Path) -> None:
     for name, value in (("near", 2.0), ("far", 1.0)):
         write(tmp_path / name, {"okada": value, "level": 3.0})
-    done = call("inspect", "results", "near", "far", cwd=tmp_path)
-    assert done.code == 2
-    assert "far: okada has other results there than in another folder" in done.err
-    done = call("inspect", "results", "close=near", "far", "--json", cwd=tmp_path)
-    assert done.code == 0, done.err
-    rows = {row["method"]: row["seeds"] for row in json.loads(done.out)["methods"]}
-    assert rows == {"close": 1, "okada": 1, "level": 1}
+    assert "far: okada has other results there than in another folder" in refused(
+        "compare", "near", "far", cwd=tmp_path
+    )
+    assert seeds_of("close=near", "far", cwd=tmp_path) == {"close": 1, "okada": 1, "level": 1}
 
 
 def test_the_best_known_stands_beside_and_is_no_method(tmp_path: Path) -> None:
     write(tmp_path / "judged", {"random": 3.0, "level": 2.0, "best known (mpc)": 1.0}, count=4)
     file = tmp_path / "judged" / "episodes.csv"
     lines = file.read_text().splitlines()
-    others = [
-        line.replace("stair", "step") for line in lines if "random" in line or "level" in line
-    ]
-    file.write_text("\n".join([*lines, *others]) + "\n")
-    done = call("inspect", "results", "judged", "--json", cwd=tmp_path)
-    assert done.code == 0, done.err
-    rows = {row["method"]: row for row in json.loads(done.out)["methods"]}
+    others = [line.replace("stair", "step") for line in lines if "best known" not in line]
+    file.write_text("\n".join([*lines, *others[1:]]) + "\n")
+    rows = compared("judged", cwd=tmp_path)
     assert {name: row["seeds"] for name, row in rows.items()} == {"random": 1, "level": 1}
     assert set(rows["random"]["by_scene"]) == {"stair", "step"}
-    assert "were played by all" not in done.err
+    assert "were played by all" not in call("compare", "judged", cwd=tmp_path).err
 
 
 def test_a_rule_is_one_seed_though_one_folder_has_fewer_of_its_episodes(seeds: Path) -> None:
     write(seeds / "other", {"runs/9/best": 1.5, "level": 2.0}, count=5)
-    arguments = ("plain", "searched=other", "--against", "level", "--json")
-    done = call("inspect", "results", *arguments, cwd=seeds)
-    assert done.code == 0, done.err
-    rows = {row["method"]: row for row in json.loads(done.out)["methods"]}
-    assert {name: row["seeds"] for name, row in rows.items()} == {
-        "plain": 3,
-        "level": 1,
-        "searched": 1,
-    }
+    arguments = ("plain", "searched=other", "--against", "level")
+    rows = compared(*arguments, cwd=seeds)
+    found = {name: row["seeds"] for name, row in rows.items()}
+    assert found == {"plain": 3, "level": 1, "searched": 1}
     assert rows["searched"]["comparison"]["success"]["won"] == 0  # of McNemar's test
 
 
@@ -158,13 +158,11 @@ def test_outcomes_that_never_vary_prove_no_more_than_those_of_one_seed(tmp_path:
         fails = [x.replace("reached", "stuck") if ",level," in x else x for x in lines]
         reaches = [x.replace("stair", "step") for x in lines[1:]]
         file.write_text("\n".join([*fails, *reaches]) + "\n")
-    done = call("inspect", "results", "plain", "--against", "level", "--json", cwd=tmp_path)
-    assert done.code == 0, done.err
-    rows = {row["method"]: row for row in json.loads(done.out)["methods"]}
-    compared = rows["plain"]["comparison"]
-    assert compared["success"]["mean"] == 0.5
-    assert compared["success"]["low"] < 0.45
-    assert compared["p_success"] == pytest.approx(0.0625)  # five pairs, all won
+    rows = compared("plain", "--against", "level", cwd=tmp_path)
+    found = rows["plain"]["comparison"]
+    assert found["success"]["mean"] == 0.5
+    assert found["success"]["low"] < 0.45
+    assert found["p_success"] == pytest.approx(0.0625)  # five pairs, all won
     level = rows["level"]["success"]
     assert level["mean"] == 0.5
     assert 0.2 < level["low"] < 0.5 < level["high"] < 0.8
@@ -180,12 +178,6 @@ def remember(
     (folder / "cells" / f"{digest}.jsonl").write_text(text + "\n")
 
 
-def seeds_of(*arguments: str, cwd: Path) -> dict[str, int]:
-    done = call("inspect", "results", *arguments, "--json", cwd=cwd)
-    assert done.code == 0, done.err
-    return {row["method"]: row["seeds"] for row in json.loads(done.out)["methods"]}
-
-
 def test_a_policy_is_known_by_its_digest(tmp_path: Path) -> None:
     """Not by its episodes: trainings may fail alike, and one policy may be evaluated twice."""
     for name, digest, count in (("a", "d1", 8), ("b", "d1", 6), ("c", "d2", 8)):
@@ -195,26 +187,25 @@ def test_a_policy_is_known_by_its_digest(tmp_path: Path) -> None:
     assert seeds_of("a", "c", cwd=tmp_path) == {"best": 2}
     write(tmp_path / "e", {"best": 1.5})
     remember(tmp_path / "e", "best", "d1", 3)
-    done = call("inspect", "results", "a", "e", cwd=tmp_path)
-    assert "best has other results there than in another folder" in done.err
+    assert "best has other results there than in another folder" in refused(
+        "compare", "a", "e", cwd=tmp_path
+    )
 
 
 def test_settings_of_a_plugins_controller_are_no_seeds_without_the_plugin(tmp_path: Path) -> None:
     for name, value in (("a", 1.0), ("b", 2.0)):
         write(tmp_path / name, {"mine": value})
         remember(tmp_path / name, "mine", name, None)
-    done = call("inspect", "results", "a", "b", cwd=tmp_path)
-    assert done.code == 2
-    assert "mine has other results there" in done.err
+    assert "mine has other results there" in refused("compare", "a", "b", cwd=tmp_path)
 
 
 def test_one_training_says_nothing_of_its_method(tmp_path: Path) -> None:
     for name, value in (("a", 1.0), ("b", 2.0)):
         write(tmp_path / name, {f"{name}/best": value, "level": 2.5})
         remember(tmp_path / name, f"{name}/best", name, 1)
-    done = call("inspect", "results", "a", "b", cwd=tmp_path)
-    assert "one training seed: a/best, b/best; the interval is over episodes alone" in done.out
-    assert "level" not in done.out.split("one training seed")[1]
+    done = call("compare", "a", "b", cwd=tmp_path)
+    assert "One training seed: a/best, b/best. The interval is over episodes alone" in done.out
+    assert "level" not in done.out.split("One training seed")[1]
 
 
 @pytest.mark.parametrize("place", [1, 3])
@@ -224,33 +215,24 @@ def test_a_rule_among_the_seeds_of_a_method_is_refused(place: int, tmp_path: Pat
         write(folder, {"level" if number == place else f"{number}/best": 1.0 + number})
         if number != place:
             remember(folder, f"{number}/best", f"d{number}", number)
-    done = call("inspect", "results", "m", cwd=tmp_path)
-    assert (done.code, done.out) == (2, "")
-    assert "a rule is no training seed" in done.err
+    assert "a rule is no training seed" in refused("compare", "m", cwd=tmp_path)
 
 
-def test_equal_training_seeds_of_a_method_are_told(tmp_path: Path) -> None:
-    """As of one training at two decisions, or of two networks."""
-    for number, seed in enumerate((1, 1, 2)):
-        write(tmp_path / "m" / f"{number}", {f"{number}/best": 1.0 + number})
-        remember(tmp_path / "m" / f"{number}", f"{number}/best", f"d{number}", seed)
-    done = call("inspect", "results", "m", cwd=tmp_path)
-    assert done.code == 0
-    assert "m: 3 policies, but training seed 1 counts 2 times" in done.err
-
-
-def test_trainings_of_a_method_with_different_settings_are_told(tmp_path: Path) -> None:
-    for number, (rate, start) in enumerate(((0.1, "runs/1"), (0.1, "runs/2"), (0.2, None))):
+def test_what_trainings_of_a_method_differ_in_beside_their_seeds_is_told(tmp_path: Path) -> None:
+    """Equal seeds are those of one training at two decisions, or of two networks."""
+    trained = ((0, 0.1, "runs/1"), (1, 0.1, "runs/2"), (1, 0.2, None))
+    for number, (seed, rate, start) in enumerate(trained):
         write(tmp_path / "m" / f"{number}", {f"{number}/best": 1.0 + number, "level": 2.5})
         settings = {"agent": {"learning_rate": rate, "start_from": start}, "terrain": {"n": [1, 2]}}
-        remember(tmp_path / "m" / f"{number}", f"{number}/best", f"d{number}", number, settings)
-    done = call("inspect", "results", "m", cwd=tmp_path)
+        remember(tmp_path / "m" / f"{number}", f"{number}/best", f"d{number}", seed, settings)
+    done = call("compare", "m", cwd=tmp_path)
     assert done.code == 0
     assert (
         "m: its policies were trained with different settings: agent.learning_rate (0.1, 0.2), "
         "agent.start_from (a file of its own, None);"
     ) in done.err
-    done = call("inspect", "results", "m/0", "m/1", "two=m/2", cwd=tmp_path)
+    assert "m: 3 policies, but training seed 1 counts 2 times" in done.err
+    done = call("compare", "m/0", "m/1", "two=m/2", cwd=tmp_path)
     assert "different settings" not in done.err
 
 
@@ -267,8 +249,8 @@ def test_seeds_that_agree_prove_no_more_than_one(tmp_path: Path) -> None:
         file.write_text("\n".join(lines) + "\n")
     found = {}
     for words in (("m/0",), ("m",)):
-        done = call("inspect", "results", *words, "--against", "level", "--json", cwd=tmp_path)
-        (row,) = [r for r in json.loads(done.out)["methods"] if r["comparison"]]
+        rows = compared(*words, "--against", "level", cwd=tmp_path)
+        (row,) = [row for row in rows.values() if row["comparison"]]
         found[words] = row["comparison"]["p_success"], row["comparison"]["success"]["low"]
     assert found["m/0",] == found["m",]
     assert found["m",][0] == pytest.approx(2 * 0.5**5)
@@ -280,11 +262,11 @@ def test_what_hinders_a_comparison_is_named(tmp_path: Path) -> None:
     file = tmp_path / "b" / "episodes.csv"
     rows = file.read_text()
     file.write_text(rows.replace("abcd,", "abcd,1"))
-    done = call("inspect", "results", "a", "b", cwd=tmp_path)
-    assert "their conditions are equal, but not their episodes, as with another --seed" in done.err
+    assert "their conditions are equal, but not their episodes, as with another --seed" in refused(
+        "compare", "a", "b", cwd=tmp_path
+    )
     file.write_text(rows.replace("abcd", "ffff"))
-    done = call("inspect", "results", "a", "b", cwd=tmp_path)
-    assert "a: stair abcd; b: stair ffff" in done.err
+    assert "a: stair abcd; b: stair ffff" in refused("compare", "a", "b", cwd=tmp_path)
 
 
 def test_an_evaluation_of_a_sweep_has_the_seeds_of_its_methods(tmp_path: Path) -> None:
@@ -299,9 +281,9 @@ def test_an_evaluation_of_a_sweep_has_the_seeds_of_its_methods(tmp_path: Path) -
 
 def test_a_price_at_which_failing_pays_is_said_before_the_table(tmp_path: Path) -> None:
     write(tmp_path / "a", {"a/best": 3.0, "level": 2.0}, failed=0)
-    done = call("inspect", "results", "a", "--price", "1", cwd=tmp_path)
+    done = call("compare", "a", "--price", "1", cwd=tmp_path)
     first = done.out.splitlines()[0]
-    assert first.startswith("warning: 7 episodes that a/best reached cost more than one that is")
+    assert first.startswith("warning: 7 episodes that a/best reached cost more than a failed")
 
 
 def test_a_rule_by_another_name_is_one_seed(tmp_path: Path) -> None:

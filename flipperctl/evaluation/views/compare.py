@@ -237,14 +237,18 @@ def _gap(gap: Mapping[str, Any]) -> Document:
     return {"p_text": p_text(gap["p_holm"]), "success_text": text}
 
 
-def warnings(found: Document) -> Iterator[str]:
-    """Yield what a reader should know before the numbers are used."""
+def price_warnings(found: Document) -> Iterator[str]:
+    """Yield a line for each method whose score would be better if it failed."""
     for one in found["methods"]:
         if one["above_price"]:
             yield (
                 f"warning: {one['above_price']} episodes that {one['method']} reached cost more "
                 "than a failed one, so that failing pays here; choose a higher --price"
             )
+
+
+def seed_warnings(found: Document) -> Iterator[str]:
+    """Yield lines on methods with too few training seeds."""
     trained = [one for one in found["methods"] if one["trained"]]
     if alone := [one["method"] for one in trained if one["seeds"] == 1]:
         yield (
