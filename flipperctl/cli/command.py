@@ -59,8 +59,8 @@ class Command(TyperCommand):
         known = [name for option in options for name in option.opts] + [*self.foreign_options]
         for word in words:
             name = word.partition("=")[0]
+            check_moved(ctx.command_path, name)
             if name.startswith("-") and name not in known:
-                check_moved(ctx.command_path, name)
                 self._refuse(name, args, known)
 
     def _refuse(self, name: str, args: list[str], known: list[str]) -> None:

@@ -1,4 +1,4 @@
-"""Commands and options of earlier versions, and what is typed in their place."""
+"""Commands, options and settings of earlier versions, and what is typed in their place."""
 
 from __future__ import annotations
 
@@ -17,11 +17,12 @@ _MOVED = {
         for command in ("eval", "compare")
         for option in ("--detect", "--detect-success")
     },
+    "eval eval.static_bound": "is gone; leave it out",
 }
 
 
 def check_moved(command_path: str, word: str) -> None:
-    """Refuse a subcommand or an option of ``flipperctl …`` that an earlier version had.
+    """Refuse a subcommand, an option or a key of ``flipperctl …`` that an earlier version had.
 
     Raises:
         RequestError: it has moved; the text says what to type.

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from flipperctl.cli.scenes import scenes
+from flipperctl.config.words import key_of
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.plan import Entry
 from flipperctl.runs.methods import Entrant, entrants, split_policies
@@ -49,6 +50,8 @@ def one_scene(
         CheckpointError, ConfigError: a name or a setting is wrong.
     """
     policy, settings = one_policy(words, checkpoint, controller, command)
+    if any(key_of(word) == "suite" for word in settings):
+        raise RequestError(f"suite=…: {command} takes one scene; leave it out")
     name = None if policy.run else policy.method
     found = scenes([*settings, *more], policy.run, name, print_note)
     if len(found) != 1:

@@ -19,6 +19,7 @@ GONE = "is gone; flipperctl compare DIR... gives the 95 % interval of each diffe
         ("eval --controller okada --map seed,agent.gamma", "flipperctl map POLICY --over SETTINGS"),
         ("eval --replay=failure_stair_3.json", "--replay is now: flipperctl replay FILE\n"),
         ("eval okada --detect 0.1", f"eval --detect {GONE}"),
+        ("eval okada eval.static_bound=true", "eval.static_bound is gone; leave it out\n"),
         ("compare judged --detect-success 0.1", f"compare --detect-success {GONE}"),
     ],
 )
