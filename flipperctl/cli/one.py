@@ -39,10 +39,9 @@ def one_scene(
     words: Sequence[str] | None,
     checkpoint: Path | None,
     controller: str | None,
-    more: Sequence[str],
     command: str,
 ) -> Entry:
-    """Return the policy on the only scene; ``more``: settings beside those among the words.
+    """Return the policy that the words or the options name, on the only scene.
 
     Raises:
         RequestError: there are several policies or scenes.
@@ -50,7 +49,7 @@ def one_scene(
     """
     policy, settings = one_policy(words, checkpoint, controller, command)
     name = None if policy.run else policy.method
-    found = scenes([*settings, *more], policy.run, name, print_note)
+    found = scenes(settings, policy.run, name, print_note)
     if len(found) != 1:
         raise RequestError(f"{command} takes one scene; the settings give {len(found)}")
     return Entry(*found[0])
