@@ -43,10 +43,10 @@ def test_a_suite_is_played_as_by_the_command(tmp_path: Path) -> None:
     asked = {"episodes": 1, "progress": False}
     for given in ({"overrides": [f"suite={suite}"]}, {"suite": suite}):
         found = flipperctl.evaluate("okada", **given, **asked)
-        rows = [(scene["scene"], scene["controller"]) for scene in found.scenes]
+        rows = [(scene["suite_scene"], scene["controller"]) for scene in found.scenes]
         assert rows == [(name, who) for name in ("dry", "wet") for who in ("okada", "level")]
     alone = flipperctl.evaluate("okada", suite=str(suite), baselines=[], **asked)
-    assert [scene["scene"] for scene in alone.scenes] == ["dry", "wet"]
+    assert [scene["suite_scene"] for scene in alone.scenes] == ["dry", "wet"]
 
 
 @pytest.mark.usefixtures("troubled")
