@@ -64,7 +64,8 @@ class Command(TyperCommand):
                 self._refuse(name, args, known)
 
     def _refuse(self, name: str, args: list[str], known: list[str]) -> None:
-        overridable = any("OVERRIDE" in str(param.metavar) for param in self.params)
+        marks = ("OVERRIDE", "[SETTING...]")
+        overridable = any(m in str(param.metavar) for param in self.params for m in marks)
         primary = self.primary if overridable else None
         takes_run = any(
             param.param_type_name == "argument" and "RUN" in str(param.metavar)

@@ -64,9 +64,9 @@ def run(
 
     if over is None:
         raise RequestError(f"name two settings, as in --over {view.EXAMPLE}")
-    flagged = with_flags([], episodes=episodes, seed=seed, jobs=jobs)
+    flagged = with_flags(words, episodes=episodes, seed=seed, jobs=jobs)
     flagged = with_default(flagged, "eval.episodes", view.EPISODES)
-    entry = one_scene(words, checkpoint, controller, flagged, "map")
+    entry = one_scene(flagged, checkpoint, controller, "map")
     if entry.config.eval.ray is not None:
         raise RequestError("eval.ray: a map is played here; leave it out")
     axes = parse_axes(over, entry.config)

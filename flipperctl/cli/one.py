@@ -40,10 +40,9 @@ def one_scene(
     words: Sequence[str] | None,
     checkpoint: Path | None,
     controller: str | None,
-    more: Sequence[str],
     command: str,
 ) -> Entry:
-    """Return the policy on the only scene; ``more``: settings beside those among the words.
+    """Return the policy that the words or the options name, on the only scene.
 
     Raises:
         RequestError: there are several policies or scenes.
@@ -53,7 +52,7 @@ def one_scene(
     if any(key_of(word) == "suite" for word in settings):
         raise RequestError(f"suite=…: {command} takes one scene; leave it out")
     name = None if policy.run else policy.method
-    found = scenes([*settings, *more], policy.run, name, print_note)
+    found = scenes(settings, policy.run, name, print_note)
     if len(found) != 1:
         raise RequestError(f"{command} takes one scene; the settings give {len(found)}")
     return Entry(*found[0])

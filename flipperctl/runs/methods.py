@@ -6,6 +6,7 @@ they were given, each with its policies.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +18,7 @@ from flipperctl.api.plugin import registered_names
 from flipperctl.config import resolver
 from flipperctl.config.words import check_different
 from flipperctl.errors import ConfigError, FlipperctlError, RequestError
-from flipperctl.messages import close_match
+from flipperctl.messages import missing_name
 from flipperctl.policies.exported import ExportedPolicy, is_exported
 from flipperctl.policies.identity import method_settings, without_sources
 from flipperctl.runs import folder as run_folder
@@ -54,7 +55,7 @@ def entrants(names: Sequence[str], tell: Callable[[str], None]) -> list[Entrant]
     """
     found: dict[Entrant, None] = {}
     for name in (part for text in names for part in _split(text)):
-        if ("controller", name) in registry and not Path(name).exists():
+        if ("controller", name) in registry and not _exists(name):
             found[Entrant(name)] = None
         else:
             found |= dict.fromkeys(_of_path(find_path(name), tell))
@@ -63,7 +64,7 @@ def entrants(names: Sequence[str], tell: Callable[[str], None]) -> list[Entrant]
 
 def _split(text: str) -> list[str]:
     """Return the names that commas join; a path may have commas of its own."""
-    if Path(text).exists() or "," not in text:
+    if _exists(text) or "," not in text:
         return [text]
     names = [name.strip() for name in text.split(",")]
     if not all(names):
@@ -79,13 +80,13 @@ def find_path(name: str) -> Path:
         CheckpointError: it can only be a path, and nothing is there.
     """
     path = Path(name)
-    if path.exists() or name in checkpoints.shipped_policies():
+    if _exists(name) or name in checkpoints.shipped_policies():
         return path
     if path.suffix or len(path.parts) > 1:
         checkpoints.find(path)  # raises the error that names a close match
     known = [*checkpoints.shipped_policies(), *registered_names("controller")]
     raise ConfigError(
-        f"there is no run, file, shipped policy or controller {name!r}{close_match(name, known)}; "
+        f"there is no run, file, shipped policy or controller {name!r}{missing_name('controller', name, known)}; "
         f"shipped policies and controllers: {', '.join(sorted(known))}"
     )
 
@@ -96,8 +97,12 @@ def split_policies(words: Sequence[str] | None) -> tuple[list[str], list[str]]:
     overrides: list[str] = []
     for word in words or ():
         plain = "=" not in word and not word.startswith(("~", "+"))
-        (policies if plain or Path(word).exists() else overrides).append(word)
+        (policies if plain or _exists(word) else overrides).append(word)
     return policies, overrides
+
+
+def _exists(name: str) -> bool:
+    return os.path.exists(name)  # noqa: PTH110  # false for any text, however long
 
 
 def standing(baseline: str | None, present: Sequence[Entrant]) -> list[Entrant]:

@@ -52,17 +52,12 @@ OKADA = ("--controller", "okada")
         (("eval", *OKADA, "--seed", "3", "eval.seed=4"), "eval.seed", "--seed 3 and eval.seed=4"),
         (("eval", *OKADA, "eval.jobs=2", "--jobs", "1"), "eval.jobs", "--jobs 1 and eval.jobs=2"),
         (
-            ("transfer", *OKADA, "--episodes", "3", "++eval.episodes=4"),
+            ("map", *OKADA, "--over=seed,seed", "--episodes", "3", "++eval.episodes=4"),
             "eval.episodes",
             "--episodes 3 and ++eval.episodes=4",
         ),
         (
             ("inspect", "reward", "--episodes", "3", "eval.episodes=4"),
-            "eval.episodes",
-            "--episodes 3 and eval.episodes=4",
-        ),
-        (
-            ("inspect", "engines", "--episodes", "3", "eval.episodes=4"),
             "eval.episodes",
             "--episodes 3 and eval.episodes=4",
         ),
@@ -135,7 +130,7 @@ def test_a_view_without_episodes_names_its_own_seed(tmp_path: Path) -> None:
         ),
         (["inspect", "reward", "--seed", "3"], "; settings are written as eval.seed=3"),
         (["eval", *OKADA, "--friction", "0.6"], "; settings are written as sim.friction=0.6"),
-        (["eval", *OKADA, "--terrain", "a b"], "; settings are written as 'terrain=a b'"),
+        (["map", *OKADA, "--terrain", "a b"], "; settings are written as 'terrain=a b'"),
         (["eval", *OKADA, "--agent.gamma", "0.9"], "no such option: --agent.gamma\n"),
         (["eval", *OKADA, "--episode", "5"], "--episode; did you mean '--episodes'?"),
         (["inspect", "checkpoint", "x", "--seed", "3"], "no such option: --seed\n"),

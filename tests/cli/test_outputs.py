@@ -7,7 +7,6 @@ import pytest
 from tests.cli.call import call
 
 EVAL = ("eval", "--controller", "okada", "terrain=flat", "--episodes", "1")
-TRANSFER = ("transfer", "--controller", "okada", "terrain=flat", "--episodes", "1", "--only", "0")
 
 
 @pytest.mark.parametrize(
@@ -15,8 +14,7 @@ TRANSFER = ("transfer", "--controller", "okada", "terrain=flat", "--episodes", "
     [
         ((*EVAL, "--film"), ".gif"),
         ((*EVAL, "--record"), ".safetensors"),
-        ((*TRANSFER, "--film"), ".gif"),
-        (("eval", "--replay", "failure.json", "--film"), ".gif"),
+        (("replay", "failure.json", "--film"), ".gif"),
         (("export", "onnx", "--checkpoint", "generalist", "--output"), ".onnx"),
         (("export", "pt2", "--checkpoint", "generalist", "--output"), ".pt2"),
         (("export", "mjcf", "terrain=flat", "--output"), ".xml"),
@@ -26,7 +24,8 @@ TRANSFER = ("transfer", "--controller", "okada", "terrain=flat", "--episodes", "
         (("card", "generalist", "--output"), ".md"),
         (("inspect", "terrain", "flat", "--output"), ".png"),
         (("inspect", "run", "run", "--output"), ".svg"),
-        (("inspect", "results", "results", "--output"), ".pdf"),
+        (("compare", "results", "--output"), ".pdf"),
+        (("compare", "results", "--output"), ".tex"),
         (("inspect", "perception", "bag", "--output"), ".gif"),
     ],
     ids=lambda value: None if isinstance(value, str) else " ".join(value[:2]),

@@ -43,10 +43,10 @@ def test_a_suite_is_played_as_by_the_command(tmp_path: Path) -> None:
     asked = {"episodes": 1, "progress": False}
     for given in ({"overrides": [f"suite={suite}"]}, {"suite": suite}):
         found = flipperctl.evaluate("okada", **given, **asked)
-        rows = [(scene.name.scene, scene.controller) for scene in found.scenes]
+        rows = [(scene["suite_scene"], scene["controller"]) for scene in found.scenes]
         assert rows == [(name, who) for name in ("dry", "wet") for who in ("okada", "level")]
     alone = flipperctl.evaluate("okada", suite=str(suite), baselines=[], **asked)
-    assert [scene.name.scene for scene in alone.scenes] == ["dry", "wet"]
+    assert [scene["suite_scene"] for scene in alone.scenes] == ["dry", "wet"]
 
 
 @pytest.mark.usefixtures("troubled")
@@ -54,7 +54,7 @@ def test_what_was_played_beside_a_failing_baseline_is_in_the_error() -> None:
     with pytest.raises(FlipperctlError, match="worn out") as raised:
         flipperctl.evaluate("level", baselines=["broken"], episodes=2, **ONE)
     found = raised.value.result
-    assert len(found.scenes[0].episodes) == 2
+    assert found.scenes[0]["episodes"] == 2
     assert [failure.controller for failure in found.failures] == ["broken"]
     assert found.to_dict()["failed"][0]["controller"] == "broken"
 
@@ -64,7 +64,7 @@ def test_what_was_played_before_a_stop_is_in_the_error() -> None:
     with pytest.raises(InterruptedRunError) as raised:
         flipperctl.evaluate("interrupting", baselines=[], episodes=3, **ONE)
     found = raised.value.result
-    assert len(found.scenes[0].episodes) == 1
+    assert found.scenes[0]["episodes"] == 1
     assert (found.interruption.finished, found.interruption.planned) == (1, 3)
     assert found.to_dict()["interrupted"] is True
 
@@ -75,7 +75,7 @@ def test_a_picture_that_cannot_be_written_loses_no_episode(
     def full(*given: object, **named: object) -> None:
         raise FlipperctlError("no space left")
 
-    monkeypatch.setattr("flipperctl.report.scenes.film_scene", full)
+    monkeypatch.setattr("flipperctl.evaluation.pictures.film_scene", full)
     with pytest.raises(FlipperctlError, match="no space left") as raised:
         flipperctl.evaluate("level", baselines=[], episodes=1, film=tmp_path / "a.gif", **ONE)
     assert len(raised.value.result.scenes) == 1

@@ -161,7 +161,7 @@ def test_a_controller_acts_on_the_perceptions_of_an_environment(env: gymnasium.E
     policy.reset(env)
     assert policy.act(env.unwrapped.perception) in range(len(api.ACTIONS))
     (scene,) = flipperctl.evaluate(policy, terrain="flat", episodes=1, progress=False).scenes
-    assert scene.controller == "okada"
+    assert scene["controller"] == "okada"
 
 
 def test_a_wrong_policy_observation_or_environment_is_refused(env: gymnasium.Env) -> None:
@@ -209,7 +209,7 @@ def test_workers_find_no_plugin_of_a_script() -> None:
     with pytest.raises(PluginError, match="leave jobs at 1"):
         flipperctl.evaluate("level", terrain=Scripted(), jobs=2)
     result = flipperctl.evaluate("level", terrain=Scripted(), episodes=1, progress=False)
-    assert result.scenes[0].summary.success_rate == 1
+    assert result.scenes[0]["success_rate"] == 1
 
 
 def test_data_frames_need_pandas(
@@ -222,7 +222,7 @@ def test_data_frames_need_pandas(
     monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=list))
     scenes, episodes = names["result"].scenes_frame(), names["result"].episodes_frame()
     assert [(row["scene"], row["n"]) for row in scenes] == [("stair", 2)] * 2 + [("step", 2)] * 2
-    assert scenes[0]["success"] == names["result"].scenes[0].summary.success_rate
+    assert scenes[0]["success"] == names["result"].scenes[0]["success_rate"]
     assert len(episodes) == 8
     assert names["run"].metrics_frame() == names["run"].metrics()
 

@@ -92,6 +92,7 @@ def run(
         return
     from flipperctl.cli.hydra.compose import only_one
     from flipperctl.cli.scenes import scenes
+    from flipperctl.evaluation.conditions import Conditions
     from flipperctl.evaluation.show import print_table
     from flipperctl.evaluation.views.audit import audit, table
     from flipperctl.terminal.console import console
@@ -103,7 +104,9 @@ def run(
     count = config.eval.episodes
     with episodes_progress(label, count) as report:
         found = audit(config, source, episodes=count, report=report)
-    show(found, lambda: print_table(table(found), console()), as_json=as_json)
+    conditions = Conditions.of(config)
+    notes = [f"conditions {conditions.name}: {text}"] if (text := conditions.line()) else []
+    show(found, lambda: print_table(table(found, notes), console()), as_json=as_json)
 
 
 def _compare(names: str, overrides: list[str], as_json: bool) -> None:

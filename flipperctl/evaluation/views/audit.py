@@ -7,7 +7,7 @@ at most steps.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -85,7 +85,7 @@ def _term(term: RewardTerm, values: FloatArray, total: float) -> Document:
 _COLUMNS = (
     Column("term", "term", named=True),
     Column("weight", "weight"),
-    Column("mean", "mean", 4),
+    Column("mean", "mean of a decision", 4),
     Column("lowest", "lowest", 3),
     Column("highest", "highest", 3),
     Column("share_text", "share of the return"),
@@ -93,8 +93,8 @@ _COLUMNS = (
 )
 
 
-def table(found: Document) -> Table:
-    """Return a row for each term."""
+def table(found: Document, notes: Sequence[str] = ()) -> Table:
+    """Return a row for each term, with lines below the table."""
     rows = [
         {
             "term": name,
@@ -106,6 +106,6 @@ def table(found: Document) -> Table:
     ]
     title = (
         f"{found['controller']} on {found['terrain']} · {found['episodes']} episodes, "
-        f"{found['decisions']} decisions · reward {found['return']:.3f}"
+        f"{found['decisions']} decisions · mean return {found['return']:.2f}"
     )
-    return Table(_COLUMNS, rows, title)
+    return Table(_COLUMNS, rows, title, list(notes))
