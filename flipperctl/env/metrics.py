@@ -36,7 +36,7 @@ _RESERVED = frozenset(
         *("lag", "seconds", "scene", "controller", "conditions", "conditions_hash", "crossed_by"),
         *("episodes", "success", "outcomes", "passable", "not_reached", "duration", "search"),
         *("parts", "baseline", "baselines", "difference", "method", "n", "reached"),
-        *("static_bound", "by", "mean_return", "failed_by", "risk", "risks"),
+        *("by", "mean_return", "failed_by", "risk", "risks"),
         *("risk_horizon", "risk_threshold", "risk_slope", "risk_shift", "risk_failures"),
         "risk_reached",
         *("risk_announced", "risk_false_alarms", "risk_false_warnings", "risk_brier"),

@@ -8,7 +8,7 @@ import pytest
 
 from benchmarks import results, tables
 from flipperctl.errors import RequestError
-from tests.report.test_card import LEVEL, POLICY
+from tests.evaluation.views.test_card import LEVEL, POLICY
 
 PAGE = "Before.\n\n<!-- results: one.json method reached -->\nold\n<!-- end -->\nAfter.\n"
 
@@ -35,8 +35,7 @@ def test_kept_results_are_those_of_their_commands() -> None:
 
 
 def test_a_table_is_made_anew_between_its_markers(tmp_path: Path) -> None:
-    rows = [row.to_dict() for row in (POLICY, LEVEL)]
-    (tmp_path / "one.json").write_text(json.dumps({"rows": rows}))
+    (tmp_path / "one.json").write_text(json.dumps({"rows": [POLICY, LEVEL]}))
     text = tables.rewritten(PAGE, tmp_path)
     assert text.splitlines()[3:8] == [
         "",
