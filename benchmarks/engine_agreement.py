@@ -1,19 +1,27 @@
 """Compare two engines on the same commanded actions.
 
-In: an evaluation's configuration in one engine, and a policy. Out: for each episode, the outcomes,
-times and pitches of both engines. The policy acts in the default engine, that of the side plane;
-the other engine repeats its actions regardless of their effect, so that only physics differs.
+    python -m benchmarks.engine_agreement [--controller NAME] [--episodes N] [--seed N] [OVERRIDE …]
+
+A policy acts in the default engine, that of the side plane; the other engine (``sim=mujoco`` unless
+an OVERRIDE chooses another one) repeats its actions regardless of their effect, so that only
+physics differs. Engines agree on an episode if the outcomes are equal and, where both reach the
+finish, the pitches differ by at most 0.05 rad RMS at equal times and the times by at most 3 %. The
+output has a row for each terrain, and a line for each episode on which they disagree, with the time
+and the place from which the pitches differ. Pitches that differ at equal times but not at equal x
+are the same motion with a delay.
 """
 
 from __future__ import annotations
 
+import argparse
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
 
+from flipperctl import entry, plugins
 from flipperctl.api import (
     FloatArray,
     Outcome,
@@ -26,11 +34,11 @@ from flipperctl.api import (
 from flipperctl.config import DEFAULT_ENGINE, EnvConfig, EvalConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
-from flipperctl.evaluation.conditions import Conditions
-from flipperctl.evaluation.play import Progress, no_progress
+from flipperctl.evaluation.show import Column, Table, print_table
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import Row, decisions
 from flipperctl.rollout.seeds import EvaluationSeeds
+from flipperctl.terminal.console import console
 
 PITCH_TOLERANCE = 0.05
 """Largest RMS difference of the pitches at equal times that counts as equal [rad]."""
@@ -88,51 +96,27 @@ class EngineEpisode:
         near = self.pitch_rms <= PITCH_TOLERANCE and abs(self.time_ratio) <= TIME_TOLERANCE
         return self.equal_outcomes and (near or not self.both_reached)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data."""
-        return {**asdict(self), "agrees": self.agrees}
 
+def summary(terrain: str, episodes: Sequence[EngineEpisode]) -> dict[str, Any]:
+    """Return the row of a terrain's E episodes; means are over those that both engines reached."""
+    reached = [e for e in episodes if e.both_reached]
 
-@dataclass(frozen=True)
-class EngineComparison:
-    """Two engines on one terrain."""
+    def mean(values: Iterable[float]) -> float | None:
+        return float(np.mean(list(values))) if reached else None
 
-    terrain: str
-    controller: str
-    """Label of the policy whose actions were repeated."""
-    engines: tuple[str, str]
-    seed: int
-    """Seed of the evaluation."""
-    conditions: Conditions
-    """Conditions of the other engine."""
-    episodes: tuple[EngineEpisode, ...]
-
-    @property
-    def reached(self) -> list[EngineEpisode]:
-        """Episodes in which both reached the finish."""
-        return [e for e in self.episodes if e.both_reached]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data."""
-        reached = self.reached
-        return {
-            "terrain": self.terrain,
-            "controller": self.controller,
-            "engines": list(self.engines),
-            "seed": self.seed,
-            "conditions": self.conditions.to_dict(),
-            "equal_outcomes": sum(e.equal_outcomes for e in self.episodes) / len(self.episodes),
-            "agree": sum(e.agrees for e in self.episodes) / len(self.episodes),
-            "pitch_rms": mean(e.pitch_rms for e in reached),
-            "time_ratio": mean(e.time_ratio for e in reached),
-            "episodes": [e.to_dict() for e in self.episodes],
-        }
-
-
-def mean(values: Any) -> float | None:
-    """Return the mean of some numbers; None if there are none."""
-    found = list(values)
-    return sum(found) / len(found) if found else None
+    return {
+        "terrain": terrain,
+        "episodes": str(len(episodes)),
+        "equal_outcomes": str(sum(e.equal_outcomes for e in episodes)),
+        "reached": str(len(reached)),
+        "agree": str(sum(e.agrees for e in episodes)),
+        "pitch_rms": mean(e.pitch_rms for e in reached),
+        "most_pitch_rms": max((e.pitch_rms for e in reached), default=None),
+        "time": mean(100 * e.time_ratio for e in reached),
+        "most_time": max((100 * e.time_ratio for e in reached), key=abs, default=None),
+        "first": mean(e.swings[0] for e in reached),
+        "second": mean(e.swings[1] for e in reached),
+    }
 
 
 def in_default_engine(config: Config) -> Config:
@@ -159,32 +143,8 @@ def in_default_engine(config: Config) -> Config:
     return config.model_copy(update={"sim": plane})
 
 
-def compare_scenes(
-    scenes: Sequence[tuple[EvalConfig, PolicySource]], progress: Progress = no_progress
-) -> list[EngineComparison]:
-    """Compare the engines on every scene.
-
-    Raises:
-        ConfigError: a scene's engine is the default one, found before the first episode, or as for
-            ``compare_engines``.
-    """
-    for config, _ in scenes:
-        in_default_engine(config)
-    found = []
-    for config, source in scenes:
-        with progress(config.terrain.plugin_name, config.eval.episodes) as report:
-            found.append(compare_engines(config, source, report))
-    return found
-
-
-def compare_engines(
-    config: EvalConfig,
-    source: PolicySource,
-    report: Callable[[float], None] = lambda done: None,
-) -> EngineComparison:
+def compare_engines(config: EvalConfig, source: PolicySource) -> list[EngineEpisode]:
     """Play the evaluation's episodes in the default engine and repeat them in ``config``'s.
-
-    ``report`` is called with the number of finished episodes.
 
     Raises:
         ConfigError: ``config`` uses the default engine.
@@ -198,15 +158,7 @@ def compare_engines(
         actions, ours, row = _play(first, policy, seed)
         _, theirs, other = _play(second, _Repeat(actions), seed)
         found.append(_episode(index, (row, other), (ours, theirs)))
-        report(index + 1.0)
-    return EngineComparison(
-        config.terrain.plugin_name,
-        source.label(),
-        (DEFAULT_ENGINE, config.sim.plugin_name),
-        config.eval.seed,
-        Conditions.of(config),
-        tuple(found),
-    )
+    return found
 
 
 class _Repeat:
@@ -267,3 +219,67 @@ def _pitch_rms_along(first: FloatArray, second: FloatArray) -> float:
         poses[np.searchsorted(d, x), 2] for d, poses in zip(distances, (first, second), strict=True)
     )
     return math.sqrt(float(((ours - theirs) ** 2).mean())) if len(x) else 0.0
+
+
+_COLUMNS = (
+    Column("terrain", "terrain", named=True),
+    Column("episodes", "episodes"),
+    Column("equal_outcomes", "equal outcomes"),
+    Column("reached", "both reached"),
+    Column("agree", "agree"),
+    Column("pitch_rms", "pitch RMS [rad]", 3),
+    Column("most_pitch_rms", "largest", 3),
+    Column("time", "time [%]", 1, "+"),
+    Column("most_time", "largest", 1, "+"),
+    Column("first", "θ̂_R, plane [rad]"),
+    Column("second", "other"),
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the rows and the episodes on which the engines disagree."""
+    from flipperctl.cli.scenes import scenes
+
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.engine_agreement",
+        description="Compare two engines on the same commanded actions.",
+    )
+    parser.add_argument("overrides", nargs="*", metavar="OVERRIDE", help="as in terrain=step,stair")
+    parser.add_argument("--controller", default="okada", help="whose actions [%(default)s]")
+    parser.add_argument("--episodes", type=int, default=10, help="of each terrain [%(default)s]")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the episodes [0]")
+    chosen = parser.parse_args(arguments)
+    plugins.load([])
+    words = [f"eval.episodes={chosen.episodes}", f"eval.seed={chosen.seed}", *chosen.overrides]
+    if not any(word.startswith("sim=") for word in words):
+        words.append("sim=mujoco")
+    asked = scenes(words, None, chosen.controller)
+    for config, _ in asked:
+        in_default_engine(config)  # it raises before the first episode
+    rows, apart = [], []
+    for config, source in asked:
+        name = config.terrain.plugin_name
+        found = compare_engines(config, source)
+        rows.append(summary(name, found))
+        apart += [f"{name}, {_disagreement(e)}" for e in found if not e.agrees]
+    title = f"{asked[0][0].sim.plugin_name} against {DEFAULT_ENGINE}, {chosen.controller}'s actions"
+    print_table(Table(_COLUMNS, rows, title), console())
+    for line in apart:
+        print(line)
+    return 0
+
+
+def _disagreement(e: EngineEpisode) -> str:
+    """Return an episode on which the engines disagree as a line."""
+    where = ""
+    if e.parts_at is not None:
+        where = f"; they diverge at {e.parts_at[0]:.2f} s, x {e.parts_at[1]:.2f} m"
+    return (
+        f"episode {e.episode} (seed {e.seed}): {e.outcomes[0]} in {e.times[0]:.1f} s, "
+        f"{e.outcomes[1]} in {e.times[1]:.1f} s, pitch RMS {e.pitch_rms:.3f} rad, "
+        f"{e.pitch_rms_along:.3f} rad at equal x{where}"
+    )
+
+
+if __name__ == "__main__":
+    entry.run(main)

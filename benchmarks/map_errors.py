@@ -27,8 +27,9 @@ from flipperctl import entry, plugins
 from flipperctl.api import FloatArray, Perception, Transition
 from flipperctl.core.bins import occupied
 from flipperctl.errors import RequestError
+from flipperctl.evaluation.evaluate import evaluate
+from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.runner import EpisodeRunner
-from flipperctl.evaluation.scenes import evaluate
 from flipperctl.sim.planar.map_errors import NEAREST, MapErrorSize
 
 LEVEL, STEEP = 0.01, 0.03
@@ -275,10 +276,10 @@ def _print_variation(policy: str, name: str, words: Sequence[str]) -> None:
     rule = policy == "okada"
     found = scenes(words, None if rule else Path(policy), policy if rule else None)
     cells = []
-    for scene in evaluate(found).scenes:
-        s = scene.summary
-        variation = "–" if s.pitch_variation is None else f"{s.pitch_variation.mean:.2f}"
-        cells.append(f"{s.terrain} {s.outcomes.reached}/{s.episodes} {variation}")
+    for played in evaluate(Plan.of_one([Entry(*scene) for scene in found])).played:
+        reached = played.episodes.reached
+        variation = f"{np.mean(reached.values('pitch_variation')):.2f}" if reached else "–"
+        cells.append(f"{played.entry.terrain} {len(reached)}/{len(played.episodes)} {variation}")
     print(f"{policy} on {name}: θ̂_R at decisions [rad] {', '.join(cells)}", flush=True)
 
 

@@ -62,7 +62,7 @@ def play(name: str, output: Path, jobs: int = 1) -> None:
         _run([*words, "--output", str(output / name)])
         rows = cells.rows(output / name)
     else:
-        rows = [row.to_dict() for row in rows_of(json.loads(_run([*words, "--json"])))]
+        rows = list(rows_of(json.loads(_run([*words, "--json"]))))
     _keep(name, {"command": COMMANDS[name], "version": __version__}, {"rows": rows})
 
 

@@ -11,7 +11,7 @@ import csv
 import json
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +19,8 @@ import numpy as np
 import yaml
 
 from flipperctl.errors import RequestError
-from flipperctl.evaluation.estimates import Interval
 from flipperctl.evaluation.scores import PRICE, Method
-from flipperctl.studies.seed_table import rows
+from flipperctl.evaluation.views.compare import difference, method_row
 
 SUITES = ("paper", "families", "held_out")
 _SEEDS = "seed=1,2,3 hydra.sweep.dir=runs/shipped"
@@ -141,14 +140,14 @@ class _Scene:
 
     def row(self) -> dict[str, Any]:
         """Return plain data."""
-        (found,) = rows([_method([self])], PRICE, _method([self]))
+        found = method_row(_method([self]), PRICE)
         return {
             **{name: getattr(self, name) for name in ("case", "terrain", "hash", "engine")},
             "method": self.method,
             "seeds": len(self.reached),
             "episodes": self.episodes,
-            "success": _ends(found.success),
-            "score": _ends(found.score),
+            "success": _ends(found["success"]),
+            "score": _ends(found["score"]),
             **{name: _rounded(self._mean(name)) for name in (_SCORE, _DECISIONS, _TIME)},
         }
 
@@ -225,29 +224,26 @@ def _overview(
 ) -> dict[str, Any]:
     """Return the row of a method over all scenes, with its difference on common episodes."""
     method = _method(scenes)
-    (found,) = rows([method], PRICE, method)
+    found = method_row(method, PRICE)
     row: dict[str, Any] = {
         "method": name,
-        "seeds": found.seeds,
+        "seeds": found["seeds"],
         "scenes": len(scenes),
         "episodes": sorted({scene.episodes for scene in scenes}),
-        "success": _ends(found.success),
-        "score": _ends(found.score),
-        "iqm": _ends(found.iqm),
-        _SCORE: _rounded(found.reached_mean),
+        "success": _ends(found["success"]),
+        "score": _ends(found["score"]),
+        "iqm": _ends(found["iqm"]),
+        _SCORE: _rounded(found["reached_mean"]),
         "difference": None,
     }
     if against is not None and name != AGAINST:
         other, ours = _method(against, scenes), _method(scenes, against)
-        _, compared = rows([other, ours], PRICE, other)
-        if compared.comparison is not None:
-            row["difference"] = _ends(compared.comparison.score)
+        row["difference"] = _ends(difference(ours, other, PRICE)["score"])
     return row
 
 
-def _ends(interval: Interval) -> list[float | None]:
-    plain = asdict(interval)
-    return [_rounded(plain[end]) for end in ("mean", "low", "high")]
+def _ends(interval: Mapping[str, float | None]) -> list[float | None]:
+    return [_rounded(interval[end]) for end in ("mean", "low", "high")]
 
 
 def _rounded(value: float | None) -> float | None:

@@ -73,7 +73,7 @@ def stored(path: Path) -> list[StoredRow]:
         RequestError: it is missing, or of another form.
     """
     try:
-        return [StoredRow.of(row) for row in _document(path)["rows"]]
+        return list(_document(path)["rows"])
     except (KeyError, TypeError) as error:
         raise RequestError(f"{path}: these are no stored results: {error}") from error
 

@@ -13,9 +13,9 @@ from flipperctl.api import Profile, Robot
 
 def compile_environment() -> None:
     """Thin a profile, bound a drive, and play a decision with a sensor that casts rays."""
+    from benchmarks.statics import static_bound
     from flipperctl.env.flipper_env import FlipperEnv
     from flipperctl.sim.ground import thinned
-    from flipperctl.sim.statics import static_bound
 
     thinned(Profile([(0.001 * i, 0.0001 * i) for i in range(2000)]), 0.1)
     static_bound(np.zeros((1, 2)), Robot(), start=0.0, finish=0.1)

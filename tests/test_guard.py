@@ -28,13 +28,13 @@ from flipperctl.env import ground
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError, FlipperctlError, PluginFailedError
 from flipperctl.evaluation.conditions import Conditions
-from flipperctl.evaluation.episodes import play_episodes
 from flipperctl.guard import raise_named
 from flipperctl.policies.source import PolicySource
 from flipperctl.sim.versions import engine_versions
 from tests.cli.call import RUN, call
 from tests.long.misbehaving import unnamed
 from tests.long.misbehaviour import BEFORE, RAISED, RETURNED, SPOTS, Misbehaviour
+from tests.played import play_episodes
 
 pytestmark = pytest.mark.usefixtures("registry")
 
@@ -74,7 +74,7 @@ def use(what: Misbehaviour, file: Path) -> None:
         Conditions.of(EvalConfig(**dict(config)))
         engine_versions(config.sim)
         look_ahead(config)
-    list(play_episodes(config, source, episodes=1, seed=0))
+    play_episodes(config, source, episodes=1, seed=0)
 
 
 def look_ahead(config: EnvConfig) -> None:

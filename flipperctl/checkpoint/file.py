@@ -29,6 +29,8 @@ from flipperctl.sim.versions import engine_versions
 if TYPE_CHECKING:
     import torch
 
+_GONE = (("eval", "static_bound"),)
+"""Settings of earlier versions without influence on a policy, which are left out on reading."""
 BEST, LAST = Path("checkpoints/best.safetensors"), Path("checkpoints/last.safetensors")
 
 
@@ -81,8 +83,12 @@ class Checkpoint:
                 raise CheckpointError(f"{self.path}: {text}")
 
     def _parse(self, settings: Mapping[str, Any]) -> TrainConfig:
+        known = dict(settings)
+        for section, key in _GONE:
+            if isinstance(part := known.get(section), Mapping):
+                known[section] = {name: value for name, value in part.items() if name != key}
         try:
-            return parse(TrainConfig, settings)
+            return parse(TrainConfig, known)
         except ConfigError as error:
             raise CheckpointError(
                 f"{self.path}: its configuration is not valid: {error}"

@@ -204,7 +204,3 @@ class Eval(Settings):
         description="Ray cluster that plays the cells, one task each: its address, or local for "
         "one of eval.jobs processes [-]",
     )
-    static_bound: bool = Field(
-        False,
-        description="without effect; settings in files of earlier versions have it [-]",
-    )

@@ -9,7 +9,6 @@ import pytest
 from benchmarks import __main__ as benchmarks
 from benchmarks.settings import MEASURES, BenchmarkSettings
 from flipperctl.cli.main import run_app
-from flipperctl.errors import RequestError
 from flipperctl.runs.measures import MOVED
 
 
@@ -27,11 +26,6 @@ def test_a_measure_runs_with_settings_of_its_own(
     assert json.loads((tmp_path / "speed" / "bench.json").read_text()) == document
     assert document["settings"]["limit"] == 3.0
     assert "bare_decisions" in document["measures"]["physics"]["quantities"]
-
-
-def test_a_measure_that_is_not_there_is_refused() -> None:
-    with pytest.raises(RequestError, match="'phisics'; did you mean 'physics'"):
-        run("phisics")
 
 
 def test_what_moved_is_here_and_the_help_names_every_measure_and_setting() -> None:

@@ -3,38 +3,11 @@
 import pytest
 
 from benchmarks import lookahead, lookahead_values
-from benchmarks.prediction import MEASURES, prediction_errors
+from benchmarks.prediction import prediction_errors
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.lookahead.mpc import Mpc
 from flipperctl.rollout.episode import play
-from tests.bench.small import check, check_ratio
 from tests.benchmarks.small import small_benchmark
-
-
-def test_every_decision_is_timed_and_every_prediction_compared() -> None:
-    bench = small_benchmark()
-    found = lookahead.measure(bench)
-    check(found)
-    quantities = found["quantities"]
-    assert len(quantities["decision"]["values"]) == found["decisions"] > 20
-    assert len(quantities["environment_decisions"]["values"]) == bench.settings.repeats
-    assert quantities["decision"]["high"] <= quantities["decision_p99"]["median"]
-    check_ratio(
-        found,
-        "simulated_decisions / environment_decisions",
-        "simulated_decisions",
-        "environment_decisions",
-    )
-    with_value = quantities["decision_with_value"]["values"]
-    assert 20 < len(with_value) <= found["decisions"]
-    assert min(with_value) > 0
-    assert len(quantities["graph"]["values"]) == bench.settings.repeats
-    assert quantities["graph"]["median"] > 3 * quantities["decision"]["median"]  # all states
-    for controller in ("okada", "random"):
-        for name in MEASURES:
-            key = f"prediction.{controller}.{name}"
-            p90, p99 = (quantities[f"{key}_p{p}"]["median"] for p in (90, 99))
-            assert 0 < quantities[key]["median"] < p90 <= p99
 
 
 def test_rates_by_hand() -> None:

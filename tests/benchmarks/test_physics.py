@@ -4,27 +4,7 @@ import pytest
 
 from benchmarks import physics
 from flipperctl.env.flipper_env import FlipperEnv
-from tests.bench.small import check, check_ratio
 from tests.benchmarks.small import small_benchmark
-
-
-def test_the_parts_of_a_decision_add_up() -> None:
-    bench = small_benchmark()
-    found = physics.measure(bench)
-    check(found)
-    check_ratio(
-        found,
-        "environment_decisions / bare_decisions",
-        "environment_decisions",
-        "bare_decisions",
-    )
-    parts = ("physics", "contacts", "sensing", "reward", "rest")
-    for index in range(bench.settings.repeats):
-        times = [found["quantities"][f"decision.{p}"]["values"][index] for p in parts]
-        whole = found["quantities"]["decision.whole"]["values"][index]
-        assert sum(times) == pytest.approx(whole)
-        rate = found["quantities"]["environment_decisions"]["values"][index]
-        assert rate == pytest.approx(1e6 / whole)
 
 
 def test_rates_by_hand() -> None:

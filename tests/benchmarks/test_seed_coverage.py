@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.seed_coverage import EPISODES, SEEDS, SHAPES, coverage, main
-from flipperctl.evaluation.aggregates import interquartile_mean
+from flipperctl.evaluation.seeds import interquartile_mean
 
 
 @pytest.mark.parametrize("name", SHAPES)

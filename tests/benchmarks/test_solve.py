@@ -1,14 +1,10 @@
 """Time to solve."""
 
-import sys
-from itertools import pairwise
-
 import pytest
 
 from benchmarks import solve
 from benchmarks.solve_run import SolveRun, Validation, ValidationRecorder
 from flipperctl.training.trainer import Trainer
-from tests.bench.small import check
 from tests.benchmarks.small import small_benchmark
 
 
@@ -88,18 +84,6 @@ def test_medians_count_the_unsolved_as_longest() -> None:
     assert found["ratios"]["sb3 / flipperctl, seconds"]["low"] is None  # pairs 4, ∞, ∞
 
 
-def test_both_learners_run_and_are_validated_alike() -> None:
-    found = solve.measure(small_benchmark())
-    check(found)
-    assert found["missing"] == []
-    for name in ("flipperctl", "sb3"):
-        (run,) = found["runs"][name]
-        assert run["seed"] == 1
-        decisions = [v["decision"] for v in run["validations"]]
-        assert decisions, name
-        assert all(later > before for before, later in pairwise([99, *decisions]))
-
-
 def test_sb3_is_validated_on_the_trainers_episodes(tmp_path) -> None:
     config = solve.configured(small_benchmark(), 5)
     trainer = Trainer(config, tmp_path)
@@ -110,12 +94,3 @@ def test_sb3_is_validated_on_the_trainers_episodes(tmp_path) -> None:
     assert last.decision == trainer.progress.decision  # so the policy is the validated one
     expected = last.success_rate
     assert Validation(config)(trainer.agent.policy) == expected
-
-
-def test_without_sb3_our_side_still_runs(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "stable_baselines3", None)
-    monkeypatch.delitem(sys.modules, "benchmarks.sb3", raising=False)
-    found = solve.measure(small_benchmark())
-    check(found)
-    assert "flipperctl[bench]" in found["missing"][0]
-    assert list(found["runs"]) == ["flipperctl"]

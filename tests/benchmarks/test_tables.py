@@ -5,10 +5,10 @@ import shlex
 from pathlib import Path
 
 import pytest
-from tests.report.test_card import LEVEL, POLICY
 
 from benchmarks import results, tables
 from flipperctl.errors import RequestError
+from tests.evaluation.views.test_card import LEVEL, POLICY
 
 PAGE = "Before.\n\n<!-- results: one.json method reached -->\nold\n<!-- end -->\nAfter.\n"
 
@@ -35,8 +35,7 @@ def test_kept_results_are_those_of_their_commands() -> None:
 
 
 def test_a_table_is_made_anew_between_its_markers(tmp_path: Path) -> None:
-    rows = [row.to_dict() for row in (POLICY, LEVEL)]
-    (tmp_path / "one.json").write_text(json.dumps({"rows": rows}))
+    (tmp_path / "one.json").write_text(json.dumps({"rows": [POLICY, LEVEL]}))
     text = tables.rewritten(PAGE, tmp_path)
     assert text.splitlines()[3:8] == [
         "",

@@ -1,7 +1,6 @@
 """Updates of both learners."""
 
 import sys
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
@@ -10,36 +9,8 @@ import torch
 from benchmarks import updates
 from flipperctl.agent.d3qn import D3qn
 from flipperctl.bench import learner
-from tests.bench.small import check, check_ratio
+from tests.bench.small import check
 from tests.benchmarks.small import small_benchmark
-
-
-@pytest.fixture
-def two_threads() -> Iterator[None]:
-    """More threads than the measure uses, so that it has something to put back."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(2)
-    yield
-    torch.set_num_threads(threads)
-
-
-@pytest.mark.usefixtures("two_threads")
-def test_every_batch_size_is_measured_on_both_sides() -> None:
-    found = updates.measure(small_benchmark(batch_sizes=(16, 32)))
-    check(found)
-    assert found["missing"] == []
-    assert torch.get_num_threads() == 2
-    for size in (16, 32):
-        for name in ("sb3", "sb3_fused"):
-            key = f"flipperctl / {name}, updates of {size}"
-            check_ratio(found, key, f"flipperctl.updates.{size}", f"{name}.updates.{size}")
-        rates, moved = (
-            found["quantities"][f"sb3.{what}.{size}"]["values"]
-            for what in ("updates", "transitions")
-        )
-        assert moved == [size * rate for rate in rates]
-    ours, theirs = (found["weights"][name] for name in ("flipperctl", "sb3"))
-    assert theirs == pytest.approx(ours, rel=0.02)
 
 
 def test_both_replays_hold_the_same() -> None:

@@ -16,7 +16,6 @@ from flipperctl.api import ObservationLayout
 from flipperctl.config import EnvConfig, TrainConfig, parse, resolver
 from flipperctl.core.lidar.estimator import LidarEstimator
 from flipperctl.errors import ConfigError, ExportError, MissingExtraError
-from flipperctl.evaluation.episodes import play_episodes
 from flipperctl.export import policy
 from flipperctl.export.metadata import describe_observation, policy_metadata
 from flipperctl.export.parity import compare
@@ -26,6 +25,7 @@ from flipperctl.policies.trained import policy_module
 from flipperctl.runtime import OnnxPolicy, RobotSetup
 from flipperctl.runtime.estimating import new_estimator
 from flipperctl.runtime.interface import read_interface
+from tests.played import play_episodes
 
 
 @pytest.fixture(scope="module")
@@ -168,7 +168,7 @@ def test_the_file_for_another_robot_drives_it_as_the_checkpoint_does(
     assert interface.robot["flipper_speed"] == 0.5
     config = EnvConfig(terrain="step", robot=robot)
     sources = PolicySource(checkpoint=path), PolicySource(checkpoint=saved.path)
-    ours, theirs = (list(play_episodes(config, s, episodes=2, seed=1)) for s in sources)
+    ours, theirs = (play_episodes(config, s, episodes=2, seed=1) for s in sources)
     assert ours == theirs
 
 

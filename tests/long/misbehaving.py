@@ -72,11 +72,10 @@ COMMANDS = {
         "eval --jobs": ["eval", "--controller", "level", *DRIVEN, "--jobs=2", "sim=odd"],
         "train": ["train", *SHORT, "train.mode=exact", "sim=odd"],
         "train fast": ["train", *SHORT, "sim=odd"],
-        "inspect engines": ["inspect", "engines", "--controller", "level", *DRIVEN, "sim=odd"],
         "inspect reward": ["inspect", "reward", "--episodes=1", "terrain=flat", "sim=odd"],
-        "transfer": ["transfer", "--controller", "level", *DRIVEN, "sim=odd"],
-        "transfer --film": ["transfer", "--controller", "level", "terrain=flat", "--only=0",
-                            "--film=drive.gif", "sim=odd"],
+        "eval engines": ["eval", "--controller", "level", *DRIVEN, "sim=planar,odd"],
+        "eval --film": ["eval", "--controller", "level", "terrain=flat", "--episodes=1",
+                        "--film=drive.gif", "sim=odd"],
     },
     "perception": {
         "eval": ["eval", "--controller", "level", *DRIVEN, "perception=odd"],
@@ -86,7 +85,8 @@ COMMANDS = {
                          "teacher.privileged=true"],
         "train fast": ["train", *SHORT, "perception=odd"],
         "inspect reward": ["inspect", "reward", "--episodes=1", "terrain=flat", "perception=odd"],
-        "transfer": ["transfer", "--controller", "level", *DRIVEN, "sim=mujoco", "perception=odd"],
+        "eval engines": ["eval", "--controller", "level", *DRIVEN, "sim=planar,mujoco",
+                         "perception=odd"],
     },
 }  # fmt: skip
 FOR_ALL = {"inspect plugins": ["inspect", "plugins", "odd"]}
@@ -196,7 +196,7 @@ def _preload() -> None:
     import tensorboard  # noqa: F401
     import torch
 
-    import flipperctl.evaluation.episodes
+    import flipperctl.evaluation.evaluate
     import flipperctl.runs.training
     import flipperctl.sim.planar.compiled  # noqa: F401
 

@@ -7,14 +7,14 @@ import pytest
 
 from flipperctl import checkpoint
 from flipperctl.api import Robot
-from flipperctl.config import EnvConfig
+from flipperctl.config import EnvConfig, EvalConfig
 from flipperctl.errors import CheckpointError, PluginError, PolicyError
-from flipperctl.evaluation.episodes import play_episodes
 from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.export.policy import export
 from flipperctl.policies.exported import exported_config
 from flipperctl.policies.source import PolicySource
 from tests.cli.call import call
+from tests.played import play_episodes
 from tests.runtime import linear
 
 
@@ -26,13 +26,13 @@ def exported(short_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_exported_policy_acts_as_the_trained_one(short_run: Path, exported: Path) -> None:
-    config = EnvConfig(terrain="step")
+    config = EvalConfig(terrain="step", eval={"seed": 1})
     trained = PolicySource(checkpoint=short_run / checkpoint.BEST)
     robot = PolicySource(checkpoint=exported)
-    expected = list(play_episodes(config, trained, episodes=3, seed=1))
-    assert list(play_episodes(config, robot, episodes=3, seed=1)) == expected
+    expected = play_episodes(config, trained, episodes=3, seed=1)
+    assert play_episodes(config, robot, episodes=3, seed=1) == expected
     with EpisodeWorkers(2) as workers:
-        assert list(play_episodes(config, robot, episodes=3, seed=1, workers=workers)) == expected
+        assert list(workers.play(config, robot, range(3))) == expected
 
 
 def test_the_file_holds_its_terrain_robot_and_layout(exported: Path, tmp_path: Path) -> None:

@@ -11,8 +11,9 @@ from flipperctl.cli.hydra import compose, config_store
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import TrainConfig, to_dict
 from flipperctl.errors import CheckpointError
-from flipperctl.evaluation.episodes import play_episodes
+from flipperctl.evaluation.rows import reached
 from flipperctl.policies.source import PolicySource
+from tests.played import play_episodes
 
 SHIPPED = sorted(checkpoint.shipped_policies().items())
 
@@ -46,8 +47,8 @@ def test_a_shipped_policy_has_the_configuration_of_its_command_and_reaches_the_f
     assert all(part["name"] == "building_stair" and part["most"] == 16 for part in added)
     assert "long flights" in path.with_suffix(".md").read_text()
     config = saved.config().environment()
-    results = list(play_episodes(config, PolicySource(checkpoint=path), episodes=5, seed=0))
-    assert sum(result.reached for result in results) >= 4
+    rows = play_episodes(config, PolicySource(checkpoint=path), episodes=5, seed=0)
+    assert sum(reached(row) for row in rows) >= 4
 
 
 @pytest.mark.parametrize(("name", "path"), SHIPPED)

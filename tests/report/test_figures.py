@@ -18,13 +18,16 @@ from flipperctl.api import Profile, RobotGeometry, RobotState
 from flipperctl.config import EvalConfig, with_overrides
 from flipperctl.errors import OutputError, WriteError
 from flipperctl.evaluation.conditions import Conditions
-from flipperctl.evaluation.files import picture_names
+from flipperctl.evaluation.plan import Entry
 from flipperctl.evaluation.scores import Method
+from flipperctl.evaluation.stored import Stored
+from flipperctl.evaluation.views.compare import Comparison, figure
+from flipperctl.policies.source import PolicySource
 from flipperctl.report.episode import episode_figure, pose_indices
 from flipperctl.report.figure import save
-from flipperctl.report.performance import profile_figure
 from flipperctl.report.render import BELT
 from flipperctl.report.terrain import terrain_figure
+from flipperctl.runs.evaluation import picture_names
 
 ROBOT = RobotGeometry()
 STEP = Profile([(0.0, 0.0), (0.0, 0.3), (2.0, 0.3)])
@@ -150,7 +153,8 @@ def test_methods_differ_by_their_lines_as_well() -> None:
         Method(f"m{i}", {"a": np.full((1, 5), i / 20)}, {"a": np.ones((1, 5), bool)})
         for i in range(12)
     ]
-    lines = profile_figure(methods, 1.0, "cost").axes[0].get_lines()
+    compared = Comparison(Stored(tuple(methods), {"a": 5}, ()), "t_cost", "s", 1.0, "m0")
+    lines = figure(compared).axes[0].get_lines()
     assert len({(str(line.get_color()), line.get_linestyle()) for line in lines}) == 12
     assert {line.get_drawstyle() for line in lines} == {"steps-post"}
 
@@ -225,11 +229,12 @@ def test_a_failure_half_way_leaves_what_was_there(
 
 
 def test_each_scene_of_an_evaluation_has_a_picture_of_its_own() -> None:
-    flat = with_overrides(EvalConfig(terrain="flat"), {})
+    flat = EvalConfig(terrain="flat")
     step = with_overrides(flat, {"terrain": "step"})
     varied = with_overrides(flat, {"randomise.friction": [0.6, 1.0]})
     nominal_hash, varied_hash = Conditions.of(flat).hash, Conditions.of(varied).hash
-    assert picture_names([flat, step, varied, flat]) == [
+    level = PolicySource(settings={"name": "level"})
+    assert picture_names([Entry(config, level) for config in (flat, step, varied, flat)]) == [
         f"flat_nominal_{nominal_hash}_1.png",
         "step.png",
         f"flat_nominal_{varied_hash}.png",

@@ -11,9 +11,10 @@ from flipperctl.api import Profile, Terrain
 from flipperctl.cli.scenes import scenes
 from flipperctl.config import EnvConfig, identity
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.evaluation.episodes import play_episodes
+from flipperctl.evaluation.rows import sampled
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.seeds import EvaluationSeeds, training_seed, validation_seed
+from tests.played import play_episodes
 
 FAMILIES = "step,stair,building_stair,ramp,uplift,gap,wave,rubble,pallet,plum"
 KERB = "x,z\n0,0\n0,0.1\n0.5,0.1\n"
@@ -40,12 +41,12 @@ def test_ten_families_of_forty_episodes_sample_400_frictions() -> None:
 def test_two_policies_meet_the_same_ground_start_and_physics() -> None:
     ((config, _),) = scenes(["terrain=step", "conditions=wide"], None, "level")
     ours, theirs = (
-        list(play_episodes(config, PolicySource(settings={"name": name}), episodes=2, seed=3))
+        play_episodes(config, PolicySource(settings={"name": name}), episodes=2, seed=3)
         for name in ("level", "okada")
     )
-    assert [e.seed for e in ours] == [e.seed for e in theirs]
-    assert [e.sampled for e in ours] == [e.sampled for e in theirs]
-    assert ours[0].sampled != ours[1].sampled
+    assert [e["seed"] for e in ours] == [e["seed"] for e in theirs]
+    assert [sampled(e) for e in ours] == [sampled(e) for e in theirs]
+    assert sampled(ours[0]) != sampled(ours[1])
 
 
 def test_the_ground_is_the_same_under_all_conditions_and_in_all_engines() -> None:
@@ -81,9 +82,9 @@ def test_a_seed_of_a_result_gives_its_episode_again() -> None:
     level = PolicySource(settings={"name": "level"})
     (result,) = play_episodes(config, level, episodes=[2], seed=9)
     env = FlipperEnv(config=config)
-    env.reset(seed=result.seed)
-    assert env._sampled_values == dict(result.sampled)
-    assert float(result.seed) == result.seed  # exact where numbers are floats
+    env.reset(seed=result["seed"])
+    assert env._sampled_values == sampled(result)
+    assert float(result["seed"]) == result["seed"]  # exact where numbers are floats
 
 
 def test_the_seeds_depend_on_the_terrain_and_its_settings() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from flipperctl import files
 from flipperctl.errors import WriteError
-from flipperctl.evaluation import tables
+from flipperctl.runs import evaluation
 from flipperctl.runs.lock import hold
 from flipperctl.runs.results import ResultFolder, result_folder
 from tests.cli.call import Done, call
@@ -45,7 +45,8 @@ def test_files_that_no_command_has_written_are_kept(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "command", [PLAY, ["transfer", *PLAY[1:]], ["bench", "learner", "--output", "out"]]
+    "command",
+    [PLAY, ["map", *PLAY[1:], "--over", "seed,sim.friction"], ["bench", "learner", *PLAY[-2:]]],
 )
 def test_a_folder_in_use_is_refused_at_once_with_its_holder(
     command: list[str], tmp_path: Path
@@ -65,11 +66,12 @@ def test_a_second_evaluation_leaves_no_file_of_the_first_and_all_of_the_users(
     out = tmp_path / "out"
     assert shown(out) == {*TABLES, *CELLS, "flat.png", "step.png"}
     (out / "mine.png").write_bytes(b"mine")
-    assert call("transfer", *PLAY[1:], "terrain=flat", "--json", cwd=tmp_path).code == 0
+    with result_folder(out, "map", ["map.json"]) as folder:
+        folder.replace(lambda part: (part / "map.json").touch())
     before = (out / "flat.png").stat().st_mtime_ns
     done = call(*PLAY, "terrain=flat", cwd=tmp_path)
     assert done.code == 0, done.err
-    assert shown(out) == {*TABLES, *CELLS, "flat.png", "mine.png", "transfer.json"}
+    assert shown(out) == {*TABLES, *CELLS, "flat.png", "mine.png", "map.json"}
     assert (out / "flat.png").stat().st_mtime_ns > before
     assert "step" not in (out / "table.csv").read_text()
 
@@ -97,7 +99,7 @@ def test_a_full_disk_leaves_the_earlier_files_as_they_were(
     def full(path: Path, data: bytes) -> None:
         raise WriteError(f"{path}: writing failed half way (No space left on device)")
 
-    monkeypatch.setattr(tables, "write_bytes", full)  # table.tex, after the other files
+    monkeypatch.setattr(evaluation, "write_bytes", full)  # table.tex, after the other files
     done = call(*PLAY, "terrain=step", cwd=tmp_path)
     assert done.code == 1
     assert "step" in done.out
@@ -132,7 +134,7 @@ def test_the_table_is_there_before_the_film_is_drawn(
     def fail(*arguments: Any) -> None:
         raise WriteError("film.gif: writing failed half way (No space left on device)")
 
-    monkeypatch.setattr("flipperctl.report.scenes.save_film", fail)
+    monkeypatch.setattr("flipperctl.evaluation.pictures.save_film", fail)
     done = call(*PLAY, "terrain=flat", "--film", "film.gif", cwd=tmp_path)
     assert done.code == 1
     assert "reached 2" in done.out

@@ -11,10 +11,10 @@ from flipperctl import checkpoint
 from flipperctl.api import Network
 from flipperctl.api.plugin import registered_names
 from flipperctl.config import EnvConfig, TrainConfig
-from flipperctl.evaluation.episodes import play_episodes
 from flipperctl.export import policy as export_policy
 from flipperctl.policies.source import PolicySource
 from flipperctl.runtime import OnnxPolicy
+from tests.played import play_episodes
 from tests.short import short_config, trainer
 
 pytestmark = pytest.mark.slow
@@ -82,7 +82,7 @@ def test_the_exported_policy_acts_as_the_trained_one(
     expected = list(
         play_episodes(scene, PolicySource(trained / checkpoint.BEST), episodes=3, seed=1)
     )
-    assert list(play_episodes(scene, PolicySource(path), episodes=3, seed=1)) == expected
+    assert play_episodes(scene, PolicySource(path), episodes=3, seed=1) == expected
 
 
 def test_workers_use_several_frames_and_repeatable_noise(tmp_path: Path) -> None:

@@ -13,13 +13,14 @@ from flipperctl.checkpoint import recording
 from flipperctl.checkpoint.recording import Recording
 from flipperctl.config import EnvConfig, Teacher, TrainConfig
 from flipperctl.errors import ConfigError
-from flipperctl.evaluation.episodes import play_episodes
+from flipperctl.evaluation.rows import RECORDED
 from flipperctl.policies.source import PolicySource
 from flipperctl.training.events import MetricsCsv
 from flipperctl.training.recorded import fill, read_teacher
 from flipperctl.training.recorded_fit import differing_conditions, notes
 from flipperctl.training.recorder import EPISODES
 from tests.cli.call import EXACT, call
+from tests.played import play_episodes
 from tests.short import short_config, trainer
 
 pytestmark = pytest.mark.slow
@@ -34,7 +35,7 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("recorded") / "okada.safetensors"
     config = EnvConfig(terrain="step")
     found = play_episodes(config, OKADA, episodes=20, seed=5, record=True)
-    recording.write(path, "okada", [(config, [e.recorded for e in found if e.recorded])])
+    recording.write(path, "okada", [(config, [e[RECORDED] for e in found])])
     return path
 
 
@@ -187,9 +188,8 @@ def elsewhere(tmp_path: Path) -> Path:
         randomise={"chassis_mass": [30, 40], "sim": {"gravity": 9.8}},
     )
     (found,) = play_episodes(config, OKADA, episodes=1, seed=5, record=True)
-    assert found.recorded is not None
     path = tmp_path / "elsewhere.safetensors"
-    recording.write(path, "okada", [(config, [found.recorded])])
+    recording.write(path, "okada", [(config, [found[RECORDED]])])
     return path
 
 

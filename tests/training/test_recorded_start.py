@@ -8,11 +8,12 @@ import pytest
 
 from flipperctl.checkpoint import recording
 from flipperctl.config import EnvConfig
-from flipperctl.evaluation.episodes import play_episodes
+from flipperctl.evaluation.rows import RECORDED
 from flipperctl.policies.source import PolicySource
 from flipperctl.policies.taught import TaughtPolicy
 from flipperctl.rollout.processes import ProcessWorkers
 from flipperctl.training import episodes
+from tests.played import play_episodes
 from tests.short import short_config, trainer
 
 pytestmark = pytest.mark.slow
@@ -24,15 +25,15 @@ def test_recorded_decisions_count_before_the_student_drives(
 ) -> None:
     environment = EnvConfig(terrain="step")
     rule = PolicySource(settings={"name": "okada"})
-    played = list(play_episodes(environment, rule, episodes=2, seed=5, record=True))
+    played = play_episodes(environment, rule, episodes=2, seed=5, record=True)
     file = tmp_path / "okada.safetensors"
-    recording.write(file, "okada", [(environment, [e.recorded for e in played if e.recorded])])
+    recording.write(file, "okada", [(environment, [e[RECORDED] for e in played])])
     settings: dict[str, Any] = {
         "agent.learning_starts": starts,
         "teacher.controller": {"name": "okada"},
         "teacher.episodes": str(file),
     }
-    recorded = sum(len(e.recorded.actions) for e in played if e.recorded)
+    recorded = sum(len(e[RECORDED].actions) for e in played)
     assert 30 < recorded < 1000
     begins = max(1, starts - recorded)
 

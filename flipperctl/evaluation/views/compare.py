@@ -114,7 +114,7 @@ def compare(
 def document(found: Comparison) -> Document:
     """Return the methods and their differences as plain data."""
     methods = found.stored.methods
-    rows = [_row(method, found.price) for method in methods]
+    rows = [method_row(method, found.price) for method in methods]
     by_name = dict(zip([method.name for method in methods], rows, strict=True))
     pairs = [
         (ours, theirs)
@@ -122,7 +122,7 @@ def document(found: Comparison) -> Document:
         for other, theirs in enumerate(methods)
         if (other < at if found.against == ALL else theirs.name == found.against and other != at)
     ]
-    gaps = [_compare(*pair, found.price) for pair in pairs]
+    gaps = [difference(*pair, found.price) for pair in pairs]
     for key in ("p", "p_success"):
         for gap, p in zip(gaps, holm([gap[key] for gap in gaps]), strict=True):
             gap[f"{key}_holm"] = p
@@ -140,7 +140,8 @@ def document(found: Comparison) -> Document:
     }
 
 
-def _row(method: Method, price: float) -> Document:
+def method_row(method: Method, price: float) -> Document:
+    """Return the success and the scores of a method, not compared with another one."""
     scores = method.scores(price)
     reached = np.concatenate(
         [values[method.reached[scene]] for scene, values in method.values.items()]
@@ -166,7 +167,7 @@ def _row(method: Method, price: float) -> Document:
     }
 
 
-def _compare(method: Method, other: Method, price: float) -> Document:
+def difference(method: Method, other: Method, price: float) -> Document:
     """Return a method minus another one, on the same episodes, without corrected p-values.
 
     ``improvement``: probability that a training seed has a better mean score on a scene than one of

@@ -1,8 +1,11 @@
 """A lower bound of the pitch variation on a ground, from statics.
 
+    python -m benchmarks.statics [--episodes N] [--seed N] [OVERRIDE …]
+
 In: the ground's outline and the robot. Out: the smallest sum of absolute pitch changes with which
 the chassis can pass through poses in which the robot can stand, whatever the flippers do: they may
-take any angle at any time.
+take any angle at any time. The command prints its mean and range over the episodes of ``flipperctl
+eval`` with the same words, a third of a second each.
 
 A robot can stand if no part of it is inside the ground, and it touches the ground both ahead of and
 behind its centre of mass. Every tolerance widens the set of poses, so that the sum is a lower bound
@@ -12,13 +15,18 @@ bounds slow driving, not every motion.
 
 from __future__ import annotations
 
+import argparse
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from flipperctl import entry, plugins
 from flipperctl.api import FloatArray, Robot
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.rollout.seeds import EvaluationSeeds
 
 _SPACING = 0.005
 """Distance of the places at which the ground is known [m]."""
@@ -89,7 +97,8 @@ def standing(
     ``points`` is (V, 2) [m]; ``start`` and ``finish`` are world x of the chassis centre [m]. The
     pitches lie within ± ``overturn`` [rad].
     """
-    from flipperctl.sim.standing import can_stand, inflated  # numba takes long to import
+    from benchmarks.standing import can_stand  # numba takes long to import
+    from flipperctl.sim.standing import inflated
 
     half, axle, radius = robot.hinge_offset, robot.flipper_axle, robot.track_radius
     margin = math.ceil((half + axle) / _SPACING) + 2  # to the farthest end of a flipper
@@ -136,3 +145,48 @@ def _cheapest(cost: FloatArray) -> FloatArray:
     up = np.minimum.accumulate(cost - ahead) + ahead
     down = (np.minimum.accumulate((cost + ahead)[::-1]))[::-1] - ahead
     return np.asarray(np.minimum(up, down))
+
+
+def episode_bound(env: FlipperEnv) -> float:
+    """Return the bound of the episode that ``env.reset`` began [rad]."""
+    finish, episode = env.drive.termination.finish, env.config.episode
+    return static_bound(
+        env.profile.points,
+        env.robot,
+        start=float(env.state.position[0]),
+        finish=finish,
+        pitch=env.state.pitch,
+        clearance=episode.clearance if finish >= env.profile.end else math.inf,
+        overturn=episode.overturn,
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Print the bound on each terrain."""
+    from flipperctl.cli.scenes import scenes
+
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.statics",
+        description="Compute a lower bound of the pitch variation, from statics.",
+    )
+    parser.add_argument("overrides", nargs="*", metavar="OVERRIDE", help="as in terrain=ramp,stair")
+    parser.add_argument("--episodes", type=int, default=20, help="of each terrain [%(default)s]")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the episodes [0]")
+    chosen = parser.parse_args(arguments)
+    plugins.load([])
+    words = [f"eval.episodes={chosen.episodes}", f"eval.seed={chosen.seed}", *chosen.overrides]
+    for config, _ in scenes(words, None, "level"):
+        env, bounds = FlipperEnv(config=config.environment()), []
+        for seed in EvaluationSeeds.of(config.eval.seed, config.terrain).first(chosen.episodes):
+            env.reset(seed=seed)
+            bounds.append(episode_bound(env))
+        print(
+            f"{config.terrain.plugin_name}: {np.mean(bounds):.2f} rad, "
+            f"{min(bounds):.2f} to {max(bounds):.2f} in {len(bounds)} episodes",
+            flush=True,
+        )
+    return 0
+
+
+if __name__ == "__main__":
+    entry.run(main)

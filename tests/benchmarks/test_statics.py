@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
+from benchmarks.statics import standing, static_bound
 from flipperctl.api import FloatArray, Robot
-from flipperctl.sim.statics import standing, static_bound
 
 FLAT = np.array([[0.0, 0.0], [0.3, 0.0]])
 RIGID = Robot(angle_limit=0.01, angle_step=0.01)
