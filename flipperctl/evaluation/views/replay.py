@@ -149,6 +149,11 @@ def _write(folder: Path, found: Replay) -> None:
 
 
 def _film(path: Path, found: Replay, progress: Progress) -> None:
+    if found.config.sim.films_itself:
+        from flipperctl.report.drawn_film import film
+
+        film(found.config, found.source, found.record.seed, path)
+        return
     from flipperctl.report.film import save_film
 
     with progress(f"{found.config.terrain.plugin_name}, film", 1) as report:
