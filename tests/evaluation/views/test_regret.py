@@ -108,6 +108,7 @@ def test_the_sentences_name_scene_difference_and_best_reference() -> None:
     assert line(less) == (
         "Check on 5 new episodes: reward 2.50; mpc 8.00; flippers held still 3.00. "
         "The policy EARNS LESS THAN HOLDING THE FLIPPERS STILL (-0.50 [-0.50, -0.50]).\n"
+        "On the same episodes: the policy success 100%, θ̂_R 2.00 rad; level success 0%.\n"
     )
     assert line(None) == ""
     named = [row["policy"] for row in table([less]).rows]
