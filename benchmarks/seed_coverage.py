@@ -6,7 +6,7 @@ A score is a seed's part + an episode's part + a part of both, with deviations t
 drawn from a normal distribution, an exponential one, or one of which a fifth lies far off, as where
 one training in five fails; the episodes are the same for all seeds and for two methods that are
 compared. The command prints the fraction of samples whose 95 % interval
-contains the truth, by number of seeds. Bootstraps draw fewer samples than ``inspect results``, to
+contains the truth, by number of seeds. Bootstraps draw fewer samples than ``compare``, to
 save time.
 """
 

@@ -154,8 +154,8 @@ def with_budget(command: list[str]) -> list[str]:
         quick = ["engines"] if every else []  # each has a test in tests/bench
         words = re.sub(r"--repeats \d+", "", " ".join(command)).split()
         return [*words, *quick, "--small", "--repeats", "2"]
-    if command[0] in ("eval", "transfer") or {"--compare", "--regret", "engines"} & set(command):
-        (name,) = [b for a, b in pairwise(command) if a == "--controller"] or [""]
+    if command[0] in ("eval", "map") or {"--compare", "--regret"} & set(command):
+        (name,) = [word for word in command if word in SEARCH] or [""]
         words = re.sub(r"--episodes \d+", "", " ".join(command))
         words = re.sub(r"(=[\d.]+:[\d.]+):\d+", r"\1:2", words)  # of a map
         words = re.sub(r"terrain=(\w+,\w+),[\w,]+", r"terrain=\1", words).split()
@@ -263,6 +263,9 @@ def test_every_other_command_is_listed_here_for_a_reason() -> None:
         "python -m flipperctl.runtime --shadow rover.onnx messages.jsonl --signs rep103",  # runtime
         # tests/benchmarks
         "python -m benchmarks.coverage evaluated/episodes.csv",
+        "python -m benchmarks.statics --episodes 20 terrain=ramp,building_stair",
+        "python -m benchmarks.engine_agreement --episodes 100 --seed 60228 terrain=step,stair,"
+        "building_stair,ramp,uplift,gap,wave,rubble,pallet,plum,paper_step,paper_stair",
         "python -m benchmarks.odometry",
         "python -m benchmarks.estimator_fuzz",
         "python -m benchmarks.tables --check",  # tests/benchmarks/test_tables.py

@@ -31,7 +31,7 @@ def run(
     ] = None,
     over: Annotated[
         str | None,
-        typer.Option(metavar="SETTINGS", help="Two settings, such as terrain.height=0.1:0.6,seed."),
+        typer.Option(metavar="SETTINGS", help="Two settings, such as terrain.height,sim.friction."),
     ] = None,
     checkpoint: options.CheckpointFile = None,
     controller: options.ControllerName = None,

@@ -35,8 +35,8 @@ _USAGE = {
     "network": ("flipperctl train network={name}{plugins}",),
     "controller": ("flipperctl eval --controller {name} terrain=step{plugins}",),
     "engine": (
-        "flipperctl inspect engines sim={name} terrain=step{plugins}",
-        "flipperctl eval --controller okada sim={name} terrain=step{plugins}",
+        "flipperctl eval okada sim={name} terrain=step{plugins}",
+        "flipperctl eval okada sim=planar,{name} terrain=step{plugins}",
     ),
     "sensor": (
         "flipperctl eval --controller okada perception={name} terrain=step{plugins}",

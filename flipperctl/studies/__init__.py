@@ -1,1 +1,1 @@
-"""Studies of policies and engines: transfer, engine comparison, rewards, conventions."""
+"""Probes of conventions, and sampled profiles."""

@@ -120,10 +120,10 @@ EVALUATIONS = (
         "risk": "eval --json --checkpoint risk terrain=plum,stair --episodes 8 --jobs 2",
         "trained": "eval --json --checkpoint generalist conditions=trained --episodes 2 --jobs 2",
         "plugin": f"{_OKADA} {_REWARD} terrain=step --episodes 6",
-        "map": f"{_OKADA} terrain=uplift --map terrain.height=0.2:0.5:3,sim.friction=0.5:1:2 "
-        "--episodes 2",
-        "transfer": "transfer --json --controller okada terrain=stair,plum --episodes 3",
-        "transfer lidar": "transfer --json --controller okada terrain=gap perception=lidar "
+        "map": "map --json okada terrain=uplift "
+        "--over terrain.height=0.2:0.5:3,sim.friction=0.5:1:2 --episodes 2",
+        "transfer": "eval --json okada sim=planar,mujoco terrain=stair,plum --episodes 3",
+        "transfer lidar": "eval --json okada sim=planar,mujoco terrain=gap perception=lidar "
         "--episodes 1",
         "audit": f"{_RETURNS} --controller okada terrain=stair --episodes 5 {_REWARD}",
         "regret": f"{_RETURNS} --controller okada --regret --against level terrain=stair,ramp "
@@ -136,9 +136,9 @@ EVALUATIONS = (
         "terrain": "inspect terrain building_stair --json",
     },
     {
-        "methods": "inspect results seeds --against okada --json",
-        "results": "inspect results several --measure t_cost --price 60 --json",
-        "replay": "eval --json --replay several/failure_*.json",
+        "methods": "compare seeds --against okada --json",
+        "results": "compare several --measure t_cost --price 60 --json",
+        "replay": "replay --json several/failure_*.json",
         "again": f"{_SEVERAL} --episodes 10",
         "run": "inspect run risk --json",
         "checkpoint": "inspect checkpoint risk --json",
@@ -164,25 +164,25 @@ eval --controller okada: terrain=stair terrain.rise=-1 | train.decisions=5 | sim
 eval --controller okada: randomise.friction=true | conditions=trained | --friction 0.6 | --jobs 0
 eval --controller okada: --episodes 0 | --episodes x | --episodes 3 eval.episodes=4 | --seed -1
 eval --controller okada: --baseline levl | --baseline none,okada | --passable generalist
-eval --controller okada terrain=step: --by hieght | --map terrain.low=0.1 | --film x.png
-eval --controller okada terrain=step: --map terrain.hihg=0.1:0.6,sim.friction=0.4:1
+eval --controller okada terrain=step: --by hieght | --film x.png
+map okada terrain=step: | --over terrain.low=0.1 | --over terrain.hihg=0.1:0.6,sim.friction=0.4:1
 eval --controller okada: --output file/out | suite=nope | suite=odd.yaml
 eval --controller okada: --plugins nowhere.py | --plugins broken.py | controller.faar=1
 eval --controller okada: --plugins fails.py +reward@rewards.calm=calm terrain=step --episodes 1
-eval --replay: text.json | nowhere.json
+replay: text.json | nowhere.json
 train: terrain=stiar | terain=stair | terrain stair | seed=1,2 | agent.gamma=1.5 | agent.gama=0.9
 train: experiment=nope | rewards.pitch.lamda_2=3 | +reward@rewards.x=pich | ~rewards | rewards=tunde
 train: network=at_d3q | device=gpu | teacher=okdaa | agent.start_from=nowhere | --resume nowhere
 train: hydra.run.dir=paper | hydra.run.dir=file/run | --resume sweep
 train: -m seed=1,2 agent.gamma=0.9,7 | --resume paper agent.gamma=0.9
-transfer: --controller okada sim=planar | --controller nope
+compare: nowhere
 card: nowhere | paper nowhere
 export onnx: --checkpoint nowhere | --checkpoint paper --output no/x.onnx | --controller okada
 export: onxx --checkpoint paper | onnx --checkpoint paper --output calm.py
 convert: nowhere --output x.xyz | file --output x.xyz
 shadow: nowhere.onnx nowhere | text.onnx nowhere
 inspect: plugins stiar | terrain stiar | terrain stair --output x.bmp | reward --compare okada
-inspect: checkpoint nowhere | checkpoint flipped.safetensors | run sweep | results nowhere
+inspect: checkpoint nowhere | checkpoint flipped.safetensors | run sweep
 inspect: config agent.gama=1 | perception nowhere
 flipperctl.evaluate: ("okado") | ("okada", terrain="stiar") | ("okada", episodes=0)
 flipperctl.evaluate: ("okada", baselines="level") | ("cut.safetensors") | ("okada", by=["hight"])

@@ -108,9 +108,9 @@ def test_eval_drives_the_file_s_own_robot_and_refuses_another(tmp_path: Path) ->
     assert json.loads(done.out)["scenes"][0]["conditions"]["robot"]["angle_limit"] == 0.3
     for command in (
         evaluate,
-        ("inspect", "engines", "--checkpoint", "p.onnx"),
         ("inspect", "reward", "--compare", "okada,p.onnx"),
-        ("transfer", "--checkpoint", "p.onnx"),
+        ("eval", "p.onnx", "sim=planar,mujoco"),
+        ("map", "p.onnx", "--over", "sim.friction,sim.gravity"),
     ):
         done = call(*command, "robot.angle_limit=0.9", cwd=tmp_path)
         assert (done.code, done.out, done.err.count("\n")) == (2, "", 1)

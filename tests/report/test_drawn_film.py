@@ -12,12 +12,15 @@ from flipperctl.api import SAMPLE_PERIOD, Profile, Robot, Start
 from flipperctl.config import EvalConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError, RequestError
+from flipperctl.evaluation.episode_record import EpisodeRecord
+from flipperctl.evaluation.runner import EpisodeRunner
+from flipperctl.evaluation.views.replay import replay_file
+from flipperctl.files import write_json
 from flipperctl.policies.source import PolicySource
 from flipperctl.report.drawn_film import Shots, film
 from flipperctl.rollout.episode import play
 from flipperctl.sim.mujoco import Mujoco
 from flipperctl.sim.mujoco.world import MujocoWorld
-from tests.cli.call import call
 
 LEVEL = PolicySource.of_plugin("level", "--controller")
 DRAWS_HERE = any(ctypes.util.find_library(name) for name in ("EGL", "OSMesa"))
@@ -71,13 +74,15 @@ def test_an_engine_without_pictures_has_no_film(tmp_path: Path) -> None:
         film(config, LEVEL, 0, tmp_path / "drive.gif")
 
 
-def test_a_film_is_of_one_episode_and_of_a_known_format(tmp_path: Path) -> None:
-    asked = ["transfer", "--controller", "level", "terrain=step"]
-    done = call(*asked, "--film", "a.gif", cwd=tmp_path)
-    assert (done.code, "--only INDEX" in done.err) == (2, True)
-    done = call(*asked, "--only", "0", "--film", "a.mp4", cwd=tmp_path)
-    assert done.code == 2
-    assert "a film is a .gif file; the suffix is '.mp4'" in done.err
+@pytest.mark.usefixtures("drawn")
+def test_a_recorded_episode_is_filmed_by_its_engine(tmp_path: Path) -> None:
+    config = EvalConfig(terrain={"name": "flat", "length": 0.5}, sim="mujoco")
+    row = EpisodeRunner(config, LEVEL, 0).play(0)
+    record = EpisodeRecord.of(config, LEVEL, row).model_dump(mode="json")
+    write_json(tmp_path / "failure.json", record)
+    replay_file(tmp_path / "failure.json", None, None, tmp_path / "again.gif")
+    with Image.open(tmp_path / "again.gif") as picture:
+        assert picture.size == (640, 480)
 
 
 @pytest.mark.parametrize(

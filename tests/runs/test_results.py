@@ -46,7 +46,11 @@ def test_files_that_no_command_has_written_are_kept(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "command",
-    [PLAY, ["map", *PLAY[1:], "--over", "seed,sim.friction"], ["bench", "learner", *PLAY[-2:]]],
+    [
+        PLAY,
+        ["map", *PLAY[1:], "--over", "sim.friction,sim.gravity"],
+        ["bench", "learner", *PLAY[-2:]],
+    ],
 )
 def test_a_folder_in_use_is_refused_at_once_with_its_holder(
     command: list[str], tmp_path: Path
@@ -121,7 +125,7 @@ def test_a_full_disk_at_a_picture_costs_only_the_picture(
     monkeypatch.setattr("flipperctl.report.figure.write_bytes", full)
     done = call(*PLAY, "terrain=flat,step", "--record", "mine.safetensors", cwd=tmp_path)
     assert done.code == 1
-    assert "reached 2" in done.out
+    assert "100 %" in done.out
     assert shown(tmp_path / "out") == {*TABLES, *CELLS, "step.png"}
     assert (tmp_path / "mine.safetensors").exists()
     (error,) = (line for line in done.err.splitlines() if line.startswith("error: "))
@@ -131,13 +135,13 @@ def test_a_full_disk_at_a_picture_costs_only_the_picture(
 def test_the_table_is_there_before_the_film_is_drawn(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def fail(*arguments: Any) -> None:
+    def fail(*arguments: Any, **named: Any) -> None:
         raise WriteError("film.gif: writing failed half way (No space left on device)")
 
     monkeypatch.setattr("flipperctl.evaluation.pictures.save_film", fail)
     done = call(*PLAY, "terrain=flat", "--film", "film.gif", cwd=tmp_path)
     assert done.code == 1
-    assert "reached 2" in done.out
+    assert "100 %" in done.out
     assert shown(tmp_path / "out") == {*TABLES, *CELLS, "flat.png"}
 
 

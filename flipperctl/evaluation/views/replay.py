@@ -12,7 +12,7 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
-from flipperctl.api import Profile, Transition
+from flipperctl.api import DrawingWorld, Profile, Transition
 from flipperctl.config import EvalConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.episode_record import EpisodeRecord, measures, read_record, risks
@@ -37,6 +37,8 @@ class Replay:
     episode: Row
     transitions: tuple[Transition, ...]
     profile: Profile
+    draws: bool = False
+    """Whether the engine draws pictures of its own."""
 
     @property
     def differences(self) -> list[str]:
@@ -98,7 +100,8 @@ def replay(path: Path, checkpoint: Path | None = None, progress: Progress = no_p
     with progress(f"{config.terrain.plugin_name}, replay", 1) as report:
         row = play(env, policy, record.seed, watch=watch, report_progress=report)
     episode = arranged({"episode": record.episode, **row}) | {DIGEST: digest.hexdigest()}
-    return Replay(record, config, source, episode, tuple(transitions), env.profile)
+    draws = isinstance(env.drive.world, DrawingWorld)
+    return Replay(record, config, source, episode, tuple(transitions), env.profile, draws)
 
 
 def replay_file(
@@ -149,7 +152,12 @@ def _write(folder: Path, found: Replay) -> None:
 
 
 def _film(path: Path, found: Replay, progress: Progress) -> None:
+    from flipperctl.report.drawn_film import film
     from flipperctl.report.film import save_film
+
+    if found.draws:  # the side view does not show why a robot rolls or leaves its heading
+        film(found.config, found.source, found.record.seed, path)
+        return
 
     with progress(f"{found.config.terrain.plugin_name}, film", 1) as report:
         made, speed = list(found.transitions), found.config.robot.track_speed
