@@ -8,8 +8,6 @@ import yaml
 
 from flipperctl.config import TrainConfig
 from flipperctl.files import check_output
-from flipperctl.report.card import CARD
-from flipperctl.runs import card
 from tests.cli.call import call
 
 EVAL = ("eval", "--checkpoint", "generalist", "--baseline", "level", "terrain=flat")
