@@ -106,7 +106,11 @@ def test_rows_that_lack_episodes_are_counted_and_have_no_difference(
     assert done.code == 130
     policies, differences = done.out.split("Differences on the same episodes")
     rows = [line.split() for line in policies.splitlines()[2:] if line]
-    assert [(row[-1], row[-4:-3]) for row in rows] == [("4", ["0.00"]), ("4", ["0.00"]), ("2", ["1.09"])]
+    assert [(row[-1], row[-4:-3]) for row in rows] == [
+        ("4", ["0.00"]),
+        ("4", ["0.00"]),
+        ("2", ["1.09"]),
+    ]
     assert "flat" in differences
     assert "step" not in differences
 

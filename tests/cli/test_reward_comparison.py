@@ -62,9 +62,7 @@ def test_several_scenes_are_ranked_and_the_presets_agree_on_them(tmp_path: Path)
 def test_the_returns_are_those_of_an_evaluation_without_shaping(tmp_path: Path) -> None:
     options = ["terrain=step", "eval.seed=5"]
     (scene,) = compare("level,okada", *options, "rewards=paper", cwd=tmp_path)
-    done = call(
-        "eval", "okada", "--episodes", "5", "--json", *options, cwd=tmp_path
-    )
+    done = call("eval", "okada", "--episodes", "5", "--json", *options, cwd=tmp_path)
     (evaluated,) = json.loads(done.out)["scenes"]
     (ranking,) = scene["rankings"]
     assert ranking["returns"]["okada"]["mean"] == pytest.approx(evaluated["return"]["mean"])
