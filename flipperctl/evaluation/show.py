@@ -190,12 +190,12 @@ def _folded(text: str, width: int) -> list[str]:
 
 
 def latex(table: Table) -> str:
-    """Return a table for LaTeX with booktabs; its notes are comments."""
+    """Return a table for LaTeX with booktabs; its title and its notes are comments."""
     names = sum(column.named for column in table.columns)
     head = [column.latex or latex_text(column.heading) for column in table.columns]
     found = [
         _LATEX_HEAD,
-        *(f"% {latex_text(note)}" for note in table.notes),
+        *(f"% {' '.join(text.split())}" for text in (table.title, *table.notes) if text),
         r"\begin{tabular}{" + "l" * names + "r" * (len(head) - names) + "}",
         r"\toprule",
         _latex_row(head),

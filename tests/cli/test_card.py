@@ -7,12 +7,11 @@ import pytest
 import yaml
 
 from flipperctl.config import TrainConfig
+from flipperctl.evaluation.views.card import CARD, _changed
 from flipperctl.files import check_output
-from flipperctl.report.card import CARD
-from flipperctl.runs import card
 from tests.cli.call import call
 
-EVAL = ("eval", "--checkpoint", "generalist", "--baseline", "level", "terrain=flat")
+EVAL = ("eval", "generalist", "--baseline", "level", "terrain=flat")
 
 
 @pytest.mark.parametrize(
@@ -46,7 +45,7 @@ def test_a_card_from_results_with_the_commands_that_make_them(tmp_path: Path) ->
     (model,) = yaml.safe_load(text.split("---\n")[1])["model-index"]
     assert model["results"][0]["metrics"][0]["value"] == 1.0
     command = (
-        "flipperctl eval --checkpoint generalist --episodes 1 --seed 0 --baseline level "
+        "flipperctl eval generalist --episodes 1 --seed 0 --baseline level "
         "conditions=nominal perception.noise=0.01 terrain=flat\n"
     )
     assert command in text  # without the note that the hash differs
@@ -54,7 +53,7 @@ def test_a_card_from_results_with_the_commands_that_make_them(tmp_path: Path) ->
     assert "| terrain | conditions | policy |" in text  # of which one table may have several
 
     # The folder remembers which weights they were.
-    other = call("eval", "--checkpoint", "generalist_first", *asked[:3], "--baseline", "none",
+    other = call("eval", "generalist_first", *asked[:3], "--baseline", "none",
                  "terrain=flat", "--output", "other", cwd=tmp_path)  # fmt: skip
     assert other.code == 0, other.err
     for name in (
@@ -70,7 +69,7 @@ def test_a_card_from_results_with_the_commands_that_make_them(tmp_path: Path) ->
     done = call("card", "mpc_value", "found", cwd=tmp_path)
     assert done.code == 2
     assert "found: it holds results of generalist, not of" in done.err
-    mixed = call("eval", "--checkpoint", "generalist", "--controller", "random", "terrain=flat",
+    mixed = call("eval", "generalist", "random", "terrain=flat",
                  "--episodes", "1", "--output", "mixed", cwd=tmp_path)  # fmt: skip
     assert mixed.code == 0, mixed.err
     done = call("card", "generalist", "mixed", cwd=tmp_path)
@@ -83,4 +82,4 @@ def test_a_card_from_results_with_the_commands_that_make_them(tmp_path: Path) ->
 
 
 def test_a_training_at_its_defaults_changes_nothing() -> None:
-    assert card._changed(TrainConfig(terrain="step", network="mlp")) == {}
+    assert _changed(TrainConfig(terrain="step", network="mlp")) == {}

@@ -17,7 +17,7 @@ from tests.cli.call import call
 def test_an_impossible_film_is_refused_before_any_episode(
     arguments: list[str], reason: str, tmp_path: Path
 ) -> None:
-    done = call("eval", "--controller", "level", *arguments, cwd=tmp_path)
+    done = call("eval", "level", *arguments, cwd=tmp_path)
     assert done.code == 2
     assert reason in done.err
     assert list(tmp_path.iterdir()) == []
@@ -25,7 +25,7 @@ def test_an_impossible_film_is_refused_before_any_episode(
 
 def test_a_shipped_policy_is_called_by_its_name(tmp_path: Path) -> None:
     done = call(
-        "eval", "--checkpoint", "generalist", "terrain=flat", "--episodes", "1",
+        "eval", "generalist", "terrain=flat", "terrain.length=0.2", "--episodes", "1",
         "--film", "film.gif", "--json", cwd=tmp_path,
     )  # fmt: skip
     assert done.code == 0, done.err

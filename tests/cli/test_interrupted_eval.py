@@ -20,7 +20,7 @@ def interrupt(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 
     def arrange(label: str, episodes: int, *numbers: signal.Signals) -> None:
         @contextmanager
-        def progress(found: str, total: int) -> Iterator[Callable[[float], None]]:
+        def progress(self: object, found: str, total: int) -> Iterator[Callable[[float], None]]:
             def report(done: float) -> None:
                 if found == label and done == episodes:
                     for number in numbers:
@@ -28,7 +28,7 @@ def interrupt(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 
             yield report
 
-        monkeypatch.setattr("flipperctl.terminal.progress.episodes_progress", progress)
+        monkeypatch.setattr("flipperctl.terminal.progress.EvaluationProgress.__call__", progress)
 
     return arrange
 
@@ -49,7 +49,7 @@ def test_the_table_and_the_files_have_what_is_finished(
     )
     assert done.code == 130
     text = "interrupted: 3 of 16 episodes are finished; not begun: step"
-    assert f"level ({text})" in done.out
+    assert "level on flat (interrupted: 3 of 16 episodes)" in done.out
     assert "finishing the episode; Ctrl-C again stops at once" in done.err
     assert done.err.splitlines()[-1] == f"error: {text}"
     out = tmp_path / "out"
@@ -62,7 +62,7 @@ def test_the_table_and_the_files_have_what_is_finished(
     assert document["interrupted"] is True
     assert (document["finished_episodes"], document["planned_episodes"]) == (3, 16)
     assert document["not_begun"] == ["step"]
-    assert f"% {text}" in (out / "table.tex").read_text()
+    assert "% level on flat (interrupted: 3 of 16 episodes)" in (out / "table.tex").read_text()
     assert len(recording.read(tmp_path / "e.safetensors").episodes) == 3
 
 
@@ -98,15 +98,21 @@ class Patient(Controller):
 '''
 
 
-def test_tables_of_baselines_that_not_every_scene_has(
+def test_rows_that_lack_episodes_are_counted_and_have_no_difference(
     interrupt: Callable[..., None], tmp_path: Path
 ) -> None:
     interrupt("step", 2, signal.SIGINT)
     done = play(tmp_path, "terrain=flat,step", "--baseline", "okada")
     assert done.code == 130
-    policy, compared = done.out.split("difference to okada")
-    assert "step" in policy
-    assert "step" not in compared.split("conditions")[0]
+    policies, differences = done.out.split("Differences on the same episodes")
+    rows = [line.split() for line in policies.splitlines()[2:] if line]
+    assert [(row[-1], row[-4:-3]) for row in rows] == [
+        ("4", ["0.00"]),
+        ("4", ["0.00"]),
+        ("2", ["1.09"]),
+    ]
+    assert "flat" in differences
+    assert "step" not in differences
 
 
 def test_references_that_were_stopped_tell_nothing(

@@ -64,8 +64,8 @@ def test_the_table_has_a_sentence_on_holding_still(tmp_path: Path) -> None:
     words = ["--controller", "okada", "--against", "level", "terrain=flat", "--episodes", "2"]
     done = call("inspect", "reward", "--regret", *words, cwd=tmp_path)
     assert done.code == 0, done.err
-    assert "okada on flat, rewards paper: not shown to earn more than holding" in done.out
-    assert "best known of each episode" in done.out
+    assert "okada on flat: not shown to earn more than holding the flippers still" in done.out
+    assert "best of each episode" in done.out
 
 
 @pytest.mark.parametrize(
@@ -90,9 +90,8 @@ def test_wrong_requests_are_refused(arguments: list[str], expected: str, tmp_pat
 def test_a_training_ends_with_what_the_inspection_says(tmp_path: Path) -> None:
     done = call(*train(5), cwd=tmp_path)
     assert done.code == 0, done.err
-    (line,) = [line for line in done.err.splitlines() if line.startswith("On its own reward")]
-    assert "5 episodes: return " in line
-    assert ", level " in line
+    (line,) = [line for line in done.err.splitlines() if line.startswith("Check on 5 new episodes")]
+    assert "; flippers held still " in line
     found = json.loads((tmp_path / "run" / "summary.json").read_text())["regret"]
     again = ["--checkpoint", "run", "conditions=trained", f"eval.seed={SEED}", "--episodes", "5"]
     (inspected,) = regret(*again, "--against", "level,okada", cwd=tmp_path)
@@ -115,14 +114,14 @@ def test_it_leaves_the_checkpoints_as_they_are(tmp_path: Path) -> None:
 def test_ctrl_c_leaves_a_finished_run(
     signals: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    measure = final_regret.measure_regret
+    measure = final_regret.measure
 
     def interrupted(*given: Any) -> Any:
         for _ in range(signals):
             signal.raise_signal(signal.SIGINT)
         return measure(*given)
 
-    monkeypatch.setattr(final_regret, "measure_regret", interrupted)
+    monkeypatch.setattr(final_regret, "measure", interrupted)
     done = call(*train(2), cwd=tmp_path)
     assert done.code == 130
     assert "the training is finished and saved" in done.err.splitlines()[-1]
@@ -141,13 +140,13 @@ def test_a_run_that_died_while_it_was_compared_is_compared_when_it_is_resumed(
         raise MemoryError
 
     with monkeypatch.context() as context:
-        context.setattr(final_regret, "measure_regret", die)
+        context.setattr(final_regret, "measure", die)
         assert call(*train(2), cwd=tmp_path).code == 1
     summary = tmp_path / "run" / "summary.json"
     assert not summary.exists()
     done = call("train", "--resume", "run", cwd=tmp_path)
     assert done.code == 0, done.err
-    assert "On its own reward, 2 episodes" in done.err
+    assert "Check on 2 new episodes" in done.err
     assert json.loads(summary.read_text())["regret"]["episodes"] == 2
 
 
@@ -157,7 +156,7 @@ def test_a_failure_is_told_and_the_run_is_finished(
     def fail(*given: Any) -> None:
         raise FlipperctlError("the rule fell over")
 
-    monkeypatch.setattr(final_regret, "measure_regret", fail)
+    monkeypatch.setattr(final_regret, "measure", fail)
     done = call(*train(2), cwd=tmp_path)
     assert done.code == 0
     assert "the return of the best policy is not measured: the rule fell over" in done.err

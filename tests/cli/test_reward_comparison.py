@@ -62,9 +62,7 @@ def test_several_scenes_are_ranked_and_the_presets_agree_on_them(tmp_path: Path)
 def test_the_returns_are_those_of_an_evaluation_without_shaping(tmp_path: Path) -> None:
     options = ["terrain=step", "eval.seed=5"]
     (scene,) = compare("level,okada", *options, "rewards=paper", cwd=tmp_path)
-    done = call(
-        "eval", "--controller", "okada", "--episodes", "5", "--json", *options, cwd=tmp_path
-    )
+    done = call("eval", "okada", "--episodes", "5", "--json", *options, cwd=tmp_path)
     (evaluated,) = json.loads(done.out)["scenes"]
     (ranking,) = scene["rankings"]
     assert ranking["returns"]["okada"]["mean"] == pytest.approx(evaluated["return"]["mean"])
@@ -78,7 +76,7 @@ def test_the_table_names_draws_and_verdicts(tmp_path: Path) -> None:
     done = call(*command, cwd=tmp_path)
     assert done.code == 0, done.err
     assert "2 of 2" in done.out
-    assert "return, paper" in done.out
+    assert "reward, paper" in done.out
     assert "paper: undecided (fewer than 5 common episodes) on step" in done.out
 
 

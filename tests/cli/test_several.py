@@ -10,14 +10,15 @@ import pytest
 
 from flipperctl import checkpoint
 from flipperctl.api import Policy
-from flipperctl.cli.methods import method_scenes
+from flipperctl.cli.plan import make_plan
 from flipperctl.config import EnvConfig
 from flipperctl.errors import CheckpointError
-from flipperctl.evaluation.episode import EpisodeResult
+from flipperctl.evaluation.plan import Plan
+from flipperctl.evaluation.rows import Row
 from flipperctl.evaluation.runner import EpisodeRunner
 from flipperctl.policies.source import PolicySource
-from flipperctl.runs.methods import Entrant
-from tests.cli.call import Done, call
+from flipperctl.runs.methods import entrants
+from tests.cli.call import Done, call, refused
 
 FLAT = ("terrain=flat", "terrain.length=0.2", "--episodes", "3", "--json")
 
@@ -33,7 +34,7 @@ def played(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
         newest.append(self.label())
         return build(self, config)
 
-    def counted(self: EpisodeRunner, index: int) -> EpisodeResult:
+    def counted(self: EpisodeRunner, index: int) -> Row:
         found[newest[-1]] += 1
         return play(self, index)
 
@@ -62,11 +63,11 @@ def methods(done: Done) -> list[str]:
 def test_a_further_controller_is_the_only_one_that_plays(
     tmp_path: Path, played: Counter[str]
 ) -> None:
-    done = call("eval", "--controller", "random,okada", *FLAT, "--output", "out", cwd=tmp_path)
+    done = call("eval", "random,okada", *FLAT, "--output", "out", cwd=tmp_path)
     assert methods(done) == ["random", "okada", "level"]
     assert played == {"random": 3, "okada": 3, "level": 3}
     one = json.loads(done.out)["scenes"][1]
-    alone = json.loads(call("eval", "--controller", "okada", *FLAT, cwd=tmp_path).out)["scenes"][0]
+    alone = json.loads(call("eval", "okada", *FLAT, cwd=tmp_path).out)["scenes"][0]
     assert {key: one[key] for key in alone} == alone
     with (tmp_path / "out" / "episodes.csv").open(newline="") as file:
         seeds = [row["seed"] for row in csv.DictReader(file)]
@@ -74,7 +75,7 @@ def test_a_further_controller_is_the_only_one_that_plays(
 
     played.clear()
     (tmp_path / "climber.py").write_text(CLIMBER)
-    more = ("eval", "--controller", "okada,climber", "--plugins", "climber.py", *FLAT)
+    more = ("eval", "okada", "climber", "--plugins", "climber.py", *FLAT)
     done = call(*more, "--output", "out", cwd=tmp_path)
     assert methods(done) == ["okada", "climber", "level"]
     assert played == {"climber": 3}
@@ -89,47 +90,32 @@ def test_the_best_stored_policy_is_ranked_on_the_episodes_of_each_scene(tmp_path
     ground = "terrain=step terrain.low=0.4 terrain.high=0.4"
     suite = tmp_path / "mine.yaml"
     suite.write_text(f"scenes: {{few: {ground} eval.episodes=1, more: {ground} eval.episodes=2}}\n")
-    to = ("--output", "out")
-    done = call(
-        "eval", "--controller", "okada", *ground.split(), *to, "--episodes", "2", cwd=tmp_path
-    )
-    assert done.code == 0, done.err
-    suited = ("eval", "suite=mine.yaml", "--controller", "random", "--baseline", "level")
-    done = call(*suited, *to, "--json", cwd=tmp_path)
+    stored = ("eval", "okada", *ground.split(), "--episodes", "2", "--output", "out")
+    assert call(*stored, cwd=tmp_path).code == 0
+    suited = ("eval", "suite=mine.yaml", "random", "--baseline", "level", "--output", "out")
+    done = call(*suited, "--json", cwd=tmp_path)
     assert done.code == 0, done.err
     rows = json.loads(done.out)["scenes"]
     best = [row["episodes"] for row in rows if "best known" in row.get("method", "")]
     assert best == [1, 2]
-    table = csv.DictReader((tmp_path / "out" / "table.csv").read_text().splitlines())
-    assert "best known (okada)" in {row["method"] for row in table}
+    for name, key in (("table.csv", "method"), ("episodes.csv", "controller")):
+        table = csv.DictReader((tmp_path / "out" / name).read_text().splitlines())
+        # Its name is not that of an okada of other settings that plays here.
+        assert {row[key] for row in table} == {"random", "level", "best known (okada)"}
+    done = call(*suited, cwd=tmp_path)
+    assert done.out.startswith("suite mine: random")
+    assert "best known (okada)" in done.out
 
 
 def test_the_best_stored_policy_stands_below_the_rows_of_its_seed(tmp_path: Path) -> None:
     words = ("terrain=stair", "eval.seed=0,1", "eval.episodes=2", "--output", "out")
-    assert call("eval", "--controller", "level", *words, cwd=tmp_path).code == 0
-    rivals = ("eval", "--controller", "random,okada", "--baseline", "random")
+    assert call("eval", "level", *words, cwd=tmp_path).code == 0
+    rivals = ("eval", "random,okada", "--baseline", "random")
     done = call(*rivals, *words, "--json", cwd=tmp_path)
     assert done.code == 0, done.err
     rows = [(row["seed"], row.get("method", "")) for row in json.loads(done.out)["scenes"]]
     assert [seed for seed, _ in rows] == sorted(seed for seed, _ in rows)
     assert [seed for seed, method in rows if method == "best known (level)"] == [0, 1]
-
-
-def test_the_best_stored_policy_stands_beside_the_others(tmp_path: Path) -> None:
-    step = ("terrain=step", "terrain.low=0.4", "terrain.high=0.4", "--episodes", "2")
-    suite = tmp_path / "mine.yaml"
-    suite.write_text(f"scenes: {{one: '{' '.join(step[:3])}'}}\n")
-    to = ("--output", "out")
-    done = call("eval", "--controller", "okada", *step, *to, cwd=tmp_path)
-    assert done.code == 0, done.err
-    suited = ("eval", "suite=mine.yaml", "--controller", "random", "--baseline", "level")
-    done = call(*suited, *step[3:], *to, cwd=tmp_path)
-    assert done.code == 0, done.err
-    assert "suite mine: random" in done.out
-    assert "best known (okada)" in done.out
-    rows = csv.DictReader((tmp_path / "out" / "episodes.csv").read_text().splitlines())
-    # Its name is not that of an okada of other settings that plays here.
-    assert {row["controller"] for row in rows} == {"random", "level", "best known (okada)"}
 
 
 def test_a_checkpoint_that_fails_within_a_suite_leaves_the_others(
@@ -143,8 +129,7 @@ def test_a_checkpoint_that_fails_within_a_suite_leaves_the_others(
         return build(self, config)
 
     monkeypatch.setattr(PolicySource, "build", failing)
-    files = ("--controller", "random,okada")
-    done = call("eval", *files, *FLAT, "--output", "out", cwd=tmp_path)
+    done = call("eval", "random,okada", *FLAT, "--output", "out", cwd=tmp_path)
     assert done.code == CheckpointError.exit_code
     error = "error: random failed on flat: random: gone; all other results are complete"
     assert done.err.splitlines()[-1] == error
@@ -154,108 +139,119 @@ def test_a_checkpoint_that_fails_within_a_suite_leaves_the_others(
         {"controller": "random", "terrain": "flat", "error": "random: gone"}
     ]
     monkeypatch.setattr(PolicySource, "build", build)
-    again = call("eval", *files, *FLAT, "--output", "out", cwd=tmp_path)
+    again = call("eval", "random,okada", *FLAT, "--output", "out", cwd=tmp_path)
     assert methods(again) == ["random", "okada", "level"]
 
 
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["--controller", "okada,"], "--controller: names between commas"),
-        (["--controller", "okada,levle"], "did you mean 'level'?"),
-        (["--controller", "okada,level", "--baseline", ",x"], "--baseline: names between commas"),
-        (["--controller", "okada,level", "--record", "e.safetensors"], "--record takes one policy"),
+        (["--controller", "okada,"], "names between commas are allowed"),
+        (["okada,levle"], "did you mean 'level'?"),
+        (["okada,level", "--baseline", ",x"], "--baseline: names between commas"),
+        (["okada,level", "--record", "e.safetensors"], "--record takes one policy"),
         (
-            ["--controller", "level", "--record", "e.safetensors", "eval.ray=auto"],
+            ["level", "--record", "e.safetensors", "eval.ray=auto"],
             "eval.ray: no meaning beside --record",
         ),
-        (["--controller", "okada,level", "--film", "e.gif"], "--film takes one policy"),
-        (["--controller", "okada", "suite=familes"], "did you mean 'families'?"),
-        (["suite=families"], "give either --checkpoint"),
+        (["okada", "level", "--film", "e.gif"], "--film takes one policy"),
+        (["okada", "suite=familes"], "did you mean 'families'?"),
+        (["suite=families"], "name a policy, as in: flipperctl eval generalist"),
     ],
 )
 def test_a_wrong_request_is_one_line(tmp_path: Path, words: list[str], expected: str) -> None:
-    done = call("eval", *words, *([] if "suite" in words[-1] else ["terrain=flat"]), cwd=tmp_path)
-    assert (done.code, done.out, len(done.err.splitlines())) == (2, "", 1), done.err
-    assert expected in done.err
-    assert list(tmp_path.iterdir()) == []
+    ground = [] if "suite" in words[-1] else ["terrain=flat"]
+    error = refused("eval", *words, *ground, cwd=tmp_path)
+    assert expected in error
+    assert error.count("\n") == 1
 
 
 def test_a_list_of_rewards_is_played_with_each_by_all(tmp_path: Path) -> None:
-    words = ("--controller", "okada,random", "terrain=flat", "rewards=paper,smooth")
-    done = call("eval", *words, "--episodes=1", "--baseline", "level", "--json", cwd=tmp_path)
+    words = ("okada,random", "terrain=flat", "rewards=paper,smooth", "--baseline", "level")
+    done = call("eval", *words, "--episodes=1", "--json", cwd=tmp_path)
     assert methods(done) == ["okada", "okada", "random", "random", "level", "level"]
     returns = [scene["return"]["mean"] for scene in json.loads(done.out)["scenes"]]
     assert all(paper != smooth for paper, smooth in zip(returns[::2], returns[1::2], strict=True))
     assert "do not compare" not in done.err
 
 
-def test_other_rewards_of_a_checkpoint_are_told(tmp_path: Path) -> None:
-    words = ("--checkpoint", "generalist", "--controller", "level", "terrain=flat")
-    done = call("eval", *words, "--episodes", "1", "--baseline", "none", "--json", cwd=tmp_path)
-    assert methods(done) == ["generalist", "level"]
-    assert "return: these policies have different rewards" in done.err
-    done = call("eval", *words, "--episodes", "1", "rewards=smooth", "--json", cwd=tmp_path)
-    assert "different rewards" not in done.err
-    words = ("--controller", "okada,random", "terrain=flat", "+reward@rewards.hit=impact")
-    done = call("eval", *words, "--episodes", "1", "--json", cwd=tmp_path)
-    assert done.code == 0, done.err
-    assert "different rewards" not in done.err  # the standing ones have the term too
+def planned(names: str, *words: str, baseline: str | None = "none") -> tuple[Plan, str]:
+    """Return the plan of several policies, and what is told."""
+    told: list[str] = []
+    plan = make_plan(list(words), entrants([names], told.append), baseline, told.append)
+    return plan, "\n".join(told)
 
 
-def test_a_later_controller_tells_what_it_leaves_out_too(tmp_path: Path) -> None:
-    words = ("--controller", "level,mpc", "terrain=flat", "robot.chassis_length=0.9")
-    short = ("--episodes", "1", "--baseline", "none")
-    done = call("eval", *words, *short, cwd=tmp_path)
-    assert done.code == 0, done.err
-    assert "mpc_value was not trained for robot.chassis_length=0.9" in done.err
+def test_other_rewards_of_a_checkpoint_are_told() -> None:
+    words = ("generalist,level", "terrain=flat")
+    assert "return: these policies have different rewards" in planned(*words)[1]
+    assert "different rewards" not in planned(*words, "rewards=smooth")[1]
+    # The standing ones have the term too.
+    words = ("okada,random", "terrain=flat", "+reward@rewards.hit=impact")
+    assert "different rewards" not in planned(*words, baseline=None)[1]
+
+
+def test_policies_that_bring_their_own_ground_are_told() -> None:
+    _, told = planned("generalist,level")
+    assert "these policies play different scenes, so they do not compare (generalist: " in told
+    assert "level: stair " in told
+    assert "different scenes" not in planned("generalist,level", "terrain=flat")[1]
+
+
+def test_a_later_controller_tells_what_it_leaves_out_too() -> None:
+    _, told = planned("level,mpc", "terrain=flat", "robot.chassis_length=0.9")
+    assert "mpc_value was not trained for robot.chassis_length=0.9" in told
 
 
 def test_forced_settings_of_controllers_are_those_of_all() -> None:
-    entrants = [Entrant("mpc"), Entrant("value_iteration")]
-    made = method_scenes(["terrain=flat", "++controller.horizon=3"], entrants, [], None)
-    assert [(s.settings or {})["horizon"] for _, s in made.scenes] == [3, 3]
+    plan, _ = planned("mpc,value_iteration", "terrain=flat", "++controller.horizon=3")
+    assert [(entry.source.settings or {})["horizon"] for entry in plan.entries] == [3, 3]
 
 
-def test_a_controller_that_is_named_twice_plays_once(tmp_path: Path) -> None:
-    words = ("--controller", "okada,okada", "terrain=flat", "--episodes", "1", "--json")
-    done = call("eval", *words, cwd=tmp_path)
-    assert done.code == 0, done.err
-    assert [scene["controller"] for scene in json.loads(done.out)["scenes"]] == ["okada"]
+def test_a_policy_that_is_named_twice_plays_once() -> None:
+    plan, _ = planned("okada,okada", "terrain=flat")
+    assert [entry.label for entry in plan.entries] == ["okada"]
 
 
 def test_tables_by_what_was_drawn_say_whose_they_are(tmp_path: Path) -> None:
-    words = ("--controller", "okada,random", "terrain=step", "--by", "height", "--episodes", "1")
+    words = ("okada,random", "terrain=step", "--by", "height", "--episodes", "1")
     done = call("eval", *words, "--baseline", "none", cwd=tmp_path)
     assert done.code == 0, done.err
     for name in ("okada", "random"):
         assert f"{name} on step by height" in done.out
 
 
-def test_tables_of_another_evaluation_are_not_replaced_without_a_word(tmp_path: Path) -> None:
-    words = ("eval", "--controller", "level,random", "--baseline", "none", "--output", "out")
-    for more, told in (
-        (("terrain=flat",), ""),
-        (("terrain=flat,ramp",), ""),  # what was there is still in the tables
-        (
-            ("terrain=flat", "--seed", "3"),
-            "level on flat, seed 0, 1 episodes and 3 more rows; those episodes",
-        ),
-        (("terrain=flat", "--seed", "3"), ""),
-        (("terrain=flat", "--seed", "3", "--episodes", "2"), ""),
-        (("terrain=flat", "--seed", "3"), "level on flat, seed 3, 2 episodes and 1 more rows"),
-    ):
+def test_tables_of_another_evaluation_are_not_replaced_without_a_word(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("flipperctl.evaluation.pictures.draw_scenes", lambda *given: None)
+
+    def told(*more: str, baseline: str = "none") -> str:
         count = () if "--episodes" in more else ("--episodes", "1")
-        done = call(*words, *more, *count, cwd=tmp_path)
+        words = ("eval", "okada", *more, *count, "--baseline", baseline, "--output", "out")
+        done = call(*words, "--json", cwd=tmp_path)
         assert done.code == 0, done.err
-        assert told in done.err
-        assert ("they replace earlier tables" in done.err) == bool(told)
+        found = [line for line in done.err.splitlines() if line.startswith("earlier tables with ")]
+        return "".join(found)
+
+    flat = "terrain=flat"
+    assert told(flat) == ""
+    assert told("terrain=flat,ramp") == ""  # what was there still is
+    assert told(flat, "--seed", "3") == (
+        "earlier tables with okada on flat, seed 0, 1 episodes and 1 more rows are replaced; those "
+        "episodes stay in out/cells, and their command writes the tables again"
+    )
+    assert told(flat, "--seed", "3", "--episodes", "2") == ""
+    assert "okada on flat, seed 3, 2 episodes are replaced" in told(flat, "--seed", "3")
+    assert told(flat, "--seed", "3", baseline="level") == ""
+    assert "level on flat, seed 3, 1 episodes" in told(flat, "--seed", "3")
+    assert told(flat, "--seed", "3") == ""
 
 
 def test_the_best_known_policy_is_told_from_a_later_one_of_its_name(tmp_path: Path) -> None:
     shipped = checkpoint.shipped_policies()
-    words = ("eval", "--checkpoint", "mine.safetensors", "terrain=step", "--episodes", "1")
-    words = (*words, "--controller", "okada", "--baseline", "level", "--output", "out", "--json")
+    words = ("eval", "mine.safetensors", "okada", "terrain=step", "--episodes", "1")
+    words = (*words, "--baseline", "level", "--output", "out", "--json")
     for name in ("mpc_value", "generalist"):  # the second one rocks more on the first step
         (tmp_path / "mine.safetensors").write_bytes(shipped[name].read_bytes())
         done = call(*words, cwd=tmp_path)
@@ -263,24 +259,3 @@ def test_the_best_known_policy_is_told_from_a_later_one_of_its_name(tmp_path: Pa
     digest = hashlib.sha256(shipped["mpc_value"].read_bytes()).hexdigest()
     names = [row["controller"] for row in json.loads(done.out)["scenes"]]
     assert [*names[:1], names[-1]] == ["mine.safetensors", f"mine.safetensors, {digest[:8]}"]
-
-
-def test_an_evaluation_without_an_earlier_baseline_says_so(tmp_path: Path) -> None:
-    words = ("eval", "--controller", "okada", "terrain=flat", "--episodes", "1", "--output", "out")
-    for baseline, told in (("level", False), ("none", True), ("none", False)):
-        done = call(*words, "--baseline", baseline, cwd=tmp_path)
-        assert done.code == 0, done.err
-        assert ("earlier tables with level on flat, seed 0, 1 episodes" in done.err) is told
-
-
-def test_policies_that_bring_their_own_ground_are_told(tmp_path: Path) -> None:
-    words = ("eval", "--checkpoint", "generalist", "--controller", "level", "--episodes", "1")
-    done = call(*words, "--baseline", "none", "--output", "out", cwd=tmp_path)
-    assert done.code == 0, done.err
-    assert "these policies play different scenes, so they do not compare (generalist: " in done.err
-    assert "level: stair " in done.err
-    again = call("inspect", "results", "out", cwd=tmp_path)
-    assert again.code == 2
-    assert "the same terrain=… and conditions=… for all are allowed" in again.err
-    done = call(*words, "--baseline", "none", "terrain=flat", cwd=tmp_path)
-    assert "different scenes" not in done.err

@@ -8,11 +8,12 @@ import pytest
 
 from flipperctl import plugins
 from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.cli.methods import MethodScenes, method_scenes
+from flipperctl.cli.plan import make_plan
 from flipperctl.config import EvalConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
+from flipperctl.evaluation.plan import Plan
 from flipperctl.runs.methods import Entrant
 from flipperctl.runs.suites import find_suite, shipped_suites, split_suite
 from tests.cli.call import call
@@ -20,8 +21,8 @@ from tests.cli.call import call
 _GROUPS = "terrain", "sim", "perception", "conditions"
 
 
-def composed(name: str, *words: str) -> MethodScenes:
-    return method_scenes(list(words), [Entrant("okada")], [Entrant("level")], find_suite(name))
+def composed(name: str, *words: str) -> Plan:
+    return make_plan([f"suite={name}", *words], [Entrant("okada")], "level", print)
 
 
 def test_each_scene_of_each_shipped_suite_is_a_configuration_of_its_own() -> None:
@@ -42,30 +43,23 @@ def test_each_scene_of_each_shipped_suite_is_a_configuration_of_its_own() -> Non
         assert len(set(hashes)) == len(hashes) >= 9, name
 
 
-def test_methods_stand_scene_by_scene() -> None:
-    made = composed("families", "terrain=step,flat")
-    names = [config.terrain.plugin_name for config, _ in made.scenes]
-    assert names == ["step", "step", "flat", "flat"]
-    assert [name.method for name in made.names] == ["okada", "level"] * 2
-    assert {name.scene for name in made.names} == {"families"}
+def test_methods_stand_scene_by_scene_and_overrides_replace_those_of_the_suite() -> None:
+    plan = composed("families", "terrain=step,flat", "eval.episodes=3")
+    assert plan.title == "suite families: okada"
+    assert [entry.terrain for entry in plan.entries] == ["step", "step", "flat", "flat"]
+    assert [entry.method for entry in plan.entries] == ["okada", "level"] * 2
+    assert {entry.scene for entry in plan.entries} == {"families"}
+    assert {entry.config.eval.episodes for entry in plan.entries} == {3}
 
 
 def test_starts_on_slopes_go_with_all_that_3d_adds() -> None:
-    made = composed("generalist_3d", "terrain=midway", "terrain.start=1")
-    configs = {
-        scene.scene: config for scene, (config, _) in zip(made.names, made.scenes, strict=True)
-    }
+    plan = composed("generalist_3d", "terrain=midway", "terrain.start=1")
+    configs = {entry.scene: entry.config for entry in plan.entries}
     assert len(configs) == 7
     for config in configs.values():
         env = FlipperEnv(config=config.environment())
-        for seed in range(6):
+        for seed in range(2):
             env.reset(seed=seed)
-
-
-def test_overrides_replace_those_of_the_suite() -> None:
-    made = composed("families", "terrain=flat", "eval.episodes=3")
-    assert [config.terrain.plugin_name for config, _ in made.scenes] == ["flat", "flat"]
-    assert {config.eval.episodes for config, _ in made.scenes} == {3}
 
 
 def test_a_suite_of_ones_own(tmp_path: Path) -> None:
@@ -132,8 +126,8 @@ def test_a_scene_whose_words_are_replaced_says_so() -> None:
 def test_files_of_results_name_the_suites_scenes(tmp_path: Path) -> None:
     text = "scenes: {dry: terrain=flat sim.friction=1.2, wet: terrain=flat sim.friction=0.6}\n"
     (tmp_path / "mine.yaml").write_text(f"about: of two scenes\n{text}")
-    words = ("suite=mine.yaml", "--controller", "okada", "--baseline", "none", "--episodes", "1")
-    done = call("eval", *words, "--output", "judged", cwd=tmp_path)
+    words = ("suite=mine.yaml", "--baseline", "none", "--episodes", "1")
+    done = call("eval", "okada", *words, "--output", "judged", cwd=tmp_path)
     assert done.code == 0, done.err
     for name in ("episodes.csv", "table.csv"):
         rows = csv.DictReader((tmp_path / "judged" / name).read_text().splitlines())

@@ -117,8 +117,8 @@ def policies(found: Document, title: str, columns: Sequence[str] = ()) -> Table:
     latex = r"pitch variation $\hat\theta_R$ [rad]"
     head.append(Column("pitch_variation_100hz", VARIATION, latex=latex))
     head.append(Column("time", "time [s]", 1))
-    head += _chosen(found, columns)
-    counts = dict.fromkeys(f"{row['episodes']} episodes" for row in rows)
+    counts = dict.fromkeys(f"{row['episodes']} episodes" for row in rows if not row.get("dim"))
+    head += _chosen(found, [*columns, *(["episodes"] if len(counts) > 1 else [])])
     parts = [title, *([next(iter(scenes))] if single else [])]
     text = " on ".join(part for part in dict.fromkeys(parts) if part)
     if found.get("interrupted"):
