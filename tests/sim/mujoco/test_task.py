@@ -145,7 +145,7 @@ def test_a_policy_is_trained_in_3d_and_evaluated_in_the_plane(tmp_path: Path) ->
     assert done.code == 0, done.err
     read = checkpoint.read(tmp_path / "run" / checkpoint.LAST)
     assert read.config().sim.plugin_name == "mujoco"
-    other = call("transfer", "--checkpoint", "run", "--episodes", "1", "--json", cwd=tmp_path)
+    other = call("eval", "run", "sim=planar,mujoco", "--episodes", "1", "--json", cwd=tmp_path)
     assert other.code == 0, other.err
-    (scene,) = json.loads(other.out)["scenes"]
-    assert scene["engines"] == ["planar", "mujoco"]
+    (found,) = json.loads(other.out)["engines"]
+    assert found["engines"] == ["planar", "mujoco"]
