@@ -10,8 +10,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from flipperctl.errors import RequestError
-from flipperctl.messages import close_match
 from flipperctl.evaluation.views.markdown import NONE, ends_text
+from flipperctl.messages import close_match
 
 _SWING = "pitch_variation_100hz"
 

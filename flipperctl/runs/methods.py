@@ -85,8 +85,9 @@ def find_path(name: str) -> Path:
     if path.suffix or len(path.parts) > 1:
         checkpoints.find(path)  # raises the error that names a close match
     known = [*checkpoints.shipped_policies(), *registered_names("controller")]
+    hint = missing_name("controller", name, known)
     raise ConfigError(
-        f"there is no run, file, shipped policy or controller {name!r}{missing_name('controller', name, known)}; "
+        f"there is no run, file, shipped policy or controller {name!r}{hint}; "
         f"shipped policies and controllers: {', '.join(sorted(known))}"
     )
 

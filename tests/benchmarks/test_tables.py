@@ -5,10 +5,10 @@ import shlex
 from pathlib import Path
 
 import pytest
+from tests.report.test_card import LEVEL, POLICY
 
 from benchmarks import results, tables
 from flipperctl.errors import RequestError
-from tests.report.test_card import LEVEL, POLICY
 
 PAGE = "Before.\n\n<!-- results: one.json method reached -->\nold\n<!-- end -->\nAfter.\n"
 
