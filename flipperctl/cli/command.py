@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -158,4 +159,5 @@ class App(typer.Typer):
         ``COMMAND`` is a subclass of ``Command``.
         """
         cls: type[Command] = getattr(module, "COMMAND", Command)
-        self.command(name, help=module.HELP, cls=cls, context_settings=cls.context)(module.run)
+        text = re.sub(r"(?<=\S)\n(?=\S)", " ", module.HELP)  # paragraphs of any width
+        self.command(name, help=text, cls=cls, context_settings=cls.context)(module.run)

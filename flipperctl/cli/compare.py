@@ -47,10 +47,10 @@ def run(
     plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
-    from flipperctl.evaluation.show import TABLE, latex, print_table
     from flipperctl.evaluation.views import compare as view
     from flipperctl.files import check_output, write_bytes
     from flipperctl.report.figure import PICTURE
+    from flipperctl.show import TABLE, latex, print_table
     from flipperctl.terminal.console import console, print_lines
     from flipperctl.terminal.document import show
     from flipperctl.terminal.streams import print_note

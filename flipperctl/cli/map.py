@@ -20,7 +20,7 @@ command with the same --output to play only what is missing.
 
   flipperctl map okada terrain=uplift --over terrain.height,sim.friction=0.4:1.0
 
-  flipperctl map generalist terrain=step --over terrain.height=0.1:0.6:8,sim.friction --output map
+  flipperctl map generalist terrain=step --over terrain.height=0.1:0.6:8,sim.friction --jobs 2
 """
 
 

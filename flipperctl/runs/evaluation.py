@@ -23,7 +23,6 @@ from flipperctl.evaluation.evaluate import Result, evaluate
 from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.play import Progress, no_progress
 from flipperctl.evaluation.rows import DIGEST, RECORDED, Row
-from flipperctl.evaluation.show import latex
 from flipperctl.evaluation.store import FOLDER, VIEW, EpisodeStore, FolderStore, write_view
 from flipperctl.evaluation.views import engines
 from flipperctl.evaluation.views import evaluation as view
@@ -33,6 +32,7 @@ from flipperctl.policies.source import PolicySource
 from flipperctl.runs.follow_up import command
 from flipperctl.runs.interrupts import interrupts
 from flipperctl.runs.results import result_folder
+from flipperctl.show import latex
 
 SUMMARY = "summary.json"
 NAMES = ("episodes.csv", SUMMARY, "table.csv", "table.tex")

@@ -87,8 +87,8 @@ def find_path(name: str) -> Path:
     known = [*checkpoints.shipped_policies(), *registered_names("controller")]
     hint = missing_name("controller", name, known)
     raise ConfigError(
-        f"there is no run, file, shipped policy or controller {name!r}{hint}; shipped "
-        f"policies and controllers: {', '.join(sorted(known))}"
+        f"there is no run, file, shipped policy or controller {name!r}{hint}; "
+        f"shipped policies and controllers: {', '.join(sorted(known))}"
     )
 
 

@@ -11,10 +11,16 @@ from typing import Any
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
+from flipperctl.show import NONE, Column, Table, print_table
 from flipperctl.terminal.console import console
-from flipperctl.terminal.tables import Table
 
 _PLAIN_EVERY = 10.0  # [s]
+_COLUMNS = (
+    Column("what", "quantity", named=True),
+    Column("median", "median"),
+    Column("range", "quartiles"),
+    Column("unit", "unit"),
+)
 
 
 class Bar:
@@ -74,8 +80,9 @@ def shown_progress(label: str) -> Iterator[Bar | Lines]:
 
 def print_measures(document: dict[str, Any]) -> None:
     """Print one table per measure."""
+    out = console()
     for table in tables(document):
-        table.print(console())
+        print_table(table, out)
 
 
 def tables(document: dict[str, Any]) -> Iterator[Table]:
@@ -84,16 +91,23 @@ def tables(document: dict[str, Any]) -> Iterator[Table]:
     The text ``unfinished`` of a measure replaces a median that falls on an unfinished run.
     """
     for name, found in document["measures"].items():
-        headings = ("quantity", "median", "quartiles", "unit")
-        table = Table(headings, f"{name}: {found['about']}", right=["median", "quartiles"])
-        for what, q in found["quantities"].items():
-            median = found.get("unfinished", "–") if q["median"] is None else number(q["median"])
-            table.add(what, median, _range(q), q["unit"])
-        table.end_section()
-        for what, r in found["ratios"].items():
-            ratio = "–" if r["ratio"] is None else number(r["ratio"])
-            table.add(what, ratio, _range(r), "×")
-        yield table
+        rows = [
+            {
+                "what": what,
+                "median": _number(q["median"], found.get("unfinished", NONE)),
+                "range": _range(q),
+                "unit": q["unit"],
+            }
+            for what, q in found["quantities"].items()
+        ]
+        for at, (what, r) in enumerate(found["ratios"].items()):
+            row = {"what": what, "median": _number(r["ratio"]), "range": _range(r), "unit": "×"}
+            rows.append(row | {"line": at == 0})
+        yield Table(_COLUMNS, rows, f"{name}: {found['about']}")
+
+
+def _number(value: float | None, missing: str = NONE) -> str:
+    return missing if value is None else number(value)
 
 
 def number(value: float) -> str:
@@ -107,6 +121,5 @@ def number(value: float) -> str:
 
 def _range(found: dict[str, Any]) -> str:
     if found["low"] is None and found["high"] is None:
-        return "–"
-    low, high = ("–" if found[k] is None else number(found[k]) for k in ("low", "high"))
-    return f"{low} … {high}"
+        return NONE
+    return f"{_number(found['low'])} … {_number(found['high'])}"

@@ -7,10 +7,12 @@ import sys
 from collections.abc import Iterable
 from typing import Any
 
+from rich.cells import cell_len
 from rich.console import Console
 from rich.text import Text
 
-from flipperctl.terminal.streams import spell_plainly
+from flipperctl.show import folded
+from flipperctl.spelling import spell_plainly
 
 NATURAL = 10_000
 """Width of an output that is not a terminal, so that tables are as wide as they need [columns]."""
@@ -36,12 +38,9 @@ def console(*, stderr: bool = False, natural: int = NATURAL) -> Console:
     return PlainConsole(stderr=stderr, width=wanted or (None if on_terminal else natural))
 
 
-def print_lines(to: Console, lines: Iterable[str]) -> None:
-    """Print each line as it is, without markup and without breaks."""
+def print_lines(to: Console, lines: Iterable[str], style: str = "") -> None:
+    """Print each line without markup, broken at spaces where it is too long for the console."""
     for line in lines:
-        to.print(line, highlight=False, markup=False, soft_wrap=True)
-
-
-def plain(text: str, of: Console) -> str:
-    """Return the text with characters that the console's stream lacks replaced."""
-    return spell_plainly(text, of.encoding)
+        text = spell_plainly(line, to.encoding)
+        for part in folded(text, to.width) if cell_len(text) > to.width else [text]:
+            to.print(part, style=style, highlight=False, markup=False, soft_wrap=True)

@@ -3,41 +3,49 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from flipperctl.show import NONE, Column, Table, print_table
 from flipperctl.terminal.console import console
-from flipperctl.terminal.tables import Table
+
+_COLUMNS = (Column("what", "what", named=True), Column("found", "found", wrapped=True))
 
 
 def print_perception(found: dict[str, Any], output: Path | None) -> None:
     """Print how a robot's sensing fared on its recording; ``output`` was written."""
     topics = ", ".join(f"{device} {topic}" for device, topic in found["topics"].items())
     print(f"{found['source']}: {found['seconds']:.1f} s; {topics}")
-    table = Table(["what", "found"], "perception", words=["found"])
+    rows: dict[str, str] = {}
     refused = sum(one["count"] for one in found["refused"].values())
-    table.add("scans used", str(found["scans"]))
-    table.add("scans refused", str(refused))
+    rows["scans used"] = str(found["scans"])
+    rows["scans refused"] = str(refused)
     for name, one in found["refused"].items():
-        table.add(f"  {name}", f"{one['count']}: {one['reason']}")
-    table.add("estimates", str(found["decisions"]))
+        rows[f"  {name}"] = f"{one['count']}: {one['reason']}"
+    rows["estimates"] = str(found["decisions"])
     for name, count in found["held"].items():
-        table.add(f"  would hold: {name}", str(count))
+        rows[f"  would hold: {name}"] = str(count)
     coverage, deviation = found["coverage"], found["deviation"]
-    table.add("bins seen", f"{coverage['mean']:.0%}, at least {coverage['least']:.0%}")
-    table.add("ground filled", f"{found['filled']:.0%}")
-    table.add("σ of a height", "–" if deviation is None else f"{1000 * deviation:.0f} mm (median)")
+    rows["bins seen"] = f"{coverage['mean']:.0%}, at least {coverage['least']:.0%}"
+    rows["ground filled"] = f"{found['filled']:.0%}"
+    rows["σ of a height"] = NONE if deviation is None else f"{1000 * deviation:.0f} mm (median)"
     for name, key in (("an estimate", "estimate_ms"), ("a scan", "scan_ms")):
         times = found[key]
-        table.add(f"{name} takes", f"{times['p50']:.1f} ms, p99 {times['p99']:.1f} ms")
-    table.add("scans enter at", _pose(found))
+        rows[f"{name} takes"] = f"{times['p50']:.1f} ms, p99 {times['p99']:.1f} ms"
+    rows["scans enter at"] = _pose(found)
     if found["drift"] is not None:
-        table.add("drift", _drift(found["drift"]))
-    table.print(console())
+        rows["drift"] = _drift(found["drift"])
+    _print("perception", rows)
     for remark in found["remarks"]:
         print(remark)
     if output is not None:
         print(f"written: {output}")
+
+
+def _print(title: str, rows: Mapping[str, str]) -> None:
+    table = Table(_COLUMNS, [{"what": what, "found": text} for what, text in rows.items()], title)
+    print_table(table, console())
 
 
 def _pose(found: dict[str, Any]) -> str:
@@ -61,13 +69,12 @@ def print_shadow(found: dict[str, Any]) -> None:
     """Print how a policy fared on a recording in shadow mode, and where its log is."""
     topics = ", ".join(f"{device} {topic}" for device, topic in found["topics"].items())
     print(f"{found['policy']} on {found['source']}: {found['seconds']:.1f} s; {topics}")
-    table = Table(["what", "found"], "shadow mode", words=["found"])
-    table.add("decisions", str(found["decisions"]))
+    rows = {"decisions": str(found["decisions"])}
     for state, seconds in found["states"].items():
-        table.add(state, f"{seconds:.1f} s")
+        rows[state] = f"{seconds:.1f} s"
     for name, fault in found["faults"].items():
-        table.add(f"  {name}", f"{fault['count']} ×, {fault['seconds']:.1f} s: {fault['reason']}")
-    table.print(console())
+        rows[f"  {name}"] = f"{fault['count']} ×, {fault['seconds']:.1f} s: {fault['reason']}"
+    _print("shadow mode", rows)
     for remark in found["remarks"]:
         print(remark)
     print(f"log: {found['output']}")

@@ -7,8 +7,23 @@ from typing import Any
 
 from rich.text import Text
 
-from flipperctl.terminal.console import console, plain
-from flipperctl.terminal.tables import Table
+from flipperctl.show import Column, Table, print_table
+from flipperctl.spelling import spell_plainly
+from flipperctl.terminal.console import console
+
+_FIELDS = (
+    Column("name", "  field", named=True),
+    Column("default", "default", wrapped=True),
+    Column("bounds", "bounds", wrapped=True),
+    Column("unit", "unit"),
+    Column("description", "meaning", wrapped=True),
+)
+_CHECKS = (
+    Column("plugin", "plugin", named=True),
+    Column("check", "check", wrapped=True),
+    Column("state", "ok"),
+    Column("seconds", "time [s]"),
+)
 
 
 def print_plugins(found: list[dict[str, Any]]) -> None:
@@ -16,36 +31,39 @@ def print_plugins(found: list[dict[str, Any]]) -> None:
     output = console()
 
     def text(words: object, style: str = "") -> Text:
-        return Text(plain(str(words), output), style)
+        return Text(spell_plainly(str(words), output.encoding), style)
 
     for plugin in found:
         kind = f"  {plugin['kind']}  "
         output.print(text(plugin["name"], "bold") + text(kind) + text(plugin["summary"]))
         output.print(text(f"  {plugin['source']}", "dim"), soft_wrap=True)
         if plugin["fields"]:
-            headings = ("  field", "default", "bounds", "unit", "meaning")
-            table = Table(headings, words=["default", "bounds", "meaning"], boxed=False)
-            for field in plugin["fields"]:
-                default = field["default"]
-                shown = f"{default:.4g}" if isinstance(default, float) else str(default)
-                cells = (f"  {field['name']}", shown, field["bounds"], field["unit"])
-                table.add(*cells, field["description"])
-            table.print(output)
+            rows = [
+                {
+                    **field,
+                    "name": f"  {field['name']}",
+                    "default": f"{default:.4g}" if isinstance(default, float) else str(default),
+                }
+                for field in plugin["fields"]
+                for default in (field["default"],)
+            ]
+            print_table(Table(_FIELDS, rows), output)
         output.print()
 
 
 def print_checks(rows: Sequence[dict[str, Any]]) -> None:
     """Print a row for each check, and below them the messages."""
     output = console()
-    headings = ("plugin", "check", "ok", "time [s]")
-    table = Table(headings, right=["time [s]"], words=["check"], boxed=False)
+    cells = []
     last = ""
     for row in rows:
         plugin = f"{row['kind']} {row['name']}"
-        state = "skipped" if row["skipped"] else "yes" if row["ok"] else Text("no", "bold red")
-        table.add("" if plugin == last else plugin, row["check"], state, f"{row['seconds']:.2f}")
+        state = "skipped" if row["skipped"] else "yes" if row["ok"] else "no"
+        style = "bold red" if state == "no" else ""
+        shown = {"plugin": "" if plugin == last else plugin, "state": state, "style": style}
+        cells.append(row | shown)
         last = plugin
-    table.print(output)
+    print_table(Table(_CHECKS, cells), output)
     for row in rows:
         if row["message"]:
             output.print(f"{row['check']}: {row['message']}", markup=False, highlight=False)

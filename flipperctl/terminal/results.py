@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from flipperctl.evaluation.evaluate import Result
-from flipperctl.evaluation.show import print_table
 from flipperctl.evaluation.views import engines, evaluation, published, risk
 from flipperctl.evaluation.views.summary import Document, named, short
+from flipperctl.show import print_table
 from flipperctl.terminal.console import console, print_lines
 from flipperctl.terminal.streams import print_note
 

@@ -9,9 +9,18 @@ from typing import Any
 from flipperctl import checkpoint
 from flipperctl.errors import CheckpointError
 from flipperctl.runs import follow_up
+from flipperctl.show import Column, Table, print_table
 from flipperctl.terminal.console import console
 from flipperctl.terminal.pitch_variation import HEADING, PAPERS_HEADING
-from flipperctl.terminal.tables import Table
+
+_COLUMNS = (
+    Column("decision", "decision", named=True),
+    Column("success", "success"),
+    Column("pitch_variation_100hz", HEADING, 3),
+    Column("pitch_variation", PAPERS_HEADING, 3),
+    Column("t_cost", "t_cost [s]", 1),
+    Column("return", "return"),
+)
 
 
 def print_run(found: dict[str, Any], picture: Path | None) -> None:
@@ -21,24 +30,18 @@ def print_run(found: dict[str, Any], picture: Path | None) -> None:
     if not (found["running"] or (summary and summary["finished"])):
         ended = "interrupted" if summary else "ended by an error, or killed"
         state = f"{ended}; resume with: {_resume_command(Path(found['run']))}"
-    headings = ("decision", "success", HEADING, PAPERS_HEADING, "t_cost [s]", "return")
-    table = Table(headings, f"{found['run']}: {state}", right=headings)
-    for row in found["validations"]:
-        table.add(
-            f"{row['decision']:.0f}",
-            f"{row['success_rate']:.1%}",
-            _number(row["pitch_variation_100hz"], 3),
-            _number(row["pitch_variation"], 3),
-            _number(row["t_cost"], 1),
-            _number(row["return"] if row["mean_return"] is None else row["mean_return"], 2),
-        )
-    table.print(console())
+    rows = [
+        row
+        | {
+            "decision": f"{row['decision']:.0f}",
+            "success": f"{row['success_rate']:.1%}",
+            "return": row["return"] if row["mean_return"] is None else row["mean_return"],
+        }
+        for row in found["validations"]
+    ]
+    print_table(Table(_COLUMNS, rows, f"{found['run']}: {state}"), console())
     if picture is not None:
         print(f"picture: {picture}")
-
-
-def _number(value: float | None, digits: int) -> str:
-    return "–" if value is None else f"{value:.{digits}f}"
 
 
 def _resume_command(run: Path) -> str:

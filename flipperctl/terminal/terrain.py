@@ -6,33 +6,31 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from flipperctl.show import Column, Table, print_table
 from flipperctl.terminal.console import console
-from flipperctl.terminal.tables import Table
+
+_COLUMNS = (
+    Column("seed", "seed", named=True),
+    Column("length", "length [m]", 3),
+    Column("lowest", "lowest [m]", 3),
+    Column("highest", "highest [m]", 3),
+    Column("climb", "climb [m]", 3),
+    Column("largest_face", "largest face [m]", 3),
+    Column("steepest_slope_degrees", "steepest slope [°]", 3),
+    Column("points", "points"),
+    Column("drawn", "drawn", wrapped=True),
+)
 
 
 def print_terrain(name: str, numbers: list[dict[str, Any]], picture: Path | None) -> None:
     """Print a row for each profile (``studies.profiles.sample``), and the picture's name."""
-    headings = (
-        *("seed", "length [m]", "lowest [m]", "highest [m]", "climb [m]"),
-        *("largest face [m]", "steepest slope [°]", "points"),
-    )
-    drawn = ["drawn"] if any(row["drawn"] for row in numbers) else []
-    table = Table([*headings, *drawn], name, right=headings, words=drawn)
-    keys = ("length", "lowest", "highest", "climb", "largest_face", "steepest_slope_degrees")
-    cells = [
-        [
-            *(f"{row[key]:.3f}" for key in keys),
-            str(len(row["points"])),
-            *((_drawn_text(row["drawn"]),) if drawn else ()),
-        ]
-        for row in numbers
+    rows = [
+        row | {"points": len(row["points"]), "drawn": _drawn_text(row["drawn"])} for row in numbers
     ]
-    seeds = [str(row["seed"]) for row in numbers]
     if len(numbers) > 1 and all(row["points"] == numbers[0]["points"] for row in numbers):
-        seeds, cells = ["any"], cells[:1]  # nothing about the terrain is random
-    for seed, row in zip(seeds, cells, strict=True):
-        table.add(seed, *row)
-    table.print(console())
+        rows = [rows[0] | {"seed": "any"}]  # nothing about the terrain is random
+    columns = _COLUMNS if any(row["drawn"] for row in rows) else _COLUMNS[:-1]
+    print_table(Table(columns, rows, name), console())
     if any(row["points_drawn"] > len(row["points"]) for row in numbers):
         most = max(row["points_drawn"] for row in numbers)
         print(f"sampled with up to {most} points; those too fine for a track to feel are left out")

@@ -4,22 +4,38 @@ import re
 from pathlib import Path
 
 import pytest
+import typer.main
+from rich.cells import cell_len
 
 from flipperctl.cli.inspect import VIEWS
-from flipperctl.cli.main import COMMANDS
+from flipperctl.cli.main import COMMANDS, app
 from tests.cli.call import call
 
 
+@pytest.mark.parametrize("width", [80, 100])
 @pytest.mark.parametrize(
     "command",
     [[], *([name] for name in COMMANDS), *(["inspect", name] for name in VIEWS)],
 )
-def test_help_is_there_with_examples(command: list[str], tmp_path: Path) -> None:
+def test_help_is_there_with_examples_at_any_width(
+    command: list[str], width: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(width))
     done = call(*command, "--help", cwd=tmp_path)
     assert done.code == 0
     assert not re.search(r" \.\s", done.out)  # a part in brackets that was read as markup
+    assert max(map(cell_len, done.out.splitlines())) <= width
+    found = typer.main.get_command(app)
+    for name in command:
+        found = found.commands[name]
+    words = [str(found.help), *(str(getattr(param, "help", "")) for param in found.params)]
+    assert done.out.count("…") <= "".join(words).count("…")  # nothing is cut
+    text, _, examples = str(found.help).partition("[bold]Examples[/]")
+    assert not re.search(r"\S\n\S", text)  # paragraphs fill the width
     if command and command != ["inspect"]:
-        assert f"flipperctl {' '.join(command)}" in done.out.split("Examples")[1]
+        assert f"flipperctl {' '.join(command)}" in examples
+    if width == 100:
+        assert [line for line in examples.splitlines() if line.strip() not in done.out] == []
 
 
 @pytest.mark.parametrize(
@@ -29,7 +45,6 @@ def test_help_is_there_with_examples(command: list[str], tmp_path: Path) -> None
 def test_every_subcommand_takes_plugins(command: list[str], tmp_path: Path) -> None:
     needed = {"export": ["onnx", "--checkpoint", "x"], "terrain": ["ridge"]}
     needed |= {"new": ["terrain", "x"], "eval": ["--controller", "level"]}
-    needed |= {"transfer": ["--controller", "level"]}
     needed |= {"checkpoint": ["x"], "run": ["x"]}
     arguments = [*command, *needed.get(command[-1], []), "--plugins", "nowhere.py"]
     done = call(*arguments, cwd=tmp_path)

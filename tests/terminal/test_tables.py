@@ -1,4 +1,4 @@
-"""Tables at any width: no number is cut, and no row loses a cell."""
+"""Tables at any width: no number is cut, and no line is longer than the console."""
 
 import io
 import re
@@ -8,119 +8,129 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.cells import cell_len
-from rich.text import Text
 
+from flipperctl import show
+from flipperctl.show import Column, Table, print_table
 from flipperctl.terminal.console import PlainConsole
-from flipperctl.terminal.tables import Table
 from tests.cli.call import call
 
-WIDTHS = (40, 80, 200)
-OUTCOMES = "reached 5 overturned 1 stuck 10 timeout 2"
-EVAL = ["eval", "--controller", "okada", "terrain=flat", "conditions=nominal,varied"]
+SCENE = ["terrain=flat", "--episodes", "1"]
 COMMANDS = {
-    "eval": [*EVAL, "--baseline", "level", "--passable", "level", "--episodes", "5"],
-    "transfer": ["transfer", "--controller", "level", "terrain=flat", "--episodes", "1"],
-    "compare": ["inspect", "reward", "--compare", "okada,level", "terrain=flat", "--episodes", "1",
-                "rewards=paper,tuned"],
+    "eval": ["eval", "okada", "terrain=flat", "conditions=nominal,varied", "--episodes", "3",
+             "--baseline", "level", "--passable", "level", "--columns", "all"],
+    "several": ["eval", "okada", "level", *SCENE],
+    "engines": ["eval", "level", *SCENE, "sim=planar,mujoco"],
+    "map": ["map", "level", "terrain=uplift", "--episodes", "1",
+            "--over", "terrain.height=0.1:0.3:2,sim.friction=0.4:1.0:2"],
+    "ranking": ["inspect", "reward", "--compare", "okada,level", *SCENE, "rewards=paper,tuned"],
     "regret": ["inspect", "reward", "--regret", "--controller", "okada", "--against", "level",
-               "terrain=flat", "--episodes", "5"],
-    "audit": ["inspect", "reward", "terrain=flat", "--episodes", "1"],
-    "engines": ["inspect", "engines", "terrain=flat", "--episodes", "1"],
+               *SCENE],
+    "audit": ["inspect", "reward", *SCENE, "conditions=varied"],
     "terrain": ["inspect", "terrain", "stair", "--draws", "3"],
+    "plugins": ["inspect", "plugins", "planar"],
+    "conventions": ["inspect", "conventions", "sim=planar"],
+    "config": ["inspect", "config", "--describe"],
+    "compare": ["compare", "judged"],
 }  # fmt: skip
 
 
 def printed(table: Table, width: int) -> list[str]:
     stream = io.StringIO()
-    table.print(PlainConsole(file=stream, width=width))
+    print_table(table, PlainConsole(file=stream, width=width))
     return stream.getvalue().splitlines()
 
 
 def rates() -> Table:
-    table = Table(["terrain", "success", "outcomes", "t_cost [s]"], "okada", words=["outcomes"])
-    table.add("stair", "0.833 [0.610, 0.950]", OUTCOMES, "12.0 [9.1, 14.9]")
-    table.add("  gap", "1.000 [0.439, 1.000]", "reached 3", "", dim=True)
-    return table
-
-
-def test_a_wide_console_shows_the_rows_side_by_side() -> None:
-    title, _, heads, _, first, second, _ = printed(rates(), 110)
-    assert title.strip() == "okada"
-    assert heads.split("┃")[1:-1] == [
-        " terrain ", " success              ", f" {'outcomes':41} ", " t_cost [s]       ",
-    ]  # fmt: skip
-    assert OUTCOMES in first
-    assert first.count("│") == second.count("│") == 5
-
-
-def test_words_are_wrapped_before_the_rows_are_stacked() -> None:
-    lines = printed(rates(), 85)
-    assert all("│" in line for line in lines[4:-1])
-    assert max(map(cell_len, lines)) == 85
-    assert OUTCOMES not in "".join(lines)
-    assert "0.833 [0.610, 0.950]" in "".join(lines)
-
-
-def test_headings_are_wrapped_before_the_rows_are_stacked() -> None:
-    table = Table(["terrain", "flipper travel where not reached [rad]"])
-    table.add("stair", "1.00 [–]")
-    lines = printed(table, 40)
-    assert not any("flipper travel" in line for line in lines)
-    assert any("stair   │ 1.00 [–]" in line for line in lines)
-    assert "flipper travel where not reached [rad]" in printed(table, 60)[1]
-
-
-def test_a_narrow_console_shows_a_line_for_each_cell() -> None:
-    assert printed(rates(), 40) == [
-        "okada",
-        "stair",
-        "  success     0.833 [0.610, 0.950]",
-        "  outcomes",
-        "    reached 5 overturned 1 stuck 10",
-        "    timeout 2",
-        "  t_cost [s]  12.0 [9.1, 14.9]",
-        "  gap",
-        "  success     1.000 [0.439, 1.000]",
-        "  outcomes    reached 3",
+    columns = [
+        Column("terrain", "terrain", named=True),
+        Column("success", "success"),
+        Column("outcomes", "outcomes", wrapped=True),
+        Column("time", "time of the reached [s]", 1),
     ]
-    assert printed(rates(), 22)[2:5] == ["  success", "    0.833 [0.610,", "    0.950]"]
+    interval = {"mean": 12.04, "low": 9.1, "high": 14.9}
+    rows = [
+        {"terrain": "stair", "success": "83 %", "outcomes": "reached 5 stuck 10", "time": interval},
+        {"terrain": "  gap", "success": "100 %", "outcomes": "reached 3", "time": None},
+    ]
+    return Table(columns, rows, "okada", ["a note of several words"])
 
 
-def test_a_row_has_a_cell_for_each_heading() -> None:
-    with pytest.raises(ValueError, match="2 cells for 4 headings"):
-        rates().add("stair", "1")
+def test_a_wide_console_shows_a_line_for_each_row() -> None:
+    assert printed(rates(), 80) == [
+        "okada",
+        "terrain  success  outcomes            time of the reached [s]",
+        "stair    83 %     reached 5 stuck 10  12.0 [9.1, 14.9]",
+        "  gap    100 %    reached 3           –",
+        "a note of several words",
+    ]
 
 
-words = st.lists(st.sampled_from(["a", "θ̂", "é", "[", "1", ".", "…"]), min_size=1, max_size=12)
-sentences = st.lists(words.map("".join), min_size=1, max_size=5).map(" ".join)
+def test_headings_and_sentences_are_broken_before_columns_continue_below() -> None:
+    assert printed(rates(), 50)[1:5] == [
+        "terrain  success  outcomes        time of the",
+        "                                  reached [s]",
+        "stair    83 %     reached 5       12.0 [9.1, 14.9]",
+        "                  stuck 10",
+    ]
+    assert printed(rates(), 34)[1:] == [
+        "terrain  success  outcomes",
+        "stair    83 %     reached 5",
+        "                  stuck 10",
+        "  gap    100 %    reached 3",
+        "terrain  time of the",
+        "         reached [s]",
+        "stair    12.0 [9.1, 14.9]",
+        "  gap    –",
+        "a note of several words",
+    ]
+
+
+names = st.text("aθ̂é[.…", min_size=1, max_size=12)
+sentences = st.lists(names, min_size=1, max_size=5).map(" ".join)
 
 
 @settings(max_examples=30, deadline=None)
-@given(st.lists(st.tuples(*[sentences] * 4), min_size=1, max_size=3), st.integers(20, 120))
+@given(st.lists(st.tuples(names, names, names, sentences), min_size=1, max_size=3), st.data())
 def test_every_word_is_printed_whole_at_every_width(
-    rows: list[tuple[str, ...]], width: int
+    rows: list[tuple[str, ...]], data: st.DataObject
 ) -> None:
-    table = Table(["one", "two words", "three", "four"], words=["four"])
-    for row in rows:
-        table.add(row[0], Text(row[1]), *row[2:])
+    width = data.draw(st.integers(40, 120))
+    columns = [Column(str(at), "two words", named=at == 0, wrapped=at == 3) for at in range(4)]
+    table = Table(columns, [dict(zip("0123", row, strict=True)) for row in rows])
     lines = printed(table, width)
-    found = " ".join(lines).split()
-    assert {word for row in rows for cell in row for word in cell.split()} <= set(found)
+    assert {word for row in rows for cell in row for word in cell.split()} <= {
+        word for line in lines for word in line.split()
+    }
     assert max(map(cell_len, lines)) <= width
 
 
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which ``judged`` has results of several methods."""
+    found = tmp_path_factory.mktemp("tables")
+    words = ["terrain=flat,step", "--episodes", "2", "--output", "judged"]
+    done = call("eval", "okada", "level", "random", *words, cwd=found)
+    assert done.code == 0, done.err
+    return found
+
+
 @pytest.mark.parametrize("name", COMMANDS)
-def test_no_command_cuts_a_number(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_no_command_breaks_a_line_or_cuts_a_number(
+    name: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tables: list[Table] = []
-    monkeypatch.setattr(Table, "print", lambda table, to: tables.append(table))
-    done = call(*COMMANDS[name], cwd=tmp_path)
+    lines = show.lines
+    monkeypatch.setattr(show, "lines", lambda table, to: tables.append(table) or lines(table, to))
+    monkeypatch.setenv("COLUMNS", "80")
+    done = call(*COMMANDS[name], cwd=folder)
     assert done.code == 0, done.err
-    assert tables
+    assert tables or name == "map"
+    long = [line for line in done.out.splitlines() if cell_len(line) > 80]
+    assert [line for line in long if "/" not in line] == []  # paths are not broken
     monkeypatch.undo()
     for table in tables:
-        texts = ["\n".join(printed(table, width)) for width in WIDTHS]
-        narrow, middle, wide = (sorted(re.findall(r"[-+]?\d+\.\d+", text)) for text in texts)
-        assert narrow == middle == wide != []
-        assert not any("…" in text for text in texts)
+        texts = [printed(table, width) for width in (80, 100, 1000)]
+        assert max(map(cell_len, texts[0])) <= 80
+        assert max(map(cell_len, texts[1])) <= 100
+        narrow, middle, wide = (set(re.findall(r"\d+\.\d+", "\n".join(text))) for text in texts)
+        assert narrow == middle == wide

@@ -42,7 +42,7 @@ at their end. With --checkpoint, controller.<field> applies to the controllers o
 
   flipperctl inspect reward --compare okada,generalist,planner terrain=ramp controller.width=8
 
-  flipperctl inspect reward --regret --checkpoint runs/stair/2026-01-31_12-00-00 terrain=stair,ramp
+  flipperctl inspect reward --regret --checkpoint generalist terrain=stair,ramp
 """
 
 REFERENCES = "level,okada,mpc"
@@ -93,8 +93,8 @@ def run(
     from flipperctl.cli.hydra.compose import only_one
     from flipperctl.cli.scenes import scenes
     from flipperctl.evaluation.conditions import Conditions
-    from flipperctl.evaluation.show import print_table
     from flipperctl.evaluation.views.audit import audit, table
+    from flipperctl.show import print_table
     from flipperctl.terminal.console import console
     from flipperctl.terminal.document import show
     from flipperctl.terminal.progress import episodes_progress
@@ -111,8 +111,8 @@ def run(
 
 def _compare(names: str, overrides: list[str], as_json: bool) -> None:
     from flipperctl.cli.reward_scenes import policies, reward_scenes
-    from flipperctl.evaluation.show import print_table
     from flipperctl.evaluation.views import ranking
+    from flipperctl.show import print_table
     from flipperctl.terminal.console import console, print_lines
     from flipperctl.terminal.document import show
 
@@ -138,9 +138,9 @@ def _regret(
 ) -> None:
     from flipperctl.cli.reward_scenes import regret_scenes
     from flipperctl.errors import InterruptedRunError
-    from flipperctl.evaluation.show import print_table
     from flipperctl.evaluation.views import regret
-    from flipperctl.terminal.console import console
+    from flipperctl.show import print_table
+    from flipperctl.terminal.console import console, print_lines
     from flipperctl.terminal.document import show
 
     scenes = regret_scenes(words, checkpoint, controller, against)
@@ -153,8 +153,7 @@ def _regret(
         out = console()
         print_table(regret.table(found), out)
         for text, alarm in regret.sentences(found):
-            style = "bold red" if alarm else None
-            out.print(text, style=style, highlight=False, markup=False, soft_wrap=True)
+            print_lines(out, [text], "bold red" if alarm else "")
 
     show({"scenes": found}, printed, as_json=as_json)
 

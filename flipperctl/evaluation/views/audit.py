@@ -15,11 +15,11 @@ from flipperctl.api import FloatArray, RewardTerm
 from flipperctl.config import EvalConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.conditions import Conditions
-from flipperctl.evaluation.show import Column, Table
 from flipperctl.evaluation.views.summary import Document
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import decisions
 from flipperctl.rollout.seeds import EvaluationSeeds
+from flipperctl.show import Column, Table
 
 
 def audit(

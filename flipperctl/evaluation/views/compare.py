@@ -35,11 +35,11 @@ from flipperctl.evaluation.seeds import (
     resampled,
     statistic_interval,
 )
-from flipperctl.evaluation.show import Column, Table
 from flipperctl.evaluation.statistics import Interval, holm
 from flipperctl.evaluation.stored import Stored, read
 from flipperctl.evaluation.views.summary import Document, p_text, rate_text, short
 from flipperctl.messages import close_match
+from flipperctl.show import Column, Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

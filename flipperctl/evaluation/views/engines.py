@@ -21,7 +21,6 @@ from flipperctl.errors import ConfigError
 from flipperctl.evaluation.evaluate import Played, Result
 from flipperctl.evaluation.rows import CAUSE, END, Episodes, Row, reached
 from flipperctl.evaluation.sensing import SensingCause, on_true_ground
-from flipperctl.evaluation.show import Column, Table
 from flipperctl.evaluation.views.summary import (
     Document,
     correct_all,
@@ -32,6 +31,7 @@ from flipperctl.evaluation.views.summary import (
 )
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import Decision, play
+from flipperctl.show import Column, Table
 
 Config = TypeVar("Config", bound=EnvConfig)
 _SHARED: tuple[SharedSetting, ...] = ("friction", "gravity")

@@ -17,7 +17,6 @@ from flipperctl.evaluation.evaluate import Played, Result
 from flipperctl.evaluation.plan import BEST_KNOWN
 from flipperctl.evaluation.rows import Row
 from flipperctl.evaluation.sensing import counts
-from flipperctl.evaluation.show import Column, Table
 from flipperctl.evaluation.views import engines, pooled, strata, summary
 from flipperctl.evaluation.views.summary import (
     VARIATION,
@@ -31,6 +30,7 @@ from flipperctl.evaluation.views.summary import (
     short,
 )
 from flipperctl.messages import close_match
+from flipperctl.show import Column, Table
 
 _LINES = 6
 """Largest number of differences that are lines; more are a table."""

@@ -10,8 +10,8 @@ from typing import Any
 
 from flipperctl.api import Published, Terrain
 from flipperctl.config import resolver, to_dict
-from flipperctl.evaluation.show import Column, Table
 from flipperctl.evaluation.views.summary import Document, rate_text, short
+from flipperctl.show import Column, Table
 
 _COLUMNS = (
     Column("terrain", "scene", named=True),

@@ -21,12 +21,12 @@ from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.play import Player
 from flipperctl.evaluation.rows import REWARD, Episodes
-from flipperctl.evaluation.show import Column, Table, interval_text
 from flipperctl.evaluation.statistics import FEWEST, holm, interval, mean_p
 from flipperctl.evaluation.views.regret import returns
 from flipperctl.evaluation.views.summary import VARIATION, Document, named, short
 from flipperctl.policies.source import PolicySource
 from flipperctl.reward_sum import paying_terms
+from flipperctl.show import Column, Table, interval_text
 
 Rewards = Mapping[str, RewardTerm]
 """Reward terms by name."""

@@ -20,11 +20,11 @@ from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.play import Player
 from flipperctl.evaluation.rows import REWARD, Episodes, reached
-from flipperctl.evaluation.show import Column, Table, interval_text
 from flipperctl.evaluation.statistics import FEWEST, interval
 from flipperctl.evaluation.views.summary import Document, named, short
 from flipperctl.policies.source import PolicySource
 from flipperctl.reward_sum import paying_terms
+from flipperctl.show import Column, Table, interval_text
 
 LEVEL = "level"
 """The controller that holds the flippers still."""

@@ -17,9 +17,9 @@ from flipperctl.env.ground import generate_profile
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.evaluate import Played
 from flipperctl.evaluation.rows import Episodes
-from flipperctl.evaluation.show import Column, Table
 from flipperctl.evaluation.views import summary
 from flipperctl.messages import close_match
+from flipperctl.show import Column, Table
 
 _TRIES = 100
 """Number of profiles in which a name is looked for before the evaluation."""

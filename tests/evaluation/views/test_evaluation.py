@@ -10,13 +10,13 @@ import pytest
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.evaluate import Played, Result
 from flipperctl.evaluation.plan import Plan
-from flipperctl.evaluation.show import interval_text, latex
 from flipperctl.evaluation.statistics import Interval
 from flipperctl.evaluation.views import evaluation
 from flipperctl.evaluation.views.evaluation import csv_rows, document, parse_columns, policies
 from flipperctl.evaluation.views.summary import named
 from flipperctl.files import write_csv
 from flipperctl.policies.source import PolicySource
+from flipperctl.show import interval_text, latex
 from tests.evaluation.samples import entry, episodes, sample
 from tests.evaluation.samples import result as made
 

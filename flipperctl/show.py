@@ -9,15 +9,14 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 from rich.cells import cell_len
 from rich.console import Console
 from rich.text import Text
 
-from flipperctl.evaluation.statistics import Interval
 from flipperctl.files import OutputKind
-from flipperctl.terminal.console import plain
+from flipperctl.spelling import spell_plainly
 
 _GAP = "  "
 _NARROWEST = 14
@@ -38,6 +37,10 @@ NONE = "–"
 """Text of a missing number."""
 
 
+class _Interval(Protocol):
+    def to_dict(self) -> dict[str, Any]: ...
+
+
 @dataclass(frozen=True)
 class Column:
     """A column of a table."""
@@ -52,7 +55,9 @@ class Column:
     latex: str = ""
     """Heading in LaTeX; empty for the escaped heading."""
     named: bool = False
-    """Whether its texts are names, which may be folded."""
+    """Whether its texts are names, which may be folded, also within a long one."""
+    wrapped: bool = False
+    """Whether its texts are sentences, which may be broken at spaces."""
 
 
 @dataclass
@@ -61,7 +66,8 @@ class Table:
 
     columns: Sequence[Column]
     rows: list[dict[str, Any]]
-    """Values by key. ``dim`` dims a row, ``line`` leaves a line free above it."""
+    """Values by key. ``dim`` dims a row, ``line`` leaves a line free above it, and ``style`` is
+    rich's."""
     title: str = ""
     notes: list[str] = field(default_factory=list)
     """Lines below the table."""
@@ -83,7 +89,7 @@ def value_text(value: Any, column: Column) -> str:
 
 
 def interval_text(
-    found: Interval | Mapping[str, Any] | None, digits: int = 2, *, sign: str = ""
+    found: _Interval | Mapping[str, Any] | None, digits: int = 2, *, sign: str = ""
 ) -> str:
     """Return ``mean [low, high]``.
 
@@ -105,34 +111,53 @@ def print_table(table: Table, to: Console) -> None:
     for line in lines(table, to):
         to.print(line, highlight=False, markup=False, soft_wrap=True)
     for note in table.notes:
-        for text in _folded(plain(note, to), to.width):
+        for text in folded(_plain(note, to), to.width):
             to.print(text, highlight=False, markup=False, soft_wrap=True)
 
 
 def lines(table: Table, to: Console) -> Iterator[Text]:
     """Yield the lines of a table without its notes."""
     if table.title:
-        for text in _folded(plain(table.title, to), to.width):
+        for text in folded(_plain(table.title, to), to.width):
             yield Text(text, "bold")
-    cells = [[plain(text, to) for text in row] for row in table.texts()]
-    headings = [plain(column.heading, to) for column in table.columns]
+    cells = [[_plain(text, to) for text in row] for row in table.texts()]
+    headings = [_plain(column.heading, to) for column in table.columns]
     columns = [[row[at] for row in cells] for at in range(len(headings))]
     cell_widths = [max([1, *map(cell_len, column)]) for column in columns]
     widths = [max(pair) for pair in zip(cell_widths, map(cell_len, headings), strict=True)]
+    words = list(map(_longest_word, headings))
     if _total(widths) > to.width:  # headings break at spaces
-        words = map(_longest_word, headings)
         widths = [max(pair) for pair in zip(cell_widths, words, strict=True)]
     names = [at for at, column in enumerate(table.columns) if column.named]
-    for at in names:
-        if (over := _total(widths) - to.width) > 0:
-            widths[at] = max(min(widths[at], _NARROWEST), widths[at] - over)
+    least = {
+        at: max([words[at], *map(_longest_word, columns[at])])
+        for at, column in enumerate(table.columns)
+        if column.named or column.wrapped
+    }
+    whole = list(widths)
+    _shrink(widths, least, to.width)
+    _shrink(widths, dict.fromkeys(names, _NARROWEST), to.width)
+    if _total(widths) > to.width:  # columns continue below, which leaves more room
+        most = max(_NARROWEST, to.width // 3)
+        limits = {at: most if at in names else max(most, least[at]) for at in least}
+        widths = [min(width, limits.get(at, width)) for at, width in enumerate(whole)]
     for part in _parts(widths, names, to.width):
-        yield from _block([_folded(headings[at], widths[at]) for at in part], part, widths, "dim")
+        yield from _block([folded(headings[at], widths[at]) for at in part], part, widths, "dim")
         for number, (row, texts) in enumerate(zip(table.rows, cells, strict=True)):
             if row.get("line") and number:
                 yield Text("")
-            folded = [_folded(texts[at], widths[at]) for at in part]
-            yield from _block(folded, part, widths, "dim" if row.get("dim") else "")
+            broken = [folded(texts[at], widths[at]) for at in part]
+            style = "dim" if row.get("dim") else row.get("style", "")
+            yield from _block(broken, part, widths, style)
+
+
+def _shrink(widths: list[int], least: Mapping[int, int], width: int) -> None:
+    """Make columns narrower, the widest first, until the table fits or they are at their least."""
+    while _total(widths) > width:
+        wide = [at for at in least if widths[at] > least[at]]
+        if not wide:
+            return
+        widths[max(wide, key=widths.__getitem__)] -= 1
 
 
 def _total(widths: Sequence[int]) -> int:
@@ -171,7 +196,11 @@ def _longest_word(text: str) -> int:
     return max((cell_len(word) for word in text.split()), default=1)
 
 
-def _folded(text: str, width: int) -> list[str]:
+def _plain(text: str, of: Console) -> str:
+    return spell_plainly(text, of.encoding)
+
+
+def folded(text: str, width: int) -> list[str]:
     """Return the lines of a text, broken at spaces, and within words that are too long."""
     found, line = [], ""
     indent = " " * (len(text) - len(text.lstrip()))
