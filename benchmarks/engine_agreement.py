@@ -34,10 +34,10 @@ from flipperctl.api import (
 from flipperctl.config import DEFAULT_ENGINE, EnvConfig, EvalConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
-from flipperctl.evaluation.show import Column, Table, print_table
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import Row, decisions
 from flipperctl.rollout.seeds import EvaluationSeeds
+from flipperctl.show import Column, Table, print_table
 from flipperctl.terminal.console import console
 
 PITCH_TOLERANCE = 0.05

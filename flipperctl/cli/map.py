@@ -55,8 +55,8 @@ def run(
     from flipperctl.evaluation.views import map as view
     from flipperctl.evaluation.views.axes import parse_axes
     from flipperctl.evaluation.workers import EpisodeWorkers
+    from flipperctl.results import result_folder
     from flipperctl.runs.interrupts import interrupts
-    from flipperctl.runs.results import result_folder
     from flipperctl.terminal.console import console, print_lines
     from flipperctl.terminal.document import show
     from flipperctl.terminal.progress import episodes_progress

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from flipperctl import plugins
-from flipperctl.runs import follow_up, lock
+from flipperctl import results as lock
+from flipperctl.runs import follow_up
 
 
 @dataclass(frozen=True)

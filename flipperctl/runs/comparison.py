@@ -14,7 +14,7 @@ from typing import Any
 
 from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
 from flipperctl.files import write_csv
-from flipperctl.runs.folder import SUMMARY, holds_run
+from flipperctl.results import SUMMARY, holds_run
 from flipperctl.runs.summary import of_reached
 
 FILE = "sweep.csv"

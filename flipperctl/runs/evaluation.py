@@ -29,9 +29,9 @@ from flipperctl.evaluation.views import evaluation as view
 from flipperctl.evaluation.views.summary import Document, compared
 from flipperctl.files import check_output, write_bytes, write_csv, write_json
 from flipperctl.policies.source import PolicySource
+from flipperctl.results import result_folder
 from flipperctl.runs.follow_up import command
 from flipperctl.runs.interrupts import interrupts
-from flipperctl.runs.results import result_folder
 from flipperctl.show import latex
 
 SUMMARY = "summary.json"

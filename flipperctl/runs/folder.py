@@ -19,24 +19,15 @@ from flipperctl import checkpoint
 from flipperctl.config import TrainConfig, parse, strict_yaml, to_dict
 from flipperctl.errors import CheckpointError, ConfigError, OutputError
 from flipperctl.files import make_folder, remove_partial, write_bytes
+from flipperctl.results import CONFIG, HYDRA, METRICS, SUMMARY, holds_run
 from flipperctl.training import timing
 from flipperctl.training.recorder import EPISODES, PARTS
 
-CONFIG, METRICS, SUMMARY = Path("config.yaml"), Path("metrics.csv"), Path("summary.json")
-HYDRA = Path(".hydra")
 _LOCK, _LOCK_NOTE = Path(".run.lock"), Path(".run.lock.json")
 _WRITTEN = (
     *(CONFIG, METRICS, SUMMARY, EPISODES, checkpoint.BEST, checkpoint.LAST),
     *(Path(timing.NAME), _LOCK_NOTE),
 )
-
-
-def holds_run(directory: Path) -> bool:
-    """Return whether the directory holds a file that a new run would overwrite."""
-    if directory.name == HYDRA.name:  # it has a config.yaml of its own
-        return False
-    files = (directory / name for name in (CONFIG, checkpoint.BEST, checkpoint.LAST))
-    return any(file.is_file() and file.stat().st_size > 0 for file in files)
 
 
 def check_free(directory: Path) -> None:

@@ -17,7 +17,7 @@ from flipperctl.bench.machine import load, machine
 from flipperctl.bench.settings import Bench, Sizes
 from flipperctl.errors import RequestError
 from flipperctl.messages import close_match
-from flipperctl.runs.results import json_result
+from flipperctl.results import json_result
 
 MOVED = ("physics", "accuracy", "lookahead", "solve", "startup", "discovery")
 """Measures of version 0.2 that now run only in a clone of the repository."""

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from flipperctl.checkpoint import job_order
+from flipperctl.results import SUMMARY
 from flipperctl.runs.comparison import SweepRun, sweep_run
-from flipperctl.runs.folder import SUMMARY
 from flipperctl.runs.trials import RUN, finished
 
 if TYPE_CHECKING:

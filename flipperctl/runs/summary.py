@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from flipperctl import results as lock
 from flipperctl.errors import RequestError
-from flipperctl.runs import lock
-from flipperctl.runs.folder import METRICS, SUMMARY, sweep_hint
+from flipperctl.results import METRICS, SUMMARY
+from flipperctl.runs.folder import sweep_hint
 from flipperctl.training.events import read_rows
 
 _REACHED = ("pitch_variation_100hz", "pitch_variation", "t_cost")

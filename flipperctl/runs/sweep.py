@@ -14,8 +14,8 @@ from pathlib import Path
 
 from flipperctl.errors import InterruptedRunError, RunHeldError
 from flipperctl.files import make_folder
+from flipperctl.results import hold, names
 from flipperctl.runs.comparison import SweepRun, sweep_run, unreturned_run, write_comparison
-from flipperctl.runs.lock import hold, names
 from flipperctl.runs.sweep_folder import folder_name
 from flipperctl.runs.sweep_stop import stopping
 

@@ -11,8 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from flipperctl.results import is_dead
 from flipperctl.runs.interrupts import interrupts
-from flipperctl.runs.lock import is_dead
 
 _MARK = ".sweep.stop"
 

@@ -29,11 +29,11 @@ from flipperctl.errors import (
     WriteError,
 )
 from flipperctl.files import make_folder
+from flipperctl.results import METRICS, hold, holds_run, names
 from flipperctl.runs import folder as run_folder
 from flipperctl.runs.final_regret import FinalRegret
 from flipperctl.runs.follow_up import command, quote_path
 from flipperctl.runs.interrupts import interrupts
-from flipperctl.runs.lock import hold, names
 from flipperctl.runs.preflight import check_device, require_kept
 from flipperctl.training.closing import open_all
 from flipperctl.training.events import MetricsCsv
@@ -92,7 +92,7 @@ def start(
                     raise
                 continue
             with held:
-                if not run_folder.holds_run(place):
+                if not holds_run(place):
                     return _begin(config, place, reports, partial(keep_more, place))
         raise OutputError(
             f"{directory} already holds a run; resume it with: "
@@ -121,7 +121,7 @@ def start_or_continue(
     """
     make_folder(directory)
     with _held(directory), _kept_threads():
-        if not run_folder.holds_run(directory):
+        if not holds_run(directory):
             return _begin(config, directory, reports, keep_more, stop)
         saved, earlier = run_folder.read(directory)
         if differing := run_folder.differing_settings(earlier, config):
@@ -277,7 +277,7 @@ def _train(
 def _listeners(trainer: Trainer, resume_at: int | None, reports: Reports) -> list[Listener]:
     """Open the listeners that write the run's files, and then those of the caller."""
     config, directory = trainer.config, trainer.directory
-    metrics, terms = directory / run_folder.METRICS, list(config.rewards)
+    metrics, terms = directory / METRICS, list(config.rewards)
     total, done = config.train.decisions, trainer.progress.decision
     return open_all(
         [

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from threading import Event, Thread
 from typing import TYPE_CHECKING
 
-from flipperctl.runs.lock import holder, is_dead
+from flipperctl.results import holder, is_dead
 
 if TYPE_CHECKING:
     from optuna.trial import FrozenTrial, Trial

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from flipperctl.runs.folder import METRICS
+from flipperctl.results import METRICS
 from flipperctl.scripting.frames import data_frame
 from flipperctl.scripting.policy import LoadedPolicy, load
 from flipperctl.training.events import read_rows

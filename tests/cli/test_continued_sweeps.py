@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 
 from flipperctl import checkpoint
+from flipperctl.results import holder
 from flipperctl.runs import folder as run_folder
-from flipperctl.runs.lock import holder
 from flipperctl.runs.sweep_stop import stop_of, stopping
 from flipperctl.training.trainer import Trainer
 from tests.cli.call import EXACT, Done, call

@@ -13,9 +13,9 @@ import pytest
 
 from flipperctl import checkpoint
 from flipperctl.cli.hydra.sweeps import UNNAMED
+from flipperctl.results import hold
 from flipperctl.runs import folder as run_folder
 from flipperctl.runs import sweep
-from flipperctl.runs.lock import hold
 from flipperctl.runs.sweep_folder import folder_name
 from flipperctl.training.trainer import Trainer
 from tests.cli.call import EXACT, call

@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 
 from flipperctl.errors import OutputError, RunHeldError
-from flipperctl.runs.lock import hold, is_held
+from flipperctl.results import hold, is_held
 
 DIES = """
 import errno, filelock._unix, os, sys
 from pathlib import Path
 def none(*a): raise OSError(errno.ENOLCK, "no locks available")
 if {soft}: filelock._unix.fcntl.flock = none
-from flipperctl.runs.lock import hold
+from flipperctl.results import hold
 context = hold(Path(sys.argv[1]))
 context.__enter__()
 os._exit(9)

@@ -11,9 +11,8 @@ import pytest
 
 from flipperctl import files
 from flipperctl.errors import WriteError
+from flipperctl.results import ResultFolder, hold, result_folder
 from flipperctl.runs import evaluation
-from flipperctl.runs.lock import hold
-from flipperctl.runs.results import ResultFolder, result_folder
 from tests.cli.call import Done, call
 
 PLAY = ["eval", "--controller", "level", "--episodes", "2", "--output", "out"]

@@ -164,8 +164,8 @@ def _player(output: Path | None) -> Iterator[Player]:
     from flipperctl.evaluation.play import Player
     from flipperctl.evaluation.store import FOLDER, EpisodeStore, FolderStore
     from flipperctl.evaluation.workers import EpisodeWorkers
+    from flipperctl.results import result_folder
     from flipperctl.runs.interrupts import interrupts
-    from flipperctl.runs.results import result_folder
     from flipperctl.terminal.progress import episodes_progress
     from flipperctl.terminal.streams import print_note
 

@@ -21,8 +21,8 @@ from flipperctl.evaluation.rows import DIGEST, Row, arranged
 from flipperctl.evaluation.runner import EpisodeDigest
 from flipperctl.files import write_json
 from flipperctl.policies.source import PolicySource
+from flipperctl.results import ResultFolder, result_folder
 from flipperctl.rollout.episode import Decision, play
-from flipperctl.runs.results import ResultFolder, result_folder
 
 NAMES = ("replay.json", "replay.png")
 

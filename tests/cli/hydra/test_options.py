@@ -8,7 +8,7 @@ import pytest
 from hydra.core import utils
 
 from flipperctl.errors import OutputError
-from flipperctl.runs.lock import hold
+from flipperctl.results import hold
 from flipperctl.scripting.training import train
 from tests.cli.call import EXACT, call, refused
 
