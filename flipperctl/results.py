@@ -26,7 +26,8 @@ from typing import Any
 from filelock import BaseFileLock, FileLock, SoftFileLock, Timeout
 
 from flipperctl import checkpoint
-from flipperctl.errors import FlipperctlError, OutputError, RunHeldError
+from flipperctl.config import strict_yaml
+from flipperctl.errors import ConfigError, FlipperctlError, OutputError, RunHeldError
 from flipperctl.files import failure, make_folder, write_json
 
 CONFIG, METRICS, SUMMARY = Path("config.yaml"), Path("metrics.csv"), Path("summary.json")
@@ -171,6 +172,33 @@ def holds_run(directory: Path) -> bool:
         return False
     files = (directory / name for name in (CONFIG, checkpoint.BEST, checkpoint.LAST))
     return any(file.is_file() and file.stat().st_size > 0 for file in files)
+
+
+def read_config(path: Path) -> tuple[Any, str]:
+    """Return the contents of a ``config.yaml``, or None and the reason that there are none."""
+    try:
+        return strict_yaml.read(path, path.name), "it is empty"
+    except ConfigError as error:
+        return None, str(error)
+
+
+def finished(directory: Path, decision: int) -> dict[str, Any] | None:
+    """Return ``summary.json`` if the run finished at this decision, else None."""
+    try:
+        summary = json.loads((directory / SUMMARY).read_text())
+    except (OSError, ValueError):
+        return None
+    found: dict[str, Any] = summary if isinstance(summary, dict) else {}
+    ends = found.get("finished") is True and found.get("decisions") == decision
+    return found if ends else None
+
+
+def unfinished(directory: Path) -> bool:
+    """Return whether a run is not trained to its end: stopped, failed or being trained."""
+    planned, _ = read_config(directory / CONFIG)
+    for key in ("train", "decisions"):
+        planned = planned.get(key) if isinstance(planned, dict) else None
+    return isinstance(planned, int) and finished(directory, planned) is None
 
 
 class ResultFolder:

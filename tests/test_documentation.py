@@ -10,7 +10,6 @@ from pathlib import Path
 from uuid import uuid4
 
 import pytest
-from tests.cli.test_results import write
 
 from flipperctl import checkpoint
 from flipperctl.api import ACTIONS
@@ -21,6 +20,7 @@ from flipperctl.lookahead.mpc import Mpc
 from flipperctl.lookahead.planner import Planner
 from flipperctl.testing import checks
 from tests.cli.call import EXACT, RUN, call
+from tests.cli.test_compare import write
 from tests.cli.test_sweeps import JOBLIB, RAY
 
 pytestmark = pytest.mark.slow

@@ -7,7 +7,6 @@ made; the run begins again), or both (the run continues from the checkpoint).
 
 from __future__ import annotations
 
-import json
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
@@ -16,10 +15,10 @@ from typing import Any
 from omegaconf import OmegaConf
 
 from flipperctl import checkpoint
-from flipperctl.config import TrainConfig, parse, strict_yaml, to_dict
+from flipperctl.config import TrainConfig, parse, to_dict
 from flipperctl.errors import CheckpointError, ConfigError, OutputError
 from flipperctl.files import make_folder, remove_partial, write_bytes
-from flipperctl.results import CONFIG, HYDRA, METRICS, SUMMARY, holds_run
+from flipperctl.results import CONFIG, HYDRA, METRICS, SUMMARY, holds_run, read_config
 from flipperctl.training import timing
 from flipperctl.training.recorder import EPISODES, PARTS
 
@@ -91,7 +90,7 @@ def read(directory: Path) -> tuple[checkpoint.Checkpoint | None, TrainConfig]:
         saved = checkpoint.read(directory / checkpoint.LAST)
         return saved, saved.config()
     config = directory / CONFIG
-    document, fault = _read_config(config)
+    document, fault = read_config(config)
     if document:
         try:
             if isinstance(document, dict):
@@ -119,14 +118,6 @@ def write_hydra(directory: Path, documents: Mapping[str, Any]) -> None:
         write_bytes(folder / f"{name}.yaml", OmegaConf.to_yaml(document).encode())
 
 
-def _read_config(path: Path) -> tuple[Any, str]:
-    """Return the contents of a ``config.yaml``, or None and the reason that there are none."""
-    try:
-        return strict_yaml.read(path, path.name), "it is empty"
-    except ConfigError as error:
-        return None, str(error)
-
-
 def differing_settings(there: TrainConfig, here: TrainConfig) -> list[str]:
     """Return a text with both values for each setting in which two configurations differ.
 
@@ -148,25 +139,6 @@ def _leaves(node: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]
             yield from _leaves(value, f"{path}{key}.")
         else:
             yield f"{path}{key}", value
-
-
-def finished(directory: Path, decision: int) -> dict[str, Any] | None:
-    """Return ``summary.json`` if the run finished at this decision, else None."""
-    try:
-        summary = json.loads((directory / SUMMARY).read_text())
-    except (OSError, ValueError):
-        return None
-    found: dict[str, Any] = summary if isinstance(summary, dict) else {}
-    ends = found.get("finished") is True and found.get("decisions") == decision
-    return found if ends else None
-
-
-def unfinished(directory: Path) -> bool:
-    """Return whether a run is not trained to its end: stopped, failed or being trained."""
-    planned, _ = _read_config(directory / CONFIG)
-    for key in ("train", "decisions"):
-        planned = planned.get(key) if isinstance(planned, dict) else None
-    return isinstance(planned, int) and finished(directory, planned) is None
 
 
 def clear_leftovers(directory: Path) -> None:

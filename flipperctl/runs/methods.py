@@ -21,7 +21,7 @@ from flipperctl.errors import ConfigError, FlipperctlError, RequestError
 from flipperctl.messages import missing_name
 from flipperctl.policies.exported import ExportedPolicy, is_exported
 from flipperctl.policies.identity import method_settings, without_sources
-from flipperctl.runs import folder as run_folder
+from flipperctl.results import unfinished
 from flipperctl.runs.named_policies import refuse_file
 
 STANDING = ("level", "okada")
@@ -154,7 +154,7 @@ def _of_path(path: Path, tell: Callable[[str], None]) -> Iterator[Entrant]:
         if equal:
             tell(f"{run} is left out: {equal[0]} has its seed and what it learns by")
             continue
-        if run_folder.unfinished(run):
+        if unfinished(run):
             tell(f"{run} is not trained to its end; it counts like the others")
         trained.append((run, seed, settings))
     groups = _grouped(trained)

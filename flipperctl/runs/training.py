@@ -29,7 +29,7 @@ from flipperctl.errors import (
     WriteError,
 )
 from flipperctl.files import make_folder
-from flipperctl.results import METRICS, hold, holds_run, names
+from flipperctl.results import METRICS, finished, hold, holds_run, names
 from flipperctl.runs import folder as run_folder
 from flipperctl.runs.final_regret import FinalRegret
 from flipperctl.runs.follow_up import command, quote_path
@@ -130,7 +130,7 @@ def start_or_continue(
                 f"({', '.join(differing[:3])}{' …' if len(differing) > 3 else ''}); "
                 "choose another hydra.sweep.dir"
             )
-        if (summary := run_folder.finished(directory, config.train.decisions)) is not None:
+        if (summary := finished(directory, config.train.decisions)) is not None:
             reports.tell(f"{quote_path(directory)} is finished")
             return Finished(directory, summary, trained=False)
         return _continue(config, directory, reports, saved, stop)
@@ -228,7 +228,7 @@ def _continue(
     else:
         trainer.restore(saved)
     decision = trainer.progress.decision
-    summary = run_folder.finished(directory, decision)
+    summary = finished(directory, decision)
     if decision >= config.train.decisions and summary is not None:
         reports.tell(
             f"nothing left to do: {directory} has trained {decision} decisions, and "
