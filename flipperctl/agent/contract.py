@@ -44,7 +44,8 @@ def check_contract(network: Network, layout: ObservationLayout) -> None:
     """
     with torch.random.fork_rng(devices=[]):
         module = build_network(network, layout, len(ACTIONS))
-    one, *others = observations(network, layout, 4).split(1)
+    rows = observations(network, layout, 4)
+    one, others = rows[:1], [rows[at : at + 1] for at in range(1, len(rows))]
     trial = _Trial(network, module)
     noise = Noise(module)
     modes: list[tuple[str, Callable[[], object]]] = [("in eval mode", module.eval)]
