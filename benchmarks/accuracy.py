@@ -13,7 +13,7 @@ from benchmarks.planar import planar
 from benchmarks.policy_accuracy import measure_policies
 from benchmarks.settings import Benchmark
 from flipperctl.api import SAMPLE_PERIOD
-from flipperctl.bench.statistics import quantity, ratio
+from flipperctl.bench.settings import quantity, ratio
 from flipperctl.config import with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.source import PolicySource

@@ -18,9 +18,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.bags.devices import Step, read_recording
-from flipperctl.bags.shadowing import setup_of
-from flipperctl.bags.topics import Names
+from flipperctl.ros.devices import Step, read_recording
+from flipperctl.ros.shadowing import setup_of
+from flipperctl.ros.topics import Names
 from flipperctl.runtime import Cloud, FlipperController, RobotSetup
 from flipperctl.sim.lidar.sensor import LidarSensor
 

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.settings import Benchmark
-from flipperctl.bench.process import output
-from flipperctl.bench.statistics import measure_in_turn, quantity
+from flipperctl.bench.settings import measure_in_turn, output, quantity
 
 ABOUT = "plugins.load() with installed plugin modules, against importing the same modules by name"
 

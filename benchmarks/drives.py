@@ -25,10 +25,10 @@ from flipperctl.api import (
     Transition,
 )
 from flipperctl.checkpoint import shipped_policies
-from flipperctl.core.bins import mean_heights
 from flipperctl.core.lidar.messages import Belts, Inertial
+from flipperctl.core.observation import mean_heights
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.env.observer import Observer
+from flipperctl.env.pictures import Observer
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import decisions
 from flipperctl.sim.lidar import LidarSensor

@@ -24,8 +24,7 @@ import numpy as np
 
 from flipperctl import entry
 from flipperctl.api import FloatArray, Measured, Robot, SensedAngles, SensedGround
-from flipperctl.core.lidar.checks import PerceptionError
-from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Pose, Scan
+from flipperctl.core.lidar.messages import Belts, Inertial, Joints, PerceptionError, Pose, Scan
 from flipperctl.sim.lidar import LidarSensor
 
 SEQUENCE = 50

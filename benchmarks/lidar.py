@@ -14,7 +14,7 @@ from typing import Any
 
 from benchmarks.settings import Benchmark
 from flipperctl.bench.engines import Clock
-from flipperctl.bench.statistics import measure_in_turn, quantity, ratio
+from flipperctl.bench.settings import measure_in_turn, quantity, ratio
 from flipperctl.config import with_overrides
 from flipperctl.errors import MissingExtraError
 from flipperctl.rollout.seeds import EvaluationSeeds

@@ -15,11 +15,11 @@ from benchmarks import lookahead_values
 from benchmarks.lookahead_values import Searches, TimedMpc
 from benchmarks.prediction import MEASURES, prediction_errors
 from benchmarks.settings import FAMILIES, Benchmark
-from flipperctl.bench.statistics import Values, quantile, quantity, ratio
+from flipperctl.bench.settings import Values, quantile, quantity, ratio
 from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.lookahead.mpc import Mpc
-from flipperctl.lookahead.policy import MpcPolicy
+from flipperctl.lookahead.controllers import Mpc
+from flipperctl.lookahead.mpc_policy import MpcPolicy
 from flipperctl.rollout.episode import decisions
 from flipperctl.rollout.seeds import EvaluationSeeds
 from flipperctl.testing.network import one_thread

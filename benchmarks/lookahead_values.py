@@ -15,14 +15,13 @@ from typing import Any, cast
 
 import torch
 
-from flipperctl.agent.building import build_network
+from flipperctl.agent.networks import build_network
 from flipperctl.api import ACTIONS, Perception, Policy, Simulator
-from flipperctl.bench.statistics import Values, quantile, quantity, ratio
+from flipperctl.bench.settings import Values, quantile, quantity, ratio
 from flipperctl.config import EnvConfig, TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.lookahead.mpc import Mpc
-from flipperctl.lookahead.policy import MpcPolicy
-from flipperctl.lookahead.value_iteration import ValueIteration
+from flipperctl.lookahead.controllers import Mpc, ValueIteration
+from flipperctl.lookahead.mpc_policy import MpcPolicy
 from flipperctl.policies.values import value_of
 from flipperctl.rollout.episode import decisions
 

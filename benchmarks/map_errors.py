@@ -25,11 +25,11 @@ from numpy.typing import NDArray
 
 from flipperctl import entry, plugins
 from flipperctl.api import FloatArray, Perception, Transition
-from flipperctl.core.bins import occupied
+from flipperctl.core.observation import occupied
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.evaluate import evaluate
 from flipperctl.evaluation.plan import Entry, Plan
-from flipperctl.evaluation.runner import EpisodeRunner
+from flipperctl.evaluation.workers import EpisodeRunner
 from flipperctl.sim.planar.map_errors import NEAREST, MapErrorSize
 
 LEVEL, STEEP = 0.01, 0.03

@@ -18,10 +18,10 @@ from benchmarks import bare
 from benchmarks.planar import planar
 from benchmarks.settings import Benchmark
 from flipperctl.api import SAMPLE_PERIOD, Profile, Start, Transition
-from flipperctl.bench.statistics import quantity, ratio
+from flipperctl.bench.settings import quantity, ratio
 from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.env.world import GuardedWorld
+from flipperctl.env.guarded_world import GuardedWorld
 from flipperctl.policies.source import PolicySource
 from flipperctl.reward_sum import RewardSum
 from flipperctl.rollout.episode import decisions

@@ -13,7 +13,7 @@ from typing import Any
 from benchmarks.planar import planar
 from benchmarks.settings import FAMILIES, Benchmark
 from flipperctl import checkpoint
-from flipperctl.bench.statistics import quantity
+from flipperctl.bench.settings import quantity
 from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError

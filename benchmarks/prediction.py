@@ -14,8 +14,8 @@ import numpy as np
 from flipperctl.api import FloatArray, RobotState
 from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.lookahead.controllers import Mpc
 from flipperctl.lookahead.model import Model
-from flipperctl.lookahead.mpc import Mpc
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import Decision, decisions
 

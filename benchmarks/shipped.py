@@ -19,7 +19,7 @@ import numpy as np
 import yaml
 
 from flipperctl.errors import RequestError
-from flipperctl.evaluation.scores import PRICE, Method
+from flipperctl.evaluation.seeds import PRICE, Method
 from flipperctl.evaluation.views.compare import difference, method_row
 
 SUITES = ("paper", "families", "held_out")

@@ -18,7 +18,7 @@ from benchmarks.extras import import_extra
 from benchmarks.settings import Benchmark, BenchmarkSettings
 from benchmarks.solve_run import SolveRun, ValidationRecorder
 from flipperctl import checkpoint
-from flipperctl.bench.statistics import quantity, ratio
+from flipperctl.bench.settings import quantity, ratio
 from flipperctl.config import TrainConfig, with_overrides
 from flipperctl.errors import MissingExtraError
 from flipperctl.training.trainer import Trainer

@@ -10,8 +10,7 @@ from typing import Any
 import typer.main
 
 from benchmarks.settings import Benchmark
-from flipperctl.bench.process import output
-from flipperctl.bench.statistics import measure_in_turn, quantity, ratio
+from flipperctl.bench.settings import measure_in_turn, output, quantity, ratio
 from flipperctl.cli.main import app
 
 ABOUT = "wall-clock of commands in separate processes, in turn, compared with Python's own start"

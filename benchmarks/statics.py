@@ -98,7 +98,7 @@ def standing(
     pitches lie within ± ``overturn`` [rad].
     """
     from benchmarks.standing import can_stand  # numba takes long to import
-    from flipperctl.sim.standing import inflated
+    from flipperctl.sim.resting import inflated
 
     half, axle, radius = robot.hinge_offset, robot.flipper_axle, robot.track_radius
     margin = math.ceil((half + axle) / _SPACING) + 2  # to the farthest end of a flipper

@@ -18,12 +18,12 @@ import torch
 from benchmarks.extras import import_extra
 from benchmarks.settings import Benchmark
 from flipperctl.agent.d3qn import D3qn
-from flipperctl.agent.frames import input_size
+from flipperctl.agent.networks import input_size
 from flipperctl.agent.replay import Replay
 from flipperctl.api import ACTIONS
 from flipperctl.bench import learner
 from flipperctl.bench.learner import Contestant
-from flipperctl.bench.statistics import ratio
+from flipperctl.bench.settings import ratio
 from flipperctl.config import TrainConfig
 from flipperctl.errors import MissingExtraError
 

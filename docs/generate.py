@@ -36,7 +36,7 @@ from flipperctl.config import (
     Train,
 )
 from flipperctl.config.describe import Field, fields
-from flipperctl.runs.search import SearchSettings
+from flipperctl.training.search_space import SearchSettings
 
 SECTIONS: Mapping[str, type[Settings]] = {
     "train": Train,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from flipperctl import api
-from flipperctl.core.bins import mean_heights
+from flipperctl.core.observation import mean_heights
 from flipperctl.core.sensing import Measured, SensedAngles, SensedGround
 
 MOUNT = 0.25, 0.4  # position of the scanner in frame R: x, z [m]

@@ -22,7 +22,7 @@ from flipperctl.api.plugin import registered_names
 from flipperctl.config import TrainConfig, with_overrides
 from flipperctl.config.randomise import PATH_SECTIONS, SECTION_OF
 from flipperctl.errors import RequestError
-from flipperctl.runs.training import start
+from flipperctl.training.run import start
 from tests.drawn_settings import (
     GROUPS,
     NOT_DRAWN,

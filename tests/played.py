@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from flipperctl.config import EnvConfig
 from flipperctl.evaluation.rows import Row
-from flipperctl.evaluation.runner import EpisodeRunner
+from flipperctl.evaluation.workers import EpisodeRunner
 from flipperctl.policies.source import PolicySource
 
 

@@ -15,9 +15,8 @@ from flipperctl import checkpoint
 from flipperctl.api import ACTIONS
 from flipperctl.cli.bench import MEASURES
 from flipperctl.env import flipper_env
-from flipperctl.lookahead import best_known
-from flipperctl.lookahead.mpc import Mpc
-from flipperctl.lookahead.planner import Planner
+from flipperctl.lookahead import planner_policy as best_known
+from flipperctl.lookahead.controllers import Mpc, Planner
 from flipperctl.testing import checks
 from tests.cli.call import EXACT, RUN, call
 from tests.cli.test_compare import write

@@ -17,8 +17,8 @@ import typer.main
 
 from benchmarks import __main__ as benchmarks
 from docs import generate
+from flipperctl.bench import measures as measures_run
 from flipperctl.cli.main import COMMANDS, app, run_app
-from flipperctl.runs import measures as measures_run
 
 ROOT = Path(__file__).parents[1]
 NAMES = ["README.md", "CONTRIBUTING.md", "SECURITY.md"]

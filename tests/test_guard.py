@@ -10,8 +10,7 @@ import pytest
 from pydantic import Field
 
 from flipperctl import errors, plugins
-from flipperctl.agent.acting import greedy
-from flipperctl.agent.building import build_network
+from flipperctl.agent.networks import build_network, greedy
 from flipperctl.agent.noise import Noise
 from flipperctl.api import (
     AnyTerrain,

@@ -23,7 +23,7 @@ from sensor_msgs.msg import Imu, JointState, PointCloud2
 from std_msgs.msg import Bool, Float64, Float64MultiArray
 from tf2_ros import Buffer, TransformException, TransformListener
 
-from flipperctl.core.lidar.rotations import mounting
+from flipperctl.core.lidar.body import mounting
 from flipperctl.runtime import (
     REP_103,
     Attitude,

@@ -1,7 +1,7 @@
-"""Checks that a network's Q-values depend on its input and its weights alone.
+"""Checks of a network before its training: what its Q-values depend on, and the memory it needs.
 
-In: a network plugin. Out: nothing, or an error that says what else they depend on, such as
-earlier inputs, other rows of a batch, or random numbers that a resumed run could not repeat.
+Q-values depend on the input and the weights alone, not on earlier inputs, other rows of a batch, or
+random numbers that a resumed run could not repeat.
 """
 
 from __future__ import annotations
@@ -11,13 +11,80 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from flipperctl.agent.building import build_network, describe_fault
-from flipperctl.agent.heads import Distributional
+from flipperctl.agent import replay as memory
+from flipperctl.agent.networks import (
+    TRAINING_COPIES,
+    Distributional,
+    build_network,
+    describe_fault,
+    input_size,
+    naming_network,
+)
 from flipperctl.agent.noise import Noise, seeded
+from flipperctl.agent.replay import row_bytes
 from flipperctl.api import ACTIONS, Network, ObservationLayout
+from flipperctl.config import Agent
 from flipperctl.errors import ConfigError
 from flipperctl.guard import naming
 from flipperctl.randomness import global_states, moved_since
+
+_FLOAT = 4  # bytes
+
+
+def check_demand(
+    network: Network,
+    layout: ObservationLayout,
+    n_actions: int,
+    settings: Agent,
+    decisions: int,
+    *,
+    labelled: bool = False,
+    privileged: int = 0,
+) -> None:
+    """Check that the network, the replay and the batches of a training fit into memory.
+
+    ``decisions``: the run's budget, which also limits the transitions in the replay; they have
+    labels if the run is ``labelled``, and ``privileged`` numbers of a privileged state.
+
+    Raises:
+        ConfigError: they do not fit; the message says how much memory is needed and free.
+    """
+    with torch.random.fork_rng(devices=[]):
+        module = build_network(network, layout, n_actions, copies=TRAINING_COPIES)
+        inputs = input_size(network, layout)
+        activations = _count_activations(module, inputs)
+    rows = min(settings.replay_size, decisions)
+    memory.require(
+        rows * row_bytes(inputs, n_actions if labelled else 0, privileged, risk=settings.risk),
+        f"agent.replay_size: {rows:,} transitions of {inputs} numbers each take",
+        "lower it, or use fewer bins or frames",
+    )
+    together, batch = settings.updates_together, settings.batch_size
+    # The transitions of all updates; and for one update the output of every layer and its gradient.
+    numbers = 2 * together * batch * inputs + 2 * batch * activations
+    memory.require(
+        _FLOAT * numbers,
+        f"agent.batch_size: {together} times {batch:,} transitions "
+        "(agent.updates_together times it) take",
+        "lower one of the two",
+    )
+
+
+def _count_activations(module: torch.nn.Module, inputs: int) -> int:
+    """Return the number of outputs of all layers without sublayers for one observation [-]."""
+    count = 0
+
+    def add(part: torch.nn.Module, inputs: object, output: object) -> None:
+        nonlocal count
+        if isinstance(output, torch.Tensor) and not any(True for _ in part.children()):
+            count += output.numel()
+
+    for part in module.modules():  # the module is discarded after this
+        part.register_forward_hook(add)
+    with naming_network(module, "forward"), torch.no_grad():
+        module.eval()(torch.zeros(1, inputs))
+    return count
+
 
 _ALONE = 1e-3
 """Tolerance of Q-values whose sums are in another order, relative and absolute [-]."""

@@ -8,11 +8,7 @@ from collections.abc import Mapping, Sequence
 import torch
 
 from flipperctl.agent.baseline import Baselines
-from flipperctl.agent.building import naming_network
 from flipperctl.agent.descent import part
-from flipperctl.agent.frames import input_size
-from flipperctl.agent.groups import GroupBatch
-from flipperctl.agent.heads import choose_head
 from flipperctl.agent.learner import Learner, Pair
 from flipperctl.agent.losses import (
     mean_value_penalty,
@@ -20,8 +16,9 @@ from flipperctl.agent.losses import (
     teacher_cross_entropy,
     teacher_large_margin,
 )
+from flipperctl.agent.networks import choose_head, input_size, naming_network
 from flipperctl.agent.noise import seeded
-from flipperctl.agent.replay import Batch
+from flipperctl.agent.replay import Batch, GroupBatch
 from flipperctl.api import Network, ObservationLayout
 from flipperctl.config import Agent, Teacher
 from flipperctl.core.schedules import linear

@@ -13,7 +13,7 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 import torch
 
-from flipperctl.agent.building import naming_network
+from flipperctl.agent.networks import naming_network
 
 
 @runtime_checkable

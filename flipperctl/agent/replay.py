@@ -1,22 +1,93 @@
-"""Uniform replay of n-step transitions in preallocated arrays.
+"""Replay of n-step transitions and of groups of valued states, in preallocated arrays.
 
-In: decisions in chronological order. Out: random batches of (observation, action, discounted sum
-of n rewards, observation n decisions later, discount of its value).
+In: decisions in chronological order, or ``StateGroups`` from a teacher. Out: random batches of
+(observation, action, discounted sum of n rewards, observation n decisions later, discount of its
+value), or of observations and values.
+
+Linux grants more memory than exists and kills the process that uses it. The sizes that a
+configuration asks for are therefore compared with the free memory first.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from flipperctl.agent.memory import gigabytes
+from flipperctl.api import ACTIONS, StateGroups
 from flipperctl.core.risk import LAGS, resemblances
 from flipperctl.errors import ConfigError
+
+_CGROUPS = (
+    ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
+    ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes"),
+)
+"""Files with the limit and the use of a container's memory, versions 2 and 1 of cgroups [B]."""
+
+
+def available() -> int | None:
+    """Return the memory that this process may still allocate [B]; None if unknown."""
+    found = [*_free_in_machine(), *_free_in_container(), *_free_in_process()]
+    return max(0, min(found)) if found else None
+
+
+def require(size: int, what: str, advice: str) -> None:
+    """Check that ``size`` [B] fits into the free memory.
+
+    The error reads ``what``, then the needed and the free memory, then ``advice``.
+
+    Raises:
+        ConfigError: the size does not fit.
+    """
+    free = available()
+    if free is not None and size > free:
+        raise ConfigError(
+            f"{what} {gigabytes(size)} of memory, but {gigabytes(free)} are free; {advice}"
+        )
+
+
+def gigabytes(size: int) -> str:
+    """Return a size [B] as text in gigabytes."""
+    return f"{size / 1e9:,.1f} GB" if size < 1e15 else f"{size / 1e9:.1e} GB"
+
+
+def _free_in_machine() -> list[int]:
+    try:
+        lines = Path("/proc/meminfo").read_text().splitlines()
+    except OSError:
+        return []
+    return [1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:")]
+
+
+def _free_in_container() -> list[int]:
+    found = []
+    for limit, used in _CGROUPS:
+        try:
+            found.append(int(Path(limit).read_text()) - int(Path(used).read_text()))
+        except (OSError, ValueError):  # no such group, or the limit is "max"
+            continue
+    return found
+
+
+def _free_in_process() -> list[int]:
+    try:
+        import resource
+    except ImportError:  # Windows has no such module
+        return []
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit == resource.RLIM_INFINITY:
+        return []
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+    except (OSError, ValueError):
+        return []
+    return [limit - pages * resource.getpagesize()]
+
 
 _Row = NDArray[np.float32] | None
 UNKNOWN: Final = -1.0
@@ -277,3 +348,90 @@ class Replay:
             array[: len(arrays[name])] = arrays[name]
         self.added, self.kept = added, kept
         self.drop_pending()
+
+
+@dataclass(frozen=True)
+class GroupBatch:
+    """B groups of K states as tensors."""
+
+    observation: torch.Tensor
+    """(B, K, N + 3) float32 in SI units."""
+    values: torch.Tensor
+    """Discounted return from each action on, (B, K, 9) float32 [-]."""
+
+    def to(self, device: torch.device) -> GroupBatch:
+        """Return the batch on ``device``."""
+        return GroupBatch(self.observation.to(device), self.values.to(device))
+
+
+class GroupMemory:
+    """The newest groups; the arrays are allocated with the first ones, which tell their size."""
+
+    def __init__(self, capacity: int) -> None:
+        self.capacity = capacity
+        self.added = 0
+        self._observations = np.zeros((0, 0, 0), np.float32)
+        self._values = np.zeros((0, 0, 0), np.float32)
+
+    def __len__(self) -> int:
+        return min(self.added, self.capacity)
+
+    @property
+    def states(self) -> int:
+        """Number of states in a group; 0 before the first groups [-]."""
+        return self._observations.shape[1]
+
+    def add(self, groups: StateGroups) -> None:
+        """Add groups, each in the place of the oldest once the memory is full."""
+        if not self._observations.size:
+            self._observations = np.zeros(
+                (self.capacity, *groups.observations.shape[1:]), np.float32
+            )
+            self._values = np.zeros((self.capacity, *groups.values.shape[1:]), np.float32)
+        rows = (self.added + np.arange(len(groups.values))) % self.capacity
+        self._observations[rows], self._values[rows] = groups.observations, groups.values
+        self.added += len(groups.values)
+
+    def sample(self, size: int, rng: np.random.Generator) -> GroupBatch:
+        """Return ``size`` groups, drawn uniformly with replacement."""
+        rows = rng.integers(len(self), size=size)
+        return GroupBatch(
+            torch.from_numpy(self._observations[rows]), torch.from_numpy(self._values[rows])
+        )
+
+    def filled(self) -> dict[str, NDArray[np.generic]]:
+        """Return the used part of each array; nothing before the first groups."""
+        if not self.added:
+            return {}
+        return {
+            "observations": self._observations[: len(self)],
+            "values": self._values[: len(self)],
+        }
+
+    def restore(self, arrays: dict[str, NDArray[np.generic]], added: int, size: int) -> None:
+        """Restore the arrays that ``filled`` returned after ``added`` groups.
+
+        ``size``: length of an observation.
+
+        Raises:
+            ValueError: the arrays are not those of so many groups.
+        """
+        self.added = 0
+        if not added:
+            if arrays:
+                raise ValueError("there are groups, but none were added")
+            return
+        count = min(added, self.capacity)
+        if set(arrays) != {"observations", "values"}:
+            raise ValueError(f"there are {sorted(arrays)}; observations and values are allowed")
+        seen, values = arrays["observations"], arrays["values"]
+        shapes = seen.shape == (count, *seen.shape[1:2], size) and values.shape == (
+            *seen.shape[:2],
+            len(ACTIONS),
+        )
+        if not shapes or seen.dtype != np.float32 or values.dtype != np.float32:
+            raise ValueError(f"shapes are {seen.shape} and {values.shape} for {count} groups")
+        if not (np.isfinite(seen).all() and np.isfinite(values).all()):
+            raise ValueError("a number is not finite")
+        self.add(StateGroups(np.asarray(seen, np.float32), np.asarray(values, np.float32)))
+        self.added = added

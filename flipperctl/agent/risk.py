@@ -22,8 +22,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from flipperctl.agent.adam import Adam
-from flipperctl.agent.descent import flatten_parameters, part, restore_moments
+from flipperctl.agent.descent import Adam, flatten_parameters, part, restore_moments
 from flipperctl.agent.replay import UNKNOWN, Batch
 from flipperctl.core.risk import LAGS, RiskCalibration, RiskSign, with_recurrence
 from flipperctl.errors import NonFiniteError

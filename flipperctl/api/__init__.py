@@ -64,9 +64,9 @@ from flipperctl.api.values import (
     Settings,
     Transition,
 )
-from flipperctl.core.actions import ACTIONS, ActionTable, action_index
 from flipperctl.core.arrays import FloatArray
 from flipperctl.core.sensing import Estimator, Measured, SensedAngles, SensedGround
+from flipperctl.core.targets import ACTIONS, ActionTable, action_index
 
 __all__ = [
     "ACTIONS",

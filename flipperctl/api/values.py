@@ -22,8 +22,8 @@ from pydantic_core import core_schema
 
 from flipperctl.api.profile import Profile
 from flipperctl.core import observation
-from flipperctl.core.actions import PAIRS, ActionTable
 from flipperctl.core.arrays import FloatArray
+from flipperctl.core.targets import PAIRS, ActionTable
 
 MAX_HISTORY = 32
 """Largest number of observations in ``Perception.recent`` [-]."""

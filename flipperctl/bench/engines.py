@@ -14,8 +14,15 @@ from functools import partial
 from typing import Any
 
 from flipperctl.api.plugin import registered_names
-from flipperctl.bench.settings import ENGINE_GROUNDS, Bench, BenchSettings
-from flipperctl.bench.statistics import Values, measure_in_turn, quantity, ratio
+from flipperctl.bench.settings import (
+    ENGINE_GROUNDS,
+    Bench,
+    BenchSettings,
+    Values,
+    measure_in_turn,
+    quantity,
+    ratio,
+)
 from flipperctl.config import DEFAULT_ENGINE, EnvConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError

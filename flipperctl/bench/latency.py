@@ -15,9 +15,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from flipperctl import checkpoint
-from flipperctl.bench.process import output
-from flipperctl.bench.settings import Bench, BenchSettings
-from flipperctl.bench.statistics import measure_in_turn, quantity
+from flipperctl.bench.settings import Bench, BenchSettings, measure_in_turn, output, quantity
 from flipperctl.config import TrainConfig, with_overrides
 from flipperctl.config.words import literal_override
 from flipperctl.errors import MissingExtraError

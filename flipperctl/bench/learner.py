@@ -18,15 +18,14 @@ import numpy as np
 import torch
 
 from flipperctl.agent.d3qn import D3qn
-from flipperctl.agent.frames import input_size
+from flipperctl.agent.networks import input_size
 from flipperctl.agent.replay import Replay
 from flipperctl.api import ACTIONS
-from flipperctl.bench.settings import Bench, CommonSettings
-from flipperctl.bench.statistics import measure_in_turn, quantity, ratio
+from flipperctl.bench.settings import Bench, CommonSettings, measure_in_turn, quantity, ratio
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import RequestError
-from flipperctl.policies.function import FunctionPolicy
+from flipperctl.policies.plugin import FunctionPolicy
 from flipperctl.rollout.collect import InProcessCollector
 from flipperctl.rollout.seeds import training_seed
 

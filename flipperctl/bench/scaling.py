@@ -20,15 +20,14 @@ from flipperctl import plugins
 from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.learner import arrays
 from flipperctl.api import ACTIONS
-from flipperctl.bench.settings import Bench, BenchSettings
-from flipperctl.bench.statistics import measure_in_turn, quantity, ratio
+from flipperctl.bench.settings import Bench, BenchSettings, measure_in_turn, quantity, ratio
 from flipperctl.config import RayCollector, TrainConfig, to_dict
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
-from flipperctl.policies.exploring import ExploringPolicy
+from flipperctl.policies.training import ExploringPolicy
 from flipperctl.rollout import collect
 from flipperctl.rollout.collect import RolloutWorkers
-from flipperctl.rollout.processes import ProcessWorkers
+from flipperctl.rollout.pool import ProcessWorkers
 from flipperctl.rollout.seeds import training_seed
 from flipperctl.rollout.values import RolloutRequest
 
@@ -126,8 +125,7 @@ def ray_collector(cpus: int) -> Factory:
     """Return the factory of ``collector=ray`` on one local cluster of ``cpus`` CPUs."""
 
     def create(config: TrainConfig, workers: int) -> Collector:
-        from flipperctl.rollout.ray_cluster import start_local
-        from flipperctl.rollout.ray_workers import RayWorkers
+        from flipperctl.rollout.ray_workers import RayWorkers, start_local
 
         start_local(cpus)
         settings = RayCollector(workers=workers)

@@ -21,8 +21,8 @@ from pydantic import (
 )
 
 from flipperctl import plugins
-from flipperctl.checkpoint.strict_json import decode
-from flipperctl.core.actions import PAIRS
+from flipperctl.checkpoint.sealed import decode
+from flipperctl.core.targets import PAIRS
 from flipperctl.messages import explain
 
 FORMAT: Final = 2

@@ -29,8 +29,7 @@ from flipperctl import __version__
 from flipperctl.api import ACTIONS, Outcome
 from flipperctl.checkpoint import sealed
 from flipperctl.checkpoint.document import EPISODES, Count, Label, PartialReward, Record
-from flipperctl.checkpoint.layout import require_equal_layout
-from flipperctl.checkpoint.strict_json import decode
+from flipperctl.checkpoint.sealed import decode, require_equal_layout
 from flipperctl.config import EnvConfig, to_dict
 from flipperctl.core import observation
 from flipperctl.errors import CheckpointError, ConfigError

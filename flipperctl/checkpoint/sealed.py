@@ -1,22 +1,90 @@
 """Sealed files: a JSON document and tensors in a safetensors file, with a SHA-256 of both.
 
-Reading detects every flipped bit and executes no code. Equal contents give equal files, byte for
-byte. Checkpoints and recorded episodes are such files.
+Reading detects every flipped bit and executes no code; keys of the document are unique and its
+numbers finite. Equal contents give equal files, byte for byte. Checkpoints and recorded episodes
+are such files.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from flipperctl.core.reading import read_whole
 from flipperctl.errors import CheckpointError
 
 if TYPE_CHECKING:
     import torch
+
+
+def decode(text: str) -> dict[str, Any]:
+    """Return the mapping of a JSON text whose keys are unique and whose numbers are finite.
+
+    Raises:
+        ValueError: the text is not such a mapping.
+    """
+    try:
+        raw = json.loads(
+            text,
+            object_pairs_hook=_unique_keys,
+            parse_constant=_refuse_constant,
+            parse_float=_finite,
+        )
+    except RecursionError as error:
+        raise ValueError("it is nested too deeply") from error
+    if not isinstance(raw, dict):
+        raise ValueError(f"it must be a mapping; it is a {type(raw).__name__}")
+    return raw
+
+
+def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        duplicate = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"it holds the key {duplicate!r:.40} twice")
+    return found
+
+
+def _refuse_constant(constant: str) -> float:
+    raise ValueError(f"it holds {constant}; finite numbers are allowed")
+
+
+def _finite(number: str) -> float:
+    value = float(number)
+    return value if math.isfinite(value) else _refuse_constant(number[:40])
+
+
+def require_equal_layout(
+    found: Mapping[str, torch.Tensor], expected: Mapping[str, torch.Tensor]
+) -> None:
+    """Check that tensors have the expected names, shapes and types and hold finite numbers.
+
+    A number may be infinite where the expected one is infinite, as in a mask.
+
+    Raises:
+        ValueError: a tensor differs; the message names the first one.
+    """
+    if missing := sorted(expected.keys() - found.keys()):
+        raise ValueError(f"{missing[0]} is missing")
+    if unknown := sorted(found.keys() - expected.keys()):
+        raise ValueError(f"there is no tensor {unknown[0]!r:.60}")
+    for name, wanted in expected.items():  # safetensors lists a file's tensors in any order
+        tensor = found[name]
+        if tensor.shape != wanted.shape or tensor.dtype != wanted.dtype:
+            raise ValueError(
+                f"{name} is {_shape_and_type(tensor)}; {_shape_and_type(wanted)} is needed"
+            )
+        if not bool((tensor.isfinite() | ~wanted.cpu().isfinite()).all()):
+            raise ValueError(f"{name} holds numbers that are not finite")
+
+
+def _shape_and_type(tensor: torch.Tensor) -> str:
+    return f"{str(tensor.dtype).removeprefix('torch.')} {tuple(tensor.shape)}"
 
 
 def serialize(text: str, tensors: Mapping[str, torch.Tensor]) -> bytes:

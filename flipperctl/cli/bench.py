@@ -84,11 +84,10 @@ def run_suite(
     Raises:
         RequestError: a word is wrong, or ``output`` cannot be written.
     """
+    from flipperctl.bench.measures import run_measures, split_arguments
     from flipperctl.config.words import with_flags
-    from flipperctl.runs.measures import run_measures, split_arguments
-    from flipperctl.terminal.bench import print_measures, shown_progress
-    from flipperctl.terminal.document import show
-    from flipperctl.terminal.streams import print_note
+    from flipperctl.terminal.streams import print_note, show
+    from flipperctl.terminal.tables import print_measures, shown_progress
 
     measures, typed = split_arguments(words, suite.measures)
     overrides = with_flags(typed, "bench", repeats=repeats)

@@ -48,12 +48,11 @@ def run(
 ) -> None:
     """See HELP."""
     from flipperctl.evaluation.views import compare as view
+    from flipperctl.figures.figure import PICTURE
     from flipperctl.files import check_output, write_bytes
-    from flipperctl.report.figure import PICTURE
     from flipperctl.show import TABLE, latex, print_table
     from flipperctl.terminal.console import console, print_lines
-    from flipperctl.terminal.document import show
-    from flipperctl.terminal.streams import print_note
+    from flipperctl.terminal.streams import print_note, show
 
     if output is not None:
         check_output(output, TABLE if output.suffix in TABLE.suffixes else PICTURE)
@@ -65,7 +64,7 @@ def run(
     if output is not None and output.suffix in TABLE.suffixes:
         write_bytes(output, "\n".join(map(latex, tables)).encode())
     elif output is not None:
-        from flipperctl.report.figure import save
+        from flipperctl.figures.figure import save
 
         save(view.figure(found), output)
 

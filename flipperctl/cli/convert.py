@@ -53,11 +53,11 @@ def run(
 ) -> None:
     """See HELP."""
     from flipperctl.api import Robot
-    from flipperctl.bags.ground import Frames, Limits, convert
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.export.policy import robot_fields
-    from flipperctl.terminal.document import show
-    from flipperctl.terminal.export import print_ground
+    from flipperctl.ros.ground import Frames, Limits, convert
+    from flipperctl.terminal.streams import show
+    from flipperctl.terminal.tables import print_ground
 
     robot = Robot(**robot_fields(Overrides.parse(overrides or ()).values(), "convert"))
     frames, limits = Frames(topic, fixed_frame, base_frame), Limits(reach, cell)

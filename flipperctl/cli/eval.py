@@ -97,15 +97,13 @@ def run(
     from flipperctl.config.words import with_flags
     from flipperctl.errors import RequestError
     from flipperctl.evaluation.evaluate import Result
+    from flipperctl.evaluation.policies import controllers, entrants, split_policies
+    from flipperctl.evaluation.run import run as evaluate
     from flipperctl.evaluation.views import evaluation, strata
     from flipperctl.evaluation.views.summary import Document
-    from flipperctl.runs.evaluation import run as evaluate
-    from flipperctl.runs.methods import entrants, split_policies
-    from flipperctl.runs.named_policies import controllers
-    from flipperctl.terminal.document import show
     from flipperctl.terminal.progress import EvaluationProgress
     from flipperctl.terminal.results import print_result
-    from flipperctl.terminal.streams import print_note
+    from flipperctl.terminal.streams import print_note, show
 
     names, overrides = split_policies(words)
     names += [*map(str, checkpoint or ()), *([controller] if controller is not None else [])]

@@ -70,14 +70,14 @@ def run(
             raise RequestError(f"{kind}: --checkpoint RUN_OR_FILE is missing{hint}")
         _policy(kind, checkpoint, overrides or [], output, as_json=as_json)
         return
-    from flipperctl.bags.episode import export_bag
     from flipperctl.cli.hydra.compose import only_one
     from flipperctl.cli.scenes import scenes
     from flipperctl.config.words import with_engine, with_flags
+    from flipperctl.evaluation.policies import controller_or_okada
     from flipperctl.export.scene import export_scene
-    from flipperctl.runs.named_policies import controller_or_okada
-    from flipperctl.terminal.document import show
-    from flipperctl.terminal.export import print_bag, print_scene
+    from flipperctl.ros.episode import export_bag
+    from flipperctl.terminal.streams import show
+    from flipperctl.terminal.tables import print_bag, print_scene
 
     words = with_flags(overrides, seed=seed)
     named = controller_or_okada(checkpoint, controller)
@@ -99,12 +99,11 @@ def _policy(
 ) -> None:
     from flipperctl import checkpoint as checkpoints
     from flipperctl.cli.hydra.overrides import Overrides
+    from flipperctl.evaluation.policies import find_policy
     from flipperctl.export.policy import KINDS, export, robot_fields
     from flipperctl.files import check_output
-    from flipperctl.runs.inherited import find_policy
-    from flipperctl.terminal.document import show
-    from flipperctl.terminal.export import print_export
-    from flipperctl.terminal.streams import print_note
+    from flipperctl.terminal.streams import print_note, show
+    from flipperctl.terminal.tables import print_export
 
     file = find_policy(checkpoint, print_note)
     if file.suffix == ".onnx":

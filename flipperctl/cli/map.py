@@ -56,11 +56,10 @@ def run(
     from flipperctl.evaluation.views.axes import parse_axes
     from flipperctl.evaluation.workers import EpisodeWorkers
     from flipperctl.results import result_folder
-    from flipperctl.runs.interrupts import interrupts
+    from flipperctl.session import interrupts
     from flipperctl.terminal.console import console, print_lines
-    from flipperctl.terminal.document import show
     from flipperctl.terminal.progress import episodes_progress
-    from flipperctl.terminal.streams import print_note
+    from flipperctl.terminal.streams import print_note, show
 
     if over is None:
         raise RequestError(f"name two settings, as in --over {view.EXAMPLE}")

@@ -9,7 +9,7 @@ from flipperctl.cli.scenes import scenes
 from flipperctl.config.words import key_of
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.plan import Entry
-from flipperctl.runs.methods import Entrant, entrants, split_policies
+from flipperctl.evaluation.policies import Entrant, entrants, split_policies
 from flipperctl.terminal.streams import print_note
 
 

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from flipperctl.runs import follow_up
+from flipperctl import session as follow_up
 
 
 def _load_plugins(context: typer.Context, paths: list[Path] | None) -> list[Path] | None:
@@ -24,8 +24,8 @@ def _load_plugins(context: typer.Context, paths: list[Path] | None) -> list[Path
 def _check_picture(path: Path | None) -> Path | None:
     """Check that the picture can be written before the command runs."""
     if path is not None:
+        from flipperctl.figures.figure import PICTURE
         from flipperctl.files import check_output
-        from flipperctl.report.figure import PICTURE
 
         check_output(path, PICTURE)
     return path

@@ -14,13 +14,18 @@ from flipperctl.config import DEFAULT_ENGINE, EvalConfig, resolver
 from flipperctl.config.words import key_of
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.plan import Entry, Plan
+from flipperctl.evaluation.policies import (
+    Entrant,
+    Inherited,
+    controllers,
+    find_policy,
+    read_config,
+    standing,
+)
+from flipperctl.evaluation.suites import SuiteScene, split_suite
 from flipperctl.evaluation.views.engines import steps
 from flipperctl.evaluation.views.summary import short
 from flipperctl.policies.source import PolicySource
-from flipperctl.runs.inherited import Inherited, find_policy, read_config
-from flipperctl.runs.methods import Entrant, standing
-from flipperctl.runs.named_policies import controllers
-from flipperctl.runs.suites import SuiteScene, split_suite
 
 Tell = Callable[[str], None]
 

@@ -36,9 +36,8 @@ def run(
     from flipperctl.errors import FlipperctlError
     from flipperctl.evaluation.views.replay import lines, replay_file
     from flipperctl.terminal.console import console, print_lines
-    from flipperctl.terminal.document import show
     from flipperctl.terminal.progress import episodes_progress
-    from flipperctl.terminal.streams import print_note
+    from flipperctl.terminal.streams import print_note, show
 
     found = replay_file(file, checkpoint, output, film, progress=episodes_progress, tell=print_note)
     show(found.to_dict(), lambda: print_lines(console(), lines(found)), as_json=as_json)

@@ -16,10 +16,10 @@ from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.scenes import scenes
 from flipperctl.config.defaults import CHOICES
 from flipperctl.errors import ConfigError, RequestError
+from flipperctl.evaluation import policies as named_policies
 from flipperctl.evaluation.views.ranking import Rewards, RewardScene
 from flipperctl.evaluation.views.regret import RegretScene
 from flipperctl.policies.source import PolicySource
-from flipperctl.runs import named_policies
 from flipperctl.terminal.streams import print_note
 
 _REWARD_KEY = re.compile(r"[+~]*(rewards(?=[.=]|$)|reward@)")

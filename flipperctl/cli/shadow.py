@@ -44,11 +44,11 @@ def run(
     plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
-    from flipperctl.bags.shadowing import check_used, shadow
-    from flipperctl.bags.topics import names_of
     from flipperctl.cli.recorded import recorded_robot
-    from flipperctl.terminal.document import show
-    from flipperctl.terminal.perceiving import print_shadow
+    from flipperctl.ros.shadowing import check_used, shadow
+    from flipperctl.ros.topics import names_of
+    from flipperctl.terminal.streams import show
+    from flipperctl.terminal.tables import print_shadow
 
     given = recorded_robot(overrides)
     check_used(given.keys)

@@ -7,9 +7,9 @@ from typing import Annotated, ClassVar
 
 import typer
 
+from flipperctl import session as follow_up
 from flipperctl.cli import options
 from flipperctl.cli.command import TrainingCommand
-from flipperctl.runs import follow_up
 
 HYDRA_OPTIONS = [
     *("-m", "--multirun", "-c", "--cfg", "-p", "--package", "--resolve", "-i", "--info"),
@@ -61,7 +61,7 @@ def run(
     """See HELP."""
     arguments = list(overrides or [])
     if resume is not None:
-        from flipperctl.runs.named_policies import refuse_beside
+        from flipperctl.evaluation.policies import refuse_beside
 
         refuse_beside("--resume", {"cfg": cfg, "multirun": multirun})
         _resume(resume, arguments)
@@ -77,9 +77,8 @@ def run(
 
 def _resume(run: Path, words: list[str]) -> None:
     from flipperctl.cli.hydra.overrides import Overrides
-    from flipperctl.runs.preflight import check_resumable
-    from flipperctl.runs.training import resume
     from flipperctl.terminal.training import check_resumed, print_best, reports
+    from flipperctl.training.run import check_resumable, resume
 
     check_resumable(words)
     changes = Overrides.parse(words).values()

@@ -5,7 +5,7 @@ whole configurations; ``resolver`` builds them from names and overrides, and ``i
 plugins.
 """
 
-from flipperctl.config.agent import Agent
+from flipperctl.config.agent import Agent, PolicyGradient, Teacher
 from flipperctl.config.identity import identity
 from flipperctl.config.models import (
     DEFAULT_ENGINE,
@@ -14,7 +14,6 @@ from flipperctl.config.models import (
     EvalConfig,
     TrainConfig,
 )
-from flipperctl.config.policy_gradient import PolicyGradient
 from flipperctl.config.randomise import Randomise
 from flipperctl.config.resolver import parse, to_dict, with_overrides
 from flipperctl.config.sections import (
@@ -24,7 +23,6 @@ from flipperctl.config.sections import (
     RayCollector,
     Train,
 )
-from flipperctl.config.teacher import Teacher
 
 __all__ = [
     "DEFAULT_ENGINE",

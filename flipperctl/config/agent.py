@@ -1,15 +1,99 @@
-"""The section ``agent``: the double dueling DQN."""
+"""The sections ``agent`` and ``teacher``: settings of the learners and of a teacher."""
 
 from __future__ import annotations
 
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
-from flipperctl.api import Outcome, Settings
-from flipperctl.config.policy_gradient import PolicyGradient
-from flipperctl.core.escape import EscapeRule
+from flipperctl.api import Controller, Outcome, Settings
+from flipperctl.config.resolver import create, to_dict
+from flipperctl.core.risk import EscapeRule
+from flipperctl.core.schedules import linear
 from flipperctl.errors import ConfigError
+
+
+class PolicyGradient(Settings):
+    """The policy gradient, with agent.learner=policy_gradient. The paper has none."""
+
+    decisions: int = Field(
+        8192,
+        ge=2,
+        le=10_000_000,
+        description="decisions of whole episodes that are driven before the policy is improved by "
+        "them; they must fit into agent.replay_size [-]",
+    )
+    passes: int = Field(3, ge=1, le=100, description="passes over these decisions [-]")
+    temperature: float = Field(
+        0.05,
+        ge=1e-6,
+        le=1000,
+        description="difference of Q-values by which an action becomes e times less probable in "
+        "the training's episodes, where all actions are drawn [-]",
+    )
+    temperature_end: float | None = Field(
+        None,
+        ge=1e-6,
+        le=1000,
+        description="temperature at the end, reached linearly: the lower, the less the policy can "
+        "rely on draws, which it does without once trained; null: that of the start [-]",
+    )
+    trace: float = Field(
+        0.95,
+        ge=0,
+        le=1,
+        description="λ of the generalised advantage estimation: 0 trusts the value after one "
+        "decision, 1 the return of the episode alone [-]",
+    )
+    clip: float = Field(
+        0.15,
+        gt=0,
+        le=1,
+        description="change of an action's probability, as a share of it, beyond which an update "
+        "gains nothing more [-]",
+    )
+    divergence: float = Field(
+        0.02,
+        gt=0,
+        le=10,
+        description="Kullback-Leibler divergence from what drove at which the policy stops to "
+        "change until new episodes are driven [-]",
+    )
+    anchor: float = Field(
+        0.0,
+        ge=0,
+        le=1000,
+        description="weight of the divergence from the policy that the training starts with, which "
+        "keeps what the advantages do not clearly change [-]",
+    )
+    advantage_clip: float | None = Field(
+        None,
+        gt=0,
+        le=1000,
+        description="standard deviations of a round's advantages beyond which an advantage counts "
+        "as that much: rare failures outweigh all small differences else; null: unlimited [-]",
+    )
+    start_values: bool = Field(
+        False,
+        description="start with the values of the run that agent.start_from names, too, which must "
+        "be one of agent.learner=policy_gradient; false: random weights [-]",
+    )
+    value_rate: float = Field(1e-3, gt=0, le=1, description="Adam step of the values [-]")
+    value_passes: int = Field(
+        8,
+        ge=1,
+        le=100,
+        description="passes over the decisions of each of the first rounds, in which the values "
+        "alone learn [-]",
+    )
+    warm_up: int = Field(
+        3, ge=0, le=1000, description="first rounds, in which the values alone learn [-]"
+    )
+
+    def temperature_at(self, fraction: float) -> float:
+        """Return the temperature after a ``fraction`` of the run, 0 to 1."""
+        end = self.temperature if self.temperature_end is None else self.temperature_end
+        return linear(self.temperature, end, fraction)
 
 
 class Agent(Settings):
@@ -181,5 +265,160 @@ class Agent(Settings):
             raise ConfigError(
                 f"agent.escape_temperature: {self.escape_temperature:g} needs warnings; set "
                 "agent.risk=true, or leave it at 0"
+            )
+        return self
+
+
+def _controller(value: object) -> object:
+    return None if value is None else create("controller", value, "teacher.controller")
+
+
+def _plain(value: Controller | None) -> object:
+    return None if value is None else to_dict(value)
+
+
+AnyController = Annotated[Controller | None, BeforeValidator(_controller), PlainSerializer(_plain)]
+
+
+class Teacher(Settings):
+    """A controller that labels every visited state with the actions that it would take.
+
+    Recorded episodes can teach in addition or alone. The network learns the labels by ``loss``,
+    in addition to or instead of the temporal difference.
+    """
+
+    controller: AnyController = Field(
+        None, description="controller that teaches; null for none, as teacher=none sets it [-]"
+    )
+    privileged: bool = Field(
+        False,
+        description="whether the teacher perceives ground and posture exactly, without delay, and "
+        "knows the sampled robot and friction, while the student perceives as configured [-]",
+    )
+    episodes: str | None = Field(
+        None,
+        description="file of recorded episodes, as written by eval --record or train.record, to "
+        "learn from as well; null for none [-]",
+    )
+    student_share: float = Field(
+        0.6,
+        ge=0,
+        le=1,
+        description="fraction of episodes in which the student acts once it learns; the teacher "
+        "acts in the others [-]",
+    )
+    label_share: float = Field(
+        1.0,
+        gt=0,
+        le=1,
+        description="fraction of the decisions in the student's episodes that the teacher labels; "
+        "fewer labels an episode let it learn from more episodes [-]",
+    )
+    random: float = Field(
+        0.1, ge=0, le=1, description="fraction of random actions while the teacher acts [-]"
+    )
+    temperature: float = Field(
+        0.3,
+        ge=1e-6,
+        le=1000,
+        description="difference of the teacher's costs by which an action becomes e times less "
+        "probable [s]",
+    )
+    loss: Literal["cross_entropy", "margin", "values"] = Field(
+        "cross_entropy",
+        description="cross_entropy: between the labels and softmax(Q / q_temperature); margin: the "
+        "most probable action's Q-value should exceed all others by margin (DQfD); values: the "
+        "Q-values should differ as those that the teacher computes for many states of each "
+        "episode's ground, as value_iteration does [-]",
+    )
+    weight: float = Field(
+        1.0, ge=0, le=1000, description="weight of the labels' loss at the start [-]"
+    )
+    weight_end: float = Field(
+        1.0,
+        ge=0,
+        le=1000,
+        description="weight of the labels' loss at the end, reached linearly [-]",
+    )
+    td_weight: float = Field(
+        1.0,
+        ge=0,
+        le=1000,
+        description="weight of the temporal-difference loss; 0 is pure imitation, whose Q-values "
+        "order the actions but estimate no return [-]",
+    )
+    q_temperature: float = Field(
+        0.1,
+        ge=1e-6,
+        le=1000,
+        description="scale of the Q-values in the student's softmax, in scaled rewards [-]",
+    )
+    margin: float = Field(
+        0.8,
+        gt=0,
+        le=1000,
+        description="margin between the Q-values of the teacher's action and others, in scaled "
+        "rewards [-]",
+    )
+    final_updates: int = Field(
+        0,
+        ge=0,
+        le=100_000_000,
+        description="updates after the last decision, in which a network that begins with the "
+        "weights of the start learns all labels anew; it replaces the one that drove. 0: none; "
+        "with teacher.td_weight=0 alone [-]",
+    )
+    clip: float = Field(
+        5.0,
+        gt=0,
+        le=1000,
+        description="loss=values: multiple of the mean difference to the best action beyond which "
+        "an action only has to be worse [-]",
+    )
+    batch_groups: int = Field(
+        64, ge=1, le=4096, description="loss=values: groups of states per update [-]"
+    )
+    kept_groups: int = Field(
+        60_000,
+        ge=1,
+        le=10_000_000,
+        description="loss=values: groups of states that are remembered [-]",
+    )
+
+    @property
+    def teaches(self) -> bool:
+        """Whether there are labels: a controller's, or those of recorded episodes."""
+        return self.controller is not None or self.episodes is not None
+
+    @model_validator(mode="after")
+    def _check(self) -> Teacher:
+        if self.episodes == "":
+            raise ConfigError(
+                "teacher.episodes: the name of a file is needed; flipperctl eval --record FILE and "
+                "train.record=true write one"
+            )
+        if not self.teaches:
+            return self
+        controller = self.controller
+        if (
+            controller is not None
+            and controller.searches_first
+            and not controller.closed_loop
+            and (self.student_share or self.random)
+        ):
+            raise ConfigError(
+                f"teacher.controller: {controller.plugin_name} plans whole episodes before "
+                "they begin and cannot label states that others reach; set teacher.student_share=0 "
+                "and teacher.random=0"
+            )
+        if not self.td_weight and not (self.weight and self.weight_end):
+            raise ConfigError(
+                "teacher.td_weight: 0 needs teacher.weight and teacher.weight_end above 0, since "
+                "there is no other loss"
+            )
+        if self.final_updates and (self.td_weight or self.loss == "values"):
+            raise ConfigError(
+                f"teacher.final_updates: {self.final_updates} updates learn from labels alone; 0, "
+                "or teacher.td_weight=0 with teacher.loss=cross_entropy or margin, is allowed"
             )
         return self

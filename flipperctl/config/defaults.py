@@ -1,23 +1,72 @@
 """The defaults from which a configuration is composed: of each plugin, variant and section.
 
 In: the registry and the models. Out: entries of groups, of which one is chosen by name, and the
-sections that are not chosen.
+sections that are not chosen; sentences on budgets of decisions that are too small to learn
+anything, and on overrides of settings that are sampled anew for every episode.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
 from flipperctl.api import Logger, Measure, registry
 from flipperctl.api.plugin import registered_names
 from flipperctl.config import resolver
+from flipperctl.config.agent import Teacher
 from flipperctl.config.loggers import METRICS_ALONE
-from flipperctl.config.models import EvalConfig, TrainConfig
+from flipperctl.config.models import EnvConfig, EvalConfig, TrainConfig
 from flipperctl.config.sections import LocalCollector, RayCollector
-from flipperctl.config.teacher import Teacher
 from flipperctl.errors import ConfigError
 from flipperctl.messages import close_match, missing_name
+
+
+def notes_on_budget(config: TrainConfig) -> Iterator[str]:
+    """Yield a line if a new training ends before its policy changes for the first time."""
+    agent, teacher, decisions = config.agent, config.teacher, config.train.decisions
+    if agent.draws:
+        settings = agent.policy_gradient
+        first = (settings.warm_up + 1) * settings.decisions
+        if decisions < first:
+            yield (
+                f"train.decisions={decisions} leaves the policy as it begins: it learns from "
+                f"{first} decisions on; {settings.warm_up} rounds of "
+                f"agent.policy_gradient.decisions={settings.decisions} are for the values alone"
+            )
+    elif decisions < agent.learning_starts and not (teacher.episodes or teacher.final_updates):
+        yield (
+            f"train.decisions={decisions} leaves the policy as it begins: learning starts after "
+            f"agent.learning_starts={agent.learning_starts} decisions"
+        )
+
+
+def check_effect(config: EnvConfig, given: Mapping[str, str]) -> None:
+    """Refuse an override of a setting that is sampled anew for every episode.
+
+    ``given`` holds the overridden keys, and the override of each as it was typed.
+
+    With ``randomise.spread``, samples lie around the value of the setting, which then has one. All
+    settings of the robot at once are those of a file, ``robot=FILE``, of which some may be sampled.
+
+    Raises:
+        ConfigError: an override sets a randomised setting; the text has the range.
+    """
+    if config.randomise.spread is not None:
+        return
+    whole = all(f"robot.{field}" in given for field in type(config.robot).model_fields)
+    for key, typed in given.items():
+        if whole and key.startswith("robot."):
+            continue
+        for one in config.randomise.sampled():
+            # The nominal turning rate still sets the decision period.
+            if key == f"{one.section}.{one.field}" and one.field != "flipper_speed":
+                value = one.value
+                shown = "[{:g},{:g}]".format(*value) if isinstance(value, tuple) else f"{value:g}"
+                raise ConfigError(
+                    f"{typed}: it has no effect, since {one.key}={shown} "
+                    f"samples it for every episode; add {one.key}=null, or change that value"
+                )
+
 
 GROUPS = (
     *("terrain", "robot", "rewards", "network", "collector", "teacher", "logger"),

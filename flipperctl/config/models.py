@@ -26,7 +26,7 @@ from flipperctl.api import (
     Terrain,
     is_plugin_name,
 )
-from flipperctl.config.agent import Agent
+from flipperctl.config.agent import Agent, Teacher
 from flipperctl.config.combinations import check_decisions, check_episode
 from flipperctl.config.loggers import by_name
 from flipperctl.config.randomise import Randomise
@@ -40,7 +40,6 @@ from flipperctl.config.sections import (
     RayCollector,
     Train,
 )
-from flipperctl.config.teacher import Teacher
 from flipperctl.errors import ConfigError
 from flipperctl.messages import close_match
 

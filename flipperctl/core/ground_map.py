@@ -1,19 +1,60 @@
 """A map of the ground around the robot, built from its latest scans.
 
 In: sensed points in frame L and the expected motion of the robot. Out: its estimated motion, and a
-polyline of the ground in frame L. Without noise the latest scan is the ground; with noise the scans
-of the last decisions are aligned and averaged.
+polyline of the ground in frame L, thinned to what a rolling track can feel. Without noise the
+latest scan is the ground; with noise the scans of the last decisions are aligned and averaged.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.core import thinning
 from flipperctl.core.arrays import FloatArray
+
+
+def kept_points(
+    points: FloatArray, fixed: NDArray[np.bool_], tolerance: float, span: float
+) -> NDArray[np.bool_]:
+    """Return which of the (V, 2) points [m] to keep, (V,); ``fixed`` points are always kept.
+
+    After each kept point, the next kept point is the farthest for which the omitted points
+    between both either lie within ``tolerance`` [m] of the straight line between them (the cone
+    test of Imai and Iri 1988), or all lie below that line, which is then at most ``span`` [m]
+    long.
+    """
+    count = len(points)
+    keep = np.zeros(count, dtype=np.bool_)
+    keep[0] = True
+    start = 0
+    while start < count - 1:
+        best = start + 1
+        low, high, longest = -math.inf, math.inf, 0.0  # directions of lines within the tolerance
+        steepest, height = -math.inf, 0.0  # direction and distance of the upper hull's last point
+        for j in range(start + 1, count):
+            dx, dz = points[j, 0] - points[start, 0], points[j, 1] - points[start, 1]
+            distance, direction = math.hypot(dx, dz), math.atan2(dz, dx)
+            if low <= direction <= high and distance >= longest:
+                best = j
+            if direction > steepest or (direction == steepest and distance >= height):
+                steepest, height = direction, distance
+                if distance <= span:
+                    best = j
+            if fixed[j]:
+                break
+            if distance > tolerance:
+                half = math.asin(tolerance / distance)
+                low, high = max(low, direction - half), min(high, direction + half)
+            longest = max(longest, distance)
+            if low > high and dx > span:
+                break
+        start = best
+        keep[start] = True
+    return keep
+
 
 _SEARCH = np.arange(-0.10, 0.101, 0.01)
 """Corrections of the guessed distance that the alignment tries [m]."""
@@ -33,13 +74,13 @@ _NARROW = 0.05
 """Hollows narrower than this are bridged, since the tracks sink into them by 3 mm at most [m]."""
 
 Thinning = Callable[[FloatArray, NDArray[np.bool_], float, float], NDArray[np.bool_]]
-"""A function with the signature of ``thinning.kept_points``."""
+"""A function with the signature of ``kept_points``."""
 
 
 class GroundMap:
     """Stores aligned scans, all in the current frame L."""
 
-    def __init__(self, memory: int, kept_points: Thinning = thinning.kept_points) -> None:
+    def __init__(self, memory: int, kept_points: Thinning = kept_points) -> None:
         """Store the last ``memory`` scans.
 
         ``kept_points``: the function that thins the ground, such as a compiled one.

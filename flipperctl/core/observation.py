@@ -1,13 +1,16 @@
-"""Layout of the N + 3 numbers of an observation (paper Eqs. 1 and 2).
+"""Layout of the N + 3 numbers of an observation (paper Eqs. 1 and 2), and its mean heights.
 
 They are N mean heights of the ground in frame L [m], from rear to front, then front and rear
 flipper angle in frame R and pitch [rad]. Frame L is level with its origin at the chassis centre,
-frame R is fixed to the chassis.
+frame R is fixed to the chassis. Unseen ground is filled with points on straight lines between the
+seen points. ``sim.planar.rays`` compiles ``sum_heights`` and the filling; they call no other
+function, so that they can be compiled as they are.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,3 +60,99 @@ def to_level(points: FloatArray, pitch: float) -> FloatArray:
     cos, sin = math.cos(pitch), math.sin(pitch)
     x, z = points.T
     return np.column_stack([cos * x - sin * z, sin * x + cos * z])
+
+
+def sum_heights(
+    points: FloatArray, behind: float, width: float, total: FloatArray, count: FloatArray
+) -> int:
+    """Sum up the heights of each bin's points and count them; return the number of bins with any.
+
+    ``points`` are (P, 2) in frame L; the first bin begins ``behind`` the chassis centre, and a bin
+    is ``width`` long [m]. ``total`` and ``count`` are (N,) zeros.
+    """
+    seen = 0
+    for i in range(len(points)):
+        index = min(int((points[i, 0] + behind) / width), len(total) - 1)
+        if count[index] == 0:
+            seen += 1
+        total[index] += points[i, 1]
+        count[index] += 1
+    return seen
+
+
+Sum = Callable[[FloatArray, float, float, FloatArray, FloatArray], int]
+"""A function like ``sum_heights``."""
+
+
+def mean_heights(
+    points: FloatArray, bins: int, bin_width: float, sum_heights: Sum = sum_heights
+) -> FloatArray:
+    """Return the mean height of the points of each bin, (N,) in frame L, rear to front [m].
+
+    ``points``: (P, 2) in frame L within ``reach`` [m], in any order. The height of an
+    empty bin is interpolated linearly between its neighbours; beyond the outermost bins with
+    points it equals theirs. Without any points, every height is 0. ``sum_heights``
+    may be a compiled one.
+    """
+    total, count = np.zeros(bins), np.zeros(bins)
+    seen = sum_heights(points, reach(bins, bin_width), bin_width, total, count)
+    if seen == bins:
+        return total / count
+    if not seen:
+        return total
+    where = np.flatnonzero(count)
+    return np.interp(np.arange(bins), where, total[where] / count[where])
+
+
+def occupied(points: FloatArray, bins: int, bin_width: float) -> NDArray[np.bool_]:
+    """Return which bins have points, (N,); ``points`` are (P, 2) as for ``mean_heights`` [m]."""
+    index = (points[:, 0] + reach(bins, bin_width)) / bin_width
+    found = np.zeros(bins, np.bool_)
+    found[np.clip(index.astype(np.int64), 0, bins - 1)] = True
+    return found
+
+
+def fill_gaps(
+    points: FloatArray,
+    index: NDArray[np.int64],
+    offered: NDArray[np.bool_],
+    spacing: float,
+    limits: tuple[float, float],
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Return the offered points with the gaps filled, (P', 2) [m], and which of them are filled.
+
+    ``points`` (P, 2) are the seen points in order along the ground; ``index`` (P,) are their
+    numbers along it, with gaps where the ground is unseen. A gap is filled with points at most
+    ``spacing`` [m] apart on the straight line between both neighbours, or at the height of the
+    first or last point beyond it, within the ``limits`` of x [m]. ``offered`` (P,): whether a seen
+    point is returned.
+    """
+    low, high = limits
+    if len(points) == 0:
+        return np.empty((0, 2)), np.empty(0, dtype=np.bool_)
+    ends = np.empty((len(points) + 2, 2))
+    ends[1:-1] = points
+    ends[0, 0], ends[0, 1] = min(low, points[0, 0]), points[0, 1]
+    ends[-1, 0], ends[-1, 1] = max(high, points[-1, 0]), points[-1, 1]
+    counts = np.zeros(len(points) + 1, dtype=np.int64)  # filled points before each seen one
+    for i in range(len(counts)):
+        if 0 < i < len(points) and index[i] == index[i - 1] + 1:
+            continue
+        length = math.hypot(ends[i + 1, 0] - ends[i, 0], ends[i + 1, 1] - ends[i, 1])
+        counts[i] = max(0, math.ceil(length / spacing - 1e-9) - 1)
+    most = counts.sum() + len(points)
+    result, filled = np.empty((most, 2)), np.zeros(most, dtype=np.bool_)
+    n = 0
+    for i in range(len(counts)):
+        for k in range(1, counts[i] + 1):
+            share = k / (counts[i] + 1)
+            x = ends[i, 0] + share * (ends[i + 1, 0] - ends[i, 0])
+            if low <= x < high:
+                result[n, 0] = x
+                result[n, 1] = ends[i, 1] + share * (ends[i + 1, 1] - ends[i, 1])
+                filled[n] = True
+                n += 1
+        if i < len(points) and offered[i]:
+            result[n] = points[i]
+            n += 1
+    return result[:n].copy(), filled[:n].copy()

@@ -27,9 +27,9 @@ from flipperctl.api import (
 )
 from flipperctl.config import Episode
 from flipperctl.core.targets import TargetRule
+from flipperctl.env.guarded_world import place
 from flipperctl.env.termination import Termination
-from flipperctl.env.world import place
-from flipperctl.sim.sampling import samples_in, simulated
+from flipperctl.sim.versions import samples_in, simulated
 
 _TURN, _SAMPLE, _PERCEIVE, _END = range(4)
 """Events within a decision; those of one sample happen in this order."""

@@ -27,18 +27,27 @@ from flipperctl.api import (
 )
 from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.config.identity import foreign_plugins
-from flipperctl.env import copying, ground, start
-from flipperctl.env.actions import ALLOWED, action_index
+from flipperctl.env import ground, start
+from flipperctl.env import repeating as copying
 from flipperctl.env.drive import Drive
-from flipperctl.env.finish import run_out_of
+from flipperctl.env.guarded_sensor import exact as exact_sensor
 from flipperctl.env.metrics import DRAWN, EpisodeMetrics, measures
-from flipperctl.env.observer import Observer, attach
 from flipperctl.env.perceiving import Perceiver, initial_copy
-from flipperctl.env.rendering import MODES, Picture, Pictures, Renderer, check_mode
+from flipperctl.env.pictures import (
+    MODES,
+    Observer,
+    Perceived,
+    Picture,
+    Pictures,
+    Renderer,
+    Scene,
+    attach,
+    check_mode,
+)
 from flipperctl.env.repeating import require_unmoved
-from flipperctl.env.scene import Perceived, Scene
-from flipperctl.env.sensing import exact as exact_sensor
 from flipperctl.env.simulator import SceneSimulator
+from flipperctl.env.start import run_out_of
+from flipperctl.env.termination import ALLOWED, action_index
 from flipperctl.guard import naming_seed
 from flipperctl.randomness import global_states
 from flipperctl.reward_sum import RewardSum

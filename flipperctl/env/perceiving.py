@@ -25,7 +25,7 @@ from flipperctl.api import (
 )
 from flipperctl.core.observation import assemble
 from flipperctl.env.drive import Drive
-from flipperctl.env.sensing import MountedInstrument, mounted_parts
+from flipperctl.env.guarded_sensor import MountedInstrument, mounted_parts
 
 
 @dataclass(frozen=True)

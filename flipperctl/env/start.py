@@ -1,21 +1,99 @@
-"""Where an episode starts: the sampled place and flipper angles, and the pose of the chassis there.
+"""Where an episode starts and finishes, and one instant of it as plain data.
 
 In: a profile, the sampled robot, the settings of the episode and a generator. Out: the start, which
-the engine places.
+the engine places; the finish, past the last edge on level ground or on the obstacle itself.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from flipperctl.api import Profile, Robot, Start, World
 from flipperctl.config import EnvConfig, Episode
-from flipperctl.env.finish import run_out_of
-from flipperctl.env.places import nearest_rest
 from flipperctl.errors import ConfigError, TerrainError
 from flipperctl.sim.resting import OVERLAP, resting
+
+_STRIDE = 0.05
+"""Distance between two places that are tried [m]."""
+_STEEPEST = math.pi / 4
+"""Largest absolute pitch of a robot at a place that the ground chooses [rad]."""
+
+Pose = tuple[float, float]
+"""World z [m] and pitch [rad] of the chassis."""
+
+
+def nearest_rest(
+    profile: Profile, robot: Robot, x: float, flippers: tuple[float, float], overturn: float
+) -> tuple[float, Pose | None]:
+    """Return the place on the obstacle nearest to ``x`` [m] where the robot stands, and its pose.
+
+    ``flippers`` are the angles (front, rear) in frame R [rad]; the pitch is below ``overturn``
+    [rad] and at most 45°. The pose is None if there is no such place.
+    """
+    farthest = max(x - profile.start, profile.end - x)
+    for step in range(math.ceil(farthest / _STRIDE) + 1):
+        for place in {x + step * _STRIDE: None, x - step * _STRIDE: None}:
+            if profile.start <= place <= profile.end:
+                pose = resting(profile, robot, place, *flippers, min(overturn, _STEEPEST))
+                if pose is not None:
+                    return place, pose
+    return x, None
+
+
+class Finish(NamedTuple):
+    """The finish of an episode; its fields are those of ``flipperctl.api.Limits``."""
+
+    x: float
+    """World x that the chassis centre must pass [m]."""
+    top: float
+    """Largest world z of the higher end of the chassis there [m]."""
+    slope: float = 0.0
+    """Rise of that height for each metre past the finish [-]."""
+    end: float = math.inf
+    """World x of the last edge, past which the ground is level [m]."""
+    level: float = -math.inf
+    """Largest world z of the higher end on that level ground [m]."""
+
+
+def run_out_of(profile: Profile, episode: Episode) -> float:
+    """Return the distance of the finish past the last edge [m]."""
+    return episode.run_out if profile.run_out is None else profile.run_out
+
+
+def finish_of(profile: Profile, robot: Robot, episode: Episode) -> Finish:
+    """Return the finish, of which ``run_out`` of the profile or else of the episode decides.
+
+    Past the last edge the ground is level. Short of it (``run_out`` below 0), the highest end of
+    the chassis is compared with that of a robot that stands there with level flippers, and farther
+    on with a line that is parallel to its chassis, down to the level ground past the last edge.
+    Past that edge the robot has finished on the level ground, too, where that lies above the line:
+    one that passed the finish on raised flippers, as it may where the ground then rises, drives on.
+
+    Raises:
+        TerrainError: the robot cannot stand at the finish.
+    """
+    run_out = run_out_of(profile, episode)
+    x = profile.end + run_out
+    level = float(profile.points[-1, 1]) + robot.track_radius + episode.clearance
+    if run_out >= 0:
+        return Finish(x, level)
+    if profile.run_out is None:
+        pose = resting(profile, robot, x, 0.0, 0.0, episode.overturn)
+    else:
+        x, pose = nearest_rest(profile, robot, x, (0.0, 0.0), episode.overturn)
+    if pose is None:
+        raise TerrainError(
+            f"episode.run_out: the robot cannot stand {-run_out:.2f} m before the last edge of "
+            f"{profile.label!r} with a pitch below episode.overturn; finish elsewhere"
+        )
+    height, pitch = pose
+    top = height + robot.hinge_offset * abs(math.sin(pitch)) + episode.clearance
+    return Finish(x, top, math.tan(pitch), profile.end, level)
+
 
 _TURNED, _LIFTED = 0.1, 0.15
 """Largest differences of an engine's start from the given one: pitch [rad] and height [m]. A steep

@@ -22,7 +22,7 @@ from pydantic import (
 
 from flipperctl import __version__, checkpoint
 from flipperctl.api import Outcome
-from flipperctl.checkpoint.strict_json import decode
+from flipperctl.checkpoint.sealed import decode
 from flipperctl.config import EnvConfig, EvalConfig, parse, to_dict
 from flipperctl.config.identity import content_digest
 from flipperctl.env.metrics import CORE
@@ -32,7 +32,7 @@ from flipperctl.evaluation.rows import DIGEST, Row, sampled
 from flipperctl.messages import explain
 from flipperctl.policies.identity import named_files
 from flipperctl.policies.source import PolicySource
-from flipperctl.rollout.risks import EpisodeRisks
+from flipperctl.rollout.episode import EpisodeRisks
 from flipperctl.sim.versions import engine_versions
 
 _FORMAT = 1

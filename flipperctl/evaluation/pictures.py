@@ -8,13 +8,10 @@ from pathlib import Path
 from flipperctl.errors import FlipperctlError, InterruptedRunError
 from flipperctl.evaluation.plan import Entry
 from flipperctl.evaluation.play import Progress, no_progress
-from flipperctl.evaluation.runner import EpisodeRunner
-from flipperctl.report.drawn_film import film_episode
-from flipperctl.report.episode import episode_figure
-from flipperctl.report.figure import save
-from flipperctl.report.film import save_film
-from flipperctl.report.instants import samples
-from flipperctl.report.mapped import mapped
+from flipperctl.evaluation.workers import EpisodeRunner
+from flipperctl.figures.episode import episode_figure, mapped
+from flipperctl.figures.figure import save
+from flipperctl.figures.film import film_episode, samples, save_film
 
 
 def draw_scenes(

@@ -19,7 +19,7 @@ from flipperctl.evaluation.store import EpisodeStore, StoreKey, blocks
 from flipperctl.evaluation.workers import EpisodeWorkers, Task, play_block, require_unchanged
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource
-from flipperctl.rollout import ray_cluster
+from flipperctl.rollout import ray_workers as ray_cluster
 from flipperctl.rollout.values import POLL
 
 Progress = Callable[[str, int], AbstractContextManager[Callable[[float], None]]]

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Sequence
 from enum import StrEnum
 
 from flipperctl.config import EvalConfig, with_overrides
-from flipperctl.env.sensing import exact
+from flipperctl.env.guarded_sensor import exact
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.rows import Row, reached
 

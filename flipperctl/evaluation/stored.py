@@ -19,7 +19,7 @@ from flipperctl.api import Outcome
 from flipperctl.api.plugin import registered_names
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.plan import BEST_KNOWN
-from flipperctl.evaluation.scores import Method
+from flipperctl.evaluation.seeds import Method
 from flipperctl.evaluation.store import FOLDER, PlayedPolicy, played_policies
 from flipperctl.messages import close_match
 from flipperctl.policies.identity import unlike_trainings

@@ -1,12 +1,8 @@
-"""Worker processes, which play the episodes of one policy after the other.
-
-In: configurations, policies' sources and indices of episodes. Out: their rows, in order. A worker
-takes the next episode as soon as it is free; if it dies, its episode is played again, which the
-seed makes exact.
-"""
+"""Plays episodes for rows, in this process or in several."""
 
 from __future__ import annotations
 
+import hashlib
 import itertools
 import logging
 import os
@@ -17,14 +13,89 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from flipperctl import plugins
+from flipperctl.api import Profile, Transition
 from flipperctl.config import EnvConfig, EvalConfig, parse, to_dict
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.repeating import require_repeatable
 from flipperctl.errors import CheckpointError, FlipperctlError
-from flipperctl.evaluation.rows import Row
-from flipperctl.evaluation.runner import EpisodeRunner
+from flipperctl.evaluation.rows import DIGEST, RECORDED, Row, arranged
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource
+from flipperctl.policies.training import DemonstratingPolicy
+from flipperctl.rollout.episode import Decision, EpisodeRecorder, decisions, play
 from flipperctl.rollout.pool import WorkerDiedError, WorkerPool
+from flipperctl.rollout.seeds import EvaluationSeeds
+
+
+class EpisodeDigest:
+    """SHA-256 of each decision's action and of the poses at 100 Hz: equal for equal episodes."""
+
+    def __init__(self) -> None:
+        self._hash = hashlib.sha256()
+
+    def add(self, decision: Decision) -> None:
+        """Add the action and the poses (S + 1, 5) of a decision, as little-endian numbers."""
+        self._hash.update(int(decision.action).to_bytes(1, "little"))
+        self._hash.update(np.ascontiguousarray(decision.poses, dtype="<f8").tobytes())
+
+    def hexdigest(self) -> str:
+        """Return the digest of the decisions so far."""
+        return self._hash.hexdigest()
+
+
+class EpisodeRunner:
+    """An environment and a policy, ready to play any episode of an evaluation."""
+
+    def __init__(
+        self,
+        config: EnvConfig,
+        source: PolicySource,
+        seed: int,
+        report_progress: Callable[[float], None] = lambda fraction: None,
+        *,
+        record: bool = False,
+    ) -> None:
+        """Build the environment and the policy.
+
+        ``seed`` is the seed of the evaluation. ``report_progress`` is called with the finished
+        fraction of an episode's search. ``record``: whether rows include the decisions.
+
+        Raises:
+            FlipperctlError: the policy cannot be built (see ``PolicySource.build``).
+        """
+        self.env = FlipperEnv(config=config)
+        self._report_progress = report_progress
+        self._policy = source.build(config)
+        self._seeds = EvaluationSeeds.of(seed, config.terrain)
+        self._record = record
+        require_repeatable(self.env, self._seeds(0))
+
+    def play(self, index: int) -> Row:
+        """Play one episode, counted from 0, to its end; return its row."""
+        digest, report, seed = EpisodeDigest(), self._report_progress, self._seeds(index)
+        if not self._record:
+            row = play(self.env, self._policy, seed, watch=digest.add, report_progress=report)
+            return arranged({"episode": index, **row}) | {DIGEST: digest.hexdigest()}
+        policy, recorder = DemonstratingPolicy(self._policy), EpisodeRecorder()
+
+        def watch(d: Decision) -> None:
+            before, after = d.perception.observation, d.next_perception.observation
+            recorder.add(before, d.action, d.reward, after, policy.label)
+            digest.add(d)
+
+        row = play(self.env, policy, seed, watch=watch, report_progress=report)
+        recorded = {DIGEST: digest.hexdigest(), RECORDED: recorder.finish(index, row)}
+        return arranged({"episode": index, **row}) | recorded
+
+    def transitions(self, index: int) -> tuple[list[Transition], Profile]:
+        """Play one episode; return its T transitions, and the ground."""
+        seed = self._seeds(index)
+        made = decisions(self.env, self._policy, seed, report_progress=self._report_progress)
+        return [d.transition for d in made], self.env.profile
+
 
 _log = logging.getLogger(__name__)
 

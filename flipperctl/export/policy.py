@@ -1,31 +1,57 @@
 """Export of a policy: build the file, compare it with torch, and only then write it.
 
 In: a checkpoint and changes to its robot. Out: an ONNX or pt2 file, and the result of the
-comparison.
+comparison on the observations of real rollouts.
 """
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from flipperctl.agent.networks import input_size
 from flipperctl.api import Robot
 from flipperctl.checkpoint import Checkpoint
-from flipperctl.config import with_overrides
+from flipperctl.config import TrainConfig, with_overrides
 from flipperctl.config.robots import named_robot
 from flipperctl.errors import ConfigError, ExportError
-from flipperctl.export.folded import folded
-from flipperctl.export.metadata import policy_metadata
-from flipperctl.export.onnx import export_onnx
-from flipperctl.export.parity import compare, rollout_observations
-from flipperctl.export.pt2 import export_pt2
-from flipperctl.export.risky import with_risk
+from flipperctl.export.onnx import export_onnx, folded, policy_metadata, with_risk
+from flipperctl.export.parity import Outputs, compare, rollout_observations
 from flipperctl.files import OutputKind, check_output, write_bytes
 from flipperctl.guard import naming
 from flipperctl.policies.trained import policy_module, policy_risk
-from flipperctl.runtime.checksum import CHECKSUM, PLACEHOLDER, add_checksum
+from flipperctl.runtime.session import CHECKSUM, PLACEHOLDER, add_checksum
+
+
+def export_pt2(
+    module: torch.nn.Module, config: TrainConfig, metadata: dict[str, str]
+) -> tuple[bytes, Outputs]:
+    """Return the bytes of the archive, and a function that computes its outputs."""
+    example = torch.zeros(2, input_size(config.network, config.perception))
+    program = torch.export.export(
+        module, (example,), dynamic_shapes=({0: torch.export.Dim("batch")},)
+    )
+    buffer = io.BytesIO()
+    torch.export.save(program, buffer, extra_files=dict(metadata))
+    buffer.seek(0)
+    # Read back what the file will hold; the bytes come from this process, so loading is safe.
+    exported = torch.export.load(buffer).module()
+
+    def outputs(observations: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
+        with torch.inference_mode():
+            found = exported(torch.from_numpy(observations))
+        tensors = found if isinstance(found, tuple) else (found,)
+        return tuple(tensor.numpy() for tensor in tensors)
+
+    return buffer.getvalue(), outputs
+
 
 Format = Literal["onnx", "pt2"]
 _MARK = re.compile(rb"flipperctl\.format_version")

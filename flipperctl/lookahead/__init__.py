@@ -1,7 +1,5 @@
 """Controllers that plan in simulation; importing this package registers them."""
 
-from flipperctl.lookahead.mpc import Mpc
-from flipperctl.lookahead.planner import Planner
-from flipperctl.lookahead.value_iteration import ValueIteration
+from flipperctl.lookahead.controllers import Mpc, Planner, ValueIteration
 
 __all__ = ["Mpc", "Planner", "ValueIteration"]

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray, Robot
 from flipperctl.lookahead.model import FLIPPERS, Model
-from flipperctl.lookahead.mpc_settings import STEEP, STEEP_FROM
 from flipperctl.lookahead.search import HOLD, moves, target_cell
+from flipperctl.lookahead.settings import STEEP, STEEP_FROM
 
 _ROUNDS = 8
 """Largest number of decisions of a node in one distance bin."""

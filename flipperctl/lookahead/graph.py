@@ -21,9 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.api import ACTIONS, FloatArray, Outcome, Profile, Robot
-from flipperctl.lookahead.layout import RUNNING
-from flipperctl.lookahead.model import FLIPPERS, TARGETS, Model
-from flipperctl.lookahead.nodes import Nodes, transitions
+from flipperctl.lookahead.dynamics import RUNNING
+from flipperctl.lookahead.model import FLIPPERS, TARGETS, Model, Nodes, transitions
 from flipperctl.lookahead.search import moves
 from flipperctl.reward_sum import RewardSum
 

@@ -1,24 +1,37 @@
 """The prediction model on one piece of ground: many decisions from many states.
 
-In: a polyline of the ground, a robot, and states. Out: the states after a decision, and the pitch
-variation of the chassis.
+In: a polyline of the ground, a robot, and states. Out: the states after a decision, the pitch
+variation of the chassis, what a robot would perceive there without sensing errors, and what reward
+terms see of the decisions between them.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.api import SAMPLE_PERIOD, FloatArray, Robot
-from flipperctl.lookahead import dynamics, layout
-from flipperctl.lookahead.contacts import MOST
-from flipperctl.lookahead.layout import STATE
-from flipperctl.sim.sampling import samples_in, simulated
-from flipperctl.sim.thinning import kept_points
+from flipperctl.api import (
+    ACTIONS,
+    LAST_PITCHES,
+    SAMPLE_PERIOD,
+    FloatArray,
+    ObservationLayout,
+    Outcome,
+    Profile,
+    Robot,
+    RobotGeometry,
+    RobotStates,
+    Transitions,
+)
+from flipperctl.lookahead import dynamics
+from flipperctl.lookahead.dynamics import MOST, OVERTURNED, REACHED, STATE
+from flipperctl.sim.ground import kept_points
+from flipperctl.sim.versions import samples_in, simulated
 
 FLIPPERS, TARGETS = 6, 8
 """Index in a state of the flippers' angles, and of their targets."""
@@ -76,21 +89,21 @@ class Model:
         self.overturn = overturn
         self._ground = _edges(line)
         axle = robot.flipper_axle
-        k = np.zeros(layout.NUMBERS)
-        k[layout.HINGE], k[layout.AXLE] = robot.hinge_offset, axle
-        k[layout.RADIUS] = robot.track_radius
-        k[layout.CHASSIS], k[layout.FLIPPER] = robot.carried_mass, robot.flipper_mass
-        k[layout.TURN_CHASSIS] = _inertia(
+        k = np.zeros(dynamics.NUMBERS)
+        k[dynamics.HINGE], k[dynamics.AXLE] = robot.hinge_offset, axle
+        k[dynamics.RADIUS] = robot.track_radius
+        k[dynamics.CHASSIS], k[dynamics.FLIPPER] = robot.carried_mass, robot.flipper_mass
+        k[dynamics.TURN_CHASSIS] = _inertia(
             robot.chassis_mass, 2 * robot.hinge_offset, robot.track_radius
         ) + sum(robot.load_inertia)
-        k[layout.LOAD_X], k[layout.LOAD_Z] = robot.centre_of_mass
-        k[layout.FORCE] = math.inf if robot.track_force is None else robot.track_force
-        k[layout.TURN_FLIPPER] = _inertia(robot.flipper_mass, axle, robot.track_radius)
-        k[layout.SPEED], k[layout.RATE] = robot.track_speed, robot.flipper_speed
-        k[layout.GRAVITY], k[layout.FRICTION] = gravity, friction
-        k[layout.STEP], k[layout.ITERATIONS] = step, iterations
-        k[layout.OVERTURN], k[layout.SAMPLE] = overturn, SAMPLE_PERIOD
-        k[layout.FINISH], k[layout.TOP], k[layout.CONTACTS] = finish, top, contacts
+        k[dynamics.LOAD_X], k[dynamics.LOAD_Z] = robot.centre_of_mass
+        k[dynamics.FORCE] = math.inf if robot.track_force is None else robot.track_force
+        k[dynamics.TURN_FLIPPER] = _inertia(robot.flipper_mass, axle, robot.track_radius)
+        k[dynamics.SPEED], k[dynamics.RATE] = robot.track_speed, robot.flipper_speed
+        k[dynamics.GRAVITY], k[dynamics.FRICTION] = gravity, friction
+        k[dynamics.STEP], k[dynamics.ITERATIONS] = step, iterations
+        k[dynamics.OVERTURN], k[dynamics.SAMPLE] = overturn, SAMPLE_PERIOD
+        k[dynamics.FINISH], k[dynamics.TOP], k[dynamics.CONTACTS] = finish, top, contacts
         self._numbers = k
         self._step = step
 
@@ -134,7 +147,7 @@ class Model:
         numbers = self._numbers
         if abs(steps * self._step - lasting) > 1e-9:
             numbers = numbers.copy()
-            numbers[layout.STEP] = lasting / steps
+            numbers[dynamics.STEP] = lasting / steps
         samples = samples_in(duration) + 1 if poses else 0
         path = np.empty((count, samples, 5))
         dynamics.expand(
@@ -170,3 +183,149 @@ def _edges(line: FloatArray) -> FloatArray:
     normals = np.column_stack([-step[:, 1], step[:, 0]]) / length[:, None]
     edges = np.column_stack([normals, length])
     return np.column_stack([points, np.vstack([edges, [0.0, 1.0, 0.0]])])
+
+
+TURNS = np.array(ACTIONS)
+"""Turns (front, rear) of each action, (9, 2)."""
+_OUTCOMES = np.array([None, None, None], dtype=object)
+_OUTCOMES[OVERTURNED], _OUTCOMES[REACHED] = Outcome.OVERTURNED, Outcome.REACHED
+
+
+@dataclass(frozen=True, kw_only=True)
+class Nodes:
+    """M predicted robots, each before its next decision."""
+
+    states: FloatArray
+    """States of the prediction model, (M, ``STATE``)."""
+    places: FloatArray
+    """x and z of the chassis centre, (M, 2) [m]."""
+    pitches: FloatArray
+    """Pitch at the last decisions and now, (M, T) [rad]; at most ``LAST_PITCHES``."""
+    turns: NDArray[np.int64]
+    """Turns (front, rear) of the last decision, (M, 2); 0 before the first."""
+    time: FloatArray
+    """Time since the start of the episode, (M,) [s]."""
+
+    def __len__(self) -> int:
+        return len(self.states)
+
+    def take(self, rows: NDArray[np.int64]) -> Nodes:
+        """Return some of the nodes."""
+        return Nodes(**{f.name: getattr(self, f.name)[rows] for f in fields(self)})
+
+    @classmethod
+    def at_rest(cls, states: FloatArray, places: FloatArray) -> Nodes:
+        """Return robots that have stood with their present pitch.
+
+        An episode knows no pitch before its start; all nodes of a graph have equally many.
+        """
+        count = len(states)
+        return cls(
+            states=states,
+            places=places,
+            pitches=np.repeat(states[:, 2:3], LAST_PITCHES, axis=1),
+            turns=np.zeros((count, 2), np.int64),
+            time=np.zeros(count),
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence[Nodes]) -> Nodes:
+        """Return the nodes of several parts."""
+        names = [f.name for f in fields(cls)]
+        return cls(**{n: np.concatenate([getattr(part, n) for part in parts]) for n in names})
+
+    def moved_to(self, others: Nodes, rows: NDArray[np.int64]) -> Nodes:
+        """Return the nodes with the states of ``others`` in some ``rows``, with their own past."""
+        states, places, pitches = self.states.copy(), self.places.copy(), self.pitches.copy()
+        states[rows], places[rows] = others.states, others.places
+        pitches[rows, -1] = others.states[:, 2]
+        return replace(self, states=states, places=places, pitches=pitches)
+
+    def after(self, branch: Branch, action: NDArray[np.int64], period: float) -> Nodes:
+        """Return the nodes to which a decision of ``period`` [s] leads from each node.
+
+        ``branch`` and ``action`` (M,) belong to these nodes, row by row.
+        """
+        pitches = np.column_stack([self.pitches, branch.states[:, 2]])[:, -LAST_PITCHES:]
+        return Nodes(
+            states=branch.states,
+            places=branch.places,
+            pitches=pitches,
+            turns=TURNS[action],
+            time=self.time + period,
+        )
+
+    def robots(self) -> RobotStates:
+        """Return the nodes as the states that reward terms see."""
+        states, places = self.states, self.places
+        offset = states[:, :2] - places  # from the chassis centre to the centre of mass [m]
+        turn = states[:, 5]
+        velocity = np.column_stack(
+            [states[:, 3] + turn * offset[:, 1], states[:, 4] - turn * offset[:, 0]]
+        )
+        return RobotStates(
+            position=places,
+            pitch=states[:, 2],
+            front=states[:, FLIPPERS],
+            rear=states[:, FLIPPERS + 1],
+            velocity=velocity,
+            pitch_rate=turn,
+            time=self.time,
+        )
+
+
+def transitions(
+    before: Nodes, after: Nodes, branch: Branch, profile: Profile, robot: RobotGeometry
+) -> Transitions:
+    """Return the decisions that led from ``before`` to ``after``, row by row.
+
+    ``branch`` has the poses in between.
+    """
+    return Transitions(
+        before=before.robots(),
+        after=after.robots(),
+        pitches=after.pitches,
+        action=after.turns,
+        previous_action=before.turns,
+        path=branch.poses[:, :, :3],
+        flippers=branch.poses[:, :, 3:],
+        profile=profile,
+        robot=robot,
+        outcome=_OUTCOMES[branch.outcome].tolist(),
+    )
+
+
+_SPACING = 0.02
+"""Distance between two points of the ground's outline [m]."""
+
+
+class Ground:
+    """Points along a polyline, vertical faces included, and level ground beyond its ends."""
+
+    def __init__(self, line: FloatArray, layout: ObservationLayout) -> None:
+        """``line``: (V, 2) [m], x never decreasing, not empty."""
+        length = np.hypot(*np.diff(line, axis=0).T)
+        along = np.concatenate([[0.0], np.cumsum(length)])
+        at = np.arange(0.0, along[-1] + _SPACING / 2, _SPACING)
+        self._x = np.interp(at, along, line[:, 0])
+        self._sums = np.concatenate([[0.0], np.cumsum(np.interp(at, along, line[:, 1]))])
+        self._line = line
+        self._edges = np.arange(layout.bins + 1) * layout.bin_width - layout.reach
+
+    def observations(self, places: FloatArray, states: FloatArray) -> NDArray[np.float32]:
+        """Return the observations at ``places`` (M, 2) in ``states`` (M, ``STATE``), (M, N + 3).
+
+        The height of a bin is the mean of its points; a bin without points has the height of the
+        line in its middle.
+        """
+        edges = places[:, :1] + self._edges  # (M, N + 1)
+        index = np.searchsorted(self._x, edges)
+        count = np.diff(index, axis=1)
+        total = self._sums[index[:, 1:]] - self._sums[index[:, :-1]]
+        heights = total / np.maximum(count, 1)
+        if not count.all():
+            middle = (edges[:, 1:] + edges[:, :-1]) / 2
+            level = np.interp(middle, self._line[:, 0], self._line[:, 1])
+            heights = np.where(count == 0, level, heights)
+        angles = states[:, [FLIPPERS, FLIPPERS + 1, 2]]
+        return np.column_stack([heights - places[:, 1:], angles]).astype(np.float32)

@@ -1,7 +1,8 @@
 """A beam search over flipper commands on the ground around the robot.
 
 In: the robot's present state on a piece of ground, and an objective. Out: the cheapest sequence of
-actions, and the cost of the best sequence that begins with each action.
+actions, and the cost of the best sequence that begins with each action. The objective of ``mpc``
+without rewards is a cost by hand-set weights, in seconds.
 """
 
 from __future__ import annotations
@@ -14,8 +15,27 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.api import ACTIONS, FloatArray, Robot, action_index
-from flipperctl.lookahead.model import FLIPPERS, TARGETS, Branch, Model
+from flipperctl.api import ACTIONS, FloatArray, Profile, Robot, RobotGeometry, action_index
+from flipperctl.config import Episode
+from flipperctl.lookahead.model import FLIPPERS, TARGETS, TURNS, Branch, Model
+
+_CLEARANCE = Episode().clearance
+"""Largest height of the chassis' higher end above the ground at the finish [m].
+
+A ``Simulator`` does not tell its episode's own ``clearance``, so plans aim at the default; the
+episode decides whether a trajectory has reached the finish."""
+
+
+def highest_at_finish(profile: Profile, robot: RobotGeometry, finish: float) -> float:
+    """Return the largest world z of the chassis' higher end at the ``finish``, world x [m].
+
+    It is infinite where the ground goes on, on a slope or a stair; the episode compares the chassis
+    with a resting one there.
+    """
+    if finish < profile.end:
+        return math.inf
+    return profile.height(finish) + robot.track_radius + _CLEARANCE
+
 
 HOLD = action_index(0, 0)
 _TURNS = np.array(ACTIONS, dtype=np.float64)
@@ -262,3 +282,107 @@ def _trace(levels: list[_Level], node: int) -> tuple[tuple[int, ...], FloatArray
         node = int(level.parent[node])
     states.append(levels[0].states[0])
     return tuple(actions[::-1]), np.array(states[::-1])
+
+
+HURRY = 5.0
+"""Divisor of the cost weight of pitch variation in a hurry [-]."""
+
+
+@dataclass(frozen=True)
+class CostWeights:
+    """Weights of the terms of a plan's cost, which is in seconds."""
+
+    robot: Robot
+
+    pitch_variation: float
+    """Weight of the pitch variation [s/rad]."""
+    pitch: float
+    """Weight of the absolute pitch at the horizon [s/rad]."""
+    lean: float
+    """Weight of the absolute pitch after each decision [s/rad]."""
+    flippers: float
+    """Weight of each absolute flipper angle after each decision [s/rad]."""
+    turn: float
+    """Cost of turning a flipper pair in one decision [s]."""
+    standstill: float
+    """Additional weight of time lost beyond ``standstill_from`` [s/s]."""
+    standstill_from: float
+    """Lost time from which a plan counts as standing still [s]."""
+    steep: float
+    """Weight of the largest pitch of a plan beyond ``steep_from`` [s/rad]."""
+    steep_from: float
+    """Pitch above which a plan is charged for steepness, below overturning [rad]."""
+
+    @property
+    def poses(self) -> bool:
+        """The costs need no poses between decisions."""
+        return False
+
+    def begin(self, model: Model, root: FloatArray) -> CostAccount:
+        """Return the account of a search from the state ``root``."""
+        zero = np.zeros(1)
+        return CostAccount(self, model.chassis(root)[0], 0, zero, zero, zero)
+
+
+@dataclass(frozen=True)
+class CostAccount:
+    """What the plans of M nodes have cost so far."""
+
+    weights: CostWeights
+    begin: float
+    """x of the chassis centre at the root [m]."""
+    depth: int
+    """Number of decisions from the root."""
+    variation: FloatArray
+    """Pitch variation from the root, (M,) [rad]."""
+    paid: FloatArray
+    """Cost of postures and turns from the root, (M,) [s]."""
+    steep: FloatArray
+    """Largest absolute pitch from the root, (M,) [rad]."""
+
+    def take(self, rows: NDArray[np.int64]) -> CostAccount:
+        """Return the account of some of the nodes."""
+        return CostAccount(
+            *(self.weights, self.begin, self.depth),
+            *(self.variation[rows], self.paid[rows], self.steep[rows]),
+        )
+
+    def extend(self, parent: NDArray[np.int64], action: NDArray[np.int64], found: Branch) -> Scores:
+        """Return the scores of plans that are one decision longer."""
+        weights, robot = self.weights, self.weights.robot
+        variation = self.variation[parent] + found.pitch_variation
+        paid = self.paid[parent] + _step_cost(found.states, action, weights)
+        steep = np.maximum(self.steep[parent], found.steepest)
+        distance = found.places[:, 0] - self.begin
+        lost = robot.decision_period * (self.depth + 1) - distance / robot.track_speed
+        lost = np.maximum(lost, 0.0)  # otherwise plans would push themselves along by flippers
+        rest = paid + _final_cost(found.states, lost, steep, weights)
+        account = CostAccount(weights, self.begin, self.depth + 1, variation, paid, steep)
+        return Scores(
+            cost=rest + weights.pitch_variation * variation,
+            hurried=rest + weights.pitch_variation / HURRY * variation,
+            ended=np.zeros(len(lost), np.bool_),
+            lost_time=lost,
+            account=account,
+        )
+
+
+def _step_cost(states: FloatArray, action: NDArray[np.int64], weights: CostWeights) -> FloatArray:
+    """Return the cost of the turns in one decision and of the postures after it, (M,) [s]."""
+    return np.asarray(
+        weights.flippers * np.abs(states[:, TARGETS:]).sum(axis=1)
+        + weights.lean * np.abs(states[:, 2])
+        + weights.turn * np.abs(TURNS[action]).sum(axis=1)
+    )
+
+
+def _final_cost(
+    states: FloatArray, lost: FloatArray, steep: FloatArray, weights: CostWeights
+) -> FloatArray:
+    """Return the cost of lost time, largest pitch and final pitch of plans, (M,) [s]."""
+    return np.asarray(
+        lost
+        + weights.standstill * np.maximum(0.0, lost - weights.standstill_from)
+        + weights.pitch * np.abs(states[:, 2])
+        + weights.steep * np.maximum(0.0, steep - weights.steep_from)
+    )

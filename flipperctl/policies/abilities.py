@@ -22,7 +22,7 @@ from flipperctl.api import (
     StateGroups,
 )
 from flipperctl.core.risk import RiskSign
-from flipperctl.lookahead.learned import LearnedValue
+from flipperctl.lookahead.settings import LearnedValue
 
 
 @runtime_checkable

@@ -1,8 +1,8 @@
-"""A controller plugin as a policy; its errors and invalid answers name the plugin."""
+"""Controllers as policies: of a plugin, whose errors name it, or of one function."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Any
 
@@ -20,11 +20,25 @@ from flipperctl.api import (
 )
 from flipperctl.api.controllers import Rule
 from flipperctl.config.identity import foreign_plugins
-from flipperctl.env.actions import ALLOWED, action_index
 from flipperctl.env.repeating import require_unmoved
+from flipperctl.env.termination import ALLOWED, action_index
 from flipperctl.guard import naming, refusal, short_repr
 from flipperctl.policies.abilities import FollowingPolicy, ValuingPolicy
 from flipperctl.randomness import global_states
+
+
+class FunctionPolicy:
+    """Decides by a function and has no memory."""
+
+    def __init__(self, rule: Callable[[Perception], int]) -> None:
+        self._rule = rule
+
+    def reset(self, simulator: Simulator) -> None:
+        """Begin an episode; the policy has no memory."""
+
+    def act(self, p: Perception) -> int:
+        """Return the action that the function returns."""
+        return self._rule(p)
 
 
 def plugin_policy(controller: Controller) -> PluginPolicy:

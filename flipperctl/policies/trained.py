@@ -11,15 +11,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from flipperctl.agent.acting import best, q_values
-from flipperctl.agent.building import build_network
-from flipperctl.agent.frames import input_size, stacked
+from flipperctl.agent.networks import best, build_network, input_size, q_values, stacked
 from flipperctl.agent.risk import Risk, RiskNetwork, uncalibrated
 from flipperctl.api import ACTIONS, Perception, Simulator
 from flipperctl.checkpoint import Checkpoint
-from flipperctl.checkpoint.layout import require_equal_layout
-from flipperctl.core.escape import Escape, EscapeRule
-from flipperctl.core.risk import Recurrence, RiskCalibration
+from flipperctl.checkpoint.sealed import require_equal_layout
+from flipperctl.core.risk import Escape, EscapeRule, Recurrence, RiskCalibration
 from flipperctl.errors import CheckpointError, ConfigError
 
 

@@ -1,4 +1,9 @@
-"""An actor: an environment and a network in a worker, which plays whole episodes on request."""
+"""An actor: an environment and a network in a worker, which plays whole episodes on request.
+
+The greedy episodes of a policy that is trained are equal, whichever process plays them: their
+network is one of its own on the CPU, since another device, or the learner's arrangement of its
+parameters, rounds otherwise.
+"""
 
 from __future__ import annotations
 
@@ -10,18 +15,18 @@ import numpy as np
 import torch
 
 from flipperctl import plugins
-from flipperctl.agent.frames import stacked
+from flipperctl.agent.networks import build_network, input_size, naming_network, stacked
+from flipperctl.agent.risk import RiskNetwork, plain_risk, split_weights
+from flipperctl.api import ACTIONS
 from flipperctl.config import TrainConfig, parse
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.privileged import PrivilegedStates
 from flipperctl.errors import FlipperctlError
 from flipperctl.policies.abilities import LabellingPolicy
-from flipperctl.policies.drawing import DrawingPolicy
-from flipperctl.policies.exploring import ExploringPolicy
 from flipperctl.policies.source import controller_policy
-from flipperctl.policies.taught import TaughtPolicy
-from flipperctl.rollout.episode import Row, decisions
-from flipperctl.rollout.greedy import GreedyPlayer
+from flipperctl.policies.trained import TrainedPolicy
+from flipperctl.policies.training import DrawingPolicy, ExploringPolicy, TaughtPolicy
+from flipperctl.rollout.episode import Row, decisions, play
 from flipperctl.rollout.seeds import exploration_rng
 from flipperctl.rollout.values import Rollout, RolloutRequest, Weights
 
@@ -139,3 +144,30 @@ class StartedActor:
         if isinstance(self._actor, FlipperctlError):
             raise self._actor
         return self._actor
+
+
+class GreedyPlayer:
+    """A policy network, and that of its risk, whose weights come with each request."""
+
+    def __init__(self, config: TrainConfig, env: FlipperEnv) -> None:
+        """``env`` plays the episodes."""
+        self._env, self._frames = env, config.network.frames
+        self._risk = None
+        with torch.random.fork_rng(devices=[]):  # the weights will come
+            self.module = build_network(config.network, env.layout, len(ACTIONS))
+            if config.agent.risk:
+                network = RiskNetwork(input_size(config.network, env.layout))
+                self._risk = plain_risk(network, config.agent.risk_horizon)
+        self.module.requires_grad_(False)
+
+    def load(self, weights: Weights) -> None:
+        """Take the weights of a policy and of its risk."""
+        risk, state = split_weights(weights)
+        if risk and self._risk is not None:
+            self._risk.network.load_state_dict(risk)
+        with naming_network(self.module, "load_state_dict"):  # its shapes may have changed
+            self.module.load_state_dict(state)
+
+    def play(self, seed: int) -> Row:
+        """Play the greedy episode of a seed; return its row."""
+        return play(self._env, TrainedPolicy(self.module.eval(), self._frames, self._risk), seed)

@@ -1,24 +1,127 @@
-"""The one episode loop.
+"""The one episode loop, what is recorded of an episode, and how its risks fared.
 
 In: an environment, a policy, a seed. Out: one ``Decision`` after the other, each made on request of
-the iterator, so that the caller can learn, display, wait or stop in between.
+the iterator, so that the caller can learn, display, wait or stop in between; a ``RecordedEpisode``
+for a file.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
-from flipperctl.api import FloatArray, Perception, Policy, Transition
-from flipperctl.env.actions import ALLOWED, action_index
+from flipperctl.api import ACTIONS, FloatArray, Outcome, Perception, Policy, Transition
+from flipperctl.checkpoint.recording import RecordedEpisode
+from flipperctl.core.risk import RiskSign
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.env.observer import Observer
+from flipperctl.env.pictures import Observer
+from flipperctl.env.termination import ALLOWED, action_index
 from flipperctl.errors import FlipperctlError
 from flipperctl.policies.abilities import RiskPolicy
-from flipperctl.rollout.risks import EpisodeRisks
+
+NO_LABEL = np.zeros(len(ACTIONS), np.float32)
+
+
+class EpisodeRecorder:
+    """Collects the decisions of one episode at a time."""
+
+    def __init__(self) -> None:
+        self._observations: list[NDArray[np.float32]] = []
+        self._decisions: list[tuple[int, float, NDArray[np.float32]]] = []
+
+    def add(
+        self,
+        observation: NDArray[np.float32],
+        action: int,
+        reward: float,
+        next_observation: NDArray[np.float32],
+        label: NDArray[np.float32] | None,
+    ) -> None:
+        """Add a decision; the observations are of single instants, (N + 3,) in SI units."""
+        if not self._decisions:
+            self._observations.append(observation)
+        self._observations.append(next_observation)
+        self._decisions.append((action, reward, NO_LABEL if label is None else label))
+
+    def drop(self) -> None:
+        """Discard the running episode."""
+        self._observations, self._decisions = [], []
+
+    def finish(self, number: int, ending: Row) -> RecordedEpisode:
+        """Return the episode that the last decision ended; begin the next one.
+
+        ``number`` counts episodes from 0; ``ending`` has the seed, outcome and terrain.
+        """
+        actions, rewards, labels = zip(*self._decisions, strict=True)
+        found = RecordedEpisode(
+            number=number,
+            seed=ending["seed"],
+            terrain=ending["terrain"],
+            outcome=Outcome(ending["outcome"]),
+            observations=np.array(self._observations, np.float32),
+            actions=np.array(actions, np.int64),
+            rewards=np.array(rewards, np.float64),
+            labels=np.array(labels, np.float32),
+        )
+        self.drop()
+        return found
+
+
+AHEAD = 3
+"""Decisions between a warning and the failing one from which on it is in time [-]."""
+_TOLD, _HORIZON, _THRESHOLD = "risks", "risk_horizon", "risk_threshold"
+
+
+@dataclass(frozen=True)
+class EpisodeRisks:
+    """The risk at each decision of an episode that has ended."""
+
+    sign: RiskSign
+    told: tuple[float, ...]
+    """Risk before each of the T decisions, (T,) [-]."""
+
+    def due(self, failed: bool) -> list[bool]:
+        """Return at which decisions the episode failed within the horizon, (T,)."""
+        first = len(self.told) - self.sign.horizon
+        return [failed and t >= first for t in range(len(self.told))]
+
+    @property
+    def warnings(self) -> list[bool]:
+        """At which decisions the policy warned, (T,)."""
+        return list(map(self.sign.warns, self.told))
+
+    @property
+    def in_time(self) -> bool:
+        """Whether it warned within the horizon before the end and ``AHEAD`` decisions ahead."""
+        until = max(0, len(self.told) - AHEAD)
+        return any(self.warnings[max(0, len(self.told) - self.sign.horizon) : until])
+
+    @classmethod
+    def of(cls, sign: RiskSign, told: Sequence[float]) -> Self:
+        """Return the risks with the six digits that rows keep."""
+        return cls(sign, tuple(float(f"{risk:.6g}") for risk in told))
+
+    def to_row(self) -> dict[str, Any]:
+        """Return the entries of a flat row of an episode."""
+        told = " ".join(map(repr, self.told))
+        return {_HORIZON: self.sign.horizon, _THRESHOLD: self.sign.threshold, _TOLD: told}
+
+    @classmethod
+    def pop(cls, row: dict[str, Any]) -> Self | None:
+        """Take the entries out of a flat row; None if it has none.
+
+        Raises:
+            ValueError: they are not those of ``to_row``.
+        """
+        if _TOLD not in row:
+            return None
+        told = tuple(map(float, row.pop(_TOLD).split()))
+        return cls(RiskSign(row.pop(_HORIZON), row.pop(_THRESHOLD)), told)
+
 
 Row = dict[str, Any]
 """Seed, outcome and metrics of one episode."""

@@ -7,18 +7,24 @@ This package imports neither torch nor pymunk nor pydantic, so a robot needs onl
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from flipperctl.core.lidar.mount import Mount
+    from flipperctl.core.lidar.body import Mount
     from flipperctl.core.targets import TargetRule
     from flipperctl.runtime.answer import Answer
     from flipperctl.runtime.controller import FlipperController
     from flipperctl.runtime.interface import Interface, Quantity
-    from flipperctl.runtime.joint_states import NewestJoints
-    from flipperctl.runtime.limits import Ages, Limits
-    from flipperctl.runtime.messages import Attitude, Cloud, JointAngles, Odometry
+    from flipperctl.runtime.messages import (
+        OURS,
+        REP_103,
+        Attitude,
+        Cloud,
+        JointAngles,
+        NewestJoints,
+        Odometry,
+        Signs,
+    )
     from flipperctl.runtime.point_cloud import PointTimes, read_cloud
     from flipperctl.runtime.policy import OnnxPolicy
-    from flipperctl.runtime.robot_setup import RobotSetup
-    from flipperctl.runtime.signs import OURS, REP_103, Signs
+    from flipperctl.runtime.setup import Ages, Limits, RobotSetup
 
 __all__ = [
     "OURS",
@@ -50,16 +56,16 @@ _MODULES = {
     "Cloud": "flipperctl.runtime.messages",
     "JointAngles": "flipperctl.runtime.messages",
     "Odometry": "flipperctl.runtime.messages",
-    "NewestJoints": "flipperctl.runtime.joint_states",
+    "NewestJoints": "flipperctl.runtime.messages",
     "PointTimes": "flipperctl.runtime.point_cloud",
     "read_cloud": "flipperctl.runtime.point_cloud",
-    "Ages": "flipperctl.runtime.limits",
-    "Limits": "flipperctl.runtime.limits",
-    "RobotSetup": "flipperctl.runtime.robot_setup",
-    "Signs": "flipperctl.runtime.signs",
-    "OURS": "flipperctl.runtime.signs",
-    "REP_103": "flipperctl.runtime.signs",
-    "Mount": "flipperctl.core.lidar.mount",
+    "Ages": "flipperctl.runtime.setup",
+    "Limits": "flipperctl.runtime.setup",
+    "RobotSetup": "flipperctl.runtime.setup",
+    "Signs": "flipperctl.runtime.messages",
+    "OURS": "flipperctl.runtime.messages",
+    "REP_103": "flipperctl.runtime.messages",
+    "Mount": "flipperctl.core.lidar.body",
     "Interface": "flipperctl.runtime.interface",
     "OnnxPolicy": "flipperctl.runtime.policy",
     "Quantity": "flipperctl.runtime.interface",

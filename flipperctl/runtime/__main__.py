@@ -70,8 +70,8 @@ def describe(interface: Interface) -> str:
 
 def _network(interface: Interface) -> list[str]:
     """Return lines about the input and the outputs of the network."""
-    from flipperctl.core.actions import ACTIONS
     from flipperctl.core.risk import LAGS
+    from flipperctl.core.targets import ACTIONS
     from flipperctl.runtime.session import INPUT, OUTPUT, RECURRENCE, RISK
 
     frames, size = interface.frames, interface.size
@@ -163,8 +163,8 @@ def _main(words: list[str]) -> int:
 def _on_messages(words: list[str]) -> int:
     """Run the self-test, or a policy in shadow mode, on a file of messages."""
     from flipperctl.runtime import self_test, shadow
-    from flipperctl.runtime.robot_setup import RobotSetup
-    from flipperctl.runtime.signs import CONVENTIONS
+    from flipperctl.runtime.messages import CONVENTIONS
+    from flipperctl.runtime.setup import RobotSetup
 
     rest, name = list(words), "flipperctl"
     if "--signs" in rest[:-1]:

@@ -17,13 +17,11 @@ from flipperctl.core.lidar.messages import Belts
 from flipperctl.core.sensing import Measured, SensedGround
 from flipperctl.runtime.answer import Answer, Pair, State, finite, log_line, short
 from flipperctl.runtime.estimating import new_estimator
-from flipperctl.runtime.following import Following
 from flipperctl.runtime.intake import Accepted, Fault, Intake
-from flipperctl.runtime.limits import Limits
 from flipperctl.runtime.messages import Attitude, Cloud, JointAngles, Odometry
 from flipperctl.runtime.policy import OnnxPolicy
-from flipperctl.runtime.robot_setup import RobotSetup
-from flipperctl.runtime.standby import Standby
+from flipperctl.runtime.setup import Limits, RobotSetup
+from flipperctl.runtime.watching import Following, Standby
 
 _ON_TIME = 1e-6
 """Part of a step by which a decision may be early, for times that are sums of periods [s]."""

@@ -8,11 +8,11 @@ from __future__ import annotations
 from flipperctl.core.lidar.body import Body
 from flipperctl.core.lidar.certainty import accuracy_of
 from flipperctl.core.lidar.estimator import LidarEstimator
-from flipperctl.core.lidar.map_quality import MapQuality
+from flipperctl.core.lidar.ground import MapQuality
 from flipperctl.core.lidar.matching import ScanMatcher
 from flipperctl.errors import MissingExtraError, PolicyError
 from flipperctl.runtime.interface import Interface
-from flipperctl.runtime.robot_setup import RobotSetup
+from flipperctl.runtime.setup import RobotSetup
 
 _LENGTHS = "chassis_length", "flipper_length", "track_radius"
 

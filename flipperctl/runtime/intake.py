@@ -15,10 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Scan
-from flipperctl.runtime.limits import Limits
-from flipperctl.runtime.messages import Attitude, Cloud, JointAngles, Odometry
-from flipperctl.runtime.orientations import ABSENT, Levels
-from flipperctl.runtime.robot_setup import RobotSetup
+from flipperctl.runtime.messages import ABSENT, Attitude, Cloud, JointAngles, Levels, Odometry
+from flipperctl.runtime.setup import Limits, RobotSetup
 
 Accepted = Scan | Inertial | Joints | Belts
 _FEWEST_POINTS = 20

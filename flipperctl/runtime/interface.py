@@ -1,13 +1,15 @@
-"""The inputs and outputs of an exported policy.
+"""The inputs and outputs of an exported policy, from the entries of its metadata.
 
-In: the metadata of an ONNX model. Out: an ``Interface``, checked.
+In: the metadata of an ONNX model, as JSON that is read strictly. Out: an ``Interface``, checked,
+and what a file without an optional entry means.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+import sys
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
@@ -17,23 +19,167 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.core import observation as layout
-from flipperctl.core.actions import PAIRS
-from flipperctl.core.escape import EscapeRule
-from flipperctl.core.lidar.map_quality import MapQuality
+from flipperctl.core.lidar.ground import MapQuality
 from flipperctl.core.observation import ANGLES
-from flipperctl.core.risk import RiskSign
-from flipperctl.core.targets import TargetRule
+from flipperctl.core.risk import LAGS, SCALE, EscapeRule, RiskSign
+from flipperctl.core.targets import PAIRS, TargetRule
 from flipperctl.errors import PolicyError
-from flipperctl.runtime import optional
-from flipperctl.runtime.checksum import FORMAT_VERSION, PREFIX
-from flipperctl.runtime.entries import (
-    is_count,
-    is_number,
-    is_positive,
-    is_table,
-    is_whole,
-    read_entry,
-)
+from flipperctl.runtime.session import FORMAT_VERSION, PREFIX
+
+
+def read_entry(
+    metadata: Mapping[str, str],
+    where: str,
+    name: str,
+    allowed: str,
+    check: Callable[[Any], bool],
+    absent: str = "",
+) -> Any:
+    """Return the value of an entry after ``check``; ``absent`` is the text of a missing entry.
+
+    Raises:
+        PolicyError: the entry is not JSON, or ``check`` rejects it.
+    """
+    text = metadata.get(f"{PREFIX}{name}", absent)
+    try:
+        value = json.loads(text)
+    except (ValueError, RecursionError):
+        value = None
+    if value is None or not check(value):
+        raise PolicyError(
+            f"{where}: {PREFIX}{name} is {text[:60]!r} in its metadata; {allowed} is allowed"
+        )
+    return value
+
+
+def is_whole(value: object) -> bool:
+    """Return whether a value is a whole number."""
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def is_count(value: object) -> bool:
+    """Return whether a value is a whole number above 0."""
+    return isinstance(value, int) and is_whole(value) and value > 0
+
+
+def is_number(value: object) -> bool:
+    """Return whether a value is a finite number."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) <= sys.float_info.max  # false for NaN; integers are unbounded
+
+
+def is_positive(value: object) -> bool:
+    """Return whether a value is a finite number above 0."""
+    return isinstance(value, int | float) and is_number(value) and value > 0
+
+
+def is_table(value: object) -> bool:
+    """Return whether a value is a table with a row of finite numbers for each action."""
+    return (
+        isinstance(value, list)
+        and len(value) == len(PAIRS.steps)
+        and all(
+            isinstance(row, list) and len(row) == len(PAIRS.joints) and all(map(is_number, row))
+            for row in value
+        )
+    )
+
+
+TARGETS = f"{PREFIX}targets"
+"""Metadata entry of the rule for the flippers' targets."""
+RISK = f"{PREFIX}risk"
+"""Metadata entry of the risk, in files whose policy tells one."""
+ESCAPE = f"{PREFIX}escape"
+"""Metadata entry of how actions are drawn on a warning, in files whose policy does so."""
+MAP = f"{PREFIX}map"
+"""Metadata entry of the map's settings, in files whose policy was trained with a LiDAR."""
+
+
+def targets(metadata: Mapping[str, str], where: str, robot: Mapping[str, float]) -> TargetRule:
+    """Return the rule for the targets; without its entry, the rule of earlier versions."""
+    if TARGETS not in metadata:
+        return TargetRule(window=math.inf, limit=robot.get("angle_limit", math.inf))
+    rule = read_entry(
+        metadata,
+        where,
+        TARGETS.removeprefix(PREFIX),
+        "a mapping with the angles window and limit, each above 0",
+        lambda v: (
+            isinstance(v, dict) and all(is_positive(v.get(key)) for key in ("window", "limit"))
+        ),
+    )
+    return TargetRule(window=rule["window"], limit=rule["limit"])
+
+
+def risk(metadata: Mapping[str, str], where: str) -> RiskSign | None:
+    """Return when the risk is a warning; None if the file has no risk."""
+    if RISK not in metadata:
+        return None
+    sign = read_entry(
+        metadata,
+        where,
+        RISK.removeprefix(PREFIX),
+        "a mapping with the whole number horizon, the threshold, above 0 and at most 1, the lags "
+        f"{list(LAGS)} and the scale {SCALE}",
+        lambda v: (
+            isinstance(v, dict)
+            and is_count(v.get("horizon"))
+            and is_positive(v.get("threshold"))
+            and v["threshold"] <= 1
+            and (v.get("lags"), v.get("scale")) == (list(LAGS), SCALE)
+        ),
+    )
+    return RiskSign(sign["horizon"], float(sign["threshold"]))
+
+
+def escape(metadata: Mapping[str, str], where: str) -> EscapeRule | None:
+    """Return how actions are drawn on a warning; None if they never are."""
+    if ESCAPE not in metadata:
+        return None
+    rule = read_entry(
+        metadata,
+        where,
+        ESCAPE.removeprefix(PREFIX),
+        f"a mapping with the temperature, above 0, and the whole number decisions, beside {RISK},",
+        lambda v: (
+            isinstance(v, dict)
+            and is_positive(v.get("temperature"))
+            and is_count(v.get("decisions"))
+            and RISK in metadata
+        ),
+    )
+    return EscapeRule(float(rule["temperature"]), rule["decisions"])
+
+
+def map_quality(metadata: Mapping[str, str], where: str) -> MapQuality | None:
+    """Return the settings of the training's map; None if the file does not state them."""
+    if MAP not in metadata:
+        return None
+    lengths, counts = ("cell", "lane", "half_width", "noise"), ("keep", "fewest")
+    quality = read_entry(
+        metadata,
+        where,
+        MAP.removeprefix(PREFIX),
+        f"a mapping with the lengths {', '.join(lengths)}, each above 0, the whole numbers "
+        f"{' and '.join(counts)}, each above 0, and deskew, true or false,",
+        lambda v: (
+            isinstance(v, dict)
+            and all(is_positive(v.get(key)) for key in lengths)
+            and all(is_count(v.get(key)) for key in counts)
+            and isinstance(v.get("deskew"), bool)
+        ),
+    )
+    return MapQuality(
+        cell=float(quality["cell"]),
+        lane=float(quality["lane"]),
+        keep=quality["keep"],
+        half_width=float(quality["half_width"]),
+        fewest=quality["fewest"],
+        noise=float(quality["noise"]),
+        deskew=quality["deskew"],
+    )
+
 
 LARGEST_ANGLE = math.pi
 """Largest angle of an observation, both ways [rad]; a larger one is probably in degrees."""
@@ -182,8 +328,8 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
         frames=entry("frames", "a whole number above 0", is_count, absent="1"),
         joints=tuple(joints),
         actions=actions,
-        targets=optional.targets(metadata, where, robot),
-        states_targets=optional.TARGETS in metadata,
+        targets=targets(metadata, where, robot),
+        states_targets=TARGETS in metadata,
         decision_period=entry("decision_period", "a time above 0", is_positive),
         robot=MappingProxyType(robot),
         terrain=terrain,
@@ -199,9 +345,9 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
                 absent="[]",
             )
         ),
-        risk=optional.risk(metadata, where),
-        escape=optional.escape(metadata, where),
-        map_quality=optional.map_quality(metadata, where),
+        risk=risk(metadata, where),
+        escape=escape(metadata, where),
+        map_quality=map_quality(metadata, where),
     )
 
 

@@ -1,15 +1,115 @@
 """The messages that a robot's driver hands to ``FlipperController.step``.
 
-In: numbers of the driver. Out: plain data with the time of the measurement. Nothing is checked
-here: the controller refuses what does not fit, with a reason.
+In: numbers of the driver in the robot's convention; ``JointState`` messages, which may hold a part
+of the joints each. Out: plain data with the time of the measurement, in flipperctl's signs; the
+mean angle of each pair of flippers; whether a level orientation is one that no one fills in.
+Nothing is checked here: the controller refuses what does not fit, with a reason.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields, replace
 
+import numpy as np
 from numpy.typing import ArrayLike
+
+from flipperctl.errors import PolicyError
+
+
+@dataclass(frozen=True)
+class Signs:
+    """1 where the robot's convention agrees with flipperctl's, -1 where it is opposite."""
+
+    front: int = 1
+    """Of the front flippers' angle: flipperctl's grows when they are raised."""
+    rear: int = 1
+    """Of the rear flippers' angle: flipperctl's grows when they are raised."""
+    pitch: int = 1
+    """Of the pitch: flipperctl's grows when the nose is lifted."""
+    yaw: int = 1
+    """Of the yaw rate: flipperctl's is positive to the left."""
+    x: int = 1
+    """Of the x axis of clouds and odometry: flipperctl's points ahead. -1 turns clouds by π."""
+
+    def __post_init__(self) -> None:
+        """Refuse other factors."""
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if value not in (1, -1) or isinstance(value, bool):
+                raise PolicyError(f"signs.{field.name} is {value!r}; 1 or -1 is allowed")
+
+
+OURS = Signs()
+"""The robot measures as flipperctl does."""
+REP_103 = Signs(front=-1, pitch=-1)
+"""Rotations about +y, to the left: front flipper down, rear flipper up and nose down positive."""
+CONVENTIONS = {"flipperctl": OURS, "rep103": REP_103}
+"""The named conventions."""
+
+
+class NewestJoints:
+    """The newest angle of each flipper's joint."""
+
+    def __init__(self, front: Sequence[str], rear: Sequence[str]) -> None:
+        """``front`` and ``rear``: names of the joints of each pair."""
+        self._pairs = front, rear
+        self._angles: dict[str, tuple[float, float]] = {}  # joint → its stamp and angle
+
+    def take(
+        self, stamp: float, names: Iterable[str], positions: Iterable[float]
+    ) -> JointAngles | None:
+        """Receive a message; return the angles of the pairs, of the stamp of the oldest of them.
+
+        None: the message is of other joints, or there is a joint without an angle yet.
+        """
+        ours = {name for pair in self._pairs for name in pair}
+        told = {n: (stamp, float(p)) for n, p in zip(names, positions, strict=False) if n in ours}
+        self._angles |= told
+        if not told or ours - self._angles.keys():
+            return None
+        oldest = float(np.min([time for time, _ in self._angles.values()]))  # NaN if one is
+        front, rear = (math.fsum(self._angles[n][1] for n in p) / len(p) for p in self._pairs)
+        return JointAngles(oldest, front, rear)
+
+
+_MEMORY = 2.0
+"""Time over which rates count; the error of a gyroscope does not add up [s]."""
+_TILTED = 0.05
+"""Angle that the rates turn, while the orientation stays level, from which it is none [rad]."""
+_JUMP, _AT_ONCE = 0.1, 0.05
+"""Tilt [rad] from or to which an orientation cannot become level within a time [s]."""
+ABSENT = "a filter such as imu_filter_madgwick adds an orientation"
+
+
+class Levels:
+    """Whether exactly level orientations have been found to be none."""
+
+    def __init__(self) -> None:
+        self.unset = ""
+        """What contradicts them; empty if nothing does."""
+        self._turned = [0.0, 0.0]  # about x and y, as far as remembered [rad]
+        self._last: tuple[float, float, bool] | None = None  # time, tilt, whether it was level
+
+    def add(self, time: float, tilt: float, rates: tuple[float, float]) -> bool:
+        """Learn from a message; return whether its orientation is none.
+
+        ``tilt``: angle of the z axis to the vertical, exactly 0 of an orientation that is not set
+        [rad]; ``rates``: about the x and y axes [rad/s].
+        """
+        level, last = tilt == 0, self._last
+        self._last = time, tilt, level
+        if last is not None and 0 < (elapsed := time - last[0]) < 1:
+            kept = math.exp(-elapsed / _MEMORY) if level and last[2] else 0.0
+            turns = [rate * elapsed if math.isfinite(rate) else 0.0 for rate in rates]
+            self._turned = [kept * a + b for a, b in zip(self._turned, turns, strict=True)]
+            turned = max(map(abs, self._turned))
+            if level and last[2] and turned > _TILTED:
+                self.unset = f"is level in every message while its rates tilt by {turned:.2f} rad"
+            elif level != last[2] and elapsed < _AT_ONCE and abs(tilt - last[1]) > _JUMP:
+                self.unset = f"jumps between level and {max(tilt, last[1]):.2f} rad"
+        return level and bool(self.unset)
 
 
 @dataclass(frozen=True, eq=False)

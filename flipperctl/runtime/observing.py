@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from flipperctl.core import observation as layout
-from flipperctl.core.bins import mean_heights
+from flipperctl.core.observation import mean_heights
 from flipperctl.errors import NonFiniteError, PolicyError
 from flipperctl.runtime.interface import Interface
 

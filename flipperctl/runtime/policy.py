@@ -12,9 +12,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from flipperctl.core.actions import ACTIONS
-from flipperctl.core.escape import Escape
 from flipperctl.core.observation import ANGLES
+from flipperctl.core.risk import Escape
+from flipperctl.core.targets import ACTIONS
 from flipperctl.errors import FlipperctlError, NonFiniteError, PolicyError
 from flipperctl.runtime.interface import LARGEST_ANGLE, read_interface
 from flipperctl.runtime.observing import Frame, observe, real_numbers

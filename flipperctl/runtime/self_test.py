@@ -14,13 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from flipperctl.core.lidar.body import mounting
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Scan
-from flipperctl.core.lidar.rotations import mounting
 from flipperctl.errors import PolicyError
 from flipperctl.runtime.intake import Intake
-from flipperctl.runtime.limits import Limits
 from flipperctl.runtime.messages import Attitude, Cloud, JointAngles, Odometry
-from flipperctl.runtime.robot_setup import RobotSetup
+from flipperctl.runtime.setup import Limits, RobotSetup
 
 _PATIENCE = 60.0
 """Time without the motion that was asked for after which a part counts as not measured [s]."""

@@ -16,7 +16,7 @@ from typing import Any
 from flipperctl.runtime.answer import Answer
 from flipperctl.runtime.controller import FlipperController
 from flipperctl.runtime.messages import JointAngles
-from flipperctl.runtime.robot_setup import RobotSetup
+from flipperctl.runtime.setup import RobotSetup
 
 _TICK = 0.05
 """Longest time between two steps, which a robot's timer keeps without messages too [s]."""

@@ -4,10 +4,8 @@ It composes, locks, writes and refuses as the commands do, since it calls the sa
 names from ``flipperctl``.
 """
 
-from flipperctl.scripting.evaluating import evaluate
+from flipperctl.scripting.evaluating import Evaluation, evaluate
 from flipperctl.scripting.policy import LoadedPolicy, load
-from flipperctl.scripting.result import Evaluation
-from flipperctl.scripting.run import Run
-from flipperctl.scripting.training import train
+from flipperctl.scripting.training import Run, train
 
 __all__ = ["Evaluation", "LoadedPolicy", "Run", "evaluate", "load", "train"]

@@ -30,11 +30,11 @@ from flipperctl.cli.hydra.compose import with_preset
 from flipperctl.config import EnvConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError, NonFiniteError, PolicyError, RequestError
+from flipperctl.evaluation.policies import find_policy, read_config
 from flipperctl.messages import close_match
 from flipperctl.policies.abilities import ObservationPolicy
 from flipperctl.policies.source import PolicySource
-from flipperctl.runs.inherited import find_policy, read_config
-from flipperctl.scripting.beginning import Paths, begin, short_errors
+from flipperctl.scripting.settings import Paths, begin, short_errors
 from flipperctl.terminal.streams import print_note
 
 

@@ -1,22 +1,61 @@
-"""Keyword arguments as the overrides that the commands take.
+"""Keyword arguments as the overrides that the commands take, with the plugins of this process.
 
-In: Python values by configuration key. Out: words in Hydra's grammar, ``key=value``.
+In: Python values by configuration key. Out: words in Hydra's grammar, ``key=value``; plugins at the
+begin of every function of the interface; short errors; and a refusal of plugins that a script or
+notebook defines and worker processes cannot find.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from enum import Enum
 
 import numpy as np
 
-from flipperctl.api import Settings
-from flipperctl.config import to_dict
+from flipperctl import entry
+from flipperctl import plugins as registered
+from flipperctl import session as follow_up
+from flipperctl.api import Measure, Plugin, Settings, registry
+from flipperctl.config import EnvConfig, TrainConfig, resolver, to_dict
 from flipperctl.config.defaults import CHOICES, LISTS
 from flipperctl.config.words import quoted
-from flipperctl.errors import ConfigError
+from flipperctl.errors import ConfigError, PluginError, RequestError
+from flipperctl.terminal import notices
+
+Paths = Sequence[str | os.PathLike[str]]
+
+
+def begin(plugins: Paths) -> None:
+    """Load the installed plugins and those at these paths, ``.py`` files or folders.
+
+    Raises:
+        PluginError: a plugin is missing, does not import or uses a taken name.
+        RequestError: the paths are not a list.
+    """
+    if isinstance(plugins, str | os.PathLike):
+        raise RequestError(f"plugins: a list of paths is allowed; the value is {plugins!r}")
+    notices.begin()
+    paths = [os.fspath(path) for path in plugins]
+    follow_up.remember_plugins(paths)
+    registered.load(paths)
+
+
+@contextlib.contextmanager
+def short_errors() -> Iterator[None]:
+    """Leave the errors behind a refused request out of its traceback, since its text has them.
+
+    With ``FLIPPERCTL_DEBUG=1`` they stay.
+    """
+    try:
+        yield
+    except RequestError as error:
+        if os.environ.get(entry.DEBUG) != "1":
+            error.__cause__ = None
+        raise
+
 
 _NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _RESERVED = {"null", "true", "false", "nan", "inf"}
@@ -113,3 +152,49 @@ def _plain(value: object) -> object:
     if isinstance(value, range | tuple):
         return list(value)
     return value
+
+
+_SCRIPT = "__main__"
+
+
+def check_training(config: TrainConfig) -> None:
+    """Check the plugins of a training, whose episodes workers play unless it is exact.
+
+    Raises:
+        PluginError: a plugin is defined in the script or notebook that calls.
+    """
+    if config.train.mode != "exact":
+        used = [*_environment(config), config.network, config.teacher.controller]
+        _check(used, "train with train={'mode': 'exact'}")
+
+
+def check_evaluation(config: EnvConfig, jobs: int, controller: str | None) -> None:
+    """Check the plugins of an evaluation, whose episodes workers play if there are several jobs.
+
+    Raises:
+        PluginError: a plugin is defined in the script or notebook that calls.
+    """
+    if jobs > 1:
+        own = [] if controller is None else [registry["controller", controller]]
+        _check([*_environment(config), *own], "leave jobs at 1")
+
+
+def _environment(config: EnvConfig) -> list[Plugin]:
+    return [config.terrain, config.sim, config.perception, *config.rewards.values()]
+
+
+def _check(used: Iterable[Plugin | type[Plugin] | None], otherwise: str) -> None:
+    # Every measure is taken, whether a configuration names it or not.
+    classes = [cls for (kind, _), cls in registry.items() if kind == Measure.kind]
+    for one in used:
+        if isinstance(one, Plugin):
+            classes += [type(part) for part in resolver.nested_plugins(one)]
+        elif one is not None:
+            classes.append(one)
+    for cls in classes:
+        if cls.__module__ == _SCRIPT:
+            raise PluginError(
+                f"{cls.kind} {cls.plugin_name!r} is defined in this script or notebook, which "
+                f"worker processes do not run: save it in a file and give plugins=[FILE], or "
+                f"{otherwise}"
+            )

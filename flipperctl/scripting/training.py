@@ -1,26 +1,82 @@
-"""Train a policy, as ``flipperctl train`` does."""
+"""Train a policy, as ``flipperctl train`` does; the result is a finished run."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from flipperctl.cli.hydra.compose import compose_train, run_directory
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import TrainConfig
 from flipperctl.config.words import key_of
 from flipperctl.errors import ConfigError, InterruptedRunError
-from flipperctl.runs import preflight
-from flipperctl.runs.interrupts import interrupts
-from flipperctl.runs.training import Finished, start
-from flipperctl.runs.training import resume as resume_run
-from flipperctl.scripting.beginning import Paths, begin, short_errors
+from flipperctl.results import METRICS
+from flipperctl.scripting.evaluating import data_frame
+from flipperctl.scripting.policy import LoadedPolicy, load
 from flipperctl.scripting.progress import training_reports
-from flipperctl.scripting.run import Run
-from flipperctl.scripting.settings import words
-from flipperctl.scripting.workers import check_training
+from flipperctl.scripting.settings import Paths, begin, check_training, short_errors, words
+from flipperctl.session import interrupts
 from flipperctl.terminal.training import check_resumed, print_best
+from flipperctl.training import run as preflight
+from flipperctl.training.listeners import read_rows
+from flipperctl.training.run import Finished, start
+from flipperctl.training.run import resume as resume_run
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+
+@dataclass(frozen=True)
+class Run:
+    """A training that is finished, and its files."""
+
+    directory: Path
+    """The run directory: configuration, checkpoints, metrics."""
+    summary: Mapping[str, Any] = field(repr=False)
+    """Contents of ``summary.json``: the best validation, and how long the training took."""
+
+    def __fspath__(self) -> str:
+        return str(self.directory)
+
+    def metrics(self) -> list[dict[str, float | str | None]]:
+        """Return the rows of ``metrics.csv``: one for each episode and each validation.
+
+        ``kind`` is ``episode`` or ``validation``; a number that a row lacks is None.
+        """
+        rows = read_rows(self.directory / METRICS)
+        return [{name: _value(cell) for name, cell in row.items()} for row in rows]
+
+    def metrics_frame(self) -> DataFrame:
+        """Return the rows of ``metrics.csv`` as a data frame of pandas.
+
+        Raises:
+            MissingExtraError: pandas is not installed.
+        """
+        return data_frame(self.metrics())
+
+    def policy(self) -> LoadedPolicy:
+        """Return the best policy of the run, ready to act.
+
+        Raises:
+            CheckpointError: its checkpoint was deleted or damaged.
+        """
+        return load(self.directory)
+
+
+def _value(cell: str) -> float | str | None:
+    """Return the number in a cell, None if it is empty, else its text."""
+    if not cell:
+        return None
+    for number in (int, float):
+        try:
+            return number(cell)
+        except ValueError:
+            continue
+    return cell
+
 
 _FOLDER = "hydra.run.dir"
 

@@ -9,9 +9,15 @@ import math
 from dataclasses import replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray, Profile
+from flipperctl.core import ground_map as thinning
+from flipperctl.sim.jit import cached
+
+kept_points = cached(njit)(thinning.kept_points)
+
 
 TOLERANCE = 1e-4
 """Largest distance by which thinning may move the ground that a track feels [m].
@@ -46,7 +52,6 @@ def thinned(profile: Profile, track_radius: float) -> Profile:
     """
     if len(profile.points) <= FEW:
         return profile
-    from flipperctl.sim.thinning import kept_points  # numba takes a third of a second to import
 
     span = math.sqrt(8 * track_radius * TOLERANCE)
     keep = kept_points(profile.points, _fixed(profile.points), TOLERANCE, span)

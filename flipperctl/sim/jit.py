@@ -1,19 +1,135 @@
-"""Numba's decorators with a cache on disk, if a folder is writable.
+"""Numba's decorators with a cache on disk, one folder for each version of the compiled sources.
 
-Containers and services may have no writable folder; every process then compiles again.
+Numba compiles a function again when the file that defines it changes. It does not notice a change
+in a function of another file that is compiled into it, in a constant of another file, or in a
+library whose structs compiled code reads by their offsets. Therefore a digest of all of these is
+part of the folder's name. Containers and services may have no writable folder; every process then
+compiles again.
 """
 
 from __future__ import annotations
 
 import contextlib
+import hashlib
+import importlib.util
 import logging
-from collections.abc import Callable, Iterator
+import os
+import shutil
+import stat
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+import llvmlite
 import numba
+import numpy as np
+from numba.misc.appdirs import AppDirs
 
-from flipperctl.sim.code_cache import machine_code_folder
+PACKAGE = Path(__file__).parents[1]
+SOURCES = ("api", "core", "lookahead", "sim")
+"""Folders of the package that hold all functions and constants in compiled code."""
+_NAME = "machine_code"
+_KEPT = 4
+"""Number of folders of other digests that are kept however old they are."""
+_UNUSED = 86_400.0
+"""Time without a process that used a folder, after which it may be removed [s]."""
+
+
+@cache
+def machine_code_folder() -> Path | None:
+    """Return the writable folder for the current digest, or None without one.
+
+    It lies in the folder that ``NUMBA_CACHE_DIR`` names, or else beside the package's byte code, in
+    the user's numba folder, or in the temporary folder. A few folders of earlier digests are kept.
+    """
+    digest = code_digest((PACKAGE / name for name in SOURCES), _libraries())
+    for base in _bases():
+        folder = base / _NAME / digest
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            tempfile.TemporaryFile(dir=folder).close()
+            os.utime(folder)
+        except OSError:  # it is not writable, or full
+            continue
+        _remove_unused(folder)
+        return folder
+    return None
+
+
+def code_digest(folders: Iterable[Path], libraries: Iterable[Path]) -> str:
+    """Return a digest of the Python files in folders, of libraries' files and of versions."""
+    found = hashlib.sha256()
+    versions = (sys.version, numba.__version__, llvmlite.__version__, np.__version__)
+    found.update(repr(versions).encode())
+    sources = [(path, path.relative_to(folder)) for folder in folders for path in _python(folder)]
+    for path, name in (*sources, *((path, Path(path.name)) for path in libraries)):
+        content = path.read_bytes()
+        found.update(f"{name.as_posix()} {len(content)}\n".encode())
+        found.update(content)
+    return found.hexdigest()[:16]
+
+
+def _python(folder: Path) -> list[Path]:
+    return sorted(folder.rglob("*.py"))
+
+
+def _libraries() -> list[Path]:
+    """Return pymunk's version and its compiled library, whose functions and structs are used."""
+    spec = importlib.util.find_spec("pymunk")
+    places = [Path(place) for place in (spec and spec.submodule_search_locations) or ()]
+    return [path for place in places for path in sorted(place.glob("_chipmunk*")) if path.is_file()]
+
+
+def _bases() -> Iterator[Path]:
+    if configured := vars(numba.config)["CACHE_DIR"]:
+        yield Path(configured)
+        return
+    yield PACKAGE / "__pycache__"
+    user = AppDirs(appname="numba", appauthor=False)  # type: ignore[no-untyped-call]
+    yield Path(user.user_cache_dir) / "flipperctl"
+    if (private := private_folder()) is not None:
+        yield private
+
+
+def _remove_unused(used: Path) -> None:
+    """Remove folders of other digests that no process has used for a day, except the newest.
+
+    A process that still uses one of them compiles again. A folder is renamed first, so that only
+    one of several processes removes it.
+    """
+    oldest = time.time() - _UNUSED
+    with contextlib.suppress(OSError):  # another process may remove them at the same time
+        others = [path for path in used.parent.iterdir() if path != used]
+        others.sort(key=lambda path: path.stat().st_mtime, reverse=True)
+        for path in others[_KEPT:]:
+            if path.stat().st_mtime < oldest:
+                doomed = path.with_name(f"{path.name}.{os.getpid()}")
+                path.rename(doomed)
+                shutil.rmtree(doomed, ignore_errors=True)
+
+
+def private_folder() -> Path | None:
+    """Return this user's own folder for numba among the temporary files, or None without one.
+
+    Numba unpickles the files in its cache, so no other user may be able to write there.
+    """
+    user = os.getuid() if hasattr(os, "getuid") else "user"
+    try:
+        folder = Path(tempfile.gettempdir()) / f"flipperctl-numba-{user}"
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.lstat()
+    except OSError:  # the temporary folder is not writable, or a file is in its place
+        return None
+    if not stat.S_ISDIR(found.st_mode):
+        return None
+    if user != "user" and (found.st_uid != user or found.st_mode & 0o077):
+        return None
+    return folder
+
 
 _LOG = logging.getLogger(__name__)
 

@@ -10,8 +10,41 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 
 from flipperctl.api import FloatArray, Profile, Robot, Start
+from flipperctl.sim.jit import cached
+
+
+@cached(njit)
+def inflated(
+    line: FloatArray, origin: float, spacing: float, count: int, radius: float
+) -> FloatArray:
+    """Return the lowest heights of a circle's centre above a polyline, (count,) [m].
+
+    The circle has ``radius`` [m]; its centre is at ``origin`` and every ``spacing`` [m] past it.
+    ``line`` is (V, 2) [m] with x that never decreases.
+    """
+    found = np.full(count, -np.inf)
+    for i in range(len(line) - 1):
+        x0, z0, x1, z1 = line[i, 0], line[i, 1], line[i + 1, 0], line[i + 1, 1]
+        slope = (z1 - z0) / (x1 - x0) if x1 > x0 else 0.0
+        steep = math.sqrt(1 + slope * slope)
+        low = max(0, math.ceil((x0 - radius - origin) / spacing))
+        high = min(count - 1, math.floor((x1 + radius - origin) / spacing))
+        for j in range(low, high + 1):
+            x = origin + j * spacing
+            touched = x + radius * slope / steep
+            height = -np.inf
+            if x0 < touched < x1:
+                height = z0 + slope * (touched - x0) + radius / steep
+            if abs(x - x0) <= radius:
+                height = max(height, z0 + math.sqrt(radius * radius - (x - x0) ** 2))
+            if abs(x - x1) <= radius:
+                height = max(height, z1 + math.sqrt(radius * radius - (x - x1) ** 2))
+            found[j] = max(found[j], height)
+    return found
+
 
 OVERLAP = 0.005
 """Largest overlap of the robot with the ground at the start [m]."""
@@ -82,8 +115,6 @@ class _Ground:
     @classmethod
     def around(cls, profile: Profile, robot: Robot, x: float, front: float, rear: float) -> _Ground:
         """Return the ground within the robot's reach."""
-        from flipperctl.sim.standing import inflated  # numba takes long to import
-
         reach = robot.hinge_offset + robot.flipper_axle + 2 * _GRID
         margin = reach + robot.track_radius
         line = profile.extended(margin + abs(x - profile.start), margin + abs(x - profile.end))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from flipperctl.checkpoint import Checkpoint
-from flipperctl.terminal.pitch_variation import pitch_variation_text
+from flipperctl.terminal.progress import pitch_variation_text
 
 
 def print_checkpoint(found: dict[str, Any], saved: Checkpoint) -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from flipperctl.evaluation.conventions import Probe
 from flipperctl.show import Column, Table, print_table
-from flipperctl.studies.conventions import Probe
 from flipperctl.terminal.console import console
 
 _COLUMNS = (

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from flipperctl import checkpoint
+from flipperctl import session as follow_up
 from flipperctl.errors import CheckpointError
-from flipperctl.runs import follow_up
 from flipperctl.show import Column, Table, print_table
 from flipperctl.terminal.console import console
-from flipperctl.terminal.pitch_variation import HEADING, PAPERS_HEADING
+from flipperctl.terminal.progress import HEADING, PAPERS_HEADING
 
 _COLUMNS = (
     Column("decision", "decision", named=True),

@@ -1,15 +1,16 @@
-"""Print any text on standard output and standard error.
+"""Print any text on standard output and standard error; with ``--json``, one document alone.
 
-A character that the encoding of a stream lacks is spelt plainly, instead of an error. With
-``--json``, standard output has the document alone.
+A character that the encoding of a stream lacks (``LANG=C``, an old code page) is replaced by a
+plain spelling, instead of an error.
 """
 
 from __future__ import annotations
 
 import io
+import json
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from typing import TextIO
 
@@ -94,3 +95,12 @@ def log_to_stderr() -> None:
     log = logging.getLogger("flipperctl")
     log.setLevel(logging.DEBUG)
     log.handlers[:] = [logging.StreamHandler()]
+
+
+def show(document: object, tables: Callable[[], None], *, as_json: bool) -> None:
+    """Print ``document``, plain data, as JSON, or call ``tables`` to print the tables."""
+    if as_json:
+        print(json.dumps(document, indent=2), file=document_stream(), flush=True)
+    else:
+        tables()
+        sys.stdout.flush()

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from flipperctl.runs.comparison import FILE, SweepRun
-from flipperctl.runs.follow_up import quote_path
+from flipperctl.session import quote_path
 from flipperctl.show import NONE, Column, Table, print_table
 from flipperctl.terminal.console import console
-from flipperctl.terminal.pitch_variation import HEADING, PAPERS_HEADING
+from flipperctl.terminal.progress import HEADING, PAPERS_HEADING
+from flipperctl.training.sweep import FILE, SweepRun
 
 _ROWS = 40
 """Largest number of runs in the table; the file holds all."""

@@ -10,12 +10,11 @@ from typing import Any
 
 from flipperctl.config import TrainConfig
 from flipperctl.evaluation.views import regret, risk
-from flipperctl.runs.follow_up import command
-from flipperctl.runs.preflight import check_device
-from flipperctl.runs.training import Finished, Reports
+from flipperctl.session import command
 from flipperctl.terminal.notices import print_notices
 from flipperctl.terminal.progress import progress, way_text
 from flipperctl.terminal.streams import print_note
+from flipperctl.training.run import Finished, Reports, check_device
 
 
 def reports() -> Reports:

@@ -122,7 +122,7 @@ def exportable(network: Network) -> None:
 def _built(network: Network, layout: ObservationLayout = LAYOUTS[-1]) -> torch.nn.Module:
     import torch
 
-    from flipperctl.agent.building import build_network
+    from flipperctl.agent.networks import build_network
     from flipperctl.agent.noise import Noise
 
     with torch.random.fork_rng(devices=[]):

@@ -28,7 +28,7 @@ from flipperctl.api import (
 )
 from flipperctl.config import EnvConfig, parse
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.policies.function import FunctionPolicy
+from flipperctl.policies.plugin import FunctionPolicy
 from flipperctl.rollout.episode import decisions
 
 HOLD = action_index(0, 0)

@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 from flipperctl import plugins as loader
 from flipperctl.api import Logger, Plugin
-from flipperctl.testing import common
+from flipperctl.testing import check as common
 from flipperctl.testing.check import Check, run_on_variants
 from flipperctl.testing.variants import Variant, variants
 
@@ -128,7 +128,8 @@ def _checks(cls: type[Plugin], pictures: Path | None) -> Iterator[Check]:
 
 
 def _check_pictures(cases: list[Variant], folder: Path | None) -> None:
-    from flipperctl.testing import picture, terrain
+    from flipperctl.testing import terrain
+    from flipperctl.testing import terrain as picture
 
     run_on_variants(cases[:1], lambda t: picture.shows_ground_and_robot(t, full=True))
     run_on_variants(cases[1:], lambda t: picture.shows_ground_and_robot(t, full=False))

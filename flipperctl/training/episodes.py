@@ -13,15 +13,13 @@ from flipperctl.config import TrainConfig, to_dict
 from flipperctl.core.schedules import linear
 from flipperctl.env import ground
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.policies.drawing import DrawingPolicy
-from flipperctl.policies.exploring import ExploringPolicy
 from flipperctl.policies.source import controller_notes, controller_policy
-from flipperctl.policies.taught import TaughtPolicy
+from flipperctl.policies.training import DrawingPolicy, ExploringPolicy, TaughtPolicy
 from flipperctl.rollout.collect import AsyncCollector, Collector, InProcessCollector, RolloutWorkers
-from flipperctl.rollout.processes import ProcessWorkers
+from flipperctl.rollout.pool import ProcessWorkers
 from flipperctl.rollout.seeds import training_seed
 from flipperctl.rollout.values import RolloutRequest, Stop, Weights
-from flipperctl.training.progress import Progress
+from flipperctl.training.saving import Progress
 
 
 class EpisodeSource:

@@ -1,24 +1,162 @@
-"""The recorded episodes that a training learns from.
+"""The recorded episodes that a training learns from, and what must be equal in both.
 
-In: a file of recorded episodes. Out: transitions in the replay.
+In: a training's configuration and a file of recorded episodes. Out: transitions in the replay; an
+error if the episodes have another meaning in the training; notes on the conditions that differ and
+on what has no effect.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.agent.frames import stacked
+from flipperctl.agent.networks import stacked
 from flipperctl.agent.replay import Replay
-from flipperctl.api import MAX_HISTORY
+from flipperctl.api import MAX_HISTORY, ObservationLayout, Robot
 from flipperctl.checkpoint import recording
-from flipperctl.checkpoint.recording import Recording
-from flipperctl.config import TrainConfig
+from flipperctl.checkpoint.recording import PartialEnvironment, Recording
+from flipperctl.config import TrainConfig, to_dict
+from flipperctl.config.randomise import OMITTED
 from flipperctl.errors import ConfigError
-from flipperctl.training.recorded_fit import check_fit, notes
+
+_SECTIONS = ("sim", "perception", "episode", "randomise")
+"""Sections of an environment that may differ: the student can learn from other conditions."""
+
+
+def check_fit(config: TrainConfig, found: Recording) -> None:
+    """Check that recorded episodes mean the same in a training.
+
+    The observation layout and the robot must be the training's: the robot determines the turn of
+    each action and the duration of a decision. So must the rewards, if the training uses them.
+
+    Raises:
+        ConfigError: they differ; the message has each differing setting with both values. Or
+            nothing could be learnt from them.
+    """
+    _check_labels(config, found)
+    for environment in found.document.environments:
+        _check_layout(config, found.path, environment)
+        _check_robot(config.robot, found.path, environment)
+        _check_rewards(config, found.path, environment)
+
+
+def notes(config: TrainConfig, found: Recording) -> Iterator[str]:
+    """Yield what the user of a training should know about its recorded episodes, a line each."""
+    if text := differing_conditions(config, found):
+        yield text
+    agent = config.agent
+    if agent.cut_at_random and agent.n_step > 1 and config.teacher.td_weight:
+        yield (
+            f"teacher.episodes: {found.path} does not say which actions were random: sums of "
+            "rewards over its decisions are not cut, whatever agent.cut_at_random"
+        )
+
+
+def differing_conditions(config: TrainConfig, found: Recording) -> str:
+    """Return a sentence with the differing settings of simulation, sensing and episodes.
+
+    It is empty if none differ.
+    """
+    ours = to_dict(config.environment())
+    ours["randomise"] = _complete(ours["randomise"])
+    left_out: dict[str, Collection[str]] = {
+        "sim": config.sim.without_effect,
+        "perception": ObservationLayout.model_fields.keys(),
+    }
+    texts = dict.fromkeys(
+        text
+        for environment in found.document.environments
+        for section in _SECTIONS
+        for text in _differing(
+            section,
+            {k: v for k, v in ours[section].items() if k not in left_out.get(section, ())},
+            _section(environment, section),
+        )
+    )
+    if not texts:
+        return ""
+    return f"teacher.episodes: {found.path} was recorded under other conditions: {', '.join(texts)}"
+
+
+def _section(environment: PartialEnvironment, section: str) -> dict[str, Any]:
+    found = environment.model_dump(mode="json").get(section, {})
+    return _complete(found) if section == "randomise" else found
+
+
+def _complete(randomise: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the section with what files omit."""
+    return {**randomise, **{name: randomise.get(name, none) for name, none in OMITTED.items()}}
+
+
+def _check_layout(config: TrainConfig, path: Path, environment: PartialEnvironment) -> None:
+    ours, theirs = config.perception, environment.perception
+    if (ours.bins, ours.bin_width) != (theirs.bins, theirs.bin_width):
+        raise ConfigError(
+            f"teacher.episodes: {path} holds observations of {theirs.bins} bins of "
+            f"{theirs.bin_width:g} m; perception.bins and perception.bin_width ask for {ours.bins} "
+            f"of {ours.bin_width:g} m"
+        )
+
+
+def _check_labels(config: TrainConfig, found: Recording) -> None:
+    teacher = config.teacher
+    if teacher.td_weight or teacher.controller is not None:
+        return
+    if not any(episode.labels.any() for episode in found.episodes):
+        raise ConfigError(
+            f"teacher.episodes: {found.path} holds no labels, so that nothing is learnt with "
+            "teacher.td_weight=0; record it in a training with a teacher, or set teacher.td_weight "
+            "to learn from its rewards"
+        )
+
+
+def _check_robot(robot: Robot, path: Path, environment: PartialEnvironment) -> None:
+    ours = to_dict(robot)
+    theirs = {**to_dict(Robot()), **environment.robot}  # an earlier version lacks some settings
+    texts = list(_differing("robot", ours, theirs))
+    if not texts:
+        return
+    period = theirs["control_period"] or theirs["angle_step"] / theirs["flipper_speed"]
+    if period != (own := robot.decision_period):
+        texts.append(f"a decision period of {period:.6g} s (here {own:.6g})")
+    settings = [f"robot.{k}={v}" for k, v in theirs.items() if v != ours.get(k)]
+    raise ConfigError(
+        f"teacher.episodes: {path} was recorded with another robot: {', '.join(texts)}; record it "
+        f"again with the robot of the training, or train with {' '.join(settings)}"
+    )
+
+
+def _check_rewards(config: TrainConfig, path: Path, environment: PartialEnvironment) -> None:
+    rewards = {name: term.model_dump(mode="json") for name, term in environment.rewards.items()}
+    if config.teacher.td_weight and rewards != to_dict(config.environment())["rewards"]:
+        raise ConfigError(
+            f"teacher.episodes: {path} was recorded with other rewards "
+            f"({', '.join(rewards) or 'none'}); record it with those of the training, or learn "
+            "from its labels alone with teacher.td_weight=0"
+        )
+
+
+def _differing(section: str, ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> Iterator[str]:
+    """Yield each setting of a section whose value differs, with both values.
+
+    Another engine or sensor is named without its own settings.
+    """
+    if theirs.get("name") != ours.get("name"):
+        yield f"{section}={theirs.get('name')} (here {ours.get('name')})"
+        return
+    for name, value in theirs.items():
+        if name in ours and value != ours[name]:
+            yield f"{section}.{name}={_text(value)} (here {_text(ours[name])})"
+
+
+def _text(value: object) -> str:
+    """Return a value as the text of an override."""
+    return value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
 
 
 def read_teacher(config: TrainConfig) -> Recording | None:

@@ -13,7 +13,7 @@ from flipperctl.checkpoint import recording
 from flipperctl.checkpoint.recording import RecordedEpisode
 from flipperctl.config import TrainConfig
 from flipperctl.files import make_folder
-from flipperctl.rollout.recording import EpisodeRecorder
+from flipperctl.rollout.episode import EpisodeRecorder
 from flipperctl.rollout.values import Step
 
 EPISODES = Path("episodes.safetensors")

@@ -13,13 +13,13 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from flipperctl.agent.building import build_network
 from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.learner import Learner
+from flipperctl.agent.networks import build_network
 from flipperctl.agent.replay import Replay
 from flipperctl.api import ACTIONS, ObservationLayout
 from flipperctl.checkpoint import Checkpoint
-from flipperctl.checkpoint.layout import require_equal_layout
+from flipperctl.checkpoint.sealed import require_equal_layout
 from flipperctl.config import TrainConfig
 from flipperctl.errors import CheckpointError
 from flipperctl.training.starting import Start, give, read_start

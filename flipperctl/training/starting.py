@@ -10,13 +10,12 @@ from pathlib import Path
 
 import torch
 
-from flipperctl.agent.building import build_network
-from flipperctl.agent.frames import input_size
 from flipperctl.agent.learner import Learner
+from flipperctl.agent.networks import build_network, input_size
 from flipperctl.agent.policy_gradient import PolicyGradient, build_values
 from flipperctl.api import ACTIONS
 from flipperctl.checkpoint import LAST, find, read
-from flipperctl.checkpoint.layout import require_equal_layout
+from flipperctl.checkpoint.sealed import require_equal_layout
 from flipperctl.config import TrainConfig, to_dict
 from flipperctl.env.privileged import SIZE
 from flipperctl.errors import CheckpointError, ConfigError

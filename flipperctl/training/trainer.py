@@ -1,52 +1,180 @@
 """The training loop: act → step → store → learn, with validations and checkpoints.
 
 In: a validated configuration and the directory of a new or resumed run. Out: checkpoints and
-summary.json. The command line writes config.yaml; listeners write metrics.csv and events.
-
-The first checkpoint is written before the first decision, so that a killed run can always be
-resumed. When the budget is spent, the rest of the running episode is dropped; a run that is resumed
-from there with a larger budget therefore differs from a run that began with it.
+summary.json. The command line writes config.yaml; listeners write metrics.csv and events. The first
+checkpoint is written before the first decision, so that a killed run can always be resumed. When
+the budget is spent, the rest of the running episodes is not learnt from.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import torch
 
+from flipperctl.agent.contract import check_demand
 from flipperctl.agent.d3qn import D3qn
-from flipperctl.agent.demand import check_demand
 from flipperctl.agent.learner import Learner
 from flipperctl.agent.policy_gradient import PolicyGradient
+from flipperctl.agent.replay import Replay
 from flipperctl.api import ACTIONS, Listener, Outcome
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.checkpoint.document import Validation
 from flipperctl.config import TrainConfig
-from flipperctl.config.budget import notes_on_budget
+from flipperctl.config.defaults import notes_on_budget
 from flipperctl.env import ground
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.metrics import DRAWN
 from flipperctl.env.privileged import SIZE
+from flipperctl.errors import ConfigError
 from flipperctl.files import write_json
 from flipperctl.rollout.collect import Collector
 from flipperctl.rollout.episode import Row
 from flipperctl.rollout.values import RolloutRequest
-from flipperctl.training.closing import Closable, closing
 from flipperctl.training.episodes import EpisodeSource
-from flipperctl.training.progress import Progress
+from flipperctl.training.listeners import Stopwatch
 from flipperctl.training.recorded import add_recorded
 from flipperctl.training.recorder import TrainingRecorder
 from flipperctl.training.relearning import Relearning
-from flipperctl.training.saving import RunSaver
+from flipperctl.training.saving import Progress, RunSaver, ValuedStates, new_replay, store
 from flipperctl.training.starting import start
-from flipperctl.training.storing import new_replay, store
-from flipperctl.training.timing import Stopwatch
-from flipperctl.training.updates import EpisodeUpdates, ReplayUpdates, Updates
 from flipperctl.training.validation import Validator
-from flipperctl.training.valued import ValuedStates
+
+
+class Closable(Protocol):
+    """Holds a resource."""
+
+    def close(self) -> None:
+        """Release the resource."""
+
+
+ClosableT = TypeVar("ClosableT", bound=Closable)
+
+
+@contextmanager
+def closing(opened: Sequence[Closable]) -> Iterator[None]:
+    """Close everything in ``opened`` when the block ends, newest first.
+
+    The block may add to ``opened``. Its own error is raised, otherwise the first of closing.
+    """
+    errors: list[BaseException] = []
+    try:
+        yield
+    except BaseException as error:  # noqa: BLE001  # raised below
+        errors.append(error)
+    for one in reversed(opened):
+        try:
+            one.close()
+        except BaseException as error:  # noqa: BLE001  # raised below; the others are closed first
+            errors.append(error)
+    if errors:
+        raise errors[0]
+
+
+def open_all(makers: Iterable[Callable[[], ClosableT]]) -> list[ClosableT]:
+    """Return the objects of the makers; if a maker fails, close those made before."""
+    opened: list[ClosableT] = []
+    try:
+        for make in makers:
+            opened.append(make())  # noqa: PERF401  # the list is closed if a later one fails
+    except BaseException:
+        with closing(opened):
+            raise
+    return opened
+
+
+class Updates(Protocol):
+    """Updates of a learner."""
+
+    def after_decision(self) -> None:
+        """Update the learner if an update is due at this decision."""
+
+    def after_episode(self) -> None:
+        """Update the learner if an update is due after an episode that has ended."""
+
+    def after_cut(self) -> None:
+        """Forget what must not be learnt from an episode that the end of the budget has cut."""
+
+
+class ReplayUpdates:
+    """Updates from random transitions, every few decisions."""
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        agent: D3qn,
+        replay: Replay,
+        valued: ValuedStates,
+        progress: Progress,
+        rng: np.random.Generator,
+    ) -> None:
+        """``rng`` draws the transitions."""
+        self._config, self._agent, self._replay = config, agent, replay
+        self._valued, self._progress, self._rng = valued, progress, rng
+
+    def after_decision(self) -> None:
+        """Update the agent if an update is due at this decision.
+
+        No update is due before the first transition, complete after ``n_step`` decisions.
+        """
+        agent, progress = self._config.agent, self._progress
+        together = agent.updates_together
+        due = progress.decision % (agent.update_every * together) == 0
+        begun = progress.decision + self._replay.kept >= agent.learning_starts
+        if due and begun and len(self._replay):
+            batch = self._replay.sample(together * agent.batch_size, self._rng)
+            valued = self._valued.batches(together, self._rng)
+            fraction = progress.decision / self._config.train.decisions
+            progress.loss = self._agent.update(batch, fraction, valued)
+            progress.updates += together
+
+    def after_episode(self) -> None:
+        """Do nothing."""
+
+    def after_cut(self) -> None:
+        """Do nothing: its complete transitions are as good as others."""
+
+
+class EpisodeUpdates:
+    """Updates from the newest whole episodes, each of which is used once."""
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        agent: PolicyGradient,
+        replay: Replay,
+        progress: Progress,
+        rng: np.random.Generator,
+    ) -> None:
+        """``rng`` shuffles the transitions."""
+        self._config, self._agent, self._replay = config, agent, replay
+        self._progress, self._rng = progress, rng
+
+    def after_decision(self) -> None:
+        """Do nothing: an episode must have ended."""
+
+    def after_episode(self) -> None:
+        """Update the agent if enough decisions are new."""
+        agent, replay, progress = self._agent, self._replay, self._progress
+        new = replay.added - agent.learnt
+        if new > replay.capacity:  # one episode is longer than a whole round
+            raise ConfigError(
+                f"agent.replay_size: {replay.capacity:,} decisions are fewer than the {new:,} of "
+                "whole episodes that the policy gradient learns from at once; raise it"
+            )
+        if new >= self._config.agent.policy_gradient.decisions:
+            fraction = progress.decision / self._config.train.decisions
+            progress.loss = agent.update(replay.newest(new), fraction, self._rng)
+            agent.learnt = replay.added
+            progress.updates += 1
+
+    def after_cut(self) -> None:
+        """Remove the part of the episode: another one would follow as if it were its rest."""
+        self._replay.take_back()
 
 
 class Trainer:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from flipperctl.api import FloatArray, Measure, Perception, Transition, measure
-from flipperctl.core.bins import mean_heights
+from flipperctl.core.observation import mean_heights
 
 _SPACING = 0.02
 """Distance between points of the true ground [m]."""

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from flipperctl.agent.adam import Adam
+from flipperctl.agent.descent import Adam
 
 
 def test_the_first_step_goes_by_the_rate_against_the_gradients_sign() -> None:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from flipperctl.agent.groups import GroupBatch, GroupMemory
 from flipperctl.agent.losses import searched_values
+from flipperctl.agent.replay import GroupBatch, GroupMemory
 from flipperctl.api import StateGroups
 from flipperctl.config import Teacher
 from tests.agent.learners import ACTIONS, LAYOUT, fixed_batch, learner

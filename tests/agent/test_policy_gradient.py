@@ -13,7 +13,7 @@ from flipperctl.agent.policy_gradient import PolicyGradient, advantages, limited
 from flipperctl.agent.replay import Batch, Replay
 from flipperctl.api import Network
 from flipperctl.config import Agent, resolver
-from flipperctl.config.policy_gradient import PolicyGradient as PolicyGradientSettings
+from flipperctl.config.agent import PolicyGradient as PolicyGradientSettings
 from flipperctl.errors import NonFiniteError
 
 from .learners import ACTIONS, LAYOUT

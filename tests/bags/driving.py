@@ -3,9 +3,9 @@
 import numpy as np
 
 from flipperctl.api import RobotState
-from flipperctl.bags.episode import Stamped, typestore
-from flipperctl.bags.messages import LIDAR, Messages
-from flipperctl.core.lidar.rotations import mounting
+from flipperctl.core.lidar.body import mounting
+from flipperctl.ros.episode import Stamped, typestore
+from flipperctl.ros.messages import LIDAR, Messages
 
 SPEED, SECONDS, EDGE, HEIGHT = 0.25, 1.8, 1.21, 0.15
 """Speed [m/s], length [s], place of the step ahead of the start [m], and its height [m]."""

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from flipperctl.api import Robot
-from flipperctl.bags.devices import read_recording
-from flipperctl.bags.episode import TYPES, Stamped, typestore, write_bag
-from flipperctl.bags.messages import JOINTS, Messages
-from flipperctl.bags.perceiving import replay
-from flipperctl.bags.topics import Names
+from flipperctl.ros.devices import read_recording
+from flipperctl.ros.episode import TYPES, Stamped, typestore, write_bag
+from flipperctl.ros.messages import JOINTS, Messages
+from flipperctl.ros.perceiving import replay
+from flipperctl.ros.topics import Names
 from flipperctl.sim.lidar.sensor import LidarSensor
 from tests.bags.driving import FRONT, HEIGHT, MOUNT, REAR, SECONDS, SPEED, driving, points, state
 

@@ -13,18 +13,18 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.rosbag2 import Reader
 
 from flipperctl.api import RobotState
-from flipperctl.bags import episode
-from flipperctl.bags.episode import Stamped, Watch, export_bag, typestore, write_bag
-from flipperctl.bags.messages import EPOCH, Messages, nanoseconds, quaternion
 from flipperctl.config import EvalConfig
+from flipperctl.core.lidar.body import mounting
 from flipperctl.core.lidar.messages import Belts, Inertial, Scan
-from flipperctl.core.lidar.rotations import mounting
 from flipperctl.core.sensing import Measured
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError, OutputError, WriteError
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import decisions
 from flipperctl.rollout.seeds import EvaluationSeeds
+from flipperctl.ros import episode
+from flipperctl.ros.episode import Stamped, Watch, export_bag, typestore, write_bag
+from flipperctl.ros.messages import EPOCH, Messages, nanoseconds, quaternion
 from tests.cli.call import call
 
 CONFIG = EvalConfig(terrain="step", episode={"run_up": 0.8, "run_out": 0.4})

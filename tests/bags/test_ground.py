@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from flipperctl.api import Robot, RobotState
-from flipperctl.bags.episode import TYPES, Stamped, typestore, write_bag
-from flipperctl.bags.ground import GROUND, Frames, convert, thinned
-from flipperctl.bags.messages import LIDAR, Messages
-from flipperctl.bags.transforms import Pose, Transforms
 from flipperctl.config import resolver
-from flipperctl.core.lidar.rotations import attitude, mounting
+from flipperctl.core.lidar.body import attitude, mounting
 from flipperctl.errors import MissingExtraError, RequestError
 from flipperctl.files import check_output
+from flipperctl.ros.episode import TYPES, Stamped, typestore, write_bag
+from flipperctl.ros.ground import GROUND, Frames, convert, thinned
+from flipperctl.ros.messages import LIDAR, Messages
+from flipperctl.ros.transforms import Pose, Transforms
 from tests.cli.call import call
 
 YAW, PITCH, AXIS = 0.3, 0.1, math.pi / 4

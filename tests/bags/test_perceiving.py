@@ -10,18 +10,17 @@ import pytest
 from PIL import Image
 
 from flipperctl.api import Robot
-from flipperctl.bags.devices import read_recording
-from flipperctl.bags.drift import Drift
-from flipperctl.bags.episode import Stamped, typestore, write_bag
-from flipperctl.bags.messages import Messages
-from flipperctl.bags.perceiving import replay
-from flipperctl.bags.topics import Names
 from flipperctl.core.lidar.messages import Pose
 from flipperctl.errors import MissingExtraError, RequestError
-from flipperctl.report.perceiving import draw, faces
-from flipperctl.runtime.signs import REP_103
+from flipperctl.figures.perceiving import draw, faces
+from flipperctl.ros.devices import read_recording
+from flipperctl.ros.episode import Stamped, typestore, write_bag
+from flipperctl.ros.messages import Messages
+from flipperctl.ros.perceiving import Drift, replay
+from flipperctl.ros.topics import Names
+from flipperctl.runtime.messages import REP_103
 from flipperctl.sim.lidar.sensor import LidarSensor
-from flipperctl.terminal.perceiving import print_perception
+from flipperctl.terminal.tables import print_perception
 from tests.bags.driving import (
     AXIS,
     EDGE,

@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from rosbags.rosbag2 import Reader
 
-from flipperctl.bags.episode import ACTION, export_bag, typestore, write_bag
-from flipperctl.bags.shadowing import LOG
 from flipperctl.config import EvalConfig
 from flipperctl.files import check_output
 from flipperctl.policies.source import PolicySource
+from flipperctl.ros.episode import ACTION, export_bag, typestore, write_bag
+from flipperctl.ros.shadowing import LOG
 from tests.bags.driving import FRONT, REAR, SECONDS, driving
 from tests.cli.call import call
 from tests.runtime.linear import ROBOT, RULE, write

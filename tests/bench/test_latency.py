@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from flipperctl.bench import latency, process
+from flipperctl.bench import latency
+from flipperctl.bench import settings as process
 from flipperctl.config import with_overrides
 from flipperctl.errors import FlipperctlError, MissingExtraError
 from tests.bench.small import check, small_bench

@@ -1,7 +1,7 @@
 """Description of the machine."""
 
 from flipperctl import __version__
-from flipperctl.bench.machine import machine, processor
+from flipperctl.bench.settings import machine, processor
 
 
 def test_versions_processor_and_load_are_noted() -> None:

@@ -2,7 +2,7 @@
 
 import pytest
 
-from flipperctl.bench.statistics import measure_in_turn, quantity, ratio
+from flipperctl.bench.settings import measure_in_turn, quantity, ratio
 
 
 def test_a_quantity_keeps_its_raw_numbers() -> None:

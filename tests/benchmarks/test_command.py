@@ -8,8 +8,8 @@ import pytest
 
 from benchmarks import __main__ as benchmarks
 from benchmarks.settings import MEASURES, BenchmarkSettings
+from flipperctl.bench.measures import MOVED
 from flipperctl.cli.main import run_app
-from flipperctl.runs.measures import MOVED
 
 
 def run(*arguments: str) -> int:

@@ -5,7 +5,7 @@ import pytest
 from benchmarks import lookahead, lookahead_values
 from benchmarks.prediction import prediction_errors
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.lookahead.mpc import Mpc
+from flipperctl.lookahead.controllers import Mpc
 from flipperctl.rollout.episode import play
 from tests.benchmarks.small import small_benchmark
 

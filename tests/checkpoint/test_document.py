@@ -11,7 +11,7 @@ import torch
 from flipperctl import checkpoint
 from flipperctl.errors import CheckpointError
 from flipperctl.policies.trained import policy_module
-from flipperctl.training import timing
+from flipperctl.training import listeners as timing
 from tests.checkpoint.test_file import resign
 from tests.cli.call import call
 from tests.short import short_config, trainer

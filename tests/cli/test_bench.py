@@ -5,10 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from flipperctl.bench.measures import split_arguments
 from flipperctl.bench.settings import BenchSettings
 from flipperctl.cli import bench
-from flipperctl.runs.measures import split_arguments
-from flipperctl.terminal import bench as bench_output
+from flipperctl.terminal import tables as bench_output
 from tests.cli.call import call, refused
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from flipperctl import checkpoint
-from flipperctl.training.events import read_rows
+from flipperctl.training.listeners import read_rows
 from tests.cli.call import RUN, call
 
 QUICK = [f"{key}={value}" for key, value in RUN.items()]

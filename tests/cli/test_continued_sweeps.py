@@ -12,8 +12,8 @@ import pytest
 
 from flipperctl import checkpoint
 from flipperctl.results import holder
-from flipperctl.runs import folder as run_folder
-from flipperctl.runs.sweep_stop import stop_of, stopping
+from flipperctl.training import folder as run_folder
+from flipperctl.training.sweep import stop_of, stopping
 from flipperctl.training.trainer import Trainer
 from tests.cli.call import EXACT, Done, call
 from tests.long.forked import differences, result
@@ -174,7 +174,7 @@ def test_ctrl_c_before_the_first_run_begins_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        "flipperctl.runs.preflight._check_terrain",
+        "flipperctl.training.run._check_terrain",
         lambda config: signal.raise_signal(signal.SIGINT),
     )
     done = sweep(tmp_path, "hydra.sweep.dir=s")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from flipperctl.evaluation.runner import EpisodeRunner
+from flipperctl.evaluation.workers import EpisodeRunner
 from tests.cli.call import call, refused
 
 HIGH = ("terrain=step", "terrain.low=0.4", "terrain.high=0.4", "sim.friction=0.6")

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from flipperctl import checkpoint
-from flipperctl.agent import memory
+from flipperctl.agent import replay as memory
 from tests.cli.call import RUN, call, refused
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from flipperctl.errors import WriteError
-from flipperctl.evaluation.runner import EpisodeRunner
+from flipperctl.evaluation.workers import EpisodeRunner
 from tests.cli.call import call, refused
 
 AXES = "terrain.height=0.2:0.5:2,sim.friction=0.5:1.0:2"

@@ -9,8 +9,8 @@ import pytest
 
 from flipperctl import checkpoint
 from flipperctl.errors import FlipperctlError
-from flipperctl.runs import final_regret
-from flipperctl.runs.final_regret import SEED, FinalRegret
+from flipperctl.training import run as final_regret
+from flipperctl.training.run import SEED, FinalRegret
 from tests.cli.call import EXACT, call
 from tests.short import short_config
 

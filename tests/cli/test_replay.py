@@ -25,7 +25,7 @@ def test_a_failure_is_recorded_and_played_again_with_pictures_of_its_robot(
         drawn.append(robot.track_radius)
         return Figure()
 
-    for module in ("flipperctl.evaluation.pictures", "flipperctl.report.episode"):
+    for module in ("flipperctl.evaluation.pictures", "flipperctl.figures.episode"):
         monkeypatch.setattr(f"{module}.episode_figure", figure)
     size = "randomise.robot.size=[0.8,0.8]"
     done = call(*LEVEL, size, "--output", "found", cwd=tmp_path)

@@ -14,9 +14,9 @@ import pytest
 from flipperctl import checkpoint
 from flipperctl.cli.hydra.sweeps import UNNAMED
 from flipperctl.results import hold
-from flipperctl.runs import folder as run_folder
-from flipperctl.runs import sweep
-from flipperctl.runs.sweep_folder import folder_name
+from flipperctl.training import folder as run_folder
+from flipperctl.training import sweep
+from flipperctl.training.sweep import folder_name
 from flipperctl.training.trainer import Trainer
 from tests.cli.call import EXACT, call
 from tests.long.forked import differences, result

@@ -14,10 +14,10 @@ from flipperctl.cli.plan import make_plan
 from flipperctl.config import EnvConfig
 from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.plan import Plan
+from flipperctl.evaluation.policies import entrants
 from flipperctl.evaluation.rows import Row
-from flipperctl.evaluation.runner import EpisodeRunner
+from flipperctl.evaluation.workers import EpisodeRunner
 from flipperctl.policies.source import PolicySource
-from flipperctl.runs.methods import entrants
 from tests.cli.call import Done, call, refused
 
 FLAT = ("terrain=flat", "terrain.length=0.2", "--episodes", "3", "--json")

@@ -14,8 +14,8 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.plan import Plan
-from flipperctl.runs.methods import Entrant
-from flipperctl.runs.suites import find_suite, shipped_suites, split_suite
+from flipperctl.evaluation.policies import Entrant
+from flipperctl.evaluation.suites import find_suite, shipped_suites, split_suite
 from tests.cli.call import call
 
 _GROUPS = "terrain", "sim", "perception", "conditions"

@@ -9,7 +9,7 @@ import pytest
 
 from flipperctl import checkpoint
 from flipperctl.cli.plan import make_plan
-from flipperctl.runs.methods import _swept, entrants
+from flipperctl.evaluation.policies import _swept, entrants
 from tests.cli.call import call
 
 SHIPPED = checkpoint.read(checkpoint.shipped_policies()["generalist"])

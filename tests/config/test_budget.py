@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from flipperctl.config.budget import notes_on_budget
+from flipperctl.config.defaults import notes_on_budget
 from tests.short import short_config
 
 GRADIENT = {

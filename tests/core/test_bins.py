@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from flipperctl.core import observation
-from flipperctl.core.bins import mean_heights
-from flipperctl.sim.planar.bins import sum_heights
+from flipperctl.core.observation import mean_heights
+from flipperctl.sim.planar.rays import sum_heights
 
 
 def looped(points: np.ndarray, bins: int, width: float) -> list[float]:

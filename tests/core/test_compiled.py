@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from flipperctl.core.filling import fill_gaps
-from flipperctl.core.thinning import kept_points
-from flipperctl.sim import thinning
+from flipperctl.core.ground_map import kept_points
+from flipperctl.core.observation import fill_gaps
+from flipperctl.sim import ground as thinning
 from flipperctl.sim.planar import rays
 
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from flipperctl.core.escape import Escape, EscapeRule
+from flipperctl.core.risk import Escape, EscapeRule
 
 VALUES = [0.0, 0.1, -math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
 

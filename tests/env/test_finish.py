@@ -8,9 +8,8 @@ import pytest
 
 from flipperctl.api import Limits, Outcome, Profile, Robot, Terrain, registry, terrain
 from flipperctl.config import Episode
-from flipperctl.env.finish import finish_of
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.env.places import nearest_rest
+from flipperctl.env.start import finish_of, nearest_rest
 from flipperctl.errors import TerrainError
 
 HOLD = 4

@@ -11,7 +11,7 @@ import pytest
 from flipperctl import api, plugins
 from flipperctl.core.sensing import Measured, SensedAngles, SensedGround
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.env.observer import Observer
+from flipperctl.env.pictures import Observer
 from flipperctl.errors import ConfigError, NonFiniteError, PluginFailedError
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

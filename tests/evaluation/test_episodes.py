@@ -16,8 +16,7 @@ from flipperctl.config import EnvConfig, EvalConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.rows import DIGEST, RECORDED, Row, arranged
-from flipperctl.evaluation.runner import EpisodeRunner
-from flipperctl.evaluation.workers import EpisodeWorkers
+from flipperctl.evaluation.workers import EpisodeRunner, EpisodeWorkers
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import play
 from flipperctl.rollout.pool import WorkerPool

@@ -13,7 +13,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.evaluate import evaluate
 from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.views.evaluation import csv_rows, document
-from flipperctl.training.events import columns
+from flipperctl.training.listeners import columns
 
 MAPPING = {"map_error", "map_error_below", "drift", "unseen"}
 

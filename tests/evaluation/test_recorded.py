@@ -24,9 +24,9 @@ from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.evaluate import Played, Result
 from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.rows import Row, arranged
+from flipperctl.evaluation.run import episode_rows
 from flipperctl.evaluation.views import evaluation
 from flipperctl.policies.source import PolicySource
-from flipperctl.runs.evaluation import episode_rows
 from tests.evaluation.samples import entry, episodes, sample
 
 pytestmark = pytest.mark.usefixtures("core_measures")

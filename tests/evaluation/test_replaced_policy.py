@@ -6,8 +6,8 @@ import pytest
 
 from flipperctl.checkpoint import shipped_policies
 from flipperctl.evaluation.rows import Row
-from flipperctl.evaluation.runner import EpisodeRunner
 from flipperctl.evaluation.store import FolderStore
+from flipperctl.evaluation.workers import EpisodeRunner
 from flipperctl.policies.source import PolicySource
 from tests.evaluation.test_store import LEVEL, config, evaluate
 

@@ -5,8 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from flipperctl.evaluation.scores import PRICE, Method, means
-from flipperctl.evaluation.seeds import improvement, interquartile_mean, profile
+from flipperctl.evaluation.seeds import (
+    PRICE,
+    Method,
+    improvement,
+    interquartile_mean,
+    means,
+    profile,
+)
 
 
 def test_the_interquartile_mean_leaves_out_a_quarter_at_each_end() -> None:

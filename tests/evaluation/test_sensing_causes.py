@@ -12,9 +12,9 @@ from flipperctl.cli.scenes import scenes
 from flipperctl.config import EvalConfig
 from flipperctl.evaluation.evaluate import evaluate
 from flipperctl.evaluation.plan import Entry, Plan
+from flipperctl.evaluation.policies import Entrant
 from flipperctl.evaluation.sensing import SensingCause, at_true_pose, causes, on_true_ground
 from flipperctl.evaluation.views import engines, evaluation
-from flipperctl.runs.methods import Entrant
 from flipperctl.sim.planar.sensing import PlanarSensor, TerrainSensor
 from tests.evaluation.samples import sample
 

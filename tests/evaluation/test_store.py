@@ -20,7 +20,6 @@ from flipperctl.evaluation.evaluate import Result
 from flipperctl.evaluation.evaluate import evaluate as play_plan
 from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.rows import DIGEST, Row
-from flipperctl.evaluation.runner import EpisodeRunner
 from flipperctl.evaluation.store import (
     FOLDER,
     VIEW,
@@ -32,9 +31,10 @@ from flipperctl.evaluation.store import (
     write_view,
 )
 from flipperctl.evaluation.views import evaluation
+from flipperctl.evaluation.workers import EpisodeRunner
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource
-from flipperctl.rollout import ray_cluster
+from flipperctl.rollout import ray_workers as ray_cluster
 
 LEVEL, OKADA = (PolicySource.of_plugin(name, "here") for name in ("level", "okada"))
 

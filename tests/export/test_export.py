@@ -17,7 +17,7 @@ from flipperctl.config import EnvConfig, TrainConfig, parse, resolver
 from flipperctl.core.lidar.estimator import LidarEstimator
 from flipperctl.errors import ConfigError, ExportError, MissingExtraError
 from flipperctl.export import policy
-from flipperctl.export.metadata import describe_observation, policy_metadata
+from flipperctl.export.onnx import describe_observation, policy_metadata
 from flipperctl.export.parity import compare
 from flipperctl.files import check_output
 from flipperctl.policies.source import PolicySource

@@ -185,7 +185,7 @@ class Trial:
     def _resume(self) -> None:
         """Resume the stopped run on the same cluster, all of whose CPUs are free now."""
         from flipperctl import checkpoint
-        from flipperctl.training.events import read_rows
+        from flipperctl.training.listeners import read_rows
 
         case = self.case
         saved = checkpoint.read(self.run / checkpoint.LAST)

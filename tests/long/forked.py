@@ -46,7 +46,7 @@ def preload() -> None:
     import flipperctl.cli.hydra.compose
     import flipperctl.cli.hydra.optuna_search
     import flipperctl.cli.main
-    import flipperctl.runs.training  # noqa: F401
+    import flipperctl.training.run  # noqa: F401
     from flipperctl import plugins
     from flipperctl.env.flipper_env import FlipperEnv
 
@@ -177,7 +177,7 @@ def _members(group: int) -> list[int]:
 def result(run: Path) -> dict[str, Any]:
     """Return the contents of a finished run without times; equal runs have equal results."""
     from flipperctl import checkpoint
-    from flipperctl.training.events import read_rows
+    from flipperctl.training.listeners import read_rows
 
     found: dict[str, Any] = {}
     for name in (checkpoint.BEST, checkpoint.LAST):

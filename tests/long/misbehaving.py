@@ -196,10 +196,6 @@ def _preload() -> None:
     import tensorboard  # noqa: F401
     import torch
 
-    import flipperctl.evaluation.evaluate
-    import flipperctl.runs.training
-    import flipperctl.sim.planar.compiled  # noqa: F401
-
     torch.set_num_threads(1)
     os.environ.pop("FLIPPERCTL_DEBUG", None)
 

@@ -21,7 +21,7 @@ from flipperctl.policies.exported import exported_config
 from flipperctl.policies.trained import policy_module
 from flipperctl.rollout.values import RolloutRequest
 from flipperctl.runtime import OnnxPolicy
-from flipperctl.runtime.checksum import CHECKSUM, PLACEHOLDER, add_checksum
+from flipperctl.runtime.session import CHECKSUM, PLACEHOLDER, add_checksum
 from flipperctl.terminal.checkpoint import print_checkpoint as show
 from flipperctl.training.trainer import Trainer
 from tests.long.mutations import BYTES, Rng, document

@@ -6,8 +6,7 @@ import numpy as np
 
 from flipperctl.api import Profile, RewardTerm, Robot
 from flipperctl.lookahead.graph import Course, Graph
-from flipperctl.lookahead.model import Model
-from flipperctl.lookahead.nodes import Nodes
+from flipperctl.lookahead.model import Model, Nodes
 from flipperctl.reward_sum import RewardSum
 
 ROBOT = Robot()

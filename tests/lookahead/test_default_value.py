@@ -14,14 +14,13 @@ from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.scenes import scenes
 from flipperctl.config import EnvConfig, resolver, to_dict, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.lookahead import best_known
-from flipperctl.lookahead.mpc import Mpc
-from flipperctl.lookahead.planner_settings import PlannerSettings
-from flipperctl.lookahead.policy import MpcPolicy
-from flipperctl.lookahead.return_policy import ReturnPolicy
+from flipperctl.evaluation import policies as named_policies
+from flipperctl.lookahead import planner_policy as best_known
+from flipperctl.lookahead.controllers import Mpc
+from flipperctl.lookahead.mpc_policy import MpcPolicy, ReturnPolicy
+from flipperctl.lookahead.settings import PlannerSettings
 from flipperctl.policies.source import PolicySource, with_files
 from flipperctl.policies.values import learned_value
-from flipperctl.runs import named_policies
 from tests.short import short_config, trainer
 
 FLAT = EnvConfig(terrain="flat")

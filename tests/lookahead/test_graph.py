@@ -9,8 +9,7 @@ from flipperctl.api import FloatArray, Outcome, RewardTerm, Robot, Transition
 from flipperctl.config import resolver
 from flipperctl.lookahead import graph as graphs
 from flipperctl.lookahead.graph import Course, Graph
-from flipperctl.lookahead.model import TARGETS, Model
-from flipperctl.lookahead.nodes import TURNS, Nodes, transitions
+from flipperctl.lookahead.model import TARGETS, TURNS, Model, Nodes, transitions
 from flipperctl.reward_sum import RewardSum
 from tests.lookahead.scenes import (
     FINISH,

@@ -12,7 +12,7 @@ from flipperctl.api import (
 )
 from flipperctl.config import resolver
 from flipperctl.lookahead.graph import Graph
-from flipperctl.lookahead.groups import SIZE, sample_groups, with_stops
+from flipperctl.lookahead.value_iteration_policy import SIZE, sample_groups, with_stops
 from tests.lookahead.scenes import STEP, graph_of
 
 LAYOUT = ObservationLayout()

@@ -5,8 +5,7 @@ import pytest
 
 from flipperctl.api import ObservationLayout
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.lookahead.heights import Ground
-from flipperctl.lookahead.model import Model
+from flipperctl.lookahead.model import Ground, Model
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ import pytest
 
 from flipperctl.api import ACTIONS, Profile, Robot
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.lookahead.contacts import MOST_EXACT
+from flipperctl.lookahead.dynamics import MOST_EXACT
 from flipperctl.lookahead.model import FLIPPERS, TARGETS, Model
 
 ROBOT = Robot()

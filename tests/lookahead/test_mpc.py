@@ -10,8 +10,8 @@ from flipperctl.api import Controller, Outcome
 from flipperctl.cli.scenes import scenes
 from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.lookahead.mpc import Mpc
-from flipperctl.lookahead.policy import MpcPolicy
+from flipperctl.lookahead.controllers import Mpc
+from flipperctl.lookahead.mpc_policy import MpcPolicy
 from flipperctl.rollout.episode import decisions, play
 from tests.cli.call import call
 

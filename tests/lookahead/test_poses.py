@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from flipperctl.api import ACTIONS, Profile
-from flipperctl.lookahead.layout import OVERTURNED, REACHED, RUNNING
+from flipperctl.lookahead.dynamics import OVERTURNED, REACHED, RUNNING
 from flipperctl.lookahead.model import FLIPPERS, TARGETS, Model
 from tests.lookahead.scenes import FLAT, ROBOT, STEP, model_of
 

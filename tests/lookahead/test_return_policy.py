@@ -22,10 +22,10 @@ from flipperctl.api import (
 from flipperctl.config import EnvConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError, ConfigError
-from flipperctl.lookahead import return_policy
-from flipperctl.lookahead.learned import LearnedValue, Value
-from flipperctl.lookahead.mpc import Mpc
-from flipperctl.lookahead.return_policy import ReturnPolicy
+from flipperctl.lookahead import mpc_policy as return_policy
+from flipperctl.lookahead.controllers import Mpc
+from flipperctl.lookahead.mpc_policy import ReturnPolicy
+from flipperctl.lookahead.settings import LearnedValue, Value
 from flipperctl.policies.source import PolicySource
 from flipperctl.policies.trained import policy_module
 from flipperctl.policies.values import learned_value

@@ -5,9 +5,8 @@ import pytest
 
 from flipperctl.api import ACTIONS, FloatArray, Profile, RewardTerm, action_index
 from flipperctl.config import resolver
-from flipperctl.lookahead.model import Model
-from flipperctl.lookahead.nodes import Nodes
-from flipperctl.lookahead.returns import Returns
+from flipperctl.lookahead.model import Model, Nodes
+from flipperctl.lookahead.mpc_policy import Returns
 from flipperctl.lookahead.search import Plan, Search
 from flipperctl.reward_sum import RewardSum
 from tests.lookahead.scenes import FLAT, ROBOT, WALL, model_of, standing

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from flipperctl.api import ACTIONS, Robot, action_index
+from flipperctl.lookahead.controllers import Mpc
 from flipperctl.lookahead.model import TARGETS, Model
-from flipperctl.lookahead.mpc import Mpc
 from flipperctl.lookahead.search import Search, moves
 
 ROBOT = Robot()

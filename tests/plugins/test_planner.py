@@ -6,7 +6,7 @@ from flipperctl.api import Outcome, Perception, Policy, Simulator, action_index
 from flipperctl.config import EnvConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError, ConfigError
-from flipperctl.lookahead import best_known
+from flipperctl.lookahead import planner_policy as best_known
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import play
 

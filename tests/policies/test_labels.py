@@ -7,10 +7,10 @@ from flipperctl.api import ACTIONS, Controller, CostPolicy, Perception, Simulato
 from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import PluginFailedError
-from flipperctl.lookahead.policy import NO_PLAN
-from flipperctl.policies import labels
-from flipperctl.policies.demonstrating import DemonstratingPolicy
+from flipperctl.lookahead.mpc_policy import NO_PLAN
+from flipperctl.policies import training as labels
 from flipperctl.policies.plugin import PluginCostPolicy, PluginPolicy, plugin_policy
+from flipperctl.policies.training import DemonstratingPolicy
 from flipperctl.rollout.collect import InProcessCollector
 
 

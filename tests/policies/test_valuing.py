@@ -19,10 +19,9 @@ from flipperctl.config import EnvConfig, Teacher, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError, PluginFailedError
 from flipperctl.policies.abilities import ValuingPolicy
-from flipperctl.policies.demonstrating import DemonstratingPolicy
 from flipperctl.policies.plugin import plugin_policy
 from flipperctl.policies.source import controller_policy
-from flipperctl.policies.taught import TaughtPolicy
+from flipperctl.policies.training import DemonstratingPolicy, TaughtPolicy
 from flipperctl.rollout.episode import decisions
 
 SEEN, VALUES = np.zeros((2, 3, 18), np.float32), np.zeros((2, 3, len(ACTIONS)), np.float32)

@@ -13,11 +13,11 @@ from flipperctl.config import EvalConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError, RequestError
 from flipperctl.evaluation.episode_record import EpisodeRecord
-from flipperctl.evaluation.runner import EpisodeRunner
 from flipperctl.evaluation.views.replay import replay_file
+from flipperctl.evaluation.workers import EpisodeRunner
+from flipperctl.figures.film import Shots, film
 from flipperctl.files import write_json
 from flipperctl.policies.source import PolicySource
-from flipperctl.report.drawn_film import Shots, film
 from flipperctl.rollout.episode import play
 from flipperctl.sim.mujoco import Mujoco
 from flipperctl.sim.mujoco.world import MujocoWorld

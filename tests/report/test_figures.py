@@ -19,15 +19,15 @@ from flipperctl.config import EvalConfig, with_overrides
 from flipperctl.errors import OutputError, WriteError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.plan import Entry
-from flipperctl.evaluation.scores import Method
+from flipperctl.evaluation.run import picture_names
+from flipperctl.evaluation.seeds import Method
 from flipperctl.evaluation.stored import Stored
 from flipperctl.evaluation.views.compare import Comparison, figure
+from flipperctl.figures.episode import episode_figure, pose_indices
+from flipperctl.figures.figure import save
+from flipperctl.figures.render import BELT
+from flipperctl.figures.terrain import terrain_figure
 from flipperctl.policies.source import PolicySource
-from flipperctl.report.episode import episode_figure, pose_indices
-from flipperctl.report.figure import save
-from flipperctl.report.render import BELT
-from flipperctl.report.terrain import terrain_figure
-from flipperctl.runs.evaluation import picture_names
 
 ROBOT = RobotGeometry()
 STEP = Profile([(0.0, 0.0), (0.0, 0.3), (2.0, 0.3)])

@@ -9,8 +9,7 @@ from PIL import Image
 
 from flipperctl.api import Profile, Robot, RobotState, Transition
 from flipperctl.errors import OutputError
-from flipperctl.report.film import check_film, save_film
-from flipperctl.report.instants import instants, samples
+from flipperctl.figures.film import check_film, instants, samples, save_film
 
 STEP = Profile([(0.0, 0.0), (0.0, 0.2), (0.5, 0.2)])
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flipperctl.report.figure import save
-from flipperctl.report.learning import column, learning_figure, running_mean, since_first_update
+from flipperctl.figures.figure import save
+from flipperctl.figures.learning import column, learning_figure, running_mean, since_first_update
 from tests.report.test_figures import texts
 
 

@@ -9,9 +9,8 @@ from PIL import Image
 
 from flipperctl.api import Profile, Robot, Transition
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.report.episode import episode_figure
-from flipperctl.report.film import save_film
-from flipperctl.report.mapped import map_points, mapped
+from flipperctl.figures.episode import episode_figure, map_points, mapped
+from flipperctl.figures.film import save_film
 
 
 @pytest.fixture(scope="module")

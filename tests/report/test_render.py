@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray, Outcome, RobotGeometry, RobotState
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.env.scene import HEIGHT, WIDTH
-from flipperctl.report.render import CHASSIS, EARTH, Renderer
+from flipperctl.env.pictures import HEIGHT, WIDTH
+from flipperctl.figures.render import CHASSIS, EARTH, Renderer
 from flipperctl.sim.outline import axles, belt_length, belt_marks, belt_points, capsule, outlines
 
 ROBOT = RobotGeometry()

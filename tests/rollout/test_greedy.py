@@ -5,10 +5,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from flipperctl.agent.frames import input_size
+from flipperctl.agent.networks import input_size
 from flipperctl.config import to_dict
-from flipperctl.rollout.actor import Actor
-from flipperctl.rollout.greedy import GreedyPlayer
+from flipperctl.rollout.actor import Actor, GreedyPlayer
 from tests.short import short_config, trainer
 
 pytestmark = pytest.mark.slow

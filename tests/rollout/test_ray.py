@@ -14,7 +14,7 @@ from flipperctl.config import with_overrides
 from flipperctl.errors import ConfigError, FlipperctlError
 from flipperctl.rollout import ray_workers
 from flipperctl.rollout.values import RolloutRequest
-from flipperctl.runs.training import resume
+from flipperctl.training.run import resume
 from tests.rollout.notes import Notes
 from tests.short import short_config, trainer
 from tests.training.test_searched import tiny

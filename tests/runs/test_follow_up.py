@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from flipperctl import checkpoint
+from flipperctl import session as follow_up
 from flipperctl.results import hold
-from flipperctl.runs import follow_up
 from flipperctl.runtime import OnnxPolicy
 from tests.cli.call import EXACT, call
 

@@ -11,8 +11,8 @@ import pytest
 
 from flipperctl import files
 from flipperctl.errors import WriteError
+from flipperctl.evaluation import run as evaluation
 from flipperctl.results import ResultFolder, hold, result_folder
-from flipperctl.runs import evaluation
 from tests.cli.call import Done, call
 
 PLAY = ["eval", "--controller", "level", "--episodes", "2", "--output", "out"]
@@ -121,7 +121,7 @@ def test_a_full_disk_at_a_picture_costs_only_the_picture(
             raise files.failure(path, OSError(errno.ENOSPC, "full"))
         write(path, data)
 
-    monkeypatch.setattr("flipperctl.report.figure.write_bytes", full)
+    monkeypatch.setattr("flipperctl.figures.figure.write_bytes", full)
     done = call(*PLAY, "terrain=flat,step", "--record", "mine.safetensors", cwd=tmp_path)
     assert done.code == 1
     assert "100 %" in done.out

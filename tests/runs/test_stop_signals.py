@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import pytest
 
 from flipperctl.rollout.worker import STOPS
-from flipperctl.runs.interrupts import interrupts
+from flipperctl.session import interrupts
 
 REPEATED = [number for number in STOPS if number not in (signal.SIGINT, signal.SIGTERM)]
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flipperctl.core.lidar.rotations import attitude as rotation
+from flipperctl.core.lidar.body import attitude as rotation
 from flipperctl.runtime import Attitude, Cloud, FlipperController, JointAngles, Odometry
 from tests.runtime.linear import ROBOT, RULE, write
 from tests.runtime.test_controller import GROUND, IN_CHASSIS, RELAXED, drive, good

@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 
 from flipperctl.errors import PolicyError
-from flipperctl.runtime import OnnxPolicy, checksum
+from flipperctl.runtime import OnnxPolicy
+from flipperctl.runtime import session as checksum
 from tests.runtime.linear import FORMAT_1, write
 
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from flipperctl.config import EnvConfig
-from flipperctl.core.actions import ACTIONS
 from flipperctl.core.lidar.estimator import LidarEstimator
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Scan
 from flipperctl.core.sensing import Measured
+from flipperctl.core.targets import ACTIONS
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import decisions

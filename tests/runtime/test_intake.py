@@ -1,7 +1,6 @@
 """What the controller takes in, its estimator can use."""
 
-from flipperctl.core.lidar.checks import checked
-from flipperctl.core.lidar.messages import Belts, Inertial
+from flipperctl.core.lidar.messages import Belts, Inertial, checked
 from flipperctl.runtime import intake
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from flipperctl.core.lidar.map_quality import MapQuality
+from flipperctl.core.lidar.ground import MapQuality
 from flipperctl.errors import PolicyError
 from flipperctl.runtime import OnnxPolicy
 from tests.runtime.linear import MAP, METADATA, write

@@ -2,7 +2,7 @@
 
 import math
 
-from flipperctl.runtime.joint_states import NewestJoints
+from flipperctl.runtime.messages import NewestJoints
 
 
 def test_each_joint_counts_with_its_newest_angle_and_the_oldest_stamp():

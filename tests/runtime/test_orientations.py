@@ -3,9 +3,8 @@
 import pytest
 
 from flipperctl.runtime.intake import Intake
-from flipperctl.runtime.limits import Limits
 from flipperctl.runtime.messages import Attitude
-from flipperctl.runtime.robot_setup import RobotSetup
+from flipperctl.runtime.setup import Limits, RobotSetup
 
 
 def received(turns, rate):

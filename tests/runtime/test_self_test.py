@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from flipperctl.core.lidar.rotations import mounting
+from flipperctl.core.lidar.body import mounting
 from flipperctl.errors import PolicyError, RequestError
 from flipperctl.runtime import OURS, REP_103, RobotSetup, Signs
 from flipperctl.runtime.__main__ import _main

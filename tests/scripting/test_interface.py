@@ -26,7 +26,8 @@ from flipperctl.errors import (
 )
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import decisions
-from flipperctl.scripting import notebook, training
+from flipperctl.scripting import progress as notebook
+from flipperctl.scripting import training
 from tests.cli.call import call
 from tests.test_documentation import example
 

@@ -16,16 +16,17 @@ import numba
 import pytest
 from numba.core.dispatcher import Dispatcher
 
-from flipperctl.sim import code_cache, jit
+from flipperctl.sim import jit
+from flipperctl.sim import jit as code_cache
 
 MODULES = [
-    "flipperctl.lookahead.contacts",
     "flipperctl.lookahead.dynamics",
-    "flipperctl.sim.planar.bins",
+    "flipperctl.lookahead.dynamics",
+    "flipperctl.sim.planar.rays",
     "flipperctl.sim.planar.compiled",
     "flipperctl.sim.planar.rays",
-    "flipperctl.sim.standing",
-    "flipperctl.sim.thinning",
+    "flipperctl.sim.resting",
+    "flipperctl.sim.ground",
 ]
 
 
@@ -90,7 +91,8 @@ def test_a_link_is_not_followed(sealed: Path) -> None:
 STAND_IN = """
 from pathlib import Path
 import numba
-from flipperctl.sim import code_cache, jit
+from flipperctl.sim import jit as code_cache
+from flipperctl.sim import jit
 
 code_cache.PACKAGE = Path(__file__).parent
 code_cache.SOURCES = (".",)

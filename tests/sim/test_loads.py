@@ -12,7 +12,7 @@ from flipperctl.api import Engine, FloatArray, Profile, Robot, Start, World
 from flipperctl.sim.mujoco import Mujoco
 from flipperctl.sim.mujoco.description import urdf
 from flipperctl.sim.planar import Planar
-from flipperctl.sim.planar.energy import Budget, potential_energy
+from flipperctl.sim.planar.joints import Budget, potential_energy
 from flipperctl.sim.resting import resting
 
 ENGINES = [Planar(), Planar(engine="plain"), Mujoco()]

@@ -11,9 +11,9 @@ import pytest
 from flipperctl.api import ACTIONS, Robot, SensedGround
 from flipperctl.config import EvalConfig
 from flipperctl.core.targets import TargetRule
+from flipperctl.evaluation.conventions import probe_export, probe_sensing, probe_world
 from flipperctl.sim.mujoco.world import MujocoWorld
 from flipperctl.sim.planar.sensing import TerrainSensor
-from flipperctl.studies.conventions import probe_export, probe_sensing, probe_world
 from tests.cli.call import call
 from tests.runtime import linear
 

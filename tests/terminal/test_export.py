@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from flipperctl.terminal.export import print_export
+from flipperctl.terminal.tables import print_export
 
 
 def test_a_setting_that_the_training_left_open_is_null(capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from flipperctl.terminal.pitch_variation import pitch_variation_text
+from flipperctl.terminal.progress import pitch_variation_text
 from tests.cli.call import call
 
 

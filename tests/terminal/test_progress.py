@@ -48,7 +48,7 @@ def test_an_interrupted_start_of_a_resumed_run_says_how_to_resume(
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("flipperctl.runs.training.resume", interrupt)
+    monkeypatch.setattr("flipperctl.training.run.resume", interrupt)
     done = call("train", "--resume", "my run", cwd=tmp_path)
     assert done.code == 130
     assert done.err == "error: interrupted. Resume with: flipperctl train --resume 'my run'\n"

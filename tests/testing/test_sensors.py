@@ -9,7 +9,7 @@ import pytest
 
 from flipperctl import api
 from flipperctl.core.sensing import SensedAngles, SensedGround
-from flipperctl.testing.portable import foreign_names
+from flipperctl.testing.sensor import foreign_names
 from tests.testing.failing import failure
 
 

@@ -8,9 +8,8 @@ import pytest
 
 from flipperctl.config import TrainConfig, with_overrides
 from flipperctl.errors import WriteError
-from flipperctl.runs import training
-from flipperctl.training.closing import closing, open_all
-from flipperctl.training.trainer import Trainer
+from flipperctl.training import run as training
+from flipperctl.training.trainer import Trainer, closing, open_all
 from tests.cli.call import RUN
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from flipperctl import checkpoint
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.training.events import MetricsCsv, read_rows
+from flipperctl.training.listeners import MetricsCsv, read_rows
 from tests.short import short_config, trainer
 
 CURRICULUM = {

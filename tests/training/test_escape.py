@@ -6,7 +6,7 @@ import pytest
 
 from flipperctl import checkpoint
 from flipperctl.config import EnvConfig, TrainConfig, with_overrides
-from flipperctl.core.escape import EscapeRule
+from flipperctl.core.risk import EscapeRule
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError, ConfigError, PolicyError
 from flipperctl.export import policy

@@ -8,7 +8,7 @@ import pytest
 from flipperctl.api import Listener, Logger, RunInfo
 from flipperctl.config.guarded import guard_class
 from flipperctl.errors import MissingExtraError
-from flipperctl.training.loggers import GuardedLogger
+from flipperctl.training.listeners import GuardedLogger
 from tests.training.test_closing import Faulty
 
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from flipperctl.training.events import MetricsCsv, read_rows
+from flipperctl.training.listeners import MetricsCsv, read_rows
 from tests.short import short_config, trainer
 
 MIX = {

@@ -12,8 +12,8 @@ from flipperctl.agent.replay import Replay
 from flipperctl.config import TrainConfig, with_overrides
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.policies.values import learned_value
-from flipperctl.training.progress import Progress
-from flipperctl.training.updates import EpisodeUpdates
+from flipperctl.training.saving import Progress
+from flipperctl.training.trainer import EpisodeUpdates
 from tests.short import short_config, trainer
 
 pytestmark = pytest.mark.slow

@@ -15,9 +15,8 @@ from flipperctl.config import EnvConfig, Teacher, TrainConfig
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.rows import RECORDED
 from flipperctl.policies.source import PolicySource
-from flipperctl.training.events import MetricsCsv
-from flipperctl.training.recorded import fill, read_teacher
-from flipperctl.training.recorded_fit import differing_conditions, notes
+from flipperctl.training.listeners import MetricsCsv
+from flipperctl.training.recorded import differing_conditions, fill, notes, read_teacher
 from flipperctl.training.recorder import EPISODES
 from tests.cli.call import EXACT, call
 from tests.played import play_episodes

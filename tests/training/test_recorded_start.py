@@ -10,8 +10,8 @@ from flipperctl.checkpoint import recording
 from flipperctl.config import EnvConfig
 from flipperctl.evaluation.rows import RECORDED
 from flipperctl.policies.source import PolicySource
-from flipperctl.policies.taught import TaughtPolicy
-from flipperctl.rollout.processes import ProcessWorkers
+from flipperctl.policies.training import TaughtPolicy
+from flipperctl.rollout.pool import ProcessWorkers
 from flipperctl.training import episodes
 from tests.played import play_episodes
 from tests.short import short_config, trainer

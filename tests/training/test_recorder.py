@@ -10,7 +10,7 @@ import pytest
 from flipperctl import checkpoint
 from flipperctl.checkpoint import recording
 from flipperctl.errors import CheckpointError
-from flipperctl.runs.folder import clear_leftovers
+from flipperctl.training.folder import clear_leftovers
 from flipperctl.training.recorder import EPISODES, PARTS
 from flipperctl.training.saving import RunSaver
 from tests.short import short_config, trainer

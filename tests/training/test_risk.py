@@ -14,14 +14,13 @@ from flipperctl.config import Agent, EnvConfig
 from flipperctl.core.risk import RiskSign
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError
-from flipperctl.evaluation.runner import EpisodeRunner
+from flipperctl.evaluation.workers import EpisodeRunner
 from flipperctl.export import policy
 from flipperctl.policies.abilities import RiskPolicy
 from flipperctl.policies.source import PolicySource
 from flipperctl.policies.trained import policy_risk
-from flipperctl.rollout.episode import Row, play
-from flipperctl.rollout.risks import EpisodeRisks
-from flipperctl.training.calibrating import calibrated, fit
+from flipperctl.rollout.episode import EpisodeRisks, Row, play
+from flipperctl.training.validation import calibrated, fit
 from tests.short import short_config, trainer
 
 pytestmark = pytest.mark.slow

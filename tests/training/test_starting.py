@@ -11,7 +11,7 @@ from flipperctl.agent.learner import Learner
 from flipperctl.agent.policy_gradient import PolicyGradient
 from flipperctl.config import to_dict
 from flipperctl.errors import CheckpointError, ConfigError, RequestError
-from flipperctl.runs import preflight
+from flipperctl.training import run as preflight
 from tests.short import short_config, trainer
 
 VALUES = "agent.policy_gradient.start_values"

@@ -8,7 +8,7 @@ import pytest
 
 from flipperctl import checkpoint
 from flipperctl.errors import CheckpointError
-from flipperctl.runs.training import resume
+from flipperctl.training.run import resume
 from flipperctl.training.trainer import Trainer
 from tests.short import short_config, trainer
 

@@ -16,7 +16,7 @@ from flipperctl.api import RewardTerm, Transition, registry, reward
 from flipperctl.checkpoint.document import Validation
 from flipperctl.config import TrainConfig, resolver, with_overrides
 from flipperctl.errors import NonFiniteError, WriteError
-from flipperctl.training.events import MetricsCsv, read_rows
+from flipperctl.training.listeners import MetricsCsv, read_rows
 from flipperctl.training.validation import Validator
 from tests.short import short_config, trainer
 

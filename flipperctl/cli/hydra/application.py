@@ -21,22 +21,22 @@ from hydra.core.utils import env_override
 from hydra.types import RunMode
 from omegaconf import OmegaConf, read_write
 
+from flipperctl import session as follow_up
 from flipperctl.cli.hydra import config_store
 from flipperctl.cli.hydra.compose import check_training_effect, compose_train, parse_training
-from flipperctl.cli.hydra.config_files import strict_files
+from flipperctl.cli.hydra.config_store import strict_files
 from flipperctl.cli.hydra.errors import check_choices, convert_hydra_errors
 from flipperctl.cli.hydra.overrides import SEARCH_PATH, Overrides
 from flipperctl.cli.hydra.sweeps import named_by_time
 from flipperctl.errors import ConfigError, InterruptedRunError
 from flipperctl.files import failure
-from flipperctl.rollout import ray_cluster
-from flipperctl.runs import folder as run_folder
-from flipperctl.runs import follow_up, preflight
-from flipperctl.runs.command_process import CommandProcess
-from flipperctl.runs.interrupts import interrupts
-from flipperctl.runs.sweep_stop import stop_of
+from flipperctl.rollout import ray_workers as ray_cluster
+from flipperctl.session import CommandProcess, interrupts
 from flipperctl.terminal.notices import print_notices
 from flipperctl.terminal.streams import print_note
+from flipperctl.training import folder as run_folder
+from flipperctl.training import run as preflight
+from flipperctl.training.sweep import stop_of
 
 _VALUED = ("cfg", "package", "info", "config_dir", "config_name", "config_path")
 _FLAGS = ("multirun", "resolve", "hydra_help")
@@ -183,9 +183,9 @@ class _Job:
 
     def run(self, composed: Any) -> float | None:
         """Train with the composed configuration; return the objective of a search."""
-        from flipperctl.runs.search import objective
-        from flipperctl.runs.training import start, start_or_continue
         from flipperctl.terminal.training import print_best, reports
+        from flipperctl.training.run import start, start_or_continue
+        from flipperctl.training.search_space import objective
 
         settings = HydraConfig.get()
         self.process.restore()

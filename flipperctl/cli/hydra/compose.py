@@ -17,14 +17,18 @@ from hydra.errors import ConfigCompositionException, MissingConfigException
 from omegaconf import DictConfig, OmegaConf
 
 from flipperctl.cli.hydra import config_store, errors
-from flipperctl.cli.hydra.config_files import strict_files
-from flipperctl.cli.hydra.config_store import CONFIGS, EVAL_CHECKPOINT, EVAL_CONTROLLER, EVAL_EXPORT
+from flipperctl.cli.hydra.config_store import (
+    CONFIGS,
+    EVAL_CHECKPOINT,
+    EVAL_CONTROLLER,
+    EVAL_EXPORT,
+    strict_files,
+)
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, parse
-from flipperctl.config.defaults import CHOICES, missing_entry
-from flipperctl.config.effect import check_effect
+from flipperctl.config.defaults import CHOICES, check_effect, missing_entry
 from flipperctl.errors import ConfigError
-from flipperctl.runs.inherited import NOMINAL, TRAINED, explain_missing_training
+from flipperctl.evaluation.policies import NOMINAL, TRAINED, explain_missing_training
 from flipperctl.terminal.notices import print_notices
 
 Composed = TypeVar("Composed")

@@ -20,11 +20,10 @@ from flipperctl.cli.hydra.compose import compose_train
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.hydra.sweeps import launched_by
 from flipperctl.errors import ConfigError
-from flipperctl.runs.optuna_search import search
-from flipperctl.runs.search import SearchSettings, check_settings
-from flipperctl.runs.search_space import Interval
-from flipperctl.runs.sweep import Sweep
 from flipperctl.terminal.streams import print_note
+from flipperctl.training.search import search
+from flipperctl.training.search_space import Interval, SearchSettings, check_settings
+from flipperctl.training.sweep import Sweep
 
 _TASK = {"terrain", "conditions", "sim", "perception", "episode", "robot", "randomise"}
 """Sections and groups that change what validations are made of."""

@@ -1,13 +1,16 @@
 """Sweeps over lists, run by Hydra's basic sweeper, with folders named after the swept values.
 
 In: overrides, of which some are lists. Out: a run directory for each combination, named after it,
-and a table that compares the runs. Any launcher of Hydra can train them.
+and a table that compares the runs. Any launcher of Hydra can train them; that of Ray cannot join a
+running cluster by itself, since it requests an object store of its own size, which Ray refuses then
+(hydra-ray-launcher 1.2), but uses an existing connection.
 """
 
 from __future__ import annotations
 
 import contextlib
 import io
+import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
@@ -17,14 +20,41 @@ from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf, read_write
 
-from flipperctl.cli.hydra import ray_launcher
+from flipperctl import session as follow_up
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config.words import literal_override
 from flipperctl.errors import InterruptedRunError
-from flipperctl.runs import follow_up
-from flipperctl.runs.sweep import Job, JobResult, Sweep
+from flipperctl.rollout.ray_workers import is_connected, join
 from flipperctl.terminal.streams import print_note
 from flipperctl.terminal.sweep import print_comparison
+from flipperctl.training.sweep import Job, JobResult, Sweep
+
+_OBJECT_STORE = 75 * 2**20
+"""Memory for objects of a cluster of the launcher's own, which is its default [B]."""
+_MODULE = "hydra_plugins.hydra_ray_launcher.ray_launcher"
+
+
+def connect(launcher: Launcher) -> None:
+    """Connect to the cluster of a Ray launcher; do nothing for other launchers.
+
+    Without an address, Ray joins the cluster that ``ray start`` has started on this machine, or
+    starts one; at the address ``local``, it always starts one.
+
+    Raises:
+        ConfigError: no cluster answers, it asks for a token, or it refuses a setting.
+    """
+    module = sys.modules.get(_MODULE)
+    if module is None or not isinstance(launcher, module.RayLauncher):
+        return
+    if is_connected():
+        return
+    found: Any = launcher
+    settings: Any = OmegaConf.to_container(found.ray_cfg.init, resolve=True)
+    address = settings.pop("address", None)
+    if address == "local":
+        settings.setdefault("object_store_memory", _OBJECT_STORE)
+    join(address, "hydra.launcher.ray.init.address", **settings)
+
 
 UNNAMED = "${hydra.job.num}_${terrain.name}_seed${seed}"
 """``hydra.sweep.subdir`` of train.yaml, which is replaced by the names of the swept values."""
@@ -56,7 +86,7 @@ def launched_by(launcher: Launcher, config: DictConfig) -> Sweep:
         words = [[*job, place] for job in jobs]
         for job, name in zip(words, names, strict=False):
             job.append(f"hydra.sweep.subdir='{name}'")
-        ray_launcher.connect(launcher)
+        connect(launcher)
         return [job_result(job) for job in launcher.launch(words, initial_job_idx=first)]
 
     # The basic launcher runs the jobs in sequence and would continue after Ctrl-C.

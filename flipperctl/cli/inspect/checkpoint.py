@@ -33,7 +33,7 @@ def run(
     from flipperctl import checkpoint
     from flipperctl.checkpoint.contents import contents
     from flipperctl.terminal.checkpoint import print_checkpoint
-    from flipperctl.terminal.document import show
+    from flipperctl.terminal.streams import show
 
     file = checkpoint.find(path)
     if file.suffix == ".onnx":

@@ -39,8 +39,8 @@ def run(
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.config import to_dict
     from flipperctl.config.describe import list_settings
-    from flipperctl.terminal.document import show
-    from flipperctl.terminal.settings import print_settings
+    from flipperctl.terminal.streams import show
+    from flipperctl.terminal.tables import print_settings
 
     config = compose.only_one(compose.compose_train(Overrides.parse(overrides or ())))
     if describe:

@@ -11,7 +11,7 @@ from flipperctl.cli import options
 from flipperctl.errors import RequestError
 
 if TYPE_CHECKING:
-    from flipperctl.studies.conventions import Probe
+    from flipperctl.evaluation.conventions import Probe
 
 HELP = """Probe signs, frames, units and timing of two engines, of sensing and of an exported file.
 
@@ -40,9 +40,9 @@ def run(
     plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
-    from flipperctl.studies.conventions import require_conventions
+    from flipperctl.evaluation.conventions import require_conventions
     from flipperctl.terminal.conventions import print_probes
-    from flipperctl.terminal.document import show
+    from flipperctl.terminal.streams import show
 
     found = _probes(list(overrides or []), checkpoint)
     holds = all(probe.holds for probe in found)
@@ -56,8 +56,8 @@ def _probes(overrides: list[str], file: Path | None) -> list[Probe]:
     from flipperctl.cli.hydra.compose import compose_environment
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.config.words import with_engine
+    from flipperctl.evaluation.conventions import probe
     from flipperctl.policies.exported import exported_config, is_exported
-    from flipperctl.studies.conventions import probe
 
     if file is not None and not is_exported(file):
         raise RequestError(f"--checkpoint: only an exported .onnx file is allowed; got {file}")

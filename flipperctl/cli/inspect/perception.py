@@ -47,15 +47,15 @@ def run(
     plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
-    from flipperctl.bags.perceiving import replay
-    from flipperctl.bags.topics import names_of
     from flipperctl.cli.recorded import recorded_robot
-    from flipperctl.terminal.document import show
-    from flipperctl.terminal.perceiving import print_perception
+    from flipperctl.ros.perceiving import replay
+    from flipperctl.ros.topics import names_of
     from flipperctl.terminal.progress import episodes_progress
+    from flipperctl.terminal.streams import show
+    from flipperctl.terminal.tables import print_perception
 
     if output is not None or at is not None:
-        from flipperctl.report.perceiving import check_output, draw
+        from flipperctl.figures.perceiving import check_output, draw
 
         check_output(output, at)
     names = names_of(topic, imu, belts, fixed_frame, base_frame, front, rear, signs.value)

@@ -46,8 +46,8 @@ def run(
     from flipperctl.api import registry
     from flipperctl.config.describe import describe_plugin, plugin_keys
     from flipperctl.errors import RequestError
-    from flipperctl.terminal.document import show
-    from flipperctl.terminal.plugins import print_plugins
+    from flipperctl.terminal.streams import show
+    from flipperctl.terminal.tables import print_plugins
 
     if output is not None and not check:
         raise RequestError("--output needs --check; inspect terrain draws a single picture")
@@ -61,9 +61,8 @@ def run(
 
 
 def _check(plugins: list[type[Plugin]], pictures: Path | None, *, as_json: bool) -> None:
-    from flipperctl.terminal.bench import shown_progress
-    from flipperctl.terminal.document import show
-    from flipperctl.terminal.plugins import print_checks
+    from flipperctl.terminal.streams import show
+    from flipperctl.terminal.tables import print_checks, shown_progress
     from flipperctl.testing import checks
     from flipperctl.testing.check import require_passed, run_checks
 

@@ -74,7 +74,7 @@ def run(
 ) -> None:
     """See HELP."""
     from flipperctl.config.words import with_default, with_flags
-    from flipperctl.runs import named_policies
+    from flipperctl.evaluation import policies as named_policies
 
     chosen = named_policies.controller_or_okada(checkpoint, controller)
     arguments = with_default(with_flags(overrides, episodes=episodes), "eval.episodes", 20)
@@ -96,8 +96,8 @@ def run(
     from flipperctl.evaluation.views.audit import audit, table
     from flipperctl.show import print_table
     from flipperctl.terminal.console import console
-    from flipperctl.terminal.document import show
     from flipperctl.terminal.progress import episodes_progress
+    from flipperctl.terminal.streams import show
 
     config, source = only_one(scenes(arguments, checkpoint, chosen))
     label = f"{config.terrain.plugin_name}, {source.label()}"
@@ -114,7 +114,7 @@ def _compare(names: str, overrides: list[str], as_json: bool) -> None:
     from flipperctl.evaluation.views import ranking
     from flipperctl.show import print_table
     from flipperctl.terminal.console import console, print_lines
-    from flipperctl.terminal.document import show
+    from flipperctl.terminal.streams import show
 
     sources, others = policies(names, overrides)
     with _player(None) as player:
@@ -141,7 +141,7 @@ def _regret(
     from flipperctl.evaluation.views import regret
     from flipperctl.show import print_table
     from flipperctl.terminal.console import console, print_lines
-    from flipperctl.terminal.document import show
+    from flipperctl.terminal.streams import show
 
     scenes = regret_scenes(words, checkpoint, controller, against)
     with _player(output) as player:
@@ -165,7 +165,7 @@ def _player(output: Path | None) -> Iterator[Player]:
     from flipperctl.evaluation.store import FOLDER, EpisodeStore, FolderStore
     from flipperctl.evaluation.workers import EpisodeWorkers
     from flipperctl.results import result_folder
-    from flipperctl.runs.interrupts import interrupts
+    from flipperctl.session import interrupts
     from flipperctl.terminal.progress import episodes_progress
     from flipperctl.terminal.streams import print_note
 

@@ -24,14 +24,14 @@ def run(
     plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
-    from flipperctl.runs.summary import RunRows, summarise
-    from flipperctl.terminal.document import show
     from flipperctl.terminal.run import print_run
+    from flipperctl.terminal.streams import show
+    from flipperctl.training.folder import RunRows, summarise
 
     rows = RunRows.read(run)
     if output is not None:
-        from flipperctl.report.figure import save
-        from flipperctl.report.learning import learning_figure
+        from flipperctl.figures.figure import save
+        from flipperctl.figures.learning import learning_figure
 
         save(learning_figure(rows.episodes, rows.validations, str(run)), output)
     found = summarise(run, rows)

@@ -32,9 +32,9 @@ def run(
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.config import resolver
     from flipperctl.errors import RequestError
-    from flipperctl.studies.profiles import sample
-    from flipperctl.terminal.document import show
-    from flipperctl.terminal.terrain import print_terrain
+    from flipperctl.figures.terrain import sample
+    from flipperctl.terminal.streams import show
+    from flipperctl.terminal.tables import print_terrain
 
     for override in overrides or []:
         if override.startswith("eval."):
@@ -47,8 +47,8 @@ def run(
     sampled = sample(config, range(seed, seed + draws))
     rows = [row for _, row in sampled]
     if output is not None:
-        from flipperctl.report.figure import save
-        from flipperctl.report.terrain import sample_figure
+        from flipperctl.figures.figure import save
+        from flipperctl.figures.terrain import sample_figure
 
         seeds = {row["seed"]: profile for profile, row in sampled}
         save(sample_figure(name, seeds, config.robot), output)

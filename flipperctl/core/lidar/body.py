@@ -1,7 +1,8 @@
-"""The robot's own shape in frame R: what its LiDAR sees of itself.
+"""The robot's own shape in frame R, what its LiDAR sees of itself, and where that is mounted.
 
 In: points or rays and the angles of the flippers. Out: which points lie within the robot, or how
-far the rays reach. Chassis and flippers are boxes as long as the tracks, round ends included.
+far the rays reach; rotation matrices, (3, 3), whose columns are the axes of the turned frame.
+Chassis and flippers are boxes as long as the tracks, round ends included.
 """
 
 from __future__ import annotations
@@ -9,12 +10,46 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.core.arrays import FloatArray
+from flipperctl.core.lidar.messages import Joints
+
+
+def attitude(roll: float, pitch: float, yaw: float) -> FloatArray:
+    """Return the rotation from frame R to a level frame.
+
+    ``roll`` and ``pitch`` are the angles of the chassis' y and x axes above the horizontal, so that
+    both are what an inclinometer along these axes shows; ``yaw`` is the heading, to the left [rad].
+    """
+    cos_p, sin_p, cos_y, sin_y = math.cos(pitch), math.sin(pitch), math.cos(yaw), math.sin(yaw)
+    # The y axis is across the x axis: turned about it by this angle, it rises by sin(roll).
+    turn = math.asin(min(1.0, max(-1.0, math.sin(roll) / max(abs(cos_p), 1e-9))))
+    forward = np.array([cos_y * cos_p, sin_y * cos_p, sin_p])
+    level, above = np.array([-sin_y, cos_y, 0.0]), np.array([-cos_y * sin_p, -sin_y * sin_p, cos_p])
+    left = math.cos(turn) * level + math.sin(turn) * above
+    up = math.cos(turn) * above - math.sin(turn) * level
+    return np.column_stack([forward, left, up])
+
+
+def heading(pitch: float, yaw: float) -> FloatArray:
+    """Return the direction of frame R's x axis in a level frame, (3,), as ``attitude`` does."""
+    cos_p = math.cos(pitch)
+    return np.array([math.cos(yaw) * cos_p, math.sin(yaw) * cos_p, math.sin(pitch)])
+
+
+def mounting(axis: float) -> FloatArray:
+    """Return the rotation from frame S to frame R.
+
+    ``axis`` is the elevation of the z axis of S: π/2 is up, 0 ahead, -π/2 down [rad].
+    """
+    cos, sin = math.cos(axis), math.sin(axis)
+    return np.array([[sin, 0.0, cos], [0.0, 1.0, 0.0], [-cos, 0.0, sin]])
+
 
 _CIRCLES = 21
 """Circles that stand for the outline of the chassis or of a flipper [-]."""
@@ -193,3 +228,51 @@ def _span(begin: float, rate: FloatArray, low: float, high: float) -> tuple[Floa
     enter, leave = np.minimum(one, other), np.maximum(one, other)
     enter[still], leave[still] = (-np.inf, np.inf) if inside else (np.inf, -np.inf)
     return enter, leave
+
+
+@dataclass(frozen=True)
+class Mount:
+    """Where the LiDAR is on the robot, and which of its points count."""
+
+    x: float
+    """Position ahead of the chassis centre, along the chassis [m]."""
+    z: float
+    """Height above the chassis centre [m]."""
+    axis: float
+    """Elevation of the axis of its rings [rad]."""
+    near: float
+    """Points closer than this to the LiDAR are dropped [m]."""
+    margin: float
+    """Points closer than this to the robot's own shape are dropped [m]."""
+
+    @cached_property
+    def position(self) -> FloatArray:
+        """Position of the LiDAR, (3,) in frame R [m]."""
+        return np.array([self.x, 0.0, self.z])
+
+    @property
+    def tells_rays(self) -> bool:
+        """Whether rays begin there; clouds in frame R do not tell where theirs do."""
+        return bool(self.position.any())
+
+    @cached_property
+    def turn(self) -> FloatArray:
+        """Rotation from the LiDAR's frame to frame R, (3, 3)."""
+        return mounting(self.axis)
+
+    def ground_points(
+        self, points: FloatArray, kept: NDArray[np.bool_], body: Body, joints: Joints
+    ) -> FloatArray:
+        """Return those of the ``kept`` points that are not the robot's own, (P, 3) in frame R [m].
+
+        ``points`` (N, 3) are in the LiDAR's frame [m]. ``kept`` (N,) is changed to which of them
+        are returned.
+        """
+        points = points.compress(kept, axis=0)
+        x, y, z = points.T
+        far = x * x + y * y + z * z >= self.near**2
+        kept[kept] = far
+        points = self.position + points.compress(far, axis=0) @ self.turn.T
+        others = ~body.contains(points, joints.front, joints.rear, self.margin)
+        kept[kept] = others
+        return points.compress(others, axis=0)

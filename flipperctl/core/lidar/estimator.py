@@ -13,22 +13,31 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.core.arrays import FloatArray
-from flipperctl.core.lidar.body import Body
-from flipperctl.core.lidar.calibration import (
-    StartErrors,
-    is_elsewhere,
-    start_errors,
-    without_bias,
-)
-from flipperctl.core.lidar.checks import PerceptionError, checked, number, thinned, without_near
+from flipperctl.core.lidar.body import Body, Mount, attitude
 from flipperctl.core.lidar.ground import GroundSeen, MapSettings, Stance
 from flipperctl.core.lidar.matching import ScanMatcher
-from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Pose, Scan
-from flipperctl.core.lidar.mixed import without_mixed
-from flipperctl.core.lidar.mount import Mount
-from flipperctl.core.lidar.odometry import advanced, moved_to
-from flipperctl.core.lidar.rotations import attitude
-from flipperctl.core.lidar.trail import Trail
+from flipperctl.core.lidar.messages import (
+    Belts,
+    Inertial,
+    Joints,
+    PerceptionError,
+    Pose,
+    Scan,
+    checked,
+    number,
+    thinned,
+    without_near,
+)
+from flipperctl.core.lidar.scans import (
+    StartErrors,
+    Trail,
+    advanced,
+    is_elsewhere,
+    moved_to,
+    start_errors,
+    without_bias,
+    without_mixed,
+)
 from flipperctl.core.sensing import Measured, SensedAngles, SensedGround
 
 _OLDEST = 5.0

@@ -1,6 +1,9 @@
 """The ground that a LiDAR has seen, in the layout of the observation.
 
-In: points in the map's frame M, poses. Out: ``SensedGround`` at the robot.
+In: points in the map's frame M, poses. Out: ``SensedGround`` at the robot. A ray passes nothing
+until its return, so ground on the way lies below the ray, and points of the map above it are not
+ground. A robot touches the ground, so a clearance below it is an error of the map. Sideways slopes
+would spread the heights of a profile, and are removed first.
 """
 
 from __future__ import annotations
@@ -12,13 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.core import bins, observation
+from flipperctl.core import observation
+from flipperctl.core import observation as bins
 from flipperctl.core.arrays import FloatArray
-from flipperctl.core.lidar.cells import Grid
+from flipperctl.core.lidar.cells import Grid, TurningCells
 from flipperctl.core.lidar.certainty import Accuracy, deviations
-from flipperctl.core.lidar.contact import clearances
-from flipperctl.core.lidar.free_space import FreeSpace
-from flipperctl.core.lidar.lateral import lateral_slope, straightened
 from flipperctl.core.lidar.outline import (
     Columns,
     Sorted,
@@ -29,8 +30,105 @@ from flipperctl.core.lidar.outline import (
     with_assumed,
     with_drops,
 )
-from flipperctl.core.lidar.turning import TurningCells
 from flipperctl.core.sensing import SensedGround
+
+_SECTORS = 256
+"""Sectors around the LiDAR in which the rays are sorted [-]."""
+_BIN = 0.025
+"""Length of the parts of a sector [m]."""
+
+
+class FreeSpace:
+    """The lowest ray over each place around a LiDAR."""
+
+    def __init__(self, origin: FloatArray, points: FloatArray, reach: float, margin: float) -> None:
+        """Take the rays from ``origin`` (3,) to ``points`` (P, 3) in frame M [m].
+
+        ``reach``: horizontal distance up to which ceilings are wanted [m]. ``margin``: a ray may
+        end this much before its return, because that errs [m].
+        """
+        self._origin = origin
+        self._bins = math.ceil(reach / _BIN) + 1
+        self._shift = 1 + math.ceil(margin / _BIN)
+        away, sector = self._polar(points)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            slope = np.where(away > 0, (points[:, 2] - origin[2]) / away, np.inf)
+        part = np.minimum((away / _BIN).astype(np.int64), self._bins + self._shift)
+        lowest = np.full((_SECTORS, self._bins + self._shift + 1), np.inf)
+        np.minimum.at(lowest, (sector, part), slope)
+        self._slope = np.minimum.accumulate(lowest[:, ::-1], axis=1)[:, ::-1]
+
+    def ceilings(self, points: FloatArray) -> FloatArray:
+        """Return the height of the lowest ray over each of ``points`` (Q, 3), (Q,) [m].
+
+        It is infinite where no ray has passed. Frame M.
+        """
+        away, sector = self._polar(points)
+        part = np.minimum((away / _BIN).astype(np.int64), self._bins - 1) + self._shift
+        return np.asarray(self._origin[2] + away * self._slope[sector, part])
+
+    def _polar(self, points: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
+        """Return the horizontal distances (P,) [m] and the sectors (P,) of points (P, 3)."""
+        dx, dy = points[:, 0] - self._origin[0], points[:, 1] - self._origin[1]
+        turn = np.arctan2(dy, dx) * (_SECTORS / (2 * math.pi))
+        return np.hypot(dx, dy), np.floor(turn).astype(np.int64) % _SECTORS
+
+
+_BELOW = 0.7
+"""Part of a circle's radius from its middle in which ground counts as below it, since points of a
+face beside the track tell nothing about heights [-]."""
+
+
+def clearances(circles: FloatArray, radius: float, points: FloatArray) -> FloatArray:
+    """Return the vertical distance from the tracks down to each point, (P,) [m].
+
+    It is infinite for points that are not below a track, and negative for points within one.
+    ``circles`` (C, 2) and ``points`` (P, 2) are in frame L [m].
+    """
+    across = points[None, :, 0] - circles[:, None, 0]  # (C, P)
+    below = np.abs(across) <= _BELOW * radius
+    bottom = circles[:, None, 1] - np.sqrt(np.maximum(radius**2 - across**2, 0.0))
+    gap: FloatArray = np.where(below, bottom - points[None, :, 1], np.inf)
+    return np.asarray(gap.min(axis=0, initial=np.inf))
+
+
+_FEWEST = 8
+"""Points of a column, and columns, without which no slope is estimated [-]."""
+_WIDE = 0.1
+"""Standard deviation of the places beside the line that a column needs [m]."""
+_LARGEST_SLOPE = 0.7
+"""Larger slopes are of edges along the way, not of the ground [-]."""
+
+
+def lateral_slope(points: FloatArray, cell: float) -> float:
+    """Return by how much the ground rises to the left per length [-].
+
+    ``points`` (P, 3) are along the way, beside it and up [m]; ``cell`` is the length of a column
+    [m]. It is the median of the columns' slopes, so that obstacles on one side of less than half
+    the way do not count; 0 if there are too few.
+    """
+    if not len(points):
+        return 0.0
+    number = np.floor(points[:, 0] / cell).astype(np.int64)
+    number -= number.min()
+    count = np.maximum(np.bincount(number), 1)
+    beside, height = (
+        points[:, axis] - (np.bincount(number, points[:, axis]) / count)[number] for axis in (1, 2)
+    )
+    squares = np.bincount(number, beside**2)
+    usable = (count >= _FEWEST) & (squares >= _WIDE**2 * count)
+    if usable.sum() < _FEWEST:
+        return 0.0
+    slope = float(np.median(np.bincount(number, beside * height)[usable] / squares[usable]))
+    return slope if abs(slope) <= _LARGEST_SLOPE else 0.0
+
+
+def straightened(points: FloatArray, slope: float) -> FloatArray:
+    """Return ``points`` (P, 3) without a sideways slope; heights on the line stay [m]."""
+    found = points.copy()
+    found[:, 2] -= slope * points[:, 1]
+    return found
+
 
 _SPACING = 0.02
 """Distance between the points along the ground, as dense as ``perception=planar``'s [m]."""
@@ -298,3 +396,46 @@ class GroundSeen:
         """Restore a snapshot."""
         cells, self._start, self._lift, self._at, self._way = saved
         self._cells.load(cells)
+
+
+MEANING = (
+    "map of the ground in which the policy was trained: lengths cell along and lane across the "
+    "way, half_width to each side and noise of a point's height in m, keep points a cell, fewest "
+    "points of a column that is seen; deskew: points are corrected for the motion within a scan"
+)
+"""The settings in words, for the metadata of exported policies."""
+
+
+@dataclass(frozen=True)
+class MapQuality:
+    """How the points of scans make up the ground; the defaults are those of ``MapSettings``."""
+
+    cell: float = Grid.cell
+    """Length of the map's cells along the way [m]."""
+    lane: float = Grid.lane
+    """Width of the map's cells [m]."""
+    keep: int = Grid.keep
+    """Newest points that a cell holds [-]."""
+    half_width: float = MapSettings.half_width
+    """Ground within this distance beside the robot's line counts [m]."""
+    fewest: int = MapSettings.fewest
+    """Points without which a column of cells is unseen [-]."""
+    noise: float = MapSettings.noise
+    """Standard deviation of the height of a point [m]."""
+    deskew: bool = True
+    """Whether points are corrected for the robot's motion within a scan."""
+
+    def settings(
+        self, bins: int, bin_width: float, accuracy: Accuracy, *, sides: bool
+    ) -> MapSettings:
+        """Return the settings of a map in this layout; see ``MapSettings`` for the arguments."""
+        return MapSettings(
+            bins=bins,
+            bin_width=bin_width,
+            grid=Grid(cell=self.cell, lane=self.lane, keep=self.keep),
+            half_width=self.half_width,
+            fewest=self.fewest,
+            noise=self.noise,
+            accuracy=accuracy,
+            sides=sides,
+        )

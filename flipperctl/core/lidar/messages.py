@@ -1,11 +1,17 @@
-"""Messages of the devices on the robot.
+"""Messages of the devices on the robot, and their checks before the estimator uses them.
 
-In: what a driver or a simulated instrument has measured. Out: plain data for the estimator.
+In: what a driver or a simulated instrument has measured. Out: plain data for the estimator, without
+numbers that cannot be; nothing if none is left; or ``PerceptionError`` if it is malformed.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
 
 from flipperctl.core.arrays import FloatArray
 
@@ -85,3 +91,131 @@ class SpecificForce:
     """Across the chassis, to the left positive [m/s²]."""
     z: float
     """Perpendicular to both, upwards of the chassis positive [m/s²]."""
+
+
+_LARGEST = {"x": 1e5, "y": 1e5, "z": 1e5, "speed": 10.0, "yaw_rate": 100.0}
+"""Largest position [m], speed [m/s] and rate [rad/s] that a robot can have."""
+_LARGEST_ANGLE = 1e4
+"""Largest angle; headings may count turns [rad]."""
+_LIMITS: Mapping[type[Pose | Joints | Inertial | Belts], Mapping[str, float]] = {
+    kind: {field.name: _LARGEST.get(field.name, _LARGEST_ANGLE) for field in fields(kind)}
+    for kind in (Inertial, Belts, Joints, Pose)
+}
+"""The largest number of each field of a message, by its class."""
+_LARGEST_TIME = 1e12
+"""Largest time, in either direction; clocks may count from 1970 [s]."""
+_FARTHEST = 1e3
+"""Farthest point of a scan [m]."""
+
+
+class PerceptionError(ValueError):
+    """A message is malformed, or nothing can be estimated; the text says why.
+
+    The estimator raises no other exception because of its input, and is as it was before.
+    """
+
+
+@dataclass(frozen=True)
+class Moment:
+    """When a message came, and what it says."""
+
+    time: float
+    """Time [s]."""
+    value: Pose | Joints | Inertial | Belts | Scan
+    """The message."""
+
+
+def checked(time: object, value: object) -> Moment | None:
+    """Return a message that can be used; None if it holds no such numbers or is of another kind.
+
+    Points that are not finite or farther than a LiDAR sees are dropped.
+
+    Raises:
+        PerceptionError: a number is no number, or an array has another shape or type.
+    """
+    if not isinstance(value, Scan | Pose | Joints | Inertial | Belts):
+        return None
+    at = number(time, "the time of a message")
+    if not abs(at) <= _LARGEST_TIME:  # nor NaN
+        return None
+    if isinstance(value, Scan):
+        return Moment(at, _scan(value))
+    for kind, limits in _LIMITS.items():
+        if isinstance(value, kind):
+            numbers = {name: number(getattr(value, name), name) for name in limits}
+            within = all(abs(numbers[name]) <= most for name, most in limits.items())
+            return Moment(at, kind(**numbers)) if within else None
+    return None
+
+
+def number(value: object, name: str) -> float:
+    """Return ``value`` as a float, which may be infinite or NaN.
+
+    Raises:
+        PerceptionError: it is no real number.
+    """
+    if isinstance(value, float):
+        return float(value)  # of numpy's too
+    if isinstance(value, int | np.integer | np.floating):
+        try:
+            return float(value)
+        except OverflowError:
+            return math.inf
+    raise PerceptionError(f"{name} is {_kind(value)}; a number is needed")
+
+
+def _scan(scan: Scan) -> Scan:
+    """Return the scan with finite points alone, each with what is measured about it."""
+    points = _array(scan.points, "points")
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise PerceptionError(f"points have the shape {points.shape}; (P, 3) is needed")
+    with np.errstate(invalid="ignore"):
+        possible = np.abs(points) <= _FARTHEST  # False for NaN
+    kept = np.ones(len(points), np.bool_) if possible.all() else possible.all(axis=1)
+    arrays: dict[str, Any] = {"points": points}
+    for field in fields(scan):  # such as the times of the points
+        value = getattr(scan, field.name)
+        if field.name == "points" or value is None:
+            continue
+        each = _array(value, field.name)
+        if each.shape != (len(points),):
+            shape = (len(points),)
+            raise PerceptionError(f"{field.name} has the shape {each.shape}; {shape} is needed")
+        arrays[field.name] = each
+        kept &= np.isfinite(each)
+    if kept.all():
+        return replace(scan, **arrays)
+    return replace(scan, **{name: each.compress(kept, axis=0) for name, each in arrays.items()})
+
+
+def without_near(scan: Scan, near: float) -> Scan:
+    """Return the scan without points nearer than ``near`` [m], as zeros for rays without return."""
+    far = np.einsum("ij,ij->i", scan.points, scan.points) >= near**2
+    if far.all():
+        return scan
+    found = {field.name: getattr(scan, field.name) for field in fields(scan)}
+    kept = {k: each.compress(far, axis=0) for k, each in found.items() if each is not None}
+    return replace(scan, **kept)
+
+
+def thinned(scan: Scan, most: int) -> Scan:
+    """Return the scan with at most so many points, which are evenly distributed over it."""
+    count = len(scan.points)
+    if count <= most:
+        return scan
+    kept = np.arange(most) * count // most  # no fixed stride, which would leave out whole rings
+    found = {field.name: getattr(scan, field.name) for field in fields(scan)}
+    return replace(scan, **{k: each[kept] for k, each in found.items() if each is not None})
+
+
+def _array(value: object, name: str) -> FloatArray:
+    if isinstance(value, np.ndarray) and value.dtype.kind in "fiu":
+        with np.errstate(over="ignore"):
+            return value.astype(np.float64, copy=False)
+    raise PerceptionError(f"{name} is {_kind(value)}; an array of numbers is needed")
+
+
+def _kind(value: object) -> str:
+    if isinstance(value, np.ndarray):
+        return f"an array of {value.dtype}"
+    return f"of the type {type(value).__name__}"

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from flipperctl.config import EvalConfig, with_overrides
+from flipperctl.config.defaults import check_effect
 from flipperctl.config.describe import Setting, settings
-from flipperctl.config.effect import check_effect
 from flipperctl.errors import ConfigError, RequestError
 from flipperctl.messages import close_match
 

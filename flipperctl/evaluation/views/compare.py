@@ -17,23 +17,21 @@ import numpy as np
 from flipperctl.api import FloatArray, Measure
 from flipperctl.config import resolver
 from flipperctl.errors import RequestError
-from flipperctl.evaluation.scores import (
+from flipperctl.evaluation.seeds import (
     PRICE,
     Method,
-    means,
-    success_difference,
-    success_interval,
-    within,
-)
-from flipperctl.evaluation.seeds import (
     better_interval,
     difference_interval,
     improvement,
     interquartile_mean,
     mean_interval,
+    means,
     profile,
     resampled,
     statistic_interval,
+    success_difference,
+    success_interval,
+    within,
 )
 from flipperctl.evaluation.statistics import Interval, holm
 from flipperctl.evaluation.stored import Stored, read
@@ -269,7 +267,7 @@ def figure(found: Comparison) -> Figure:
     import matplotlib
     from matplotlib.figure import Figure
 
-    from flipperctl.report.figure import WIDTH, legend_above, style_axes
+    from flipperctl.figures.figure import WIDTH, legend_above, style_axes
 
     methods, price = found.stored.methods, found.price
     drawn = Figure(figsize=(WIDTH, 4.2), layout="constrained")

@@ -297,7 +297,7 @@ def write(folder: Path, found: CapabilityMap) -> int:
         OutputError: a file cannot be written.
         WriteError: writing failed half way.
     """
-    from flipperctl.report.figure import save
+    from flipperctl.figures.figure import save
 
     write_json(folder / "map.json", found.to_dict())
     write_csv(folder / "map.csv", list(found.rows()))
@@ -358,8 +358,8 @@ def figure(found: CapabilityMap) -> Figure:
         raise ValueError("a map needs at least one point")
     from matplotlib.figure import Figure
 
-    from flipperctl.report.figure import WIDTH
-    from flipperctl.report.render import INK
+    from flipperctl.figures.figure import WIDTH
+    from flipperctl.figures.render import INK
 
     drawn = Figure(figsize=(WIDTH, 4.6), layout="constrained")
     left, right = drawn.subplots(1, 2)
@@ -402,7 +402,7 @@ def _explain(figure: Figure, found: CapabilityMap, bounded: bool, missing: int) 
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    from flipperctl.report.render import INK
+    from flipperctl.figures.render import INK
 
     dots = f"{found.entry.config.eval.episodes} episodes played"
     handles: list[Any] = [
@@ -439,8 +439,8 @@ def _panel(
     limits: tuple[float, float],
 ) -> None:
     """Draw one quantity of each point in its colour, with a colour bar."""
-    from flipperctl.report.figure import style_axes
-    from flipperctl.report.render import INK
+    from flipperctl.figures.figure import style_axes
+    from flipperctl.figures.render import INK
 
     first, second = found.axes
     panel.set_facecolor(_EMPTY)

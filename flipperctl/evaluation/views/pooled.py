@@ -15,8 +15,13 @@ import numpy as np
 from flipperctl.api import FloatArray, Outcome
 from flipperctl.evaluation.evaluate import Played, Result
 from flipperctl.evaluation.rows import Row, reached
-from flipperctl.evaluation.scores import Method, success_difference, success_interval
-from flipperctl.evaluation.seeds import difference_interval, mean_interval
+from flipperctl.evaluation.seeds import (
+    Method,
+    difference_interval,
+    mean_interval,
+    success_difference,
+    success_interval,
+)
 
 _MEASURES = ("t_cost", "pitch_variation", "pitch_variation_100hz", "flipper_travel")
 

@@ -18,7 +18,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.episode_record import EpisodeRecord, measures, read_record, risks
 from flipperctl.evaluation.play import Progress, no_progress
 from flipperctl.evaluation.rows import DIGEST, Row, arranged
-from flipperctl.evaluation.runner import EpisodeDigest
+from flipperctl.evaluation.workers import EpisodeDigest
 from flipperctl.files import write_json
 from flipperctl.policies.source import PolicySource
 from flipperctl.results import ResultFolder, result_folder
@@ -124,7 +124,7 @@ def replay_file(
     with ExitStack() as stack:
         folder: ResultFolder | None = None
         if film is not None:
-            from flipperctl.report.film import check_film
+            from flipperctl.figures.film import check_film
 
             check_film(film)
         if output is not None:
@@ -140,9 +140,9 @@ def replay_file(
 
 
 def _write(folder: Path, found: Replay) -> None:
-    from flipperctl.report.episode import episode_figure
-    from flipperctl.report.figure import save
-    from flipperctl.report.instants import samples
+    from flipperctl.figures.episode import episode_figure
+    from flipperctl.figures.figure import save
+    from flipperctl.figures.film import samples
 
     write_json(folder / "replay.json", found.to_dict())
     states = [found.transitions[0].before, *(t.after for t in found.transitions)]
@@ -152,8 +152,7 @@ def _write(folder: Path, found: Replay) -> None:
 
 
 def _film(path: Path, found: Replay, progress: Progress) -> None:
-    from flipperctl.report.drawn_film import film
-    from flipperctl.report.film import save_film
+    from flipperctl.figures.film import film, save_film
 
     if found.draws:  # the side view does not show why a robot rolls or leaves its heading
         film(found.config, found.source, found.record.seed, path)

@@ -14,7 +14,7 @@ import numpy as np
 from flipperctl.api import FloatArray
 from flipperctl.evaluation.rows import Row, reached
 from flipperctl.evaluation.statistics import proportion
-from flipperctl.rollout.risks import AHEAD, EpisodeRisks
+from flipperctl.rollout.episode import AHEAD, EpisodeRisks
 
 _EDGES = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0)
 """Edges of the bins in which told and true rates are compared; finer where most risks are."""

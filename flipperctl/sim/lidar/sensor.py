@@ -17,22 +17,21 @@ from flipperctl.api import (
     Sensor,
     sensor,
 )
-from flipperctl.core.lidar.body import Body
+from flipperctl.core.lidar.body import Body, Mount
 from flipperctl.core.lidar.certainty import Accuracy, accuracy_of
 from flipperctl.core.lidar.estimator import LidarEstimator
-from flipperctl.core.lidar.map_quality import MapQuality
+from flipperctl.core.lidar.ground import MapQuality
 from flipperctl.core.lidar.matching import ScanMatcher
-from flipperctl.core.lidar.mount import Mount
 from flipperctl.errors import MissingExtraError
-from flipperctl.sim.lidar.inertial import (
+from flipperctl.sim.lidar.instruments import (
     Accelerometer,
     BeltEncoders,
+    Encoders,
     InertialErrors,
     InertialUnit,
+    Tracking,
 )
-from flipperctl.sim.lidar.instruments import Encoders, Tracking
-from flipperctl.sim.lidar.returns import RangeErrors
-from flipperctl.sim.lidar.scanner import Scanner
+from flipperctl.sim.lidar.scanner import RangeErrors, Scanner
 from flipperctl.sim.lidar.settings import LidarSettings
 from flipperctl.sim.planar.sensing import PlanarSensor
 

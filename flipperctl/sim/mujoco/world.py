@@ -8,6 +8,7 @@ in the ground's frame; both agree unless ``lateral_slope`` is set.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -30,16 +31,111 @@ from flipperctl.api import (
 )
 from flipperctl.errors import NonFiniteError
 from flipperctl.sim.mujoco.axes import orientation, quaternion
-from flipperctl.sim.mujoco.ground import boxes
-from flipperctl.sim.mujoco.model import ROBOT_GROUP, build
-from flipperctl.sim.mujoco.placing import clear, farther
-from flipperctl.sim.mujoco.scenery import add_scenery
+from flipperctl.sim.mujoco.ground import ROUGH_MARGIN, add_scenery, boxes
+from flipperctl.sim.mujoco.model import ROBOT_GROUP, Model, build
 from flipperctl.sim.mujoco.settings import MujocoSettings
-from flipperctl.sim.mujoco.tracks import Tracks
-from flipperctl.sim.resting import height_at
+from flipperctl.sim.resting import OVERLAP, height_at
 
 if TYPE_CHECKING:
     from flipperctl.sim.mujoco.camera import Camera
+
+
+def farther(profile: Profile, robot: Robot, sim: MujocoSettings, start: Start, yaw: float) -> float:
+    """Return how much farther ahead a level robot may overlap than a straight one on the profile.
+
+    By the corner of a turned robot, and by what reaches onto rough ground before the first edge
+    [m].
+    """
+    corner = (sim.flipper_offset + sim.track_width / 2) * abs(math.sin(yaw))
+    if not sim.roughness:
+        return corner
+    tip = robot.hinge_offset + robot.flipper_axle * math.cos(start.front) + robot.track_radius
+    return corner + max(0.0, start.x + corner + tip - (profile.start - ROUGH_MARGIN))
+
+
+def clear(pose: FloatArray, start: Start, most: float, penetration: Callable[[], float]) -> None:
+    """Move the robot off what it overlaps where a straight one on the profile would not.
+
+    Past the first edge it goes up, off rough patches and turned edges; ahead of it, back, by
+    ``most`` or less [m], see ``farther``. ``pose``: changed, it begins with x, y and z of the
+    chassis [m]; ``penetration`` returns the depth of the overlap at the pose of now [m].
+    """
+    if start.height is not None:
+        while (depth := penetration()) > OVERLAP:
+            pose[2] += depth
+        return
+    nearest = start.x - most
+    while (depth := penetration()) > OVERLAP and pose[0] > nearest:
+        pose[0] = max(nearest, pose[0] - depth)
+
+
+_SIDES = 1.0, -1.0
+"""Left and right, as in ``Model.sides``."""
+_LARGEST_STEER = 0.5
+"""Largest difference of a belt's speed from the robot's by steering, as a fraction [-]."""
+_STEER_AHEAD = 1.0
+"""Steering aims at the middle of the ground this far ahead [m]."""
+_AVERAGING = 0.1
+"""Time over which normal forces are averaged for the motors' limit; contacts hop [s]."""
+
+
+class Tracks:
+    """The belts on both sides of one robot."""
+
+    def __init__(self, built: Model, robot: Robot, sim: MujocoSettings) -> None:
+        """Drive the belts of the ``built`` model."""
+        self._model, self._belts, self._sides = built
+        self._gain, self._speed, self._friction = sim.heading_gain, robot.track_speed, sim.friction
+        self._force = robot.track_force
+        if self._force is not None:  # a contact has the larger friction of its two shapes
+            self._model.geom_friction[self._sides == 0, 0] = 0.0
+        weight = robot.mass * sim.gravity
+        self.pressed = 0.0, 0.0
+        """Averaged normal forces on the left and on the right tracks [N]."""
+        self.restore((weight / 2, weight / 2))
+
+    def steer(self, yaw: float, side: float) -> None:
+        """Set the belts' speeds for a heading [rad] and a distance beside the middle [m]."""
+        if self._gain:
+            faster = self._faster(yaw, side)
+            self._model.geom_surfacevel[:] = self._belts * (1.0 + faster * self._sides)[:, None]
+
+    def _faster(self, yaw: float, side: float) -> float:
+        """Return by which fraction the left belts run faster than the robot's speed."""
+        steer = self._gain * (yaw + side / _STEER_AHEAD)
+        return min(_LARGEST_STEER, max(-_LARGEST_STEER, steer))
+
+    def speeds(self, yaw: float, side: float) -> FloatArray:
+        """Return the speeds of the left and the right belts, (2,) [m/s]."""
+        faster = self._speed * self._faster(yaw, side)
+        return np.array([self._speed + faster, self._speed - faster])
+
+    def limit(self, data: Any) -> None:
+        """Scale the friction of each side so that its motor can supply the force of its belts.
+
+        It is called after each sample, for the next one. A belt that its load holds slips as one
+        without grip; each side has half of ``robot.track_force``.
+        """
+        if self._force is None:
+            return
+        found = data.contact.efc_address >= 0
+        normal = data.efc_force[data.contact.efc_address[found]]  # (C,) [N]
+        sides = self._sides[data.contact.geom[found]].sum(axis=1)  # (C,), the ground has 0
+        rate = SAMPLE_PERIOD / _AVERAGING
+        left, right = (
+            (1 - rate) * before + rate * float(normal[sides == side].sum())
+            for side, before in zip(_SIDES, self.pressed, strict=True)
+        )
+        self.restore((left, right))
+
+    def restore(self, pressed: tuple[float, float]) -> None:
+        """Take the averaged normal forces [N], and set the friction that follows from them."""
+        self.pressed = pressed
+        if self._force is not None:
+            for side, force in zip(_SIDES, pressed, strict=True):
+                usable = min(self._friction, self._force / 2 / max(force, 1e-9))
+                self._model.geom_friction[self._sides == side, 0] = usable
+
 
 _SERVO_RATE = 25.0
 """Velocity that a servo demands for each rad of its angle's error [1/s]."""

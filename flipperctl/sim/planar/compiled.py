@@ -21,7 +21,7 @@ from pymunk._chipmunk_cffi import ffi, lib
 from flipperctl.api import FloatArray, Limits
 from flipperctl.api.engines import is_over
 from flipperctl.sim.jit import cached
-from flipperctl.sim.planar.energy import (
+from flipperctl.sim.planar.joints import (
     STATE,
     Budget,
     kinetic_energy,

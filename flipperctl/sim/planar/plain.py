@@ -16,7 +16,7 @@ import numpy as np
 import pymunk
 
 from flipperctl.api import FloatArray, Limits
-from flipperctl.sim.planar.energy import Budget, kinetic_energy, potential_energy, slowdown
+from flipperctl.sim.planar.joints import Budget, kinetic_energy, potential_energy, slowdown
 
 TRACK, GROUND = 1, 2
 """Collision types of the tracks and of the ground."""

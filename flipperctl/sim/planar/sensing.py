@@ -23,9 +23,9 @@ from flipperctl.api import (
     Sensor,
     sensor,
 )
-from flipperctl.core.bins import mean_heights
+from flipperctl.core.observation import mean_heights
 from flipperctl.sim.planar.map_errors import LARGEST, MapErrors, MapErrorSize
-from flipperctl.sim.planar.occlusion import Mast, SeenGround
+from flipperctl.sim.planar.rays import Mast, SeenGround
 
 
 @sensor("planar")
@@ -133,7 +133,7 @@ class TerrainSensor:
         self._cloud = profile.sample(1 / settings.density, margin)
         self._x = np.ascontiguousarray(self._cloud[:, 0])
         self._reach = settings.reach
-        from flipperctl.sim.planar.bins import sum_heights  # numba takes a third of a second
+        from flipperctl.sim.planar.rays import sum_heights  # numba takes a third of a second
 
         self._sum_heights = sum_heights
         self._map_errors: MapErrors | None = None

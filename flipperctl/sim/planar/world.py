@@ -24,10 +24,9 @@ from flipperctl.api import (
     RobotState,
     Start,
 )
-from flipperctl.sim.planar.casting import distances
-from flipperctl.sim.planar.energy import Budget
-from flipperctl.sim.planar.joints import join, largest_impulse
+from flipperctl.sim.planar.joints import Budget, join, largest_impulse
 from flipperctl.sim.planar.plain import GROUND, TRACK, Belt, PlainLoop
+from flipperctl.sim.planar.rays import distances
 from flipperctl.sim.planar.settings import PlanarSettings
 from flipperctl.sim.resting import height_at
 

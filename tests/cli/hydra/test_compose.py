@@ -9,7 +9,7 @@ from flipperctl.cli.hydra import compose, config_store
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import EnvConfig, EvalConfig, Teacher, TrainConfig, to_dict, with_overrides
 from flipperctl.errors import ConfigError
-from flipperctl.lookahead.mpc import Mpc
+from flipperctl.lookahead.controllers import Mpc
 from flipperctl.sim.planar import PlanarSensor
 
 MPC = to_dict(Mpc(value=""))

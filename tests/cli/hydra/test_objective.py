@@ -7,7 +7,7 @@ import pytest
 from flipperctl.cli.hydra import optuna_search
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.errors import ConfigError
-from flipperctl.runs.search import objective
+from flipperctl.training.search_space import objective
 from tests.cli.call import refused
 
 

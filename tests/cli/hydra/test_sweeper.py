@@ -22,8 +22,7 @@ from flipperctl.errors import (
     NonFiniteError,
     WriteError,
 )
-from flipperctl.runs.search import SearchSettings
-from flipperctl.runs.search_space import distributions
+from flipperctl.training.search_space import SearchSettings, distributions
 
 DRAWN = ["agent.learning_rate=tag(log,interval(1e-4,3e-3))", "agent.batch_size=32,64"]
 

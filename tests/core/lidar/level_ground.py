@@ -4,11 +4,10 @@ import math
 
 import numpy as np
 
-from flipperctl.core.lidar.body import Body
+from flipperctl.core.lidar.body import Body, Mount
 from flipperctl.core.lidar.estimator import LidarEstimator
 from flipperctl.core.lidar.ground import MapSettings
 from flipperctl.core.lidar.messages import Pose, Scan
-from flipperctl.core.lidar.mount import Mount
 from flipperctl.core.sensing import Measured
 
 BODY = Body(0.76, 0.536, 0.1, 0.352, 0.712)

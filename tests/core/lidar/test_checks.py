@@ -5,8 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from flipperctl.core.lidar.checks import PerceptionError, checked
-from flipperctl.core.lidar.messages import Belts, Joints, Scan
+from flipperctl.core.lidar.messages import Belts, Joints, PerceptionError, Scan, checked
 
 
 def test_numbers_that_cannot_be_are_dropped_with_their_message() -> None:

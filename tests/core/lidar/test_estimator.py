@@ -6,12 +6,10 @@ from dataclasses import astuple
 import numpy as np
 import pytest
 
-from flipperctl.core.lidar.checks import PerceptionError
-from flipperctl.core.lidar.contact import clearances
 from flipperctl.core.lidar.estimator import LidarEstimator
-from flipperctl.core.lidar.ground import GroundSeen
-from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Pose, Scan
-from flipperctl.core.lidar.odometry import advanced
+from flipperctl.core.lidar.ground import GroundSeen, clearances
+from flipperctl.core.lidar.messages import Belts, Inertial, Joints, PerceptionError, Pose, Scan
+from flipperctl.core.lidar.scans import advanced
 from flipperctl.core.sensing import Measured
 from tests.core.lidar.level_ground import LEVEL, ahead, estimator, told
 

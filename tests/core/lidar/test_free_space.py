@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flipperctl.core.lidar.cells import Cells, Grid
-from flipperctl.core.lidar.free_space import FreeSpace
+from flipperctl.core.lidar.ground import FreeSpace
 
 ORIGIN = np.array([1.0, 2.0, 0.5])
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from flipperctl.core.lidar.lateral import lateral_slope, straightened
+from flipperctl.core.lidar.ground import lateral_slope, straightened
 
 CELL = 0.025
 

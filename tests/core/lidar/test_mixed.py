@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from flipperctl.core.lidar.messages import Scan
-from flipperctl.core.lidar.mixed import without_mixed
+from flipperctl.core.lidar.scans import without_mixed
 
 ANGLES = np.radians(np.arange(0, 60, 1.6))
 

@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 
 from flipperctl.core.arrays import FloatArray
-from flipperctl.core.lidar.checks import thinned, without_near
+from flipperctl.core.lidar.body import Mount
 from flipperctl.core.lidar.estimator import LidarEstimator
 from flipperctl.core.lidar.ground import MapSettings
-from flipperctl.core.lidar.messages import Joints, Scan
-from flipperctl.core.lidar.mount import Mount
+from flipperctl.core.lidar.messages import Joints, Scan, thinned, without_near
 from tests.core.lidar.level_ground import BODY, LEVEL, UP, told
 
 EDGE, DROP = 0.35, 0.5

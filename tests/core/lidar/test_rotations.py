@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from flipperctl.core.lidar.rotations import attitude, mounting
+from flipperctl.core.lidar.body import attitude, mounting
 
 THIRD = math.pi / 6
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from flipperctl.core.lidar.messages import Pose
-from flipperctl.core.lidar.trail import Trail
+from flipperctl.core.lidar.scans import Trail
 
 START = Pose(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 

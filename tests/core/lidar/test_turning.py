@@ -6,9 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from flipperctl.core.lidar.cells import Cells, Grid
+from flipperctl.core.lidar.cells import Cells, Grid, TurningCells
 from flipperctl.core.lidar.messages import Joints, Scan
-from flipperctl.core.lidar.turning import TurningCells
 from tests.core.lidar.level_ground import LEVEL, ahead, estimator, told
 
 

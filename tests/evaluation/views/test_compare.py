@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flipperctl.evaluation.scores import Method
+from flipperctl.evaluation.seeds import Method
 from flipperctl.evaluation.stored import Stored
 from flipperctl.evaluation.views.compare import ALL, Comparison, document, tables
 

@@ -10,7 +10,6 @@ from flipperctl.config import EvalConfig
 from flipperctl.evaluation.plan import Entry
 from flipperctl.evaluation.play import Player
 from flipperctl.evaluation.rows import Episodes
-from flipperctl.evaluation.runner import EpisodeRunner
 from flipperctl.evaluation.store import EpisodeStore, FolderStore
 from flipperctl.evaluation.views.axes import Axis, grid_config, parse_axes
 from flipperctl.evaluation.views.map import (
@@ -23,7 +22,7 @@ from flipperctl.evaluation.views.map import (
     capability_map,
     figure,
 )
-from flipperctl.evaluation.workers import EpisodeWorkers
+from flipperctl.evaluation.workers import EpisodeRunner, EpisodeWorkers
 from flipperctl.policies.source import PolicySource
 from tests.evaluation.samples import episodes, sample
 

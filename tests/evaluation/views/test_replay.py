@@ -8,14 +8,14 @@ import pytest
 from flipperctl import checkpoint
 from flipperctl.config import EvalConfig
 from flipperctl.errors import CheckpointError, RequestError
+from flipperctl.evaluation import run as evaluation
 from flipperctl.evaluation.episode_record import EpisodeRecord, read_record
 from flipperctl.evaluation.evaluate import evaluate
 from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.rows import DIGEST
+from flipperctl.evaluation.run import failure_records
 from flipperctl.evaluation.views.replay import replay, title
 from flipperctl.policies.source import PolicySource
-from flipperctl.runs import evaluation
-from flipperctl.runs.evaluation import failure_records
 
 LEVEL = PolicySource.of_plugin("level", "here")
 STEP = EvalConfig(

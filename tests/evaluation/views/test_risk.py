@@ -7,7 +7,7 @@ from flipperctl.evaluation.views import risk
 from flipperctl.evaluation.views.card import card_text
 from flipperctl.evaluation.views.risk import summarise, threshold_for
 from flipperctl.evaluation.views.summary import summary
-from flipperctl.rollout.risks import EpisodeRisks
+from flipperctl.rollout.episode import EpisodeRisks
 from tests.evaluation.samples import episodes, sample
 from tests.evaluation.views.test_card import FACTS, POLICY, replace
 

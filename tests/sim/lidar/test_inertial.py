@@ -6,20 +6,19 @@ import numpy as np
 import pytest
 
 from flipperctl.api import Profile, Robot, RobotState, Start
-from flipperctl.core.lidar.body import Body
+from flipperctl.core.lidar.body import Body, attitude, mounting
 from flipperctl.core.lidar.estimator import Mount
-from flipperctl.core.lidar.rotations import attitude, mounting
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.sim.lidar.frames import levelled, to_world
-from flipperctl.sim.lidar.inertial import (
+from flipperctl.sim.lidar.instruments import (
     Accelerometer,
     BeltEncoders,
     InertialErrors,
     InertialUnit,
+    Tracking,
+    levelled,
+    to_world,
 )
-from flipperctl.sim.lidar.instruments import Tracking
-from flipperctl.sim.lidar.returns import RangeErrors
-from flipperctl.sim.lidar.scanner import Scanner
+from flipperctl.sim.lidar.scanner import RangeErrors, Scanner
 from flipperctl.sim.mujoco import Mujoco
 
 RNG = np.random.default_rng(0)

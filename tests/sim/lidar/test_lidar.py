@@ -12,10 +12,8 @@ from flipperctl.core.lidar.estimator import Mount
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
 from flipperctl.sim.lidar import LidarSensor
-from flipperctl.sim.lidar.inertial import InertialErrors, InertialUnit
-from flipperctl.sim.lidar.pattern import RINGS, directions
-from flipperctl.sim.lidar.returns import RangeErrors
-from flipperctl.sim.lidar.scanner import Scanner
+from flipperctl.sim.lidar.instruments import InertialErrors, InertialUnit
+from flipperctl.sim.lidar.scanner import RINGS, RangeErrors, Scanner, directions
 from flipperctl.sim.planar import PlanarSensor
 
 BODY = Body(0.76, 0.536, 0.1, 0.352, 0.712)

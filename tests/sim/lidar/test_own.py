@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from flipperctl.core.lidar.body import Body
-from flipperctl.sim.lidar.own import OwnHits
+from flipperctl.sim.lidar.scanner import OwnHits
 
 BODY = Body(0.76, 0.536, 0.1, 0.352, 0.712)
 

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from flipperctl.api import FloatArray
-from flipperctl.sim.lidar.pattern import RINGS, directions
-from flipperctl.sim.lidar.returns import RangeErrors, Returns
+from flipperctl.sim.lidar.scanner import RINGS, RangeErrors, Returns, directions
 
 AZIMUTHS = 200
 RAYS = directions(AZIMUTHS)

@@ -13,8 +13,7 @@ from flipperctl.core.lidar.ground import MapSettings
 from flipperctl.core.lidar.messages import Joints, Pose, Scan
 from flipperctl.core.sensing import Measured
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.sim.lidar.returns import RangeErrors
-from flipperctl.sim.lidar.scanner import Scanner
+from flipperctl.sim.lidar.scanner import RangeErrors, Scanner
 
 BODY = Body(0.76, 0.536, 0.1, 0.352, 0.712)
 MOUNT = Mount(x=0.25, z=0.4, axis=-math.pi / 4, near=0.1, margin=0.05)

@@ -14,9 +14,9 @@ from gymnasium.utils.env_checker import check_env
 
 from flipperctl import checkpoint
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.env.scene import HEIGHT, WIDTH
+from flipperctl.env.pictures import HEIGHT, WIDTH
 from flipperctl.errors import PluginFailedError, RequestError, TerrainError
-from flipperctl.sim.mujoco import placing
+from flipperctl.sim.mujoco import world as placing
 from flipperctl.sim.mujoco.world import MujocoWorld
 from tests.cli.call import EXACT, call
 

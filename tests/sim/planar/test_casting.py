@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from flipperctl.sim.planar.casting import distances
+from flipperctl.sim.planar.rays import distances
 
 LINE = np.array([(-5.0, 0.0), (0.0, 0.0), (0.0, 0.3), (1.0, 0.3), (1.0, -0.2), (5.0, -0.2)])
 

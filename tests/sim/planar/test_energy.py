@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.sim.planar import energy, joints
+from flipperctl.sim.planar import joints
+from flipperctl.sim.planar import joints as energy
 from tests.long.energy import Balance, measure, read_log, run, table, violations
 
 START = {"start_noise": 0.1, "start_angle_noise": 0.1}

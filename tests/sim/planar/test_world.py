@@ -12,7 +12,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.sim.planar import Planar
 from flipperctl.sim.planar import world as world_module
 from flipperctl.sim.planar.compiled import CompiledLoop
-from flipperctl.sim.planar.energy import Budget
+from flipperctl.sim.planar.joints import Budget
 from flipperctl.sim.planar.plain import GROUND, TRACK, Belt, PlainLoop
 from flipperctl.sim.planar.world import PlanarWorld
 

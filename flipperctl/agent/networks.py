@@ -1,0 +1,328 @@
+"""Networks of the agent: built from a plugin, their outputs, their greedy decision.
+
+In: a network plugin and the observation layout. Out: a torch module that was tested on a batch and
+on one observation, in ``train()`` and in ``eval()`` mode, and the actions that it decides on.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from typing import Any, Protocol, cast, runtime_checkable
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from flipperctl.agent import replay as memory
+from flipperctl.agent.losses import double_q_target, double_quantile_target, huber, quantile_huber
+from flipperctl.agent.replay import Batch
+from flipperctl.api import ACTIONS, MAX_HISTORY, Network, ObservationLayout
+from flipperctl.errors import ConfigError, FlipperctlError, NonFiniteError, PluginFailedError
+from flipperctl.guard import definition, naming, plugin_label, refusal, short_repr
+
+
+def input_size(network: Network, layout: ObservationLayout) -> int:
+    """Return the length of the network's input row, frames · (N + 3)."""
+    return network.frames * layout.size
+
+
+def stacked(recent: Sequence[NDArray[np.float32]], frames: int) -> NDArray[np.float32]:
+    """Return the newest ``frames`` observations in one row, oldest first, (frames · (N + 3),).
+
+    ``recent``: observations of one episode, newest last. At its start the first observation is
+    repeated for those that are missing.
+    """
+    if frames == 1:
+        return recent[-1]
+    newest = recent[-frames:]
+    return np.concatenate([*[newest[0]] * (frames - len(newest)), *newest])
+
+
+@runtime_checkable
+class Distributional(Protocol):
+    """A network that estimates quantiles of each action's return."""
+
+    def quantiles(self, observation: torch.Tensor, /) -> torch.Tensor:
+        """Return K equally likely values of each action's return, (B, A, K)."""
+
+
+class Head(Protocol):
+    """The target and the loss from which the online network learns."""
+
+    def targets(
+        self, reward: torch.Tensor, batch: Batch, online: torch.nn.Module, target: torch.nn.Module
+    ) -> torch.Tensor:
+        """Return the targets of a batch, (B, …), with the scaled rewards ``reward``, (B,)."""
+
+    def loss(
+        self,
+        online: torch.nn.Module,
+        observation: torch.Tensor,
+        action: torch.Tensor,
+        targets: torch.Tensor,
+    ) -> torch.Tensor:
+        """Return the loss between the network's outputs for ``action``, (B,), and ``targets``."""
+
+
+class Scalar:
+    """One Q-value for each action, learnt with the Huber loss."""
+
+    def targets(
+        self, reward: torch.Tensor, batch: Batch, online: torch.nn.Module, target: torch.nn.Module
+    ) -> torch.Tensor:
+        """Return the double Q-learning targets, (B,)."""
+        next_ = batch.next_observation
+        return double_q_target(reward, batch.discount, online(next_), target(next_))
+
+    def loss(
+        self,
+        online: torch.nn.Module,
+        observation: torch.Tensor,
+        action: torch.Tensor,
+        targets: torch.Tensor,
+    ) -> torch.Tensor:
+        """Return the Huber loss of the Q-values."""
+        predicted = online(observation).gather(1, action.unsqueeze(1)).squeeze(1)
+        return huber(predicted, targets)
+
+
+class Quantile:
+    """K quantiles for each action, learnt by quantile regression (Dabney et al. 2018)."""
+
+    def targets(
+        self, reward: torch.Tensor, batch: Batch, online: torch.nn.Module, target: torch.nn.Module
+    ) -> torch.Tensor:
+        """Return the target distributions as K equally likely values, (B, K)."""
+        values = online(batch.next_observation)
+        quantiles = cast("Distributional", target).quantiles(batch.next_observation)
+        return double_quantile_target(reward, batch.discount, values, quantiles)
+
+    def loss(
+        self,
+        online: torch.nn.Module,
+        observation: torch.Tensor,
+        action: torch.Tensor,
+        targets: torch.Tensor,
+    ) -> torch.Tensor:
+        """Return the quantile Huber loss of the quantiles."""
+        quantiles = cast("Distributional", online).quantiles(observation)
+        rows = torch.arange(len(action), device=action.device)
+        return quantile_huber(quantiles[rows, action], targets)
+
+
+def choose_head(module: torch.nn.Module) -> Head:
+    """Return the quantile head for a module with ``quantiles``, else the scalar head."""
+    return Quantile() if isinstance(module, Distributional) else Scalar()
+
+
+TRAINING_COPIES = 6
+"""Copies of the parameters in training: online and target network, two moments, two gradients."""
+
+_plugins: WeakKeyDictionary[torch.nn.Module, Network] = WeakKeyDictionary()
+
+
+def build_network(
+    network: Network, layout: ObservationLayout, n_actions: int, *, copies: int = 1
+) -> torch.nn.Module:
+    """Build a network and check it; ``copies`` of its parameters must fit into memory.
+
+    Raises:
+        ConfigError: the network does not map (B, frames · (N + 3)) to (B, n_actions) finite
+            float32 numbers, raises an exception, or does not fit into memory.
+    """
+    frames: object = network.frames
+    if not isinstance(frames, int) or not 1 <= frames <= MAX_HISTORY:
+        text = f"is {short_repr(frames)}; 1 to {MAX_HISTORY} is allowed"
+        raise refusal(network, "frames", text, ConfigError)
+    module = _build(network, layout, n_actions, copies)
+    if not isinstance(module, torch.nn.Module):
+        text = f"must return a torch module; got {type(module).__name__}"
+        raise refusal(network, "build", text, ConfigError)
+    record_plugin(module, network)
+    with torch.random.fork_rng(devices=[]), torch.no_grad(), _restored_afterwards(module):
+        _try(network, module, torch.zeros(2, input_size(network, layout)), n_actions)
+    return module
+
+
+def record_plugin(module: torch.nn.Module, network: Network) -> None:
+    """Record the plugin that built a module, so that errors of the module name the plugin."""
+    _plugins[module] = network
+
+
+def naming_network(module: torch.nn.Module, method: str) -> naming | nullcontext[None]:
+    """Return a context for a call of a module's ``method``, in which errors name its plugin."""
+    network = _plugins.get(module)
+    return nullcontext() if network is None else naming(network, method)
+
+
+def describe_fault(module: torch.nn.Module, method: str, text: str) -> str:
+    """Return an error text about a module's output, with the name and place of its plugin."""
+    network = _plugins.get(module)
+    if network is None:
+        return f"a {type(module).__name__}: {method} {text}"
+    return f"{plugin_label(network)}: {method} {text} ({definition(network, 'build')})"
+
+
+def _build(network: Network, layout: ObservationLayout, n_actions: int, copies: int) -> Any:
+    counted: dict[int, int] = {}
+
+    def count(module: torch.nn.Module, name: str, parameter: torch.nn.Parameter | None) -> None:
+        """Count a parameter, whose memory is reserved but not yet used."""
+        if isinstance(parameter, torch.Tensor) and not torch.nn.parameter.is_lazy(parameter):
+            counted[id(parameter)] = parameter.numel() * parameter.element_size()
+            free = memory.available()
+            if free is not None and copies * sum(counted.values()) > free:
+                raise _TooLargeError
+
+    hook = torch.nn.modules.module.register_module_parameter_registration_hook(count)
+    try:
+        return network.build(layout, n_actions)
+    except _TooLargeError:
+        pass
+    except ConfigError as error:
+        if not _is_out_of_memory(error.__cause__):
+            raise
+    finally:
+        hook.remove()
+    raise _too_large(network, layout, n_actions, copies, sum(counted.values()))
+
+
+class _TooLargeError(FlipperctlError):
+    """The parameters counted so far do not fit into memory; raised through the plugin's code."""
+
+
+def _too_large(
+    network: Network, layout: ObservationLayout, n_actions: int, copies: int, least: int
+) -> FlipperctlError:
+    try:
+        with torch.device("meta"):  # its tensors have a shape but no memory
+            module = network.build(layout, n_actions)
+        sizes = [(p.numel(), p.numel() * p.element_size()) for p in module.parameters()]
+    except Exception:  # noqa: BLE001  # plugin code that needs values
+        sizes = []
+    count, size = (sum(column) for column in zip(*sizes, strict=True)) if sizes else (0, least)
+    parameters = f"{count:,} parameters" if count else "parameters"
+    each = f" ({copies} times {memory.gigabytes(size)})" if copies > 1 else ""
+    free = memory.available()
+    left = "more than is available" if free is None else f"but {memory.gigabytes(free)} are free"
+    return refusal(
+        network,
+        "build",
+        f"builds a network whose {parameters} take {'' if sizes else 'at least '}"
+        f"{memory.gigabytes(copies * size)} of memory{each}, {left}; choose a smaller one",
+        ConfigError,
+    )
+
+
+def _is_out_of_memory(error: BaseException | None) -> bool:
+    failed = isinstance(error, RuntimeError) and "can't allocate memory" in str(error)
+    return failed or isinstance(error, MemoryError)
+
+
+def _try(network: Network, module: torch.nn.Module, probe: torch.Tensor, n_actions: int) -> None:
+    """Raise ConfigError unless the module returns Q-values in every mode that is used later."""
+    shape = tuple(probe.shape)
+    output = _call(network, module, probe, f" fails on observations of shape {shape}")
+    found = tuple(output.shape) if isinstance(output, torch.Tensor) else type(output).__name__
+    if found != (2, n_actions):
+        text = f"observations {shape} must give Q-values (2, {n_actions}); the output is {found}"
+        raise _unfit(network, text)
+    if output.dtype != torch.float32 or not bool(output.isfinite().all()):
+        text = (
+            "the Q-values must be finite float32 numbers; "
+            f"for observations of zeros they are {output.dtype}, such as {output[0, 0]}"
+        )
+        raise _unfit(network, text)
+    if isinstance(module, Distributional):
+        quantiles = _call(network, module, probe, "", "quantiles")
+        found = tuple(getattr(quantiles, "shape", ())) or type(quantiles).__name__
+        if len(found) != 3 or found[:2] != (2, n_actions) or not found[2]:
+            text = f"observations {shape} must give quantiles (2, {n_actions}, K); they are {found}"
+            raise _unfit(network, text)
+    uses = (
+        ("train", 1, "in train() mode, which training episodes use"),
+        ("eval", 1, "in eval() mode, which evaluation and export use"),
+        ("eval", 2, "in eval() mode, which the check of an export uses"),
+    )
+    for mode, rows, use in uses:
+        module.train(mode == "train")
+        number = "one observation" if rows == 1 else "a batch"
+        output = _call(network, module, probe[:rows], f" fails on {number} {use}")
+        found = tuple(output.shape) if isinstance(output, torch.Tensor) else type(output).__name__
+        if found != (rows, n_actions):
+            text = f"{number} {use} must give Q-values ({rows}, {n_actions}); the output is {found}"
+            raise _unfit(network, text)
+
+
+def _unfit(network: Network, text: str) -> ConfigError:
+    where = definition(network, "build")
+    return ConfigError(f"{plugin_label(network)}: forward: {text} ({where})")
+
+
+def _call(
+    network: Network, module: Any, probe: torch.Tensor, use: str, method: str = "forward"
+) -> Any:
+    with naming(network, method, ConfigError, while_=use):
+        return module(probe) if method == "forward" else getattr(module, method)(probe)
+
+
+@contextmanager
+def _restored_afterwards(module: torch.nn.Module) -> Iterator[None]:
+    """Restore the modes and the buffers, such as running statistics, after a trial."""
+    modes = {part: part.training for part in module.modules()}
+    lazy = torch.nn.parameter.is_lazy
+    buffers = {name: b.clone() for name, b in module.named_buffers() if not lazy(b)}
+    yield
+    for part, training in modes.items():
+        part.training = training
+    for name, buffer in module.named_buffers():
+        if name in buffers and buffer.shape == buffers[name].shape:
+            buffer.copy_(buffers[name])
+
+
+_CPU = torch.device("cpu")
+
+
+def greedy(
+    module: torch.nn.Module, observation: NDArray[np.float32], device: torch.device = _CPU
+) -> int:
+    """Return the action with the largest Q-value, the first one of equals; see ``q_values``."""
+    return best(q_values(module, observation, device))
+
+
+def best(values: Sequence[float]) -> int:
+    """Return the action with the largest Q-value, the first one of equals."""
+    return values.index(max(values))
+
+
+def q_values(
+    module: torch.nn.Module, observation: NDArray[np.float32], device: torch.device = _CPU
+) -> list[float]:
+    """Return the Q-values of one observation, (9,).
+
+    ``module`` is on ``device``. ``observation``: input row of the network, (frames · (N + 3),) in
+    SI units.
+
+    Raises:
+        NonFiniteError: a Q-value is not a finite number.
+        PluginFailedError: the network's code failed, or returned a wrong number of Q-values.
+    """
+    with naming_network(module, "forward"):
+        with torch.inference_mode():
+            output = module(torch.from_numpy(observation).to(device).unsqueeze(0))
+        (values,) = output.tolist()
+        total = float(sum(values))
+    if len(values) != len(ACTIONS):
+        text = f"returned {len(values)} Q-values for an observation; {len(ACTIONS)} are needed"
+        raise PluginFailedError(describe_fault(module, "forward", text))
+    if not math.isfinite(total):
+        raise NonFiniteError(
+            describe_fault(
+                module, "forward", f"returned Q-values that are not finite: their sum is {total}"
+            )
+        )
+    found: list[float] = values
+    return found

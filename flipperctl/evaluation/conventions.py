@@ -1,0 +1,205 @@
+"""Probe the signs, frames, units and timing of engines, sensing and exported policies.
+
+In: a configuration, and an exported file. Out: the measured value of each probe and the one that
+the contract (``flipperctl.api``) states. A flipped sign or frame is the usual cause of a policy
+that fails without an error in another engine, so no probe passes with the opposite sign.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flipperctl.api import FloatArray, Mounting, Profile, Robot, RobotState, Start, World
+from flipperctl.config import EnvConfig
+from flipperctl.core.observation import ANGLES
+from flipperctl.env.guarded_world import place as place_guarded
+from flipperctl.env.perceiving import Perceiver
+from flipperctl.errors import FlipperctlError
+from flipperctl.evaluation.views.engines import in_default_engine
+from flipperctl.policies.exported import ExportedPolicy
+from flipperctl.runtime.interface import Interface
+
+_FLAT = Profile([(0.0, 0.0)])
+_SLOPE = math.radians(15)
+_STEP, _EDGE = 0.3, 0.6
+"""Height of the sensed step, and its distance ahead of the chassis centre [m]."""
+
+
+@dataclass(frozen=True)
+class Probe:
+    """One measurement and the value that the contract states."""
+
+    of: str
+    """Probed object: an engine, a sensor or a file."""
+    meaning: str
+    unit: str
+    found: float
+    expected: float
+    tolerance: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the measurement is within the tolerance."""
+        return bool(abs(self.found - self.expected) <= self.tolerance)  # found may be numpy's
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data."""
+        return {**asdict(self), "holds": self.holds}
+
+
+def probe(config: EnvConfig, file: Path | None = None) -> list[Probe]:
+    """Return the probes of both engines, of sensing and, if it is given, of an exported file.
+
+    Raises:
+        ConfigError: the default engine cannot have the configuration's settings.
+        PolicyError: the file is damaged.
+    """
+    found = [*probe_world(in_default_engine(config)), *probe_world(config), *probe_sensing(config)]
+    if file is not None:
+        found += probe_export(ExportedPolicy(file).interface, config.robot, str(file))
+    return found
+
+
+def require_conventions(found: Sequence[Probe]) -> None:
+    """Refuse probes of which one differs from the contract.
+
+    Raises:
+        FlipperctlError: one does; the text has the first.
+    """
+    wrong = [one for one in found if not one.holds]
+    if wrong:
+        first = wrong[0]
+        raise FlipperctlError(
+            f"{len(wrong)} of {len(found)} conventions do not hold, first {first.of}: "
+            f"{first.meaning} is {first.found:.3f} {first.unit}; {first.expected:.3f} ± "
+            f"{first.tolerance:.3f} is allowed"
+        )
+
+
+def probe_world(config: EnvConfig) -> Iterator[Probe]:
+    """Yield the probes of the configured engine with the configured robot.
+
+    The robot drives on level ground, turns each flipper pair, and drives up a ramp.
+    """
+    robot, name = config.robot, f"sim={config.sim.plugin_name}"
+
+    def probe(meaning: str, unit: str, found: float, expected: float, tolerance: float) -> Probe:
+        return Probe(name, meaning, unit, found, expected, tolerance)
+
+    def place(profile: Profile, x: float) -> World:
+        return place_guarded(config.sim, profile, robot, Start(x), np.random.default_rng(0))
+
+    world = place(_FLAT, 0.0)
+    world.advance(200)
+    state = world.state()
+    distance = 2 * robot.track_speed  # in 2 s [m]
+    yield probe("x after driving forward for 2 s", "m", state.position[0], distance, 0.1 * distance)
+    yield probe(
+        "z of the chassis on level ground, up", "m", state.position[1], robot.track_radius, 0.01
+    )
+    yield probe("velocity along x", "m/s", state.velocity[0], distance / 2, 0.1 * distance)
+    yield probe("time of 200 samples", "s", state.time, 2.0, 1e-6)
+    step = min(robot.angle_step, robot.angle_limit)
+    samples = round(100 * (robot.angle_step / robot.flipper_speed))
+    for pair, index in (("front", 0), ("rear", 1)):
+        world = place(_FLAT, 0.0)
+        targets = [step if i == index else 0.0 for i in range(2)]
+        world.command(*targets)
+        angles = world.advance(samples)[-1, 3:]
+        yield probe(
+            f"{pair} flippers turned up by one action", "rad", angles[index], step, 0.15 * step
+        )
+        yield probe(
+            f"other flippers while the {pair} ones turn", "rad", angles[1 - index], 0.0, 0.15 * step
+        )
+        yield from _lifting(probe, place(_FLAT, 0.0), pair, index, robot)
+    run = 3.0
+    ramp = Profile([(0.0, 0.0), (run, run * math.tan(_SLOPE))])
+    world = place(ramp, -0.9)
+    world.advance(math.ceil(100 * 1.9 / robot.track_speed))
+    yield probe("pitch on a ramp up of 15°, nose up", "rad", world.pitch, _SLOPE, 0.05)
+    x, z = world.position
+    above = z - ramp.height(x) - robot.track_radius / math.cos(_SLOPE)
+    yield probe("z above the ramp, less the track's radius", "m", above, 0.0, 0.02)
+
+
+def _lifting(probe: Any, world: World, pair: str, index: int, robot: Robot) -> Iterator[Probe]:
+    """Yield probes of the pitch while one pair presses on the ground and still turns."""
+    samples = math.ceil(100 * min(0.5, 0.8 * robot.angle_limit / robot.flipper_speed))
+    turned = samples / 100 * robot.flipper_speed
+    world.command(*[-robot.angle_limit if i == index else 0.0 for i in range(2)])
+    before = world.advance(samples)[-1, 2]
+    rate = world.state().pitch_rate
+    pitch = world.advance(2)[-1, 2]
+    # The robot turns about the level tip at its other end; the pressing tip is ``ahead`` of it.
+    reach = robot.flipper_axle
+    ahead = 2 * robot.hinge_offset + reach + reach * math.cos(turned)
+    sign = 1.0 if index == 0 else -1.0
+    expected = sign * math.atan2(reach * math.sin(turned), ahead)
+    tolerance, change = 0.3 * abs(expected), (pitch - before) / 0.02
+    yield probe(f"pitch, {pair} flippers pressed down", "rad", before, expected, tolerance)
+    yield probe(
+        f"pitch rate, {pair} flippers pressed down", "rad/s", rate, change, 0.5 * abs(change) + 0.02
+    )
+
+
+def probe_sensing(config: EnvConfig) -> Iterator[Probe]:
+    """Yield the probes of the observation in front of a step, without noise, bias and delay."""
+    plain = type(config.perception)(**dict(config.perception.layout))
+    layout, radius = plain.layout, config.robot.track_radius
+    rngs = np.random.default_rng(0), np.random.default_rng(0)
+    ground = Profile([(_EDGE, 0.0), (_EDGE, _STEP)])
+    state = RobotState(
+        np.array([0.0, radius]),
+        pitch=0.3,
+        front=0.2,
+        rear=-0.1,
+        velocity=np.zeros(2),
+        pitch_rate=0.0,
+        time=0.0,
+    )
+    world = place_guarded(config.sim, ground, config.robot, Start(0.0), rngs[0])
+    mounting = Mounting(config.robot, ground, layout.reach + 3.0, world, rngs[1])
+    perceiver = Perceiver(plain, mounting, config.robot, rngs)
+    perceiver.measure(state)
+    seen: FloatArray = perceiver.perceive(state).observation.astype(np.float64)
+    name = f"perception={config.perception.plugin_name}"
+
+    def probe(meaning: str, unit: str, index: int, expected: float) -> Probe:
+        return Probe(name, meaning, unit, float(seen[index]), expected, 0.02)
+
+    # In frame L, which stays level at any pitch
+    yield probe("first height, behind the robot", "m", 0, -radius)
+    yield probe("last height, on the step ahead", "m", layout.bins - 1, _STEP - radius)
+    yield probe("front flippers", "rad", layout.bins, 0.2)
+    yield probe("rear flippers", "rad", layout.bins + 1, -0.1)
+    yield probe("pitch, nose up", "rad", layout.bins + 2, 0.3)
+
+
+def probe_export(interface: Interface, robot: Robot, file: str) -> Iterator[Probe]:
+    """Yield the probes of an exported policy's actions, targets and timing against a robot's."""
+    turns = robot.actions.turns(robot.angle_step)
+    for index, row in enumerate(turns.tolist()):
+        for side, (pair, expected) in enumerate(zip(robot.actions.joints, row, strict=True)):
+            found = float(interface.actions[index, side])
+            yield Probe(
+                file, f"turn of the {pair} pair by action {index}", "rad", found, expected, 1e-6
+            )
+    rule = interface.targets
+    if math.isfinite(rule.limit):  # a file of version 0.1 may not state it
+        yield Probe(
+            file, "largest target, in both directions", "rad", rule.limit, robot.angle_limit, 1e-6
+        )
+    if interface.states_targets:
+        held = "distance between target and angle"
+        yield Probe(file, held, "rad", rule.window, robot.angle_step, 1e-6)
+    period = interface.decision_period
+    yield Probe(file, "time between two actions", "s", period, robot.decision_period, 1e-6)
+    right = tuple(quantity.name for quantity in interface.observation[-3:]) == ANGLES
+    yield Probe(file, "order of the angles: front, rear, pitch", "-", float(right), 1.0, 0.0)

@@ -1,0 +1,505 @@
+"""Policies that a user names, and the settings that an evaluation inherits from their files.
+
+In: names of controllers and shipped policies; runs, checkpoints, exported files or folders of
+sweeps; changed fields of controllers. Out: the policies' sources; methods in the order in which
+they were given, each with the policies that differ in their training seeds; sections as plain data,
+from which an evaluation is composed, and lines on missing or different settings.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from flipperctl import checkpoint as checkpoints
+from flipperctl.api import Controller, ObservationLayout, Policy, Robot, registry
+from flipperctl.api.plugin import registered_names
+from flipperctl.checkpoint import shipped_policies
+from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, resolver, to_dict
+from flipperctl.config.absent import AbsentReward, AbsentTerrain
+from flipperctl.config.words import check_different
+from flipperctl.errors import CheckpointError, ConfigError, FlipperctlError, RequestError
+from flipperctl.evaluation.conditions import Conditions
+from flipperctl.messages import close_match, missing_name
+from flipperctl.policies.exported import ExportedPolicy, exported_config, is_exported
+from flipperctl.policies.identity import method_settings, without_sources
+from flipperctl.policies.source import PolicySource
+from flipperctl.results import unfinished
+
+NOMINAL, TRAINED = "nominal", "trained"
+"""The default conditions, and those of a policy's training."""
+_CHOSEN = ("sim", "perception", "episode", "randomise")
+"""The sections that ``conditions=`` chooses."""
+_SHOWN = 3
+"""Largest number of settings that a line names."""
+
+
+@dataclass(frozen=True)
+class Inherited:
+    """The sections that a policy brings to its evaluation, as plain data."""
+
+    chosen: dict[str, Any]
+    """Terrain, robot and rewards, which overrides may replace as a whole."""
+    kept: dict[str, Any]
+    """Observation layout (of ``perception``) and evaluation settings, in all conditions."""
+    nominal: dict[str, Any]
+    """The other sections at their defaults."""
+    trained: dict[str, Any] | None
+    """Engine, sensor and the other sections as in the training; None if the file lacks them."""
+
+    @classmethod
+    def of(cls, config: TrainConfig | EvalConfig) -> Inherited:
+        """Return the sections of a checkpoint, or of an exported file if it is an EvalConfig."""
+        own = to_dict(config.environment())
+        own["terrain"] = to_dict(config.terrain, brief=True)
+        layout = {name: own["perception"][name] for name in ObservationLayout.model_fields}
+        chosen = {name: own.pop(name) for name in ("terrain", "robot", "rewards")}
+        kept = {"perception": layout, "eval": to_dict(config.eval)}
+        default = to_dict(EvalConfig(terrain=config.terrain))
+        nominal = {name: default[name] for name in own if name not in ("sim", "perception")}
+        return cls(chosen, kept, nominal, own if isinstance(config, TrainConfig) else None)
+
+
+def find_policy(run_or_file: Path, tell: Callable[[str], None]) -> Path:
+    """Return the path of a policy's file, for a run that of its best policy.
+
+    A run without validations has no best policy; its last checkpoint is returned, and ``tell`` is
+    called with a line that says so. Names of shipped policies are allowed, too.
+
+    Raises:
+        CheckpointError: there is no such checkpoint.
+    """
+    file = checkpoints.find(run_or_file)
+    if run_or_file.is_dir() and file == run_or_file / checkpoints.LAST:
+        tell(
+            f"{run_or_file}: no validation has chosen a best policy yet; this is the last one, "
+            f"{checkpoints.LAST}"
+        )
+    return file
+
+
+def read_config(
+    file: Path, terrains: Collection[str | None], tell: Callable[[str], None]
+) -> TrainConfig | EvalConfig:
+    """Return the configuration of a checkpoint, or the part of it that an exported file holds.
+
+    ``terrains`` are those to be evaluated, None for the file's own. Reward terms whose plugins are
+    missing are left out, and ``tell`` is called with a line for each.
+
+    Raises:
+        CheckpointError: the file is damaged, or its own terrain is to be evaluated and the plugin
+            of that is missing.
+    """
+    exported = is_exported(file)
+    found = exported_config(file) if exported else checkpoints.read_policy(file).policy_config()
+    absent = found.terrain
+    if isinstance(absent, AbsentTerrain):
+        name = absent.plugin_name
+        named = ("terrain", name) in registry  # and only a terrain inside it is missing
+        if any(one is None or (one == name and not named) for one in terrains):
+            raise CheckpointError(
+                f"{file}: {absent.missing}, or evaluate another one with terrain=NAME"
+            )
+    for name, term in found.rewards.items():
+        if isinstance(term, AbsentReward):
+            tell(f"{file}: the return lacks rewards.{name}: {term.missing}")
+    present = {k: v for k, v in found.rewards.items() if not isinstance(v, AbsentReward)}
+    return found.model_copy(update={"rewards": present})
+
+
+def explain_missing_training(exported: bool) -> str:
+    """Return the error text for ``conditions=trained`` without a training."""
+    cause = (
+        "an exported file does not hold those of its training; evaluate the checkpoint instead"
+        if exported
+        else "they are those of a checkpoint's training and need --checkpoint"
+    )
+    folder = files("flipperctl.configs.conditions")
+    known = sorted(f.name.removesuffix(".yaml") for f in folder.iterdir() if ".yaml" in f.name)
+    return f"conditions: {TRAINED!r} is not known here: {cause}; known: {', '.join(known)}"
+
+
+def policy_notes(
+    path: Path,
+    policies: Iterable[Policy],
+    trained: TrainConfig | EvalConfig,
+    configs: Iterable[EvalConfig],
+    keys: Collection[str],
+) -> Iterator[str]:
+    """Yield a line for each thing that makes the evaluation of a file differ from its training.
+
+    ``path`` names the file, whose ``policies`` are built for the ``configs`` of the evaluation;
+    ``trained`` is its own configuration, and ``keys`` are the overridden settings.
+    """
+    if isinstance(trained, TrainConfig):
+        lines = dict.fromkeys(_training_line(trained, config, keys) for config in configs)
+        yield from (f"{path}: {line}" for line in lines if line)
+    if any(isinstance(p, ExportedPolicy) and not p.interface.states_targets for p in policies):
+        yield (
+            f"{path} does not state how a blocked flipper is turned: here its target stays within "
+            "robot.angle_step of the measured angle, on a robot nothing bounds it; export it again"
+        )
+
+
+def _training_line(trained: TrainConfig, config: EvalConfig, keys: Collection[str]) -> str:
+    """Return a line on settings of the training that the evaluation changes; empty if none.
+
+    Changes that the user chose are left out: the overridden ``keys``, and all changes if
+    ``conditions=`` names other conditions than the default ones.
+    """
+    if config.conditions != NOMINAL:
+        return ""
+    own = EvalConfig(**{name: getattr(trained, name) for name in EnvConfig.model_fields})
+    before, here = Conditions.of(own).settings, Conditions.of(config).settings
+    changed = [
+        f"{section}.{name}={_short(before[section][name])} ({_short(here[section].get(name))})"
+        for section in _CHOSEN
+        if section not in keys
+        for name in before[section]
+        if before[section][name] != here[section].get(name) and f"{section}.{name}" not in keys
+    ]
+    if not changed:
+        return ""
+    more = f" and {len(changed) - _SHOWN} more settings" if len(changed) > _SHOWN else ""
+    return (
+        f"trained with {', '.join(changed[:_SHOWN])}{more}, evaluated with the values in brackets; "
+        f"conditions={TRAINED} keeps those of the training"
+    )
+
+
+def _short(value: object) -> str:
+    return json.dumps(value, separators=(",", ":")).strip('"')
+
+
+def require_one_policy(
+    checkpoint: Path | None, controller: str | None, overrides: Sequence[str] | None
+) -> None:
+    """Check that exactly one of the two is given; suggest a word without ``=`` as one.
+
+    Raises:
+        RequestError: none or both are given.
+    """
+    if (checkpoint is None) != (controller is None):
+        return
+    words = [word for word in overrides or () if "=" not in word and not word.startswith("~")]
+    if checkpoint is None and words:
+        raise RequestError(
+            f"{words[0]}: give either --checkpoint {words[0]}, if it is a run, a file or a shipped "
+            f"policy, or --controller {words[0]}, if it is a controller"
+        )
+    raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
+
+
+def refuse_beside(option: str, others: Mapping[str, Any]) -> None:
+    """Refuse options that have no meaning beside ``option``; ``others`` has their values.
+
+    Raises:
+        RequestError: one of them is given.
+    """
+    for name, value in others.items():
+        if value:
+            name = name if name == "overrides" or "=" in name else f"--{name}"
+            raise RequestError(f"{name}: no meaning beside {option}; leave it out")
+
+
+def controller_or_okada(checkpoint: Path | None, controller: str | None) -> str | None:
+    """Return the controller to evaluate, by default okada; None if a checkpoint is given.
+
+    Raises:
+        RequestError: both are given.
+    """
+    if checkpoint is not None and controller is not None:
+        raise RequestError("give --checkpoint or --controller, not both")
+    return None if checkpoint else controller or "okada"
+
+
+def controllers(names: str | None, option: str, default: Sequence[str] = ()) -> list[PolicySource]:
+    """Return controllers at their ``reference_settings``; ``names`` are separated by commas.
+
+    ``default`` is used if ``names`` is None; the name ``none`` stands for no controller.
+
+    Raises:
+        RequestError: a name is empty or that of a file, or ``none`` stands beside other names.
+        ConfigError: there is no such controller.
+    """
+    chosen = default if names is None else [] if names == "none" else names.split(",")
+    if "none" in chosen:
+        raise RequestError(f"{option}: none stands alone, without other names; got {names}")
+    if not all(chosen):
+        raise RequestError(f"{option}: names between commas, or none, are allowed; got {names!r}")
+    found = [name.strip() for name in chosen]
+    check_different(option, found)
+    for name in found:
+        refuse_file(name, option)
+    return [PolicySource.of_plugin(name, option) for name in found]
+
+
+def refuse_file(name: str, option: str) -> None:
+    """Refuse a shipped policy, a run or a file where ``option`` takes controllers.
+
+    Raises:
+        RequestError: ``name`` is one of them, and no controller.
+    """
+    if ("controller", name) in registry:
+        return
+    if name in shipped_policies() or Path(name).exists():
+        raise RequestError(
+            f"{option}: controllers are allowed, and {name} is none; add --checkpoint {name}, "
+            "which may be repeated: policies stand in one table, on the same episodes"
+        )
+
+
+def policies(
+    names: str,
+    fields: Mapping[str, Any],
+    tell: Callable[[str], None],
+    option: str = "--compare",
+    fewest: int = 2,
+) -> dict[str, PolicySource]:
+    """Return the named policies; ``fields`` apply to each controller that has such a field.
+
+    ``names`` are separated by commas and were given with ``option``. ``tell`` is called with a line
+    if a run has no best policy yet.
+
+    Raises:
+        RequestError: there are fewer than ``fewest`` names, or one is repeated.
+        ConfigError: there is no such policy, or no controller has one of the fields.
+        CheckpointError: a checkpoint cannot be read.
+    """
+    labels = [name.strip() for name in names.split(",")]
+    if len(set(labels)) < max(fewest, len(labels)) or not all(labels):
+        least = "two different names are" if fewest > 1 else "one name is"
+        allowed = f"at least {least} allowed, as in level,okada, each once"
+        raise RequestError(f"{option}: {allowed}; got {names!r}")
+    sources = {label: _source(label, fields, tell, option) for label in labels}
+    known = {name for s in sources.values() for name in s.settings or {} if name != "name"}
+    for field in fields:
+        if field not in known:
+            raise ConfigError(
+                f"controller.{field}: no controller of {option} has such a field"
+                f"{close_match(field, sorted(known))}; known: {', '.join(sorted(known)) or 'none'}"
+            )
+    return sources
+
+
+def _source(
+    label: str, fields: Mapping[str, Any], tell: Callable[[str], None], option: str
+) -> PolicySource:
+    path = Path(label)
+    if path.exists() or label in shipped_policies():
+        return PolicySource(checkpoint=find_policy(path, tell))
+    known = resolver.get("controller", label, option).model_fields
+    own = {name: value for name, value in fields.items() if name in known}
+    settings = {**resolver.reference(label, option), **own}
+    made: Controller = resolver.create("controller", settings, "controller")
+    return PolicySource(settings=resolver.to_dict(made))
+
+
+def common_robot(sources: Mapping[str, PolicySource], chosen: Collection[str]) -> Robot:
+    """Return the robot of the files among the policies; the default one if there are none.
+
+    The robots of the files may differ in the overridden keys, ``chosen``.
+
+    Raises:
+        ConfigError: the files are for different robots.
+    """
+    robots = {name: robot for name, s in sources.items() if (robot := s.robot()) is not None}
+    if not robots:
+        return Robot()
+    (first, ours), *others = robots.items()
+    for other, theirs in others:
+        for field in Robot.model_fields:
+            values = getattr(ours, field), getattr(theirs, field)
+            key = f"robot.{field}"
+            if values[0] != values[1] and not {"robot", key} & set(chosen):
+                first_value, value = ("null" if v is None else f"{v:.6g}" for v in values)
+                raise ConfigError(
+                    f"--compare: {first} is for {key}={first_value}, {other} for "
+                    f"{value}; give {key}=… to choose the robot"
+                )
+    return ours
+
+
+STANDING = ("level", "okada")
+"""Controllers that stand in a table of several methods unless others are named."""
+
+
+@dataclass(frozen=True)
+class Entrant:
+    """A policy of an evaluation of several."""
+
+    method: str
+    """Name of the method; policies of equal methods differ in their training seeds."""
+    run: Path | None = None
+    """A run, a file or a shipped policy; None for a controller."""
+    training_seed: int | None = None
+    """Seed of the training; None for a controller."""
+
+
+def entrants(names: Sequence[str], tell: Callable[[str], None]) -> list[Entrant]:
+    """Return the policies of all methods, each once.
+
+    A name is that of a controller or a shipped policy, or the path of a run, a checkpoint or an
+    exported file; names of controllers may be joined by commas. A folder with the runs of a sweep
+    stands for them all: for one method, if they differ in their seeds alone. ``tell`` is called
+    with a line for each run that has no checkpoint, repeats another one, or is not finished.
+
+    Raises:
+        RequestError: a name is empty, or a folder has no run with a checkpoint.
+        ConfigError: there is no such policy.
+        CheckpointError: a checkpoint is missing or damaged.
+    """
+    found: dict[Entrant, None] = {}
+    for name in (part for text in names for part in _split(text)):
+        if ("controller", name) in registry and not _exists(name):
+            found[Entrant(name)] = None
+        else:
+            found |= dict.fromkeys(_of_path(find_path(name), tell))
+    return list(found)
+
+
+def _split(text: str) -> list[str]:
+    """Return the names that commas join; a path may have commas of its own."""
+    if _exists(text) or "," not in text:
+        return [text]
+    names = [name.strip() for name in text.split(",")]
+    if not all(names):
+        raise RequestError(f"names between commas are allowed, as in okada,level; got {text!r}")
+    return names
+
+
+def find_path(name: str) -> Path:
+    """Return the path of a policy's run or file, or the name of a shipped policy.
+
+    Raises:
+        ConfigError: there is no policy of this name.
+        CheckpointError: it can only be a path, and nothing is there.
+    """
+    path = Path(name)
+    if _exists(name) or name in checkpoints.shipped_policies():
+        return path
+    if path.suffix or len(path.parts) > 1:
+        checkpoints.find(path)  # raises the error that names a close match
+    known = [*checkpoints.shipped_policies(), *registered_names("controller")]
+    hint = missing_name("controller", name, known)
+    raise ConfigError(
+        f"there is no run, file, shipped policy or controller {name!r}{hint}; "
+        f"shipped policies and controllers: {', '.join(sorted(known))}"
+    )
+
+
+def split_policies(words: Sequence[str] | None) -> tuple[list[str], list[str]]:
+    """Return the policies among the words of a command, and the overrides."""
+    policies: list[str] = []
+    overrides: list[str] = []
+    for word in words or ():
+        plain = "=" not in word and not word.startswith(("~", "+"))
+        (policies if plain or _exists(word) else overrides).append(word)
+    return policies, overrides
+
+
+def _exists(name: str) -> bool:
+    return os.path.exists(name)  # noqa: PTH110  # false for any text, however long
+
+
+def standing(baseline: str | None, present: Sequence[Entrant]) -> list[Entrant]:
+    """Return the controllers that stand beside the methods; ``baseline`` names others, or none.
+
+    Raises:
+        RequestError: a name is empty, or that of a file.
+        ConfigError: there is no such controller.
+    """
+    if baseline == "none":
+        return []
+    names = [n.strip() for n in (STANDING if baseline is None else baseline.split(","))]
+    if not all(names):
+        text = f"names between commas, or none, are allowed; got {baseline!r}"
+        raise RequestError(f"--baseline: {text}")
+    check_different("--baseline", names)
+    for name in names:
+        refuse_file(name, "--baseline")
+        resolver.get("controller", name, "--baseline")
+    return [e for e in map(Entrant, names) if e not in present]
+
+
+def runs_below(folder: Path) -> list[Path]:
+    """Return the runs in a folder of a sweep; none for a run, a file or any other folder."""
+    if not folder.is_dir() or checkpoints.holds(folder):
+        return []
+    if not checkpoints.runs_in(folder):
+        return []
+    return sorted((f for f in folder.iterdir() if f.is_dir()), key=checkpoints.job_order)
+
+
+def _of_path(path: Path, tell: Callable[[str], None]) -> Iterator[Entrant]:
+    runs = runs_below(path)
+    if not runs:
+        file = checkpoints.find(path)
+        yield Entrant(str(path), path, _trained(file)[0])
+        return
+    trained: list[tuple[Path, int | None, dict[str, Any]]] = []
+    for run in runs:
+        if not (run / "config.yaml").exists() and not checkpoints.holds(run):
+            continue  # no run at all
+        try:
+            seed, settings = _trained(checkpoints.find(run))
+        except FlipperctlError as error:
+            tell(f"{run} is left out: {error}")
+            continue
+        equal = [other for other, *theirs in trained if theirs == [seed, settings]]
+        if equal:
+            tell(f"{run} is left out: {equal[0]} has its seed and what it learns by")
+            continue
+        if unfinished(run):
+            tell(f"{run} is not trained to its end; it counts like the others")
+        trained.append((run, seed, settings))
+    groups = _grouped(trained)
+    if not groups:
+        raise RequestError(f"{path}: no run of this sweep has a checkpoint that can be read")
+    swept = [_swept(members[0][0]) for members in groups]
+    for members, values in zip(groups, swept, strict=True):
+        telling = values and swept.count(values) == 1
+        name = f"{path}/{values}" if telling else str(members[0][0])
+        for run, seed in members:
+            yield Entrant(str(path) if len(groups) == 1 else name, run, seed)
+
+
+def _grouped(
+    trained: Sequence[tuple[Path, int | None, dict[str, Any]]],
+) -> list[list[tuple[Path, int | None]]]:
+    """Return the runs of each method, and their seeds.
+
+    Seeds that each went on from a run of their own are one method; runs of one seed that went on
+    from several runs are several.
+    """
+    groups: dict[str, list[tuple[Path, int | None]]] = {}
+    alike = [repr(without_sources(settings)) for _, _, settings in trained]
+    seeds = [(key, seed) for key, (_, seed, _) in zip(alike, trained, strict=True)]
+    for key, (run, seed, settings) in zip(alike, trained, strict=True):
+        swept = any(seeds.count((key, other)) > 1 for other in {s for k, s in seeds if k == key})
+        groups.setdefault(repr(settings) if swept else key, []).append((run, seed))
+    return list(groups.values())
+
+
+def _swept(run: Path) -> str:
+    """Return the swept values in the name of a run but for its seed, as in ``network=conv``."""
+    values: list[str] = []
+    for part in run.name.partition("_")[2].split(","):
+        if "=" in part or not values:
+            values.append(part)
+        else:  # of a list, as in network.hidden=_64,32_
+            values[-1] += f",{part}"
+    return ",".join(one for one in values if "=" in one and not one.startswith("seed="))
+
+
+def _trained(file: Path) -> tuple[int | None, dict[str, Any]]:
+    """Return the seed of a training, and the settings that name its method."""
+    if is_exported(file):
+        return ExportedPolicy(file).interface.seed, {"file": str(file)}
+    config = checkpoints.read_policy(file).policy_config()
+    return config.seed, method_settings(config)

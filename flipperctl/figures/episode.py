@@ -1,0 +1,195 @@
+"""A figure of one episode: the robot's poses on the terrain, its pitch and flipper angles.
+
+In: the states of an episode in order, the profile and the robot's geometry; also what a sensor that
+maps the ground perceived, as points of the map in world, and the heights over time. Out: a figure.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import MultipleLocator
+
+from flipperctl.api import FloatArray, Perception, Profile, RobotGeometry, RobotState, Transition
+from flipperctl.figures.figure import (
+    WIDTH,
+    draw_ground,
+    frame,
+    legend_above,
+    scaled,
+    style_axes,
+    z_label,
+)
+from flipperctl.figures.render import CHASSIS, FAINT, FRONT, HEIGHTS, INK, REAR, RobotArtist
+from flipperctl.sim.outline import outlines
+
+_LEAST = 0.02
+"""Smallest range of the colours of heights [m]."""
+
+
+def mapped(transitions: Sequence[Transition]) -> list[Perception]:
+    """Return what was perceived at each decision; nothing unless the sensor maps the ground."""
+    found = [t.perception for t in transitions]
+    perceived = [p for p in found if p is not None and p.seen is not None]
+    return perceived if len(perceived) == len(transitions) else []
+
+
+def map_points(perception: Perception, position: FloatArray) -> FloatArray:
+    """Return the points that were seen, without filled ones, in world, (P, 2) [m].
+
+    ``position``: the true chassis centre (x, z) [m], so that only errors of the map itself show,
+    and none of the odometry's drift, which policies do not feel.
+    """
+    points = perception.points if perception.filled is None else _seen(perception)
+    return points + position
+
+
+def _seen(perception: Perception) -> FloatArray:
+    assert perception.filled is not None
+    return np.asarray(perception.points[~perception.filled])
+
+
+def draw_points(axes: Axes, perceived: Sequence[tuple[Perception, FloatArray]]) -> None:
+    """Draw the map at several decisions, each with the true position of the chassis centre."""
+    points = np.concatenate([map_points(p, position) for p, position in perceived])
+    axes.plot(
+        points[:, 0], points[:, 1], ".", color=HEIGHTS, markersize=2.4, zorder=4,
+        label="map",
+    )  # fmt: skip
+
+
+def draw_heights(
+    figure: Figure, axes: Axes, perceived: Sequence[Perception], times: Sequence[float]
+) -> None:
+    """Draw the perceived heights H over time; bins that were never seen are left white.
+
+    ``times``: those of the perceptions, and that of the end, (T + 1,) [s].
+    """
+    layout = perceived[0].layout
+    heights = np.array([p.observation[: layout.bins] for p in perceived], np.float64)  # (T, N) [m]
+    heights[~np.array([p.seen for p in perceived], np.bool_)] = np.nan
+    half = layout.bins * layout.bin_width / 2
+    edges = np.linspace(-half, half, layout.bins + 1)
+    limit = max(_LEAST, float(np.nanmax(np.abs(heights), initial=0.0)))
+    mesh = axes.pcolormesh(
+        times, edges, heights.T, cmap="cividis", vmin=-limit, vmax=limit, rasterized=True
+    )
+    bar = figure.colorbar(mesh, ax=axes, location="bottom", fraction=0.05, aspect=70, pad=0.02)
+    bar.set_label("height H of each bin [m]; white: never seen", fontsize=8)
+    bar.ax.tick_params(labelsize=8)
+    style_axes(axes, "", "", "ahead [m]")
+
+
+_POSES = 12
+"""Largest number of intervals between poses [-]."""
+
+
+def episode_figure(
+    trace: Sequence[RobotState],
+    profile: Profile,
+    robot: RobotGeometry,
+    title: str = "",
+    perceived: Sequence[Perception] = (),
+    samples: Sequence[RobotState] = (),
+) -> Figure:
+    """Draw poses with their times on the terrain, above pitch and flipper angles over time.
+
+    Poses are drawn at the start, at the end and evenly in between. Along the path of the chassis'
+    centre they are a little less than the robot's length apart, or a twelfth of the path if that is
+    longer. The heights of very long ground are scaled up, as the axis label states.
+
+    ``perceived``: what a sensor that maps the ground perceived in each state but the last. Then the
+    map's points are drawn as of each pose, and the heights H over time below. ``samples``: states
+    between those of the trace, for the angles.
+
+    Raises:
+        ValueError: the trace is empty.
+    """
+    if not trace:
+        raise ValueError("an episode figure needs at least one state")
+    reach = robot.hinge_offset + robot.flipper_axle + robot.track_radius
+    path = np.array([state.position for state in trace])  # (T, 2) [m]
+    length = float(np.hypot(*np.diff(path, axis=0).T).sum())
+    poses = pose_indices(path, max(1.75 * reach, length / _POSES))
+    shown = [trace[i] for i in poses]
+    tops = [outlines(state, robot)[:, :, 1].max() for state in shown]
+    low, high = window(path, profile, reach, max(tops))
+    scale, height = scaled(low, high, 6.0)
+    heights = [2.4] if perceived else []
+    figure = Figure(figsize=(WIDTH, height + 3.9 + sum(heights)), layout="constrained")
+    above, below, *lowest = figure.subplots(
+        2 + len(heights), 1, height_ratios=[height, 2.6, *heights]
+    )
+    draw_ground(above, profile)
+    above.plot(path[:, 0], path[:, 1], color=INK, linewidth=0.9, label="chassis centre")
+    if perceived:
+        latest = [min(i, len(perceived) - 1) for i in poses]
+        draw_points(above, [(perceived[i], path[i]) for i in latest])
+    lines = above.get_lines()[1:]  # without the ground, and before the robots
+    for i, (state, top) in enumerate(zip(shown, tops, strict=True)):
+        RobotArtist(above, zorder=5.0 + i).show(state, robot)
+        above.annotate(
+            f"{state.time:.1f} s", (state.position[0], top), xytext=(0, 4), ha="center",
+            textcoords="offset points", fontsize=8, color=INK, zorder=5.0 + len(shown),
+        )  # fmt: skip
+    frame(above, low, high, scale)
+    style_axes(above, title, "x [m]", z_label(scale))
+    legend_above(above, lines)
+    _draw_angles(below, samples or trace, shown, robot)
+    for axes in lowest:
+        draw_heights(figure, axes, perceived, [state.time for state in trace])
+        axes.set_xlim(below.get_xlim())
+    return figure
+
+
+def pose_indices(path: FloatArray, spacing: float) -> list[int]:
+    """Return indices into a path (T, 2) [m]: first, last and those ``spacing`` apart."""
+    along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
+    poses = max(1, int(along[-1] / spacing)) + 1
+    wanted = np.linspace(0.0, along[-1], poses)
+    found = np.minimum(np.searchsorted(along, wanted - 1e-9), len(path) - 1)
+    return sorted({*found.tolist(), len(path) - 1})
+
+
+def window(
+    path: FloatArray, profile: Profile, reach: float, top: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the lower left and upper right corner of the picture, (x, z) in world [m]."""
+    margin = reach + 0.1
+    (left, _), (right, _) = path.min(axis=0) - margin, path.max(axis=0) + margin
+    inside = (profile.points[:, 0] >= left) & (profile.points[:, 0] <= right)
+    ground = [profile.height(left), profile.height(right), *profile.points[inside, 1]]
+    return np.array([left, min(ground) - 0.2]), np.array([right, top + 0.25])
+
+
+def angle_range(states: Sequence[RobotState], robot: RobotGeometry) -> float:
+    """Return the largest angle that a picture of these states shows [°]."""
+    return math.degrees(max(robot.angle_limit, *(abs(state.pitch) for state in states)))
+
+
+def _draw_angles(
+    axes: Axes, trace: Sequence[RobotState], shown: Sequence[RobotState], robot: RobotGeometry
+) -> None:
+    time = [state.time for state in trace]
+    lines: list[Line2D] = []
+    for state in shown:
+        axes.axvline(state.time, color=FAINT, linewidth=0.8, linestyle=":")
+    for name, colour, style in (
+        ("pitch", CHASSIS, "-"),
+        ("front", FRONT, "--"),
+        ("rear", REAR, "-."),
+    ):
+        angles = [math.degrees(getattr(state, name)) for state in trace]
+        label = name if name == "pitch" else f"{name} flippers"
+        lines += axes.plot(time, angles, style, color=colour, linewidth=1.6, label=label)
+    limit = angle_range(trace, robot)
+    axes.set_ylim(-1.1 * limit, 1.1 * limit)
+    axes.margins(x=0.02)
+    axes.yaxis.set_major_locator(MultipleLocator(15 if limit < 75 else 30))
+    legend_above(axes, lines)
+    style_axes(axes, "", "time [s]; dotted: the poses above", "angle [°]")

@@ -1,0 +1,208 @@
+"""Pictures and sizes of a terrain's profiles, as its episodes have them.
+
+In: profiles and the robot's geometry. Out: a matplotlib figure, made without pyplot and its global
+state, and plain data.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+from flipperctl.api import FloatArray, Profile, RobotGeometry, RobotState
+from flipperctl.config import EnvConfig
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.figures.figure import (
+    WIDTH,
+    draw_ground,
+    frame,
+    legend_above,
+    style_axes,
+    z_label,
+    z_scale,
+)
+from flipperctl.figures.render import FAINT, INK, RobotArtist
+
+
+def sample(config: EnvConfig, seeds: Iterable[int]) -> list[tuple[Profile, dict[str, Any]]]:
+    """Return the profile of the episode with each seed, and its description as plain data.
+
+    Raises:
+        TerrainError: a profile is one that no robot can start on.
+    """
+    env = FlipperEnv(config=config)
+    found = []
+    for seed in seeds:
+        env.reset(seed=seed)  # as in an episode, so that invalid profiles are found here
+        description = {**describe(env.profile), "drawn": dict(env.profile.drawn)}
+        description["points_drawn"] = env.points_drawn
+        found.append((env.profile, {"seed": seed, **description}))
+    return found
+
+
+def describe(profile: Profile) -> dict[str, Any]:
+    """Return the extent, heights and steepness of a profile, and its points in world [m]."""
+    points = profile.points
+    steps = np.diff(points, axis=0)  # (V - 1, 2) [m]
+    faces = steps[steps[:, 0] == 0, 1]
+    slopes = np.degrees(np.arctan2(steps[:, 1], steps[:, 0]))[steps[:, 0] > 0]
+    return {
+        "length": float(profile.end - profile.start),
+        "lowest": float(points[:, 1].min()),
+        "highest": float(points[:, 1].max()),
+        "climb": float(points[-1, 1] - points[0, 1]),
+        "largest_face": float(np.abs(faces).max(initial=0.0)),
+        "steepest_slope_degrees": float(np.abs(slopes).max(initial=0.0)),
+        "points": points.tolist(),
+    }
+
+
+SMALL = 12
+"""Largest number of small pictures [-]."""
+_HEADROOM = 0.35
+"""Distance from the highest point to the dimension line of the length [m]."""
+_MARK = 0.12
+"""Height of the marks of start and finish above the ground [m]."""
+_COLUMNS = 4
+"""Largest number of small pictures in a row [-]."""
+
+
+def terrain_figure(
+    profiles: Sequence[Profile],
+    title: str,
+    robot: RobotGeometry,
+    labels: Sequence[str] | None = None,
+) -> Figure:
+    """Draw the first profile large with the robot in front of it, and up to twelve others small.
+
+    x and z have equal scales, but the heights of very long ground are scaled up, which the axis
+    label states. The small pictures share one scale; the figure states how many profiles are left
+    out. ``labels`` replace the numbers of the profiles.
+
+    Raises:
+        ValueError: there is no profile.
+    """
+    if not profiles:
+        raise ValueError("a terrain figure needs at least one profile")
+    others = profiles[1 : SMALL + 1]
+    large = _window(profiles[0], robot)
+    extent = np.max([_extent(p) for p in others], axis=0) if others else np.ones(2)
+    rows = -(-len(others) // _COLUMNS)
+    columns = -(-len(others) // rows) if rows else 1  # fill the rows evenly
+    scale = z_scale(large[1] - large[0], WIDTH - 1.0)
+    heights = [_height(large[1] - large[0], WIDTH - 1.0, scale)]
+    small = _height(extent, WIDTH / columns - 0.2, scale)
+    heights += rows * [min(small, 0.6 * heights[0]) + 0.2]
+    layout = ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.08)
+    figure = Figure(figsize=(WIDTH, sum(heights) + 1.0), layout=layout)
+    grid = figure.add_gridspec(1 + rows, columns, height_ratios=heights)
+    _draw_large(figure.add_subplot(grid[0, :]), profiles[0], robot, title, scale)
+    for i, profile in enumerate(others):
+        axes = figure.add_subplot(grid[1 + i // columns, i % columns])
+        name = labels[i + 1] if labels else f"sample {i + 2}"
+        _draw_small(axes, profile, extent, name, scale)
+    left_out = len(profiles) - 1 - len(others)
+    if left_out:
+        figure.supxlabel(f"{left_out} more samples are not shown", fontsize=8, color=FAINT)
+    return figure
+
+
+def sample_figure(name: str, profiles: Mapping[int, Profile], robot: RobotGeometry) -> Figure:
+    """Draw profiles of the terrain ``name`` by the seeds with which they were sampled."""
+    labels = [f"seed {seed}" for seed in profiles]
+    return terrain_figure(list(profiles.values()), f"{name}, {labels[0]}", robot, labels)
+
+
+def _draw_large(axes: Axes, profile: Profile, robot: RobotGeometry, title: str, scale: int) -> None:
+    draw_ground(axes, profile)
+    stand = np.array([profile.start - _run_up(robot), profile.points[0, 1] + robot.track_radius])
+    state = RobotState(
+        stand, pitch=0.0, front=0.0, rear=0.0, velocity=np.zeros(2), pitch_rate=0.0, time=0.0
+    )
+    RobotArtist(axes).show(state, robot)
+    _mark_ends(axes, profile)
+    marks = [line for line in axes.get_lines() if line.get_label() in ("start", "finish")]
+    (left, bottom), (right, top) = profile.points.min(axis=0), profile.points.max(axis=0)
+    if right > left:
+        above = top + _HEADROOM
+        for x, z in (profile.points[0], profile.points[-1]):
+            axes.plot([x, x], [z, above], ":", color=FAINT, linewidth=0.8)
+        _dimension(axes, (left, above), (right, above), f"length {right - left:.2f} m")
+    if top > bottom:
+        beside = right + 0.65 * _margin(profile)
+        _dimension(axes, (beside, bottom), (beside, top), f"height {top - bottom:.2f} m")
+    frame(axes, *_window(profile, robot), scale)
+    style_axes(axes, title, "x [m]", z_label(scale))
+    if marks:
+        legend_above(axes, marks)
+
+
+def _draw_small(axes: Axes, profile: Profile, extent: FloatArray, name: str, scale: int) -> None:
+    draw_ground(axes, profile)
+    _mark_ends(axes, profile)
+    points = profile.points
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    frame(axes, middle - extent / 2, middle + extent / 2, scale)
+    axes.set_xticks([])
+    axes.set_yticks([])
+    axes.spines[:].set_color("#C8C8CC")
+    length, height = np.ptp(points, axis=0)
+    size = f"{length:.2f} × {height:.2f} m" if length > 0 else f"{height:.2f} m high"
+    axes.set_title(f"{name}: {size}", fontsize=8, color=INK)
+
+
+def _mark_ends(axes: Axes, profile: Profile) -> None:
+    """Mark where episodes start and finish on the ground, if it says so itself."""
+    ends = (
+        ("start", profile.run_up, profile.start, -1, ">"),
+        ("finish", profile.run_out, profile.end, 1, "|"),
+    )
+    for name, distance, edge, direction, marker in ends:
+        if distance is not None:
+            x = edge + direction * distance
+            height = profile.height(x) + _MARK
+            axes.plot([x], [height], marker, color=INK, markersize=7, linestyle="none", label=name)
+
+
+def _dimension(axes: Axes, start: tuple[float, float], end: tuple[float, float], text: str) -> None:
+    """Draw a dimension line between two points (x, z) in world [m], up or to the right."""
+    bar = {"arrowstyle": "|-|,widthA=0.3,widthB=0.3", "color": INK, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", start, end, arrowprops=bar)
+    axes.annotate(
+        text, ((start[0] + end[0]) / 2, end[1]), xytext=(0, 4), textcoords="offset points",
+        ha="center", va="bottom", fontsize=9, color=INK,
+    )  # fmt: skip
+
+
+def _run_up(robot: RobotGeometry) -> float:
+    """Return the distance between the drawn robot and the first edge [m]."""
+    return max(1.0, robot.hinge_offset + robot.flipper_axle + robot.track_radius + 0.2)
+
+
+def _window(profile: Profile, robot: RobotGeometry) -> tuple[FloatArray, FloatArray]:
+    """Return the lower left and upper right corner of the large picture, (x, z) in world [m]."""
+    low, high = profile.points.min(axis=0), profile.points.max(axis=0)
+    before = 2 * _run_up(robot)
+    return low - np.array([before, 0.25]), high + np.array(
+        [1.3 * _margin(profile), _HEADROOM + 0.3]
+    )
+
+
+def _extent(profile: Profile) -> FloatArray:
+    """Return width and height of the part of the world in a small picture, (2,) [m]."""
+    return np.asarray(np.ptp(profile.points, axis=0) + np.array([1.0, 0.3]))
+
+
+def _margin(profile: Profile) -> float:
+    """Return the factor by which long ground needs more room for dimension lines [-]."""
+    return max(1.0, (profile.end - profile.start) / 12)
+
+
+def _height(extent: FloatArray, width: float, scale: int) -> float:
+    """Return the height [in] of a picture of the given width [in] that shows ``extent`` [m]."""
+    return float(np.clip(scale * width * extent[1] / extent[0], 0.5, 5.0))

@@ -1,0 +1,514 @@
+"""The policy of ``mpc``: it perceives, plans, and takes the first action of its plan.
+
+In: perceptions alone. Out: actions. The policy simulates a nominal robot on the perceived ground.
+With a learned value, it plans for the largest return: the objective of the search is the configured
+reward terms and the value at the horizon, its cost the negative discounted return. The finish is
+not perceived; it is presumed one run-out past the last edge that is.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flipperctl.api import (
+    ACTIONS,
+    LAST_PITCHES,
+    FloatArray,
+    Outcome,
+    Perception,
+    Profile,
+    RewardTerm,
+    Robot,
+    RobotGeometry,
+    Shaping,
+    Simulator,
+)
+from flipperctl.config import Episode
+from flipperctl.core.ground_map import GroundMap
+from flipperctl.core.targets import TargetRule
+from flipperctl.lookahead.dynamics import RUNNING
+from flipperctl.lookahead.model import (
+    TARGETS,
+    Branch,
+    Ground,
+    Model,
+    Nodes,
+    compile_now,
+    transitions,
+)
+from flipperctl.lookahead.search import Plan, Scores, Search
+from flipperctl.lookahead.settings import LearnedValue, MpcSettings
+from flipperctl.reward_sum import RewardSum
+from flipperctl.sim.ground import kept_points
+
+
+class History:
+    """The last pitches, the last turns, and the time since the start."""
+
+    def __init__(self) -> None:
+        self._pitches: list[float] = []
+        self._turns = 0, 0
+        self._time = 0.0
+
+    def saw(self, pitch: float) -> None:
+        """Remember the pitch at a decision [rad]."""
+        self._pitches = [*self._pitches, pitch][-LAST_PITCHES:]
+
+    def took(self, action: int, period: float) -> None:
+        """Remember an action and its ``period`` [s]."""
+        self._turns = ACTIONS[action]
+        self._time += period
+
+    def node(self, state: FloatArray, place: FloatArray) -> Nodes:
+        """Return the robot in a state of the prediction model, (``STATE``,), at x and z [m]."""
+        return Nodes(
+            states=state[None],
+            places=place[None],
+            pitches=np.array([self._pitches]),
+            turns=np.array([self._turns]),
+            time=np.array([self._time]),
+        )
+
+
+_SLOW = 0.3
+"""Share of the way at full speed below which a plan stands [-]."""
+
+
+@dataclass(frozen=True)
+class Returns:
+    """The objective of one decision's search."""
+
+    rewards: RewardSum
+    horizon: Callable[[Nodes], FloatArray]
+    """Returns the expected discounted return from nodes on, (M,) [-]."""
+    gamma: float
+    """Discount per decision [-]."""
+    profile: Profile
+    """The known ground."""
+    robot: Robot
+    root: Nodes
+    """The robot before its decision, one node."""
+    standing: int
+    """Number of decisions in which the robot has stood until now."""
+    patience: int
+    """Number of decisions without progress after which an episode ends as stuck [-]."""
+    averaging: float = 0.0
+    """Share of the estimates at smaller depths in the return of a plan, 0 to 1. The best of many
+    plans is often the one whose value errs most; its errors at several depths average out."""
+
+    @property
+    def poses(self) -> bool:
+        """Reward terms see the poses between decisions."""
+        return True
+
+    def begin(self, model: Model, root: FloatArray) -> ReturnAccount:
+        """Return the account of a search from the state ``root``."""
+        nodes, zero = replace(self.root, states=root[None]), np.zeros(1)
+        return ReturnAccount(self, nodes, 0, zero, zero)
+
+
+@dataclass(frozen=True)
+class ReturnAccount:
+    """The discounted reward of the plans of M nodes."""
+
+    objective: Returns
+    nodes: Nodes
+    depth: int
+    """Number of decisions from the root."""
+    earned: FloatArray
+    """Discounted rewards from the root, (M,) [-]."""
+    estimate: FloatArray
+    """Estimated return of the plans, (M,) [-]."""
+
+    def take(self, rows: NDArray[np.int64]) -> ReturnAccount:
+        """Return the account of some of the nodes."""
+        return replace(
+            self,
+            nodes=self.nodes.take(rows),
+            earned=self.earned[rows],
+            estimate=self.estimate[rows],
+        )
+
+    def extend(self, parent: NDArray[np.int64], action: NDArray[np.int64], found: Branch) -> Scores:
+        """Return the scores of plans that are one decision longer."""
+        o, period = self.objective, self.objective.robot.decision_period
+        before = self.nodes.take(parent)
+        after = before.after(found, action, period)
+        ts = transitions(before, after, found, o.profile, o.robot)
+        reward = o.rewards.array(ts)
+        ended = found.outcome != RUNNING
+        ahead = np.zeros(len(parent))
+        going = np.flatnonzero(~ended)
+        ahead[going] = o.horizon(after.take(going))
+        distance = found.places[:, 0] - o.root.places[0, 0]
+        way = o.robot.track_speed * period * (self.depth + 1)
+        if o.standing:
+            # The longer the robot has stood, the likelier the episode ends before it moves. The
+            # value does not know how long it has stood.
+            rows = np.flatnonzero(~ended & (distance < _SLOW * way))
+            risk = min(1.0, (o.standing + self.depth + 1) / o.patience)
+            if len(rows):
+                stuck = o.rewards.array(ts.ending(rows, Outcome.STUCK))
+                reward[rows] += risk * (stuck - reward[rows])
+                ahead[rows] *= 1.0 - risk
+        discount = o.gamma**self.depth
+        earned = self.earned[parent] + discount * reward
+        estimate = earned + discount * o.gamma * ahead
+        if self.depth and o.averaging:
+            mixed = o.averaging * self.estimate[parent] + (1 - o.averaging) * estimate
+            estimate = np.where(ended, estimate, mixed)
+        return Scores(
+            cost=-estimate,
+            hurried=-distance,
+            ended=ended,
+            lost_time=np.maximum(0.0, period * (self.depth + 1) - distance / o.robot.track_speed),
+            account=ReturnAccount(o, after, self.depth + 1, earned, estimate),
+        )
+
+
+NO_PLAN = 1000.0
+"""Cost of an action that begins no plan of the search [s]."""
+STANDS = 0.25
+"""Share of the way of a decision at full speed below which the robot counts as standing still
+[-]."""
+_PATIENCE = 3
+"""Number of decisions without progress after which the search widens again [-]."""
+_MOST_HURRY = 4
+"""Largest multiple of the wide search's width, and of reductions of its cost weights [-]."""
+_CLOSE = 0.05
+"""Largest gap or overlap at which robot and sensed ground count as touching [m]."""
+_MAX_ERROR = np.array([0.04, 0.04, 0.05])
+"""Largest errors of x, z [m] and pitch [rad] at which predicted velocities are reused."""
+
+
+class MpcPolicy:
+    """Plans at each decision; remembers the map, the flippers' targets and the last plan."""
+
+    def __init__(self, settings: MpcSettings) -> None:
+        self._settings = settings
+        self._robot = Robot()
+        self._forget()
+
+    def _forget(self) -> None:
+        self._map = GroundMap(self._settings.memory, kept_points)
+        self._begun = False
+        self._targets = self._angles = 0.0, 0.0
+        self._plan: Plan | None = None  # of the last decision
+        self._former: tuple[int, ...] = ()
+        self._motion = 0.0, 0.0  # in the last decision [m]
+        self._hurried = False
+        self._standing = 0
+        self.simulated = 0
+        """Decisions simulated for the last action, by all of its searches [-]."""
+
+    def reset(self, simulator: Simulator) -> None:
+        """Forget the last episode; the simulator is not used."""
+        self._forget()
+        compile_now()  # not at the first decision, which may be timed
+
+    def act(self, p: Perception) -> int:
+        """Return the first action of the best plan from here."""
+        action = self._plan_from(p).actions[0]
+        self.took(action)
+        return action
+
+    def costs(self, p: Perception) -> FloatArray:
+        """Return the cost of the best plan that begins with each action, (9,) [s]."""
+        costs = self._plan_from(p).costs
+        return np.where(np.isfinite(costs), costs, NO_PLAN)
+
+    def took(self, action: int) -> None:
+        """Turn the remembered targets; keep the rest of the plan if the action is its first."""
+        assert self._plan is not None  # costs() or act() made it
+        self._former = self._plan.actions[1:] if action == self._plan.actions[0] else ()
+        self._turn(action)
+
+    def follow(self, p: Perception, action: int) -> None:
+        """Remember a decision that another policy made, without a plan of its own."""
+        self._measure(p)
+        self._perceive(p, self._robot)
+        self._plan, self._former = None, ()
+        self._turn(action)
+
+    def _turn(self, action: int) -> None:
+        robot = self._robot
+        turns = [turn * robot.angle_step for turn in ACTIONS[action]]
+        self._targets = _rule(robot).next_targets(self._targets, self._angles, turns)
+
+    def _measure(self, p: Perception) -> None:
+        """Remember robot and angles; an episode begins with the angles as targets."""
+        self._robot = nominal(p.robot)
+        self._angles = p.front, p.rear
+        if not self._begun:
+            self._targets, self._begun = self._angles, True
+
+    def _plan_from(self, p: Perception) -> Plan:
+        """Search from here; remember the plan and the measured angles."""
+        settings = self._settings
+        begun = time.perf_counter()
+        deadline = begun + settings.time_limit if settings.time_limit else math.inf
+        self._measure(p)
+        model, root = self._scene(p, self._robot)
+        self._plan = self._search(model, root, self._robot, deadline)
+        return self._plan
+
+    def _search(self, model: Model, root: FloatArray, robot: Robot, deadline: float) -> Plan:
+        """Search with the normal cost weights; if that plan gets stuck, search wider in a hurry.
+
+        The longer the robot stands still, the wider the search and the smaller the weight of
+        pitch variation.
+        """
+        settings, former = self._settings, self._former
+        hurry = min(_MOST_HURRY, 1 + self._standing // _PATIENCE)
+        size = {"depth": settings.horizon, "beam_per_action": settings.of_each}
+        calm = Search(robot, settings.cost_weights(robot), width=settings.beam, **size)
+        width = round(settings.wider * settings.beam * hurry)
+        wide = Search(robot, settings.cost_weights(robot, hurry), width=width, **size)
+        plan, self.simulated = None, 0
+        if not self._hurried and hurry == 1:
+            plan = calm.run(model, root, former, deadline)
+            self.simulated = plan.simulated
+            stuck = plan.lost_time > settings.stuck_from or len(plan.actions) < settings.horizon
+            self._hurried = stuck and time.perf_counter() < deadline
+        if plan is None or self._hurried:
+            plan = wide.run(model, root, former, deadline)
+            self.simulated += plan.simulated
+            self._hurried = plan.lost_time > settings.stuck_from / 2
+        return plan
+
+    def _scene(self, p: Perception, robot: Robot) -> tuple[Model, FloatArray]:
+        """Return the nominal robot's simulation on the perceived ground, and its present state."""
+        settings = self._settings
+        line, motion = self._perceive(p, robot)
+        finish, top = self._presumed_finish(line, robot)
+        model = Model(
+            line,
+            robot,
+            friction=self._assumed_friction() if p.friction is None else p.friction,
+            step=settings.step,
+            iterations=settings.iterations,
+            overturn=settings.overturn,
+            finish=finish,
+            top=top,
+        )
+        speed = robot.track_speed
+        pose = (0.0, _touching(line, p, robot), p.pitch)
+        rates = (speed * math.cos(p.pitch), speed * math.sin(p.pitch), 0.0)
+        root = model.state(pose, (p.front, p.rear), rates)
+        if self._plan is not None:
+            before, expected = self._plan.states[:2]
+            moved = expected[:3] - (before[0], before[1], 0.0)
+            if (np.abs(moved - (*motion, p.pitch)) < _MAX_ERROR).all():
+                root[3:6] = expected[3:6]
+        root[TARGETS:] = _rule(robot).next_targets(self._targets, (p.front, p.rear), (0.0, 0.0))
+        if settings.latency:
+            root = model.expand(root[None], root[None, TARGETS:], settings.latency).states[0]
+        return model, root
+
+    def _assumed_friction(self) -> float:
+        """Return the friction in the prediction, as it is not known [-]."""
+        return self._settings.assumed_friction
+
+    def _presumed_finish(self, line: FloatArray, robot: Robot) -> tuple[float, float]:
+        """Return x of the finish and the largest height there, in frame L [m]; none is presumed."""
+        return math.inf, math.inf
+
+    def _perceive(self, p: Perception, robot: Robot) -> tuple[FloatArray, tuple[float, float]]:
+        """Return the ground in frame L, (V, 2) [m], and the motion since the last decision [m]."""
+        guess = self._motion
+        if self._plan is not None:
+            before, expected = self._plan.states[:2]
+            guess = float(expected[0] - before[0]), float(expected[1] - before[1])
+        motion = self._motion = self._map.add(p.points, guess)
+        self._standing = self._standing + 1 if self._stood(motion) else 0
+        line = self._map.line()
+        if not len(line):  # nothing was perceived: assume level ground under the tracks
+            line = np.array([[0.0, -robot.track_radius]])
+        return line, motion
+
+    def _stood(self, motion: tuple[float, float]) -> bool:
+        """Return whether the robot stood still in its last decision, from its ``motion`` [m]."""
+        return math.hypot(*motion) < self._least()
+
+    def _least(self) -> float:
+        """Return the way of a decision below which the robot stands [m]."""
+        return STANDS * self._robot.track_speed * self._robot.decision_period
+
+
+def _rule(robot: RobotGeometry) -> TargetRule:
+    return TargetRule(robot.angle_step, robot.angle_limit)
+
+
+def nominal(geometry: RobotGeometry) -> Robot:
+    """Return a robot of this geometry, with its own masses and speeds if they are known."""
+    if isinstance(geometry, Robot):
+        return geometry
+    return Robot(**geometry.model_dump())
+
+
+def _touching(line: FloatArray, p: Perception, robot: Robot) -> float:
+    """Return the height of the chassis centre in frame L at which the robot touches the ground [m].
+
+    It is 0 if the ground is farther away than noise and bias can explain.
+    """
+    hinge, axle = robot.hinge_offset, robot.flipper_axle
+    front, rear = p.pitch + p.front, p.pitch - p.rear
+    here = np.array([math.cos(p.pitch), math.sin(p.pitch)])
+    segments = (
+        (-hinge * here, hinge * here),
+        (hinge * here, hinge * here + (axle * math.cos(front), axle * math.sin(front))),
+        (-hinge * here, -hinge * here - (axle * math.cos(rear), axle * math.sin(rear))),
+    )
+    along = np.linspace(0.0, 1.0, 12)[:, None]
+    axes = [a + along * (b - a) for a, b in segments]
+    at = np.concatenate(axes)  # (36, 2) [m]
+    low, high = at[:, 0].min() - 0.2, at[:, 0].max() + 0.2
+    x = np.union1d(np.arange(low, high, 0.01), line[(line[:, 0] > low) & (line[:, 0] < high), 0])
+    z = np.interp(x, line[:, 0], line[:, 1])
+    away = at[:, :1] - x
+    reach = robot.track_radius**2 - away**2
+    needed = np.where(reach > 0, z + np.sqrt(np.maximum(reach, 0.0)), -np.inf).max(axis=1)
+    lift = float((needed - at[:, 1]).max())
+    return lift if abs(lift) < _CLOSE else 0.0
+
+
+_EPISODE = Episode()
+"""A robot does not know its episode's own settings; plans are made for the defaults."""
+_EDGE = 0.03
+"""Height difference to the ground ahead that counts as an edge [m]."""
+_LONG, _WIDEST = 3, 4
+"""Decisions of standing after which the search widens again, and its largest multiple [-]."""
+_STANDS_STILL = 2
+"""Decisions of standing from which plans hurry, with ``hurry_below`` [-]."""
+_SLIPPERY = 0.8
+"""Factor of the assumed friction after as many decisions of standing [-]."""
+
+
+class ReturnPolicy(MpcPolicy):
+    """Plans for the largest return; remembers map, targets, plan, and its last pitches."""
+
+    def __init__(self, settings: MpcSettings, learned: LearnedValue) -> None:
+        """Plan with the value and its rewards, unless the ``settings`` have some.
+
+        The shaping is that of the value's training in any case, since only that cancels out: the
+        value of a state is the smaller by its potential.
+
+        Raises:
+            ConfigError: a reward term needs what predictions lack.
+        """
+        super().__init__(settings)
+        self._learned = learned
+        self._rewards = RewardSum(_paid(learned.rewards, settings.rewards))
+        self._rewards.require_predictable("controller.rewards")
+
+    def reset(self, simulator: Simulator) -> None:
+        """Forget the last episode; the simulator is not used."""
+        super().reset(simulator)
+        self._history = History()
+        self._way = self._farthest = 0.0  # from the start, by its own odometry [m]
+
+    def took(self, action: int) -> None:
+        """Remember the turns that were taken."""
+        super().took(action)
+        self._history.took(action, self._robot.decision_period)
+
+    def follow(self, p: Perception, action: int) -> None:
+        """Remember a decision that another policy made, without a plan of its own."""
+        self._history.saw(p.pitch)
+        super().follow(p, action)
+        self._history.took(action, self._robot.decision_period)
+
+    def _plan_from(self, p: Perception) -> Plan:
+        self._history.saw(p.pitch)
+        return super()._plan_from(p)
+
+    def _stood(self, motion: tuple[float, float]) -> bool:
+        """Return whether the robot got no farther than before; one that rocks in place stands."""
+        self._way += motion[0]
+        if self._way < self._farthest + self._least():
+            return True
+        self._farthest = self._way
+        return False
+
+    def _assumed_friction(self) -> float:
+        """Return less friction, the longer a robot stands for which the plan was to move on."""
+        return self._settings.assumed_friction * _SLIPPERY ** (self._standing // _LONG)
+
+    def _presumed_finish(self, line: FloatArray, robot: Robot) -> tuple[float, float]:
+        """Return x of the finish and the largest height there, in frame L [m]."""
+        self._line, level = line, float(line[-1, 1])
+        uneven = np.flatnonzero(np.abs(line[:, 1] - level) > _EDGE)
+        edge = float(line[min(uneven[-1] + 1, len(line) - 1), 0]) if len(uneven) else -math.inf
+        return edge + _EPISODE.run_out, level + robot.track_radius + _EPISODE.clearance
+
+    def _search(self, model: Model, root: FloatArray, robot: Robot, deadline: float) -> Plan:
+        """Search for the largest return, or with the hand-set cost where the robot shall hurry.
+
+        A learned value may rate a robot that waits above one that rocks on, on ground that it does
+        not know well.
+        """
+        least = self._settings.hurry_below * robot.track_speed
+        if not least:
+            return self._search_return(model, root, robot, deadline)
+        simulated = 0
+        if self._standing < _STANDS_STILL:
+            plan = self._search_return(model, root, robot, deadline)
+            if _speed(plan, robot) >= least or time.perf_counter() > deadline:
+                return plan
+            simulated = plan.simulated
+        else:
+            self._hurried = True
+        plan = super()._search(model, root, robot, deadline)
+        self.simulated += simulated
+        return plan
+
+    def _search_return(self, model: Model, root: FloatArray, robot: Robot, deadline: float) -> Plan:
+        """Search for the largest return, the wider the longer the robot has stood."""
+        settings, learned = self._settings, self._learned
+        ground = Ground(self._line, learned.layout)
+        objective = Returns(
+            rewards=self._rewards,
+            horizon=lambda nodes: learned.value(ground.observations(nodes.places, nodes.states)),
+            gamma=learned.gamma,
+            profile=Profile(self._line),
+            robot=robot,
+            root=self._history.node(root, np.array(model.chassis(root))),
+            standing=self._standing,
+            patience=_EPISODE.stuck_decisions(robot.decision_period),
+            averaging=settings.averaging,
+        )
+        width = settings.beam * min(_WIDEST, 1 + self._standing // _LONG)
+        search = Search(
+            robot,
+            objective,
+            width=width,
+            depth=settings.horizon,
+            beam_per_action=max(1, settings.of_each),
+        )
+        plan = search.run(model, root, self._former, deadline)
+        self.simulated = plan.simulated
+        return plan
+
+
+def _speed(plan: Plan, robot: Robot) -> float:
+    """Return the mean speed of a plan along x [m/s]; 0 for one without decisions."""
+    lasts = len(plan.actions) * robot.decision_period
+    return float(plan.states[-1, 0] - plan.states[0, 0]) / lasts if lasts else 0.0
+
+
+def _paid(
+    own: Mapping[str, RewardTerm], given: Mapping[str, RewardTerm] | None
+) -> Mapping[str, RewardTerm]:
+    """Return the terms that plans are paid by: the given ones with the shaping of the value's."""
+    if given is None:
+        return own
+    return {
+        **{name: term for name, term in given.items() if not isinstance(term, Shaping)},
+        **{f"value.{name}": term for name, term in own.items() if isinstance(term, Shaping)},
+    }

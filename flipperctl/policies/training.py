@@ -1,0 +1,274 @@
+"""The policies of training episodes: ε-greedy, drawn by their Q-values, or taught.
+
+In: a student's policy, and a teacher with the student's share of the episodes. Out: actions, each
+with a label where there is a teacher: the target distribution over actions for its student, (9,),
+from the cost of each action or the action that a policy takes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from flipperctl.agent.networks import greedy, q_values, stacked
+from flipperctl.agent.noise import Noise
+from flipperctl.api import (
+    ACTIONS,
+    CostPolicy,
+    FloatArray,
+    Perception,
+    Policy,
+    Simulator,
+    StateGroups,
+)
+from flipperctl.config import Teacher
+from flipperctl.core.risk import RiskSign, drawn
+from flipperctl.errors import ConfigError
+from flipperctl.policies.abilities import FollowingPolicy, RiskPolicy, TrainingPolicy, ValuingPolicy
+
+TEMPERATURE = 0.3
+"""Default cost difference that makes an action e times less probable [s]."""
+
+
+def from_costs(costs: FloatArray, temperature: float = TEMPERATURE) -> NDArray[np.float32]:
+    """Return softmax(-costs / temperature), (9,).
+
+    ``costs``: finite cost of each action, (9,) [s]; ``temperature`` in seconds.
+    """
+    weights = np.exp((costs.min() - costs) / temperature)
+    return np.asarray(weights / weights.sum(), np.float32)
+
+
+def from_action(action: int) -> NDArray[np.float32]:
+    """Return the distribution that is 1 at ``action`` and 0 elsewhere, (9,)."""
+    label = np.zeros(len(ACTIONS), np.float32)
+    label[action] = 1.0
+    return label
+
+
+def none() -> NDArray[np.float32]:
+    """Return the zeros of a state without a label, (9,)."""
+    return np.zeros(len(ACTIONS), np.float32)
+
+
+class Labeller:
+    """Asks a policy for actions and labels them, by their costs if the policy offers them."""
+
+    def __init__(self, policy: Policy, temperature: float = TEMPERATURE) -> None:
+        """``temperature``: difference of costs [s]; see ``from_costs``."""
+        self._policy, self._temperature = policy, temperature
+        # Checked once: a check against a protocol takes longer than parts of a decision.
+        self._costs = policy if isinstance(policy, CostPolicy) else None
+
+    def choose(self, p: Perception) -> tuple[int, NDArray[np.float32]]:
+        """Return the policy's action, the cheapest if it offers costs, and the label, (9,)."""
+        if self._costs is None:
+            action = self._policy.act(p)
+            return action, from_action(action)
+        costs = self._costs.costs(p)
+        return int(costs.argmin()), from_costs(costs, self._temperature)
+
+    def took(self, action: int) -> None:
+        """Tell a policy that offers costs which action was taken after ``choose``."""
+        if self._costs is not None:
+            self._costs.took(action)
+
+
+class DemonstratingPolicy:
+    """Acts as its policy; labels each decision by action costs, or by the action without costs."""
+
+    def __init__(self, policy: Policy) -> None:
+        self._policy, self._labeller = policy, Labeller(policy)
+        self.label = from_action(0)
+        """The distribution over actions at the last decision, (9,)."""
+        self.groups = None
+        self._risks = policy if isinstance(policy, RiskPolicy) else None
+
+    @property
+    def risk(self) -> float | None:
+        """Risk at the policy's last decision; None if it knows none."""
+        return self._risks.risk if self._risks is not None else None
+
+    @property
+    def risk_sign(self) -> RiskSign | None:
+        """When the policy's risk is a warning; None if it knows none."""
+        return self._risks.risk_sign if self._risks is not None else None
+
+    def reset(self, simulator: Simulator) -> None:
+        """Begin an episode."""
+        self._policy.reset(simulator)
+
+    def act(self, p: Perception) -> int:
+        """Return the policy's action, the cheapest if it offers costs; store the label."""
+        action, self.label = self._labeller.choose(p)
+        self._labeller.took(action)
+        return action
+
+
+class TaughtPolicy:
+    """Lets the student or the teacher act for an episode; the teacher labels both (DAgger).
+
+    Ross, Gordon and Bagnell 2011, with whole episodes instead of single decisions mixed.
+    """
+
+    def __init__(
+        self,
+        student: Policy,
+        teacher: Policy,
+        settings: Teacher,
+        student_learns: Callable[[], bool],
+        rng: np.random.Generator,
+    ) -> None:
+        """``student_learns`` is called before each episode; while it is False, the teacher acts.
+
+        ``rng`` chooses who acts, and the random actions of the teacher's episodes.
+        """
+        self._student, self._teacher, self._settings = student, teacher, settings
+        self._exploring = student if isinstance(student, TrainingPolicy) else None
+        self._labeller = Labeller(teacher, settings.temperature)
+        self._following = teacher if isinstance(teacher, FollowingPolicy) else None
+        if settings.label_share < 1 and self._following is None:
+            raise ConfigError(
+                f"teacher.label_share: {settings.label_share:g} needs a teacher that follows "
+                "decisions which it does not label, such as mpc; 1 is allowed"
+            )
+        self._student_learns, self._rng = student_learns, rng
+        self._student_acts = False
+        self.explored = False
+        """Whether the last action was random."""
+        self._simulator: Simulator | None = None
+        self.label = from_action(0)
+        """The teacher's distribution over actions at the last decision, (9,); zeros without one."""
+        self.groups: StateGroups | None = None
+        """States of the episode's ground with their values, of a teacher that knows them."""
+
+    def reset(self, simulator: Simulator) -> None:
+        """Begin an episode of both policies and choose which one acts."""
+        self._student.reset(simulator)
+        self._teacher.reset(simulator)
+        if self._settings.privileged:
+            simulator.restart()  # the policies may have simulated in it
+            self._simulator = simulator
+        if isinstance(self._teacher, ValuingPolicy):
+            self.groups = self._teacher.groups(self._rng)
+        share = self._settings.student_share if self._student_learns() else 0.0
+        self._student_acts = self._rng.random() < share
+
+    def act(self, p: Perception) -> int:
+        """Return the acting policy's action; store the teacher's label."""
+        simulator = self._simulator
+        seen = p if simulator is None else simulator.perceive_exactly()
+        action = self._decided(p, seen)
+        if simulator is not None:
+            simulator.step(action)  # repeats the episode bit for bit
+        return action
+
+    def _decided(self, p: Perception, seen: Perception) -> int:
+        """Return the action taken; the teacher has ``seen`` the state, and labels or follows."""
+        if self._student_acts and self._skips():
+            assert self._following is not None  # else every decision is labelled
+            action, self.label = self._student_action(p), none()
+            self._following.follow(seen, action)
+            return action
+        choice, self.label = self._labeller.choose(seen)
+        action = self._chosen(p, choice)
+        self._labeller.took(action)
+        return action
+
+    def _skips(self) -> bool:
+        """Return whether a decision of the student has no label."""
+        share = self._settings.label_share
+        return share < 1 and bool(self._rng.random() >= share)
+
+    def _student_action(self, p: Perception) -> int:
+        action = self._student.act(p)
+        self.explored = self._exploring is not None and self._exploring.explored
+        return action
+
+    def _chosen(self, p: Perception, choice: int) -> int:
+        """Return the student's action, or the teacher's ``choice`` or a random one."""
+        if self._student_acts:
+            return self._student_action(p)
+        self.explored = self._rng.random() < self._settings.random
+        if self.explored:
+            return int(self._rng.integers(len(ACTIONS)))
+        return choice
+
+
+class ExploringPolicy:
+    """Takes a random action with probability ε, otherwise the greedy action under new noise."""
+
+    def __init__(
+        self,
+        module: torch.nn.Module,
+        frames: int,
+        epsilon: Callable[[], float],
+        rng: np.random.Generator,
+        noise_rng: np.random.Generator,
+        share: float = 1.0,
+    ) -> None:
+        """``module`` is put into the mode of decisions at the start of each episode.
+
+        ``frames``: number of observations that the network takes as one input. ``epsilon`` is
+        called at each decision. ``rng`` draws the actions, ``noise_rng`` the noise.
+        ``share``: share of the episodes that have random actions [-].
+        """
+        self._module, self._frames, self._epsilon = module, frames, epsilon
+        self._rng, self._noise_rng = rng, noise_rng
+        self._noise = Noise(module)
+        self._device = next(module.parameters(), torch.empty(0)).device
+        self._share, self._greedy = share, False
+        self.explored = False
+        """Whether the last action was random."""
+
+    def reset(self, simulator: Simulator) -> None:
+        """Begin an episode; decide whether it has random actions."""
+        self._noise.acts()
+        self._greedy = self._share < 1 and self._rng.random() >= self._share
+
+    def act(self, p: Perception) -> int:
+        """Return the index of a random or greedy action."""
+        self.explored = not self._greedy and self._rng.random() < self._epsilon()
+        if self.explored:
+            return int(self._rng.integers(len(ACTIONS)))
+        self._noise.draw(self._noise_rng)
+        return greedy(self._module, stacked(p.recent, self._frames), self._device)
+
+
+class DrawingPolicy:
+    """Draws each action with the probabilities softmax(Q / temperature), which are its label."""
+
+    groups: StateGroups | None = None
+    explored = False
+
+    def __init__(
+        self,
+        module: torch.nn.Module,
+        frames: int,
+        temperature: Callable[[], float],
+        rng: np.random.Generator,
+    ) -> None:
+        """``module`` is put into ``eval()`` mode at the start of each episode.
+
+        ``frames``: number of observations that the network takes as one input. ``rng`` draws.
+        ``temperature``: called at each decision [-].
+        """
+        self._module, self._frames = module, frames
+        self._temperature, self._rng = temperature, rng
+        self._device = next(module.parameters(), torch.empty(0)).device
+        self.label = none()
+        """Probabilities of the actions at the last decision, (9,)."""
+
+    def reset(self, simulator: Simulator) -> None:
+        """Begin an episode; nothing is remembered."""
+        self._module.eval()  # at each decision it took a tenth of the time
+
+    def act(self, p: Perception) -> int:
+        """Return the index of the drawn action."""
+        observation = stacked(p.recent, self._frames)
+        values = q_values(self._module, observation, self._device)
+        self.label = from_costs(-np.array(values), self._temperature())
+        return drawn(self.label.tolist(), self._rng.random())

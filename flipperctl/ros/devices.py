@@ -1,0 +1,243 @@
+"""What the devices of a robot said, from a bag: the messages of the runtime in their order.
+
+In: a bag of ROS 1 or 2 and the names of its topics, frames and joints. Out: clouds, attitudes,
+joint angles and belt speeds as ``FlipperController.step`` takes them, each with the time at which
+it was recorded. The bag is read twice, first for its transforms, and never held in memory.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from flipperctl.core.lidar.body import mounting
+from flipperctl.errors import RequestError
+from flipperctl.ros.reading import (
+    FRAMES,
+    ODOMETRY,
+    add_odometry,
+    add_transforms,
+    chosen_topic,
+    opened,
+    read_points,
+    seconds,
+    times_of,
+)
+from flipperctl.ros.topics import Devices, Names, found_devices
+from flipperctl.ros.transforms import Pose, Transforms
+from flipperctl.runtime.messages import (
+    CONVENTIONS,
+    REP_103,
+    Attitude,
+    Cloud,
+    JointAngles,
+    NewestJoints,
+    Odometry,
+    Signs,
+)
+from flipperctl.runtime.point_cloud import PointTimes
+from flipperctl.runtime.setup import RobotSetup
+
+Message = Cloud | Attitude | JointAngles | Odometry
+
+
+class Step(NamedTuple):
+    """The messages that a robot received at one time."""
+
+    now: float
+    """Time at which they were recorded [s]."""
+    messages: dict[str, Message]
+    """``cloud``, ``attitude``, ``joints`` or ``odometry`` → message."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A bag of a robot; ``steps`` reads its messages."""
+
+    path: Path
+    names: Names
+    clouds: str
+    """Topic of the clouds."""
+    devices: Devices
+    transforms: Transforms
+    times: PointTimes
+    """Unit and zero of the times of the points."""
+    mount: Pose
+    """The sensor of the clouds on the chassis."""
+    found: list[str] = field(default_factory=list)
+    """Remarks on the devices and frames."""
+
+    @property
+    def topics(self) -> dict[str, str]:
+        """Device → topic, for the devices that the bag has."""
+        devices = self.devices
+        found = {"cloud": self.clouds, "attitude": devices.attitude, "joints": None}
+        found |= {"joints": ", ".join(devices.joints), "odometry": devices.belts}
+        return {device: topic for device, topic in found.items() if topic}
+
+    @property
+    def remarks(self) -> list[str]:
+        """What a reader of the result should know; complete once the messages were read."""
+        return [*self.found, *(f"{self.clouds}: {text}" for text in self.times.remarks())]
+
+    @property
+    def axis(self) -> float:
+        """Elevation of the z axis of the clouds' frame, about which a LiDAR turns [rad]."""
+        x, _, z = self.mount.directions(np.array([[0.0, 0.0, 1.0]]))[0].tolist()
+        return math.atan2(z, x)
+
+    @property
+    def setup(self) -> RobotSetup:
+        """Frames and signs of the messages, with all else by default."""
+        angles = CONVENTIONS[self.names.signs]
+        # Attitudes are made of quaternions, whose signs are always those of REP-103.
+        signs = Signs(front=angles.front, rear=angles.rear, pitch=REP_103.pitch)
+        return RobotSetup(signs, cloud_frame=self.names.base, attitude_frame=self.names.base)
+
+    def pose(self, time: float) -> Pose | None:
+        """Return the chassis in the fixed frame by the bag itself; None if it does not say."""
+        if not (self.transforms.has(self.names.base) or self.names.base == self.names.fixed):
+            return None
+        try:
+            return self.transforms.pose(self.names.fixed, self.names.base, time)
+        except RequestError as error:
+            raise RequestError(f"{self.path}: {error}") from error
+
+    def mounts(self) -> Iterator[Pose]:
+        """Yield the place of the sensor on the chassis for each cloud for which it is known."""
+        with opened(self.path) as reader:
+            chosen = [c for c in reader.connections if c.topic == self.clouds]
+            for connection, _, data in reader.messages(connections=chosen):
+                header = reader.deserialize(data, connection.msgtype).header
+                mount = _placed(self, header.frame_id.lstrip("/"), seconds(header.stamp))
+                if mount is not None:
+                    yield mount
+
+    def steps(self) -> Iterator[Step]:
+        """Yield the messages in the order in which they were recorded, those of one time at once.
+
+        The points of clouds come as a ``Mount`` at the place of the sensor ahead of and above the
+        chassis centre, (x, 0, z), with its ``axis`` would measure them, so that rings stay rings.
+
+        Raises:
+            RequestError: a cloud has no stamp, or its frame is unknown.
+        """
+        devices = {self.clouds: "cloud", **dict.fromkeys(self.devices.joints, "joints")}
+        others = {"attitude": self.devices.attitude, "odometry": self.devices.belts}
+        devices |= {topic: device for device, topic in others.items() if topic}
+        joints = NewestJoints(self.names.front, self.names.rear)
+        waiting: Step | None = None
+        with opened(self.path) as reader:
+            chosen = [c for c in reader.connections if c.topic in devices]
+            for connection, stamp, data in reader.messages(connections=chosen):
+                message = reader.deserialize(data, connection.msgtype)
+                now, device = stamp * 1e-9, devices[connection.topic]
+                told = (
+                    self._joints(joints, connection.topic, message)
+                    if device == "joints"
+                    else self._told(device, message, now)
+                )
+                if told is None:
+                    continue
+                if waiting is not None and (now != waiting.now or device in waiting.messages):
+                    yield waiting
+                    waiting = None
+                waiting = waiting or Step(now, {})
+                waiting.messages[device] = told
+        if waiting is not None:
+            yield waiting
+
+    def _told(self, device: str, message: Any, now: float) -> Message | None:
+        """Return a message of the runtime; None if it tells nothing."""
+        if device == "cloud":
+            return self._cloud(message)
+        if device == "attitude":
+            return self._attitude(message)
+        if hasattr(message, "twist"):
+            return Odometry(_stamp(message), float(message.twist.twist.linear.x))
+        return Odometry(now, float(message.data))  # it has no stamp of its own
+
+    def _joints(self, joints: NewestJoints, topic: str, message: Any) -> JointAngles | None:
+        """Return the newest angles; None as long as one is unknown, or of other joints."""
+        ours = self.devices.joints[topic]
+        pairs = zip(message.name, message.position, strict=False)
+        angles = {name: angle for name, angle in pairs if name in ours}
+        return joints.take(_stamp(message), angles.keys(), angles.values())
+
+    def _cloud(self, message: Any) -> Cloud:
+        found = read_points(f"{self.path}: {self.clouds}", message, self.times)
+        mount = _placed(self, found.frame, found.time)
+        time, ages = found.time, None
+        if found.shifts is not None and len(found.shifts):
+            # Drivers stamp the beginning or the end of a turn; a cloud of the runtime has its end.
+            end = max(0.0, float(found.shifts.max()))
+            time, ages = found.time + end, end - found.shifts
+        if mount is None:  # refused by its frame
+            return Cloud(time, found.frame, found.points, ages)
+        points = mount.apply(found.points) - self.mount.place * (1.0, 0.0, 1.0)
+        return Cloud(time, self.names.base, points @ mounting(self.axis), ages)
+
+    def _attitude(self, message: Any) -> Attitude | None:
+        if self.devices.imu is not None and not self.devices.imu.told(message):
+            return None
+        frame, time = message.header.frame_id.lstrip("/"), _stamp(message)
+        q, rates = message.orientation, message.angular_velocity
+        turn = np.array([q.x, q.y, q.z, q.w])
+        rate = np.array([rates.x, rates.y, rates.z])
+        if frame != self.names.base:
+            mount = _placed(self, frame, time)
+            if mount is None:
+                return Attitude(time, frame, 0.0, 0.0, 0.0)  # refused by its frame
+            # The chassis in the world is the unit in the world after the chassis in the unit.
+            turn = Pose(np.zeros(3), turn).after(mount.inverse()).turn
+            rate = mount.directions(rate[None])[0]
+        x, y, z, w = turn.tolist()
+        about = float(rate[0]), float(rate[1]), float(rate[2])
+        return Attitude.from_imu(time, self.names.base, (x, y, z, w), about)
+
+
+def read_recording(path: Path, names: Names) -> Recording:
+    """Return what a bag holds; its messages are not read yet.
+
+    Raises:
+        MissingExtraError: rosbags is not installed.
+        RequestError: the file is no bag, has no clouds, or a topic or frame is unknown.
+    """
+    transforms, odometry, remarks = Transforms(), [], list[str]()
+    with opened(path) as reader:
+        clouds = chosen_topic(path, reader, names.clouds)
+        frames = [c for c in reader.connections if c.msgtype in (*FRAMES, ODOMETRY)]
+        for connection, _, data in reader.messages(connections=frames) if frames else ():
+            message = reader.deserialize(data, connection.msgtype)
+            if connection.msgtype == ODOMETRY:
+                odometry.append((connection.topic, message))
+            else:
+                add_transforms(transforms, connection.topic, message)
+        add_odometry(path, transforms, odometry)
+        times = times_of(path, reader, clouds)
+        devices = found_devices(path, reader, names, transforms, remarks)
+    remarks += transforms.remarks(names.fixed, names.base)
+    recording = Recording(path, names, clouds, devices, transforms, times, Pose.none(), remarks)
+    mount = next(recording.mounts(), None)  # transforms may begin later than the clouds
+    return recording if mount is None else replace(recording, mount=mount)
+
+
+def _placed(recording: Recording, frame: str, time: float) -> Pose | None:
+    """Return the pose of a device's frame on the chassis; None if it is unknown at that time."""
+    base = recording.names.base
+    if frame == base:
+        return Pose.none()
+    try:
+        return recording.transforms.pose(base, frame, time)
+    except RequestError as error:
+        raise RequestError(f"{recording.path}: {error}") from error
+
+
+def _stamp(message: Any) -> float:
+    """Return the stamp of a message [s]; NaN without one, which the intake refuses."""
+    return seconds(message.header.stamp) or math.nan

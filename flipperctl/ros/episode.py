@@ -1,0 +1,258 @@
+"""Export of an episode as a bag of ROS 2 in MCAP, with what a robot would have published.
+
+In: a scene and a policy. Out: a folder with the MCAP file and its metadata, which
+``ros2 bag play``, Foxglove and PlotJuggler open. ROS itself is not needed. The messages follow
+``messages``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from flipperctl.api import FloatArray, Measured, Perception, RobotState, Sensor, World
+from flipperctl.config import EvalConfig
+from flipperctl.core.lidar.body import attitude
+from flipperctl.core.lidar.messages import Belts, Inertial, Scan
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.pictures import Observer
+from flipperctl.errors import OutputError, RequestError
+from flipperctl.files import new_folder
+from flipperctl.policies.source import PolicySource
+from flipperctl.rollout.episode import decisions
+from flipperctl.rollout.seeds import EvaluationSeeds
+from flipperctl.ros.messages import (
+    LEVEL,
+    LIDAR,
+    Messages,
+    joint_angles,
+    nanoseconds,
+    require_rosbags,
+)
+
+CLOUD, IMU, JOINT_STATES, ODOMETRY = "/points", "/imu/data", "/joint_states", "/odom"
+TRANSFORMS, STATIC = "/tf", "/tf_static"
+TARGETS = "/flipper_controller/commands"
+"""Topic of ``forward_command_controller`` for a controller of that name."""
+BELTS, OBSERVATION, ACTION = "/belt_speed", "/flipperctl/observation", "/flipperctl/action"
+TYPES = {
+    CLOUD: "sensor_msgs/msg/PointCloud2",
+    IMU: "sensor_msgs/msg/Imu",
+    JOINT_STATES: "sensor_msgs/msg/JointState",
+    ODOMETRY: "nav_msgs/msg/Odometry",
+    TRANSFORMS: "tf2_msgs/msg/TFMessage",
+    STATIC: "tf2_msgs/msg/TFMessage",
+    TARGETS: "std_msgs/msg/Float64MultiArray",
+    BELTS: "std_msgs/msg/Float64",
+    OBSERVATION: "std_msgs/msg/Float64MultiArray",
+    ACTION: "std_msgs/msg/Int32",
+}
+"""Topic → type of its messages."""
+_MOUNT = ("mount_x", "mount_z", "mount_axis")
+"""Settings of a sensor whose scans are in a frame of their own."""
+
+
+class Stamped(NamedTuple):
+    """A message of a bag."""
+
+    time: float
+    """Time since the start of the episode [s]."""
+    topic: str
+    message: Any
+
+
+@dataclass
+class Watch(Observer):
+    """Collects the states at 100 Hz, and all measurements."""
+
+    every = 1
+    states: list[RobotState] = field(default_factory=list)
+    measurements: list[Measured] = field(default_factory=list)
+
+    def stopped(self, world: World) -> None:
+        """Receive the world after a sample."""
+        self.states.append(world.state())
+
+    def measured(self, measured: Measured) -> None:
+        """Receive a measurement of an instrument."""
+        self.measurements.append(measured)
+
+
+@dataclass
+class _Decided:
+    """What a policy perceived and chose at one time."""
+
+    time: float
+    sensed: float
+    """Time of the state that was perceived [s]."""
+    perception: Perception
+    action: int
+    targets: FloatArray
+    """(4,) targets in the order of ``JOINTS`` and the signs of ROS [rad]."""
+
+
+def export_bag(config: EvalConfig, source: PolicySource, folder: Path) -> dict[str, Any]:
+    """Play the first episode of an evaluation into a new bag; return what it holds.
+
+    Raises:
+        MissingExtraError: rosbags is not installed.
+        OutputError: the folder exists or cannot be written.
+    """
+    require_rosbags("export mcap")
+    check_new(folder)
+    watch, env = Watch(), FlipperEnv(config=config)
+    seed = EvaluationSeeds.of(config.eval.seed, config.terrain)(0)
+    decided, sensed, ending = [], 0.0, None
+    for decision in decisions(env, source.build(config), seed, observers=(watch,)):
+        targets = joint_angles(*env.drive.targets)
+        at = decision.transition.before.time
+        decided.append(_Decided(at, sensed, decision.perception, decision.action, targets))
+        sensed, ending = env.drive.delayed_state.time, decision.ending
+    assert ending is not None  # decisions() yields until there is one
+    messages = _messages(watch, decided, config.perception)
+    write_bag(folder, messages)
+    return {
+        "format": "mcap",
+        "output": str(folder),
+        "terrain": env.profile.label,
+        "seed": config.eval.seed,
+        "outcome": ending["outcome"],
+        "seconds": watch.states[-1].time,
+        "messages": dict(Counter(found.topic for found in messages)),
+    }
+
+
+def check_new(folder: Path) -> None:
+    """Check, before long work, that a bag can be written to ``folder``.
+
+    Raises:
+        OutputError: it exists already, or there is no folder that could hold it.
+    """
+    if folder.exists():
+        raise OutputError(f"{folder} cannot be written: a bag is a new folder, and this one exists")
+    if not folder.parent.is_dir():
+        raise OutputError(f"{folder} cannot be written: there is no folder {folder.parent}")
+
+
+def write_bag(folder: Path, messages: Sequence[Stamped]) -> None:
+    """Write messages of the topics in ``TYPES`` to a new bag, in the order of their times.
+
+    Raises:
+        MissingExtraError: rosbags is not installed.
+        OutputError: the folder cannot be written.
+    """
+    ros = require_rosbags("a bag")
+    types = typestore()
+    bag = ros.rosbag2
+    with (
+        new_folder(folder) as inside,
+        bag.Writer(inside, version=8, storage_plugin=bag.StoragePlugin.MCAP) as writer,
+    ):
+        topics = {
+            topic: writer.add_connection(
+                topic, TYPES[topic], typestore=types, offered_qos_profiles=_qos(topic)
+            )
+            for topic in dict.fromkeys(found.topic for found in messages)
+        }
+        for found in sorted(messages, key=lambda one: one.time):
+            data = types.serialize_cdr(found.message, TYPES[found.topic])
+            writer.write(topics[found.topic], nanoseconds(found.time), data)
+
+
+def typestore() -> Any:
+    """Return the types of messages of ROS 2 Jazzy; those used here are the same since Humble."""
+    types = require_rosbags("a bag").typesys
+    return types.get_typestore(types.Stores.ROS2_JAZZY)
+
+
+def _qos(topic: str) -> Sequence[Any]:
+    """Return the profile with which players repeat the static frames for late subscribers."""
+    if topic != STATIC:
+        return ()
+    from rosbags.interfaces import (
+        Qos,
+        QosDurability,
+        QosHistory,
+        QosLiveliness,
+        QosReliability,
+        QosTime,
+    )
+
+    forever = QosTime(2**31 - 1, 0)
+    reliable = QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL
+    timing = forever, forever, QosLiveliness.AUTOMATIC, forever
+    return [Qos(*reliable, *timing, avoid_ros_namespace_conventions=False)]
+
+
+def _messages(watch: Watch, decided: Sequence[_Decided], sensor: Sensor) -> list[Stamped]:
+    make = Messages(typestore())
+    found = [*_of_states(make, watch.states), *_of_decisions(make, decided)]
+    inertial = [m for m in watch.measurements if isinstance(m.value, Inertial)]
+    scans = [m for m in watch.measurements if isinstance(m.value, Scan)]
+    found += _of_measurements(make, watch.measurements)
+    if not inertial:
+        found += _of_true_attitude(make, watch.states)
+    if not scans:
+        found += _of_perceived_ground(make, decided)
+    elif all(hasattr(sensor, name) for name in _MOUNT):
+        place = [getattr(sensor, name) for name in _MOUNT]
+        found.insert(0, Stamped(0.0, STATIC, make.mount(*place)))
+    else:
+        raise RequestError(
+            f"perception: {sensor.plugin_name} does not say where its scans are measured; "
+            f"the settings {', '.join(_MOUNT)} do"
+        )
+    return found
+
+
+def _of_states(make: Messages, states: Sequence[RobotState]) -> Iterator[Stamped]:
+    for state in states:
+        yield Stamped(state.time, TRANSFORMS, make.transforms(state))
+        yield Stamped(state.time, ODOMETRY, make.odometry(state))
+        joints = make.joint_state(state.time, state.front, state.rear)
+        yield Stamped(state.time, JOINT_STATES, joints)
+
+
+def _of_true_attitude(make: Messages, states: Sequence[RobotState]) -> Iterator[Stamped]:
+    for state in states:
+        angles = state.roll, state.pitch, state.yaw
+        rises = attitude(*angles)[2]  # of the axes
+        lean = math.atan2(rises[1], rises[2])  # about which the y axis is turned from the level
+        rates = 0.0, -state.pitch_rate * math.cos(lean), state.pitch_rate * math.sin(lean)
+        yield Stamped(state.time, IMU, make.imu(state.time, angles, rates))
+
+
+def _of_measurements(make: Messages, measurements: Sequence[Measured]) -> Iterator[Stamped]:
+    for one in measurements:
+        time, value = one.time, one.value
+        if isinstance(value, Scan):
+            yield Stamped(time, CLOUD, make.cloud(time, LIDAR, value.points, value.ages))
+        elif isinstance(value, Inertial):
+            x, y, z = (value.yaw_rate * attitude(value.roll, value.pitch, 0.0)[2]).tolist()
+            yield Stamped(time, IMU, make.imu(time, (value.roll, value.pitch, 0.0), (x, y, z)))
+        elif isinstance(value, Belts):
+            yield Stamped(time, BELTS, make.number(value.speed))
+
+
+def _of_perceived_ground(make: Messages, decided: Sequence[_Decided]) -> Iterator[Stamped]:
+    """Yield the points that a sensor of the side plane saw, without those that fill gaps."""
+    for one in decided:
+        points = one.perception.points
+        if one.perception.filled is not None:
+            points = points[~one.perception.filled]
+        cloud = np.column_stack([points[:, 0], np.zeros(len(points)), points[:, 1]])
+        yield Stamped(one.sensed, CLOUD, make.cloud(one.sensed, LEVEL, cloud))
+
+
+def _of_decisions(make: Messages, decided: Sequence[_Decided]) -> Iterator[Stamped]:
+    for one in decided:
+        numbers = one.perception.observation.astype(np.float64)
+        yield Stamped(one.time, OBSERVATION, make.numbers(numbers))
+        yield Stamped(one.time, ACTION, make.integer(one.action))
+        yield Stamped(one.time, TARGETS, make.numbers(one.targets))

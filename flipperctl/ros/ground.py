@@ -1,0 +1,197 @@
+"""Recorded ground from what a robot has measured: clouds with poses → one cloud and a line.
+
+In: a bag, or a folder of clouds with poses. Out: the points of the ground in one frame without
+those of the robot, thinned, as an ``.xyz`` file that ``terrain=profile_file`` reads, and the line
+that the robot drove.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from flipperctl.api import FloatArray, Robot
+from flipperctl.errors import RequestError
+from flipperctl.files import OutputKind, check_output, write_bytes
+from flipperctl.ros.reading import POSES, read_bag, read_folder
+from flipperctl.ros.transforms import Pose
+
+_HEADER = "# ground by flipperctl convert: x y z [m]\n"
+"""First line of each file, by which an earlier one is recognised."""
+GROUND = OutputKind("recorded ground", (".xyz",), re.compile(rb"\A# ground by flipperctl convert"))
+HALF_WIDTH = 0.45
+"""Points closer than this to the middle of the robot, within its length, are its own [m]."""
+_MARGIN = 0.05  # around the length of the robot [m]
+_SHORTEST = 0.5
+"""Shortest line that can be driven over [m]."""
+_SLICE, _GAP = 0.1, 0.15
+"""Width of the strip that ``profile_file`` reads, and largest gap in it, which it bridges [m]."""
+_INSET = 0.02
+"""Distance of the line's ends from the last points [m]."""
+
+
+@dataclass(frozen=True)
+class Frames:
+    """The names of a bag's topic and frames."""
+
+    topic: str | None = None
+    """Topic of the clouds; None: the only one."""
+    fixed: str = "odom"
+    """Frame in which the ground is at rest."""
+    base: str = "base_link"
+    """Frame of the chassis."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Which points count, and how dense they become."""
+
+    reach: float = 5.0
+    """Largest distance of a point from the chassis [m]."""
+    cell: float = 0.02
+    """Edge of a cube of which the mean of the points is kept [m]."""
+
+
+@dataclass(frozen=True)
+class _Scan:
+    points: FloatArray
+    """(P, 3) in the frame of the chassis [m]."""
+    pose: Pose
+    """The chassis in the fixed frame."""
+
+
+def convert(
+    source: Path, output: Path, robot: Robot, frames: Frames = Frames(), limits: Limits = Limits()
+) -> dict[str, Any]:
+    """Write the ground of a bag or folder to an ``.xyz`` file; return what it covers.
+
+    Raises:
+        MissingExtraError: rosbags, or a package for the clouds' format, is not installed.
+        RequestError: the source cannot be read, or the robot hardly moved.
+        OutputError: the file cannot be written, see ``check_output``.
+    """
+    check_output(output, GROUND)
+    if source.is_dir() and (source / POSES).exists():
+        scans = [_Scan(points, pose) for points, pose in read_folder(source, output)]
+        sizes, skipped, remarks = [len(scan.points) for scan in scans], 0, list[str]()
+    else:
+        scans, sizes, skipped, remarks = _scans(source, frames)
+    points = thinned(_seen(scans, robot, limits), limits.cell)
+    start, end = _known_line(source, points, scans, _half_length(robot))
+    write_bytes(output, _text(points).encode())
+    return {
+        "source": str(source),
+        "output": str(output),
+        "clouds": len(sizes),
+        "clouds_without_pose": skipped,
+        "points_per_cloud": {
+            "least": min(sizes),
+            "median": round(float(np.median(sizes))),
+            "most": max(sizes),
+        },
+        "points": len(points),
+        "start": [round(float(number), 3) + 0.0 for number in start],
+        "end": [round(float(number), 3) + 0.0 for number in end],
+        "length": float(np.linalg.norm(end - start)),
+        "remarks": remarks,
+    }
+
+
+def _known_line(
+    source: Path, points: FloatArray, scans: list[_Scan], ahead: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the ends, (2,) each [m], of the longest part of the robot's way whose ground was seen.
+
+    The way is the straight line from its first to its last place, and as far ``ahead`` as the robot
+    reaches. The ground below the robot at the start is never seen.
+    """
+    first, last = scans[0].pose.place[:2], scans[-1].pose.place[:2]
+    length = float(np.linalg.norm(last - first))
+    if length < _SHORTEST:
+        raise RequestError(
+            f"{source}: the robot is {length:.2f} m from its start at the end; at least "
+            f"{_SHORTEST} m is needed for a line over the ground"
+        )
+    direction = (last - first) / length
+    offset = points[:, :2] - first
+    beside = offset @ np.array([-direction[1], direction[0]])
+    along = np.sort((offset @ direction)[np.abs(beside) <= _SLICE / 2])
+    along = along[(along >= 0) & (along <= length + ahead)]
+    parts = np.split(along, np.flatnonzero(np.diff(along) > _GAP) + 1)
+    longest = max(parts, key=lambda part: float(np.ptp(part)) if len(part) else 0.0)
+    if not len(longest) or np.ptp(longest) < _SHORTEST:
+        raise RequestError(
+            f"{source}: the clouds show no {_SHORTEST} m of ground in a row along the robot's way; "
+            "are the frames of the chassis and of the sensor right?"
+        )
+    return first + direction * (longest[0] + _INSET), first + direction * (longest[-1] - _INSET)
+
+
+def _scans(source: Path, frames: Frames) -> tuple[list[_Scan], list[int], int, list[str]]:
+    """Return the clouds of a bag in the frame of the chassis, and what became of its messages.
+
+    That is the number of points of each that is used, the number of those without a pose, and what
+    a reader of the result should know.
+    """
+    bag = read_bag(source, frames.topic)
+    found, sizes = [], Counter[int]()
+    for cloud in bag.clouds:
+        try:
+            pose = bag.transforms.pose(frames.fixed, frames.base, cloud.time)
+            mount = bag.transforms.pose(frames.base, cloud.frame, cloud.time)
+        except RequestError as error:
+            raise RequestError(f"{source}: {error}") from error
+        if pose is not None and mount is not None:
+            sizes[cloud.message] += len(cloud.points)
+            found.append(_Scan(mount.apply(cloud.points), pose))
+    if not any(len(cloud.points) for cloud in bag.clouds):
+        raise RequestError(f"{source}: the {bag.messages} clouds of {bag.topic} have no points")
+    if not found:
+        raise RequestError(
+            f"{source}: none of the {bag.messages} clouds of {bag.topic} has a transform to "
+            f"{frames.fixed!r} at its stamp; is another clock in the stamps?"
+        )
+    remarks = [*bag.remarks, *bag.transforms.remarks(frames.fixed, frames.base)]
+    return found, [*sizes.values()], bag.messages - len(sizes), remarks
+
+
+def _half_length(robot: Robot) -> float:
+    """Return the distance from the chassis centre to the tip of a level flipper, and more [m]."""
+    return robot.hinge_offset + robot.flipper_axle + robot.track_radius + _MARGIN
+
+
+def _seen(scans: Iterable[_Scan], robot: Robot, limits: Limits) -> FloatArray:
+    """Return the points of all scans in the fixed frame, without the robot's own."""
+    ahead = _half_length(robot)
+
+    def kept() -> Iterator[FloatArray]:
+        for scan in scans:
+            x, y, _ = scan.points.T
+            own = (np.abs(x) <= ahead) & (np.abs(y) <= HALF_WIDTH)
+            near = np.linalg.norm(scan.points, axis=1) <= limits.reach
+            yield thinned(scan.pose.apply(scan.points[near & ~own]), limits.cell)
+
+    parts = list(kept())
+    return np.concatenate(parts) if parts else np.empty((0, 3))
+
+
+def thinned(points: FloatArray, cell: float) -> FloatArray:
+    """Return the mean of the points in each cube of edge ``cell`` [m], (C, 3), sorted by cube."""
+    if not len(points):
+        return points
+    cubes = np.floor(points / cell).astype(np.int64)
+    _, group = np.unique(cubes, axis=0, return_inverse=True)
+    group = group.reshape(-1)
+    count = np.bincount(group)
+    return np.column_stack([np.bincount(group, weights=axis) / count for axis in points.T])
+
+
+def _text(points: FloatArray) -> str:
+    rows = (f"{x:.4f} {y:.4f} {z:.4f}\n" for x, y, z in points.tolist())
+    return _HEADER + "".join(rows)

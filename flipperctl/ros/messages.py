@@ -1,0 +1,233 @@
+"""Messages of ROS 2 with what the simulator knows, by the conventions of ROS.
+
+In: states, scans and points in flipperctl's frames and signs. Out: messages of ``rosbags``.
+
+REP-103: x ahead, y to the left, z up, and angles about these axes. So the front flippers are
+positive *below* the chassis, the rear flippers above it, and a positive pitch is nose *down*:
+(front, rear, pitch) of ROS are (-front, +rear, -pitch) here. Frames (REP-105): ``odom`` is the
+world; ``base_link`` is frame R, the chassis; ``base_stabilized`` is frame L, level at its centre,
+turned by the heading; ``lidar`` is frame S.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+
+from flipperctl.api import FloatArray, RobotState
+from flipperctl.core.lidar.body import attitude, mounting
+from flipperctl.errors import MissingExtraError
+
+ODOM, BASE, LEVEL, LIDAR = "odom", "base_link", "base_stabilized", "lidar"
+JOINTS = (
+    "front_left_flipper",
+    "front_right_flipper",
+    "rear_left_flipper",
+    "rear_right_flipper",
+)
+"""Joints in the order of all messages; ``export urdf`` has the same."""
+TIME = "time"
+"""Field of a cloud with the time of each point relative to the stamp [s]."""
+EPOCH = 1_000_000_000
+"""Stamp of an episode's start [s]; not 0, which in ROS means that there is no stamp."""
+_NOT_MEASURED = -1.0
+"""First number of a covariance whose quantity a message does not hold."""
+
+
+def require_rosbags(what: str) -> ModuleType:
+    """Return the package ``rosbags``; ``what`` needs it.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    try:
+        import rosbags
+        import rosbags.rosbag2
+        import rosbags.typesys
+    except ImportError as error:
+        raise MissingExtraError(
+            f"{what} needs rosbags, which is not installed; run pip install 'flipperctl[ros]'"
+        ) from error
+    return rosbags
+
+
+def nanoseconds(time: float) -> int:
+    """Return the stamp of a time since the start of the episode [s] in nanoseconds."""
+    return EPOCH * 10**9 + round(time * 1e9)
+
+
+def joint_angles(front: float, rear: float) -> FloatArray:
+    """Return the angles of ``JOINTS`` in ROS, (4,) [rad], from those in frame R."""
+    return np.array([-front, -front, rear, rear]) + 0.0  # no -0
+
+
+def quaternion(turn: FloatArray) -> tuple[float, float, float, float]:
+    """Return x, y, z and w of a rotation matrix, (3, 3), with w not negative."""
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_matrix(turn).as_quat(canonical=True).tolist()
+    return x, y, z, w
+
+
+@dataclass(frozen=True)
+class Messages:
+    """Builds messages of the types of a distribution of ROS 2."""
+
+    types: Any
+    """``rosbags.typesys.Typestore``."""
+
+    def header(self, time: float, frame: str) -> Any:
+        """Return a header with the stamp of ``time`` since the start of the episode [s]."""
+        seconds, rest = divmod(nanoseconds(time), 10**9)
+        stamp = self._make("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest)
+        return self._make("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
+
+    def joint_state(self, time: float, front: float, rear: float) -> Any:
+        """Return the angles of both pairs in frame R [rad] as a ``JointState``."""
+        none = np.empty(0)
+        return self._make(
+            "sensor_msgs/msg/JointState",
+            header=self.header(time, BASE),
+            name=list(JOINTS),
+            position=joint_angles(front, rear),
+            velocity=none,
+            effort=none,
+        )
+
+    def imu(
+        self,
+        time: float,
+        attitude_angles: tuple[float, float, float],
+        rates: tuple[float, float, float],
+    ) -> Any:
+        """Return an ``Imu`` without acceleration.
+
+        ``attitude_angles``: roll, pitch and heading [rad]; ``rates`` about x, y and z of ROS
+        [rad/s].
+        """
+        unknown = np.zeros(9)
+        unknown[0] = _NOT_MEASURED
+        return self._make(
+            "sensor_msgs/msg/Imu",
+            header=self.header(time, BASE),
+            orientation=self._orientation(attitude(*attitude_angles)),
+            orientation_covariance=np.zeros(9),
+            angular_velocity=self._vector(*rates),
+            angular_velocity_covariance=np.zeros(9),
+            linear_acceleration=self._vector(0.0, 0.0, 0.0),
+            linear_acceleration_covariance=unknown,
+        )
+
+    def odometry(self, state: RobotState) -> Any:
+        """Return pose and velocity of the chassis centre; the velocity is in ``base_link``."""
+        turn = attitude(state.roll, state.pitch, state.yaw)
+        x, z = state.velocity.tolist()
+        ahead, left, up = (turn.T @ np.array([x, state.side_velocity, z])).tolist()
+        make, none = self._make, np.zeros(36)
+        pose = make(
+            "geometry_msgs/msg/Pose",
+            position=make("geometry_msgs/msg/Point", **_place(state)),
+            orientation=self._orientation(turn),
+        )
+        twist = make(
+            "geometry_msgs/msg/Twist",
+            linear=self._vector(ahead, left, up),
+            angular=self._vector(0.0, -state.pitch_rate, 0.0),
+        )
+        return make(
+            "nav_msgs/msg/Odometry",
+            header=self.header(state.time, ODOM),
+            child_frame_id=BASE,
+            pose=make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=none),
+            twist=make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=none),
+        )
+
+    def transforms(self, state: RobotState) -> Any:
+        """Return the frames of the chassis, tilted and level, as a ``TFMessage``."""
+        tilted = attitude(state.roll, state.pitch, state.yaw)
+        level = attitude(0.0, 0.0, state.yaw)
+        found = [
+            self._transform(self.header(state.time, ODOM), child, _place(state), turn)
+            for child, turn in ((BASE, tilted), (LEVEL, level))
+        ]
+        return self._make("tf2_msgs/msg/TFMessage", transforms=found)
+
+    def mount(self, x: float, z: float, axis: float) -> Any:
+        """Return the place of the LiDAR on the chassis as a ``TFMessage``; see ``Mount``."""
+        place = {"x": x, "y": 0.0, "z": z}
+        one = self._transform(self.header(0.0, BASE), LIDAR, place, mounting(axis))
+        return self._make("tf2_msgs/msg/TFMessage", transforms=[one])
+
+    def cloud(
+        self, time: float, frame: str, points: FloatArray, ages: FloatArray | None = None
+    ) -> Any:
+        """Return points, (P, 3) [m], as a ``PointCloud2`` of single precision.
+
+        ``ages``: how long before ``time`` each was measured, (P,) [s]; they make a field ``time``
+        of negative seconds relative to the stamp, as drivers of turning LiDARs write it.
+        """
+        names = "xyz" if ages is None else ("x", "y", "z", TIME)
+        columns = points if ages is None else np.column_stack([points, -ages])
+        fields = [
+            self._make("sensor_msgs/msg/PointField", name=name, offset=4 * i, datatype=7, count=1)
+            for i, name in enumerate(names)
+        ]
+        data = np.ascontiguousarray(columns, "<f4")
+        step = 4 * len(names)
+        return self._make(
+            "sensor_msgs/msg/PointCloud2",
+            header=self.header(time, frame),
+            height=1,
+            width=len(points),
+            fields=fields,
+            is_bigendian=False,
+            point_step=step,
+            row_step=step * len(points),
+            data=data.view(np.uint8).reshape(-1),
+            is_dense=True,
+        )
+
+    def numbers(self, values: FloatArray) -> Any:
+        """Return a ``Float64MultiArray`` of one dimension."""
+        layout = self._make("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
+        data = np.asarray(values, np.float64)
+        return self._make("std_msgs/msg/Float64MultiArray", layout=layout, data=data)
+
+    def integer(self, value: int) -> Any:
+        """Return an ``Int32``."""
+        return self._make("std_msgs/msg/Int32", data=value)
+
+    def number(self, value: float) -> Any:
+        """Return a ``Float64``."""
+        return self._make("std_msgs/msg/Float64", data=value)
+
+    def _orientation(self, turn: FloatArray) -> Any:
+        x, y, z, w = quaternion(turn)
+        return self._make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+
+    def _vector(self, x: float, y: float, z: float) -> Any:
+        return self._make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+
+    def _transform(self, header: Any, child: str, place: dict[str, float], turn: FloatArray) -> Any:
+        transform = self._make(
+            "geometry_msgs/msg/Transform",
+            translation=self._make("geometry_msgs/msg/Vector3", **place),
+            rotation=self._orientation(turn),
+        )
+        return self._make(
+            "geometry_msgs/msg/TransformStamped",
+            header=header,
+            child_frame_id=child,
+            transform=transform,
+        )
+
+    def _make(self, name: str, /, **fields: Any) -> Any:
+        return self.types.types[name](**fields)
+
+
+def _place(state: RobotState) -> dict[str, float]:
+    x, z = state.position.tolist()
+    return {"x": x, "y": state.side, "z": z}

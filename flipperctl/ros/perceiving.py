@@ -1,0 +1,342 @@
+"""Perception once more on what a robot has recorded: does its sensing do?
+
+In: a bag, or a folder of clouds with poses. Out: what the estimator of ``perception=lidar`` knew of
+the ground at each decision, and how it fared: scans that it refused, coverage, certainty, times,
+and how far its odometry drifts from the poses that the bag holds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from flipperctl.api import FloatArray, Robot, Sensor
+from flipperctl.core.lidar.body import attitude, mounting
+from flipperctl.core.lidar.estimator import LidarEstimator
+from flipperctl.core.lidar.messages import PerceptionError, Pose, Scan
+from flipperctl.core.sensing import Measured, SensedAngles, SensedGround
+from flipperctl.errors import RequestError
+from flipperctl.ros.devices import Recording, Step, read_recording
+from flipperctl.ros.reading import POSES, read_folder, read_stamps
+from flipperctl.ros.topics import Names
+from flipperctl.ros.transforms import Pose as FramePose
+from flipperctl.ros.transforms import estimated
+from flipperctl.runtime.intake import Intake
+from flipperctl.runtime.messages import Cloud
+from flipperctl.runtime.setup import Limits, RobotSetup
+from flipperctl.sim.lidar.sensor import LidarSensor
+
+
+class Drift:
+    """Compares two ways, each relative to its own start."""
+
+    def __init__(self) -> None:
+        self._starts: tuple[Pose, Pose] | None = None
+        self._last: FloatArray | None = None
+        self._way = 0.0
+        self._errors: list[FloatArray] = []
+
+    def add(self, estimated: Pose, recorded: Pose) -> None:
+        """Add the poses of one instant."""
+        if self._starts is None:
+            self._starts = estimated, recorded
+        ours, theirs = (
+            _since(start, pose)
+            for start, pose in zip(self._starts, (estimated, recorded), strict=True)
+        )
+        if self._last is not None:
+            self._way += float(np.linalg.norm(theirs[:3] - self._last[:3]))
+        self._last = theirs
+        self._errors.append(ours - theirs)
+
+    def summary(self) -> dict[str, float | None] | None:
+        """Return the way and the errors at its end; None without poses to compare.
+
+        ``horizontal`` and ``height`` are in [m], ``share`` is the first per way [-], and
+        ``heading`` is in [rad].
+        """
+        if not self._errors:
+            return None
+        x, y, z, turn = self._errors[-1].tolist()
+        horizontal = math.hypot(x, y)
+        return {
+            "way": self._way,
+            "horizontal": horizontal,
+            "share": horizontal / self._way if self._way > 0.1 else None,
+            "height": z,
+            "heading": math.remainder(turn, 2 * math.pi),
+        }
+
+
+def _since(start: Pose, pose: Pose) -> FloatArray:
+    """Return the motion since the start in its heading: x, y and z [m], and the turn [rad]."""
+    cos, sin = math.cos(start.yaw), math.sin(start.yaw)
+    x, y = pose.x - start.x, pose.y - start.y
+    return np.array([cos * x + sin * y, cos * y - sin * x, pose.z - start.z, pose.yaw - start.yaw])
+
+
+_SIDE = 1.0
+"""Points of a scan farther from the robot's middle plane are not shown [m]."""
+_MOST_SHOWN = 6000
+"""Points of a scan, and of the map, that are kept for a picture [-]."""
+
+
+@dataclass(frozen=True)
+class Instant:
+    """What was known of the ground at a decision; all points are in frame L [m]."""
+
+    time: float
+    """Time since the first message [s]."""
+    cloud: FloatArray
+    """(P, 3) points of the latest scan."""
+    known: FloatArray
+    """(Q, 3) points of the map along the robot."""
+    ground: SensedGround
+    angles: SensedAngles
+    held: str
+    """Name of the fault for which a controller would hold; empty without one."""
+
+
+@dataclass
+class Replay:
+    """All decisions of a recording, and what became of its scans."""
+
+    bin_width: float
+    """Width of a bin [m]."""
+    half_width: float
+    """Ground within this distance beside the robot's line counts [m]."""
+    summary: dict[str, Any] = field(default_factory=dict)
+    """The numbers of ``inspect perception --json``."""
+    instants: list[Instant] = field(default_factory=list)
+
+
+def replay(source: Path, sensor: Sensor, robot: Robot, pose: str | None, names: Names) -> Replay:
+    """Return what the estimator of ``sensor`` makes of a recording.
+
+    ``pose``: ``belts``, ``matched``, or ``true``, which takes the poses of the recording; None: by
+    belts if it has an inertial unit and belt speeds, otherwise ``true``.
+
+    Raises:
+        MissingExtraError: a package that reads the recording, or small_gicp, is not installed.
+        RequestError: the recording cannot be used; the text says why.
+    """
+    if not isinstance(sensor, LidarSensor):
+        raise RequestError(
+            f"perception={sensor.plugin_name} has no map of clouds; perception=lidar is allowed"
+        )
+    if source.is_dir() and (source / POSES).exists():
+        if pose not in (None, "true"):
+            raise RequestError(
+                f"{source}: a folder of clouds has poses alone, so that perception.pose is true; "
+                f"{pose} needs a bag with an Imu"
+            )
+        place = {"mount_x": 0.0, "mount_z": 0.0, "mount_axis": math.pi / 2}
+        run = _Run(sensor.model_copy(update={**place, "pose": "true"}), robot, RobotSetup())
+        for step, where in _of_folder(source):
+            run.take(step, where)
+        return run.finish(source, {"cloud": "files"}, [])
+    recording = read_recording(source, names)
+    found = _pose(recording, pose)
+    x, _, z = recording.mount.place.tolist()
+    place = {"mount_x": x, "mount_z": z, "mount_axis": recording.axis}
+    run = _Run(
+        sensor.model_copy(update={**place, "pose": found}), robot, recording.setup, recording.topics
+    )
+    for step in recording.steps():
+        cloud = step.messages.get("cloud")
+        run.take(step, None if cloud is None else recording.pose(cloud.time))
+    return run.finish(source, recording.topics, recording.remarks)
+
+
+def _pose(recording: Recording, pose: str | None) -> str:
+    """Return how scans shall enter the map; see ``replay``."""
+    missing = {"attitude", "odometry"} - recording.topics.keys()
+    if pose is None:
+        pose = "true" if missing else "belts"
+    if pose != "true" and "attitude" in missing:
+        raise RequestError(f"{recording.path}: perception.pose={pose} needs an Imu; there is none")
+    if pose == "true" and not recording.transforms.has(recording.names.base):
+        frames = ", ".join(recording.transforms.frames) or "none"
+        raise RequestError(
+            f"{recording.path}: neither an Imu with belt speeds nor transforms tell where the "
+            f"frame {recording.names.base!r} of the chassis is; frames: {frames}"
+        )
+    return pose
+
+
+def _of_folder(folder: Path) -> Iterator[tuple[Step, FramePose]]:
+    stamps = read_stamps(folder)
+    frame = RobotSetup().cloud_frame
+    for (points, pose), time in zip(read_folder(folder), stamps.tolist(), strict=True):
+        yield Step(time, {"cloud": Cloud(time, frame, points)}), pose
+
+
+class _Run:
+    """Feeds an estimator and asks it once in each period, as a controller does."""
+
+    def __init__(
+        self, sensor: LidarSensor, robot: Robot, setup: RobotSetup, topics: Collection[str] = ()
+    ) -> None:
+        """``topics``: the devices that were recorded; a cloud waits for the posture by them."""
+        estimator = sensor.estimator(robot)
+        assert isinstance(estimator, LidarEstimator)
+        self._estimator, self._sensor = estimator, sensor
+        self._tracked = sensor.pose == "true"
+        self._mount = np.array([sensor.mount_x, 0.0, sensor.mount_z])
+        self._turn = mounting(sensor.mount_axis)
+        self._limits, self._period = Limits(), robot.decision_period
+        needs = () if self._tracked else {"joints", "attitude"} & set(topics)
+        self._intake = Intake(setup, self._limits, needs)
+        self._result = Replay(sensor.bin_width, sensor.half_width)
+        self._refused: Counter[str] = Counter()
+        self._reasons: dict[str, str] = {}
+        self._scans = 0
+        self._begun: float | None = None
+        self._due = -math.inf
+        self._cloud: FloatArray | None = None
+        self._estimates: list[float] = []  # their durations [ms]
+        self._updates: list[float] = []  # those of the scans [ms]
+        self._drift = Drift()
+        self._origin: FloatArray | None = None  # the first place of the chassis by the recording
+
+    def take(self, step: Step, where: FramePose | None) -> None:
+        """Receive messages; ``where``: the chassis by the recording, if they hold a cloud."""
+        self._begun = step.now if self._begun is None else self._begun
+        order = ("odometry", "attitude", "joints", "cloud")  # a scan enters at the newest pose
+        messages: dict[str, object] = {k: step.messages[k] for k in order if k in step.messages}
+        before = self._intake.refused("cloud")
+        if where is not None:  # relative to the first, since maps begin anywhere, as in UTM
+            self._origin = where.place if self._origin is None else self._origin
+            where = FramePose(where.place - self._origin, where.turn)
+        if self._tracked and "cloud" in messages:
+            if where is None:
+                text = "no transform tells where the chassis was"
+                self._refuse("cloud_pose", text)
+                return
+            self._estimator.update(
+                Measured("tracking", step.messages["cloud"].time, estimated(where))
+            )
+        scans = self._scans
+        for device, time, message in self._intake.receive(step.now, **messages):
+            begun = perf_counter()
+            if not (self._tracked and device in ("attitude", "odometry")):
+                self._estimator.update(Measured(device, time, message))
+            if isinstance(message, Scan):
+                self._updates.append(1000 * (perf_counter() - begun))
+                self._scans += 1
+                self._cloud = message.points
+                if where is not None and not self._tracked:
+                    self._drift.add(self._estimator.pose, estimated(where))
+        fault = self._intake.refused("cloud")
+        if "cloud" in messages and fault is not None and fault is not before:
+            self._refuse(fault.name, fault.reason)
+        elif "cloud" in messages and self._scans == scans:
+            self._refuse("cloud_older", "it is no newer than the one before, as of two LiDARs")
+        if self._cloud is not None and step.now >= self._due - 1e-6:
+            late = step.now - self._due > self._period
+            self._due = step.now + self._period if late else self._due + self._period
+            self._estimate(step.now, self._cloud)
+
+    def _refuse(self, name: str, reason: str) -> None:
+        self._refused[name] += 1
+        self._reasons.setdefault(name, reason)
+
+    def _estimate(self, now: float, cloud: FloatArray) -> None:
+        begun = perf_counter()
+        try:
+            ground, angles = self._estimator.estimate(now)
+        except PerceptionError as error:  # all stamps are far behind the recording's clock
+            self._refuse("estimate", str(error))
+            return
+        self._estimates.append(1000 * (perf_counter() - begun))
+        pose = self._estimator.pose
+        assert self._begun is not None
+        self._result.instants.append(
+            Instant(
+                now - self._begun,
+                _shown(cloud @ self._turn.T + self._mount, pose),
+                _thinned(self._estimator.map_points()),
+                ground,
+                angles,
+                self._held(now, ground),
+            )
+        )
+
+    def _held(self, now: float, ground: SensedGround) -> str:
+        """Return the fault for which a controller would make no decision."""
+        fault = None if self._tracked else self._intake.fault(now)
+        if fault is not None:
+            return fault.name
+        seen = 1.0 if ground.seen is None else float(np.mean(ground.seen))
+        return "coverage" if seen < self._limits.coverage else ""
+
+    def finish(self, source: Path, topics: dict[str, str], remarks: list[str]) -> Replay:
+        """Return the result.
+
+        Raises:
+            RequestError: no scan was used.
+        """
+        found = self._result.instants
+        if not found:
+            why = "; ".join(f"{n} × {self._reasons[name]}" for name, n in self._refused.items())
+            raise RequestError(f"{source}: no cloud can be used: {why or 'there is none'}")
+        seen = np.array([one.ground.seen for one in found])  # (T, N)
+        filled = np.concatenate(
+            [one.ground.filled for one in found if one.ground.filled is not None]
+        )
+        deviation = np.array([one.ground.deviation for one in found])  # (T, N) [m]
+        middle = (np.arange(seen.shape[1]) - (seen.shape[1] - 1) / 2) * self._result.bin_width
+        self._result.summary = {
+            "source": str(source),
+            "topics": topics,
+            "pose": self._sensor.pose,
+            "seconds": found[-1].time,
+            "scans": self._scans,
+            "refused": {
+                name: {"count": count, "reason": self._reasons[name]}
+                for name, count in self._refused.most_common()
+            },
+            "decisions": len(found),
+            "held": dict(Counter(one.held for one in found if one.held)),
+            "coverage": {"mean": float(seen.mean()), "least": float(seen.mean(axis=1).min())},
+            "filled": float(filled.mean()),
+            "deviation": _median(deviation[np.isfinite(deviation)]),
+            "bins": [
+                {
+                    "x": round(float(x), 4),
+                    "seen": float(seen[:, i].mean()),
+                    "deviation": _median(deviation[seen[:, i], i]),
+                }
+                for i, x in enumerate(middle)
+            ],
+            "estimate_ms": _quantiles(self._estimates),
+            "scan_ms": _quantiles(self._updates),
+            "drift": self._drift.summary(),
+            "remarks": remarks,
+        }
+        return self._result
+
+
+def _shown(points: FloatArray, pose: Pose) -> FloatArray:
+    """Return points in frame R near the robot, in frame L, (P, 3) [m]."""
+    level = points @ attitude(pose.roll, pose.pitch, 0.0).T
+    return _thinned(level[np.abs(level[:, 1]) <= _SIDE])
+
+
+def _thinned(points: FloatArray) -> FloatArray:
+    return points[:: 1 + len(points) // _MOST_SHOWN]
+
+
+def _median(values: FloatArray) -> float | None:
+    return float(np.median(values)) if len(values) else None
+
+
+def _quantiles(durations: list[float]) -> dict[str, float]:
+    return {f"p{q}": round(float(np.percentile(durations, q)), 3) for q in (50, 99)}

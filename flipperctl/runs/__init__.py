@@ -1,1 +1,0 @@
-"""The life of a run: its folder and lock, and sweeps and searches over runs."""

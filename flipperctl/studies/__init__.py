@@ -1,1 +1,0 @@
-"""Probes of conventions, and sampled profiles."""

@@ -1,0 +1,399 @@
+"""What commands print of a policy, a terrain, settings, plugins, a recording or measures."""
+
+from __future__ import annotations
+
+import math
+import sys
+import time
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+from rich.text import Text
+
+from flipperctl.api import Robot
+from flipperctl.messages import unit
+from flipperctl.show import NONE, Column, Table, print_table
+from flipperctl.spelling import spell_plainly
+from flipperctl.terminal.console import console
+
+_SETTINGS = (
+    Column("path", "setting", named=True),
+    Column("value", "value", wrapped=True),
+    Column("default", "default", wrapped=True),
+    Column("bounds", "bounds", wrapped=True),
+    Column("unit", "unit"),
+    Column("description", "meaning", wrapped=True),
+)
+
+
+def print_settings(found: Iterable[dict[str, Any]]) -> None:
+    """Print a table per section; values that differ from the default are bold."""
+    out = console(natural=120)
+    for section, settings in groupby(found, key=lambda s: str(s["section"])):
+        rows = []
+        for s in settings:
+            value, default = _format_value(s["value"]), _format_value(s["default"])
+            shown = {"path": s["path"].removeprefix(f"{section}."), "value": value}
+            style = "" if value == default else "bold"
+            rows.append(s | shown | {"default": default, "style": style})
+        print_table(Table(_SETTINGS, rows, section or "top level"), out)
+        out.print()
+
+
+def _format_value(value: object) -> str:
+    if value is None:
+        return NONE
+    if isinstance(value, list):
+        return f"[{', '.join(map(_format_value, value))}]"
+    if isinstance(value, dict):
+        if "name" in value:  # a plugin's fields have their own rows
+            return str(value["name"])
+        return ", ".join(f"{k}: {_format_value(v)}" for k, v in value.items()) or NONE
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+_FIELDS = (
+    Column("name", "  field", named=True),
+    Column("default", "default", wrapped=True),
+    Column("bounds", "bounds", wrapped=True),
+    Column("unit", "unit"),
+    Column("description", "meaning", wrapped=True),
+)
+_CHECKS = (
+    Column("plugin", "plugin", named=True),
+    Column("check", "check", wrapped=True),
+    Column("state", "ok"),
+    Column("seconds", "time [s]"),
+)
+
+
+def print_plugins(found: list[dict[str, Any]]) -> None:
+    """Print each plugin with a table of its fields."""
+    output = console()
+
+    def text(words: object, style: str = "") -> Text:
+        return Text(spell_plainly(str(words), output.encoding), style)
+
+    for plugin in found:
+        kind = f"  {plugin['kind']}  "
+        output.print(text(plugin["name"], "bold") + text(kind) + text(plugin["summary"]))
+        output.print(text(f"  {plugin['source']}", "dim"), soft_wrap=True)
+        if plugin["fields"]:
+            rows = [
+                {
+                    **field,
+                    "name": f"  {field['name']}",
+                    "default": f"{default:.4g}" if isinstance(default, float) else str(default),
+                }
+                for field in plugin["fields"]
+                for default in (field["default"],)
+            ]
+            print_table(Table(_FIELDS, rows), output)
+        output.print()
+
+
+def print_checks(rows: Sequence[dict[str, Any]]) -> None:
+    """Print a row for each check, and below them the messages."""
+    output = console()
+    cells = []
+    last = ""
+    for row in rows:
+        plugin = f"{row['kind']} {row['name']}"
+        state = "skipped" if row["skipped"] else "yes" if row["ok"] else "no"
+        style = "bold red" if state == "no" else ""
+        shown = {"plugin": "" if plugin == last else plugin, "state": state, "style": style}
+        cells.append(row | shown)
+        last = plugin
+    print_table(Table(_CHECKS, cells), output)
+    for row in rows:
+        if row["message"]:
+            output.print(f"{row['check']}: {row['message']}", markup=False, highlight=False)
+
+
+_PROFILES = (
+    Column("seed", "seed", named=True),
+    Column("length", "length [m]", 3),
+    Column("lowest", "lowest [m]", 3),
+    Column("highest", "highest [m]", 3),
+    Column("climb", "climb [m]", 3),
+    Column("largest_face", "largest face [m]", 3),
+    Column("steepest_slope_degrees", "steepest slope [°]", 3),
+    Column("points", "points"),
+    Column("drawn", "drawn", wrapped=True),
+)
+
+
+def print_terrain(name: str, numbers: list[dict[str, Any]], picture: Path | None) -> None:
+    """Print a row for each profile (``studies.profiles.sample``), and the picture's name."""
+    rows = [
+        row | {"points": len(row["points"]), "drawn": _drawn_text(row["drawn"])} for row in numbers
+    ]
+    if len(numbers) > 1 and all(row["points"] == numbers[0]["points"] for row in numbers):
+        rows = [rows[0] | {"seed": "any"}]  # nothing about the terrain is random
+    columns = _PROFILES if any(row["drawn"] for row in rows) else _PROFILES[:-1]
+    print_table(Table(columns, rows, name), console())
+    if any(row["points_drawn"] > len(row["points"]) for row in numbers):
+        most = max(row["points_drawn"] for row in numbers)
+        print(f"sampled with up to {most} points; those too fine for a track to feel are left out")
+    if picture is not None:
+        print(f"picture: {picture}")
+
+
+def _drawn_text(drawn: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} {value:.4g}" for name, value in drawn.items())
+
+
+_HEIGHTS = (Column("what", "what", named=True), Column("found", "found", wrapped=True))
+
+
+def print_perception(found: dict[str, Any], output: Path | None) -> None:
+    """Print how a robot's sensing fared on its recording; ``output`` was written."""
+    topics = ", ".join(f"{device} {topic}" for device, topic in found["topics"].items())
+    print(f"{found['source']}: {found['seconds']:.1f} s; {topics}")
+    rows: dict[str, str] = {}
+    refused = sum(one["count"] for one in found["refused"].values())
+    rows["scans used"] = str(found["scans"])
+    rows["scans refused"] = str(refused)
+    for name, one in found["refused"].items():
+        rows[f"  {name}"] = f"{one['count']}: {one['reason']}"
+    rows["estimates"] = str(found["decisions"])
+    for name, count in found["held"].items():
+        rows[f"  would hold: {name}"] = str(count)
+    coverage, deviation = found["coverage"], found["deviation"]
+    rows["bins seen"] = f"{coverage['mean']:.0%}, at least {coverage['least']:.0%}"
+    rows["ground filled"] = f"{found['filled']:.0%}"
+    rows["σ of a height"] = NONE if deviation is None else f"{1000 * deviation:.0f} mm (median)"
+    for name, key in (("an estimate", "estimate_ms"), ("a scan", "scan_ms")):
+        times = found[key]
+        rows[f"{name} takes"] = f"{times['p50']:.1f} ms, p99 {times['p99']:.1f} ms"
+    rows["scans enter at"] = _pose(found)
+    if found["drift"] is not None:
+        rows["drift"] = _drift(found["drift"])
+    _print("perception", rows)
+    for remark in found["remarks"]:
+        print(remark)
+    if output is not None:
+        print(f"written: {output}")
+
+
+def _print(title: str, rows: Mapping[str, str]) -> None:
+    table = Table(_HEIGHTS, [{"what": what, "found": text} for what, text in rows.items()], title)
+    print_table(table, console())
+
+
+def _pose(found: dict[str, Any]) -> str:
+    return {
+        "true": "the poses of the recording",
+        "belts": "odometry by belts and inertial unit",
+        "matched": "odometry, corrected by matching",
+    }[found["pose"]]
+
+
+def _drift(drift: dict[str, float | None]) -> str:
+    share = "" if drift["share"] is None else f" ({drift['share']:.1%} of {drift['way']:.2f} m)"
+    heading = math.degrees(drift["heading"] or 0.0)
+    return (
+        f"{1000 * (drift['horizontal'] or 0.0):.0f} mm{share}, height "
+        f"{1000 * (drift['height'] or 0.0):+.0f} mm, heading {heading:+.1f}° against the recording"
+    )
+
+
+def print_shadow(found: dict[str, Any]) -> None:
+    """Print how a policy fared on a recording in shadow mode, and where its log is."""
+    topics = ", ".join(f"{device} {topic}" for device, topic in found["topics"].items())
+    print(f"{found['policy']} on {found['source']}: {found['seconds']:.1f} s; {topics}")
+    rows = {"decisions": str(found["decisions"])}
+    for state, seconds in found["states"].items():
+        rows[state] = f"{seconds:.1f} s"
+    for name, fault in found["faults"].items():
+        rows[f"  {name}"] = f"{fault['count']} ×, {fault['seconds']:.1f} s: {fault['reason']}"
+    _print("shadow mode", rows)
+    for remark in found["remarks"]:
+        print(remark)
+    print(f"log: {found['output']}")
+
+
+def print_export(target: Path, source: Path, found: dict[str, Any]) -> None:
+    """Print how far the file ``target`` agrees with torch, and for which other robot it is."""
+    print(
+        f"{target}: {found['bytes']} bytes, from {source}\n"
+        f"compared with torch on {found['observations']} observations of rollouts: "
+        f"Q-values of up to {found['largest_q_value']:.2g} differ by at most "
+        f"{found['largest_difference']:.2g} (allowed {found['allowed_difference']:.2g}), "
+        f"the chosen action agrees on {found['action_agreement']:.2%}"
+    )
+    if changes := found["robot_changes"]:
+        print(f"for another robot than that of the training: {_describe(changes)}")
+
+
+def print_scene(found: dict[str, Any]) -> None:
+    """Print which files of a scene were written, and where the robot starts in it."""
+    x, y, z = found["start"]
+    print(
+        f"{' and '.join(found['output'])}: {found['terrain']}, seed {found['seed']}, "
+        f"{found['boxes']} boxes of ground\n"
+        f"the robot starts at x {x:.3f}, y {y:.3f}, z {z:.3f} m"
+    )
+
+
+def print_bag(found: dict[str, Any]) -> None:
+    """Print which episode a bag holds, and how many messages of each topic."""
+    print(
+        f"{found['output']}: {found['terrain']}, seed {found['seed']}, {found['outcome']} after "
+        f"{found['seconds']:.2f} s"
+    )
+    for topic, count in sorted(found["messages"].items()):
+        print(f"  {topic}: {count}")
+
+
+def print_ground(found: dict[str, Any]) -> None:
+    """Print what recorded ground covers, and how to drive over it."""
+    (x0, y0), (x1, y1) = found["start"], found["end"]
+    without = f" ({found['clouds_without_pose']} more have no pose)"
+    each = found["points_per_cloud"]
+    for remark in found["remarks"]:
+        print(remark)
+    print(
+        f"{found['output']}: {found['points']} points of {found['clouds']} clouds"
+        f"{without if found['clouds_without_pose'] else ''} with {each['least']} to "
+        f"{each['most']} points each, along {found['length']:.2f} m\n"
+        f"drive over it with terrain=profile_file terrain.path={found['output']} "
+        f"'terrain.start=[{x0},{y0}]' 'terrain.end=[{x1},{y1}]'"
+    )
+
+
+def _describe(changes: dict[str, dict[str, float | None]]) -> str:
+    parts = []
+    for name, values in changes.items():
+        setting = name in Robot.model_fields
+        label = f"robot.{name}" if setting else name.replace("_", " ")
+        of = unit(Robot, name) if setting else "s"
+        parts.append(
+            f"{label} {_number(values['file'])} {of} (training {_number(values['training'])})"
+        )
+    return ", ".join(parts)
+
+
+def _number(value: float | None) -> str:
+    return "null" if value is None else f"{value:.6g}"
+
+
+_PLAIN_EVERY = 10.0  # [s]
+_RATIOS = (
+    Column("what", "quantity", named=True),
+    Column("median", "median"),
+    Column("range", "quartiles"),
+    Column("unit", "unit"),
+)
+
+
+class Bar:
+    """A rich progress bar with the current step of a measure."""
+
+    def __init__(self, measure: str) -> None:
+        self._progress = Progress(
+            TextColumn(f"[bold]{measure}[/]"),
+            BarColumn(bar_width=24),
+            TaskProgressColumn(),
+            TimeRemainingColumn(),
+            TextColumn("{task.description}"),
+            console=console(stderr=True),
+            transient=True,
+        )
+        self._task = self._progress.add_task("", total=1.0)
+        self._progress.start()
+
+    def __call__(self, what: str, fraction: float) -> None:
+        """Move the bar."""
+        self._progress.update(self._task, completed=fraction, description=escape(what))
+
+    def close(self) -> None:
+        """Remove the bar from the terminal."""
+        self._progress.stop()
+
+
+class Lines:
+    """Progress as a line every ten seconds."""
+
+    def __init__(self, measure: str) -> None:
+        self._measure = measure
+        self._begun = self._last = time.perf_counter()
+
+    def __call__(self, what: str, fraction: float) -> None:
+        """Print a line if the last is ten seconds old."""
+        now = time.perf_counter()
+        if now - self._last < _PLAIN_EVERY:
+            return
+        self._last = now
+        left = f", {(now - self._begun) * (1 / fraction - 1):.0f} s left" if fraction > 0 else ""
+        print(f"{self._measure}: {fraction:.0%}{left}  {what}", file=sys.stderr, flush=True)
+
+    def close(self) -> None:
+        """Do nothing; lines need no clean-up."""
+
+
+@contextmanager
+def shown_progress(label: str) -> Iterator[Bar | Lines]:
+    """Show a bar with the remaining time on a terminal, occasional lines elsewhere."""
+    shown = Bar(label) if sys.stderr.isatty() else Lines(label)
+    try:
+        yield shown
+    finally:
+        shown.close()
+
+
+def print_measures(document: dict[str, Any]) -> None:
+    """Print one table per measure."""
+    out = console()
+    for table in tables(document):
+        print_table(table, out)
+
+
+def tables(document: dict[str, Any]) -> Iterator[Table]:
+    """Yield one table per measure: medians with quartiles, then ratios.
+
+    The text ``unfinished`` of a measure replaces a median that falls on an unfinished run.
+    """
+    for name, found in document["measures"].items():
+        rows = [
+            {
+                "what": what,
+                "median": _measure_text(q["median"], found.get("unfinished", NONE)),
+                "range": _range(q),
+                "unit": q["unit"],
+            }
+            for what, q in found["quantities"].items()
+        ]
+        for at, (what, r) in enumerate(found["ratios"].items()):
+            row = {
+                "what": what,
+                "median": _measure_text(r["ratio"]),
+                "range": _range(r),
+                "unit": "×",
+            }
+            rows.append(row | {"line": at == 0})
+        yield Table(_RATIOS, rows, f"{name}: {found['about']}")
+
+
+def _measure_text(value: float | None, missing: str = NONE) -> str:
+    return missing if value is None else number(value)
+
+
+def number(value: float) -> str:
+    """Return a number with three significant digits, or as an integer from 100 upwards."""
+    if value == 0:
+        return "0"
+    if abs(value) >= 100:
+        return f"{value:,.0f}"
+    return f"{value:.3g}"
+
+
+def _range(found: dict[str, Any]) -> str:
+    if found["low"] is None and found["high"] is None:
+        return NONE
+    return f"{_measure_text(found['low'])} … {_measure_text(found['high'])}"

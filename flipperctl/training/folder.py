@@ -1,0 +1,236 @@
+"""The files of a run directory, and the state from which a stopped run is resumed.
+
+Every file is written completely or not at all, so a killed process leaves one of three states: no
+``config.yaml`` (there is no run), ``config.yaml`` without ``last.safetensors`` (no decision was
+made; the run begins again), or both (the run continues from the checkpoint).
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from omegaconf import OmegaConf
+
+from flipperctl import checkpoint
+from flipperctl import results as lock
+from flipperctl.config import TrainConfig, parse, to_dict
+from flipperctl.errors import CheckpointError, ConfigError, OutputError, RequestError
+from flipperctl.files import make_folder, remove_partial, write_bytes
+from flipperctl.results import CONFIG, HYDRA, METRICS, SUMMARY, holds_run, read_config
+from flipperctl.training import listeners as timing
+from flipperctl.training.listeners import read_rows
+from flipperctl.training.recorder import EPISODES, PARTS
+
+_LOCK, _LOCK_NOTE = Path(".run.lock"), Path(".run.lock.json")
+_WRITTEN = (
+    *(CONFIG, METRICS, SUMMARY, EPISODES, checkpoint.BEST, checkpoint.LAST),
+    *(Path(timing.NAME), _LOCK_NOTE),
+)
+
+
+def check_free(directory: Path) -> None:
+    """Check that a new run would replace no file of something else, such as an evaluation.
+
+    Raises:
+        OutputError: it would.
+    """
+    for file in (directory / METRICS, directory / SUMMARY):
+        if file.exists():
+            raise OutputError(
+                f"{file} is not of a run and would be replaced; move it, or choose another folder "
+                "(hydra.run.dir)"
+            )
+
+
+def find(run: Path) -> Path:
+    """Return the run directory of ``run``, a directory or the path of its last checkpoint.
+
+    Raises:
+        CheckpointError: there is no such run, or a run cannot be resumed from the checkpoint.
+    """
+    if run.is_dir():
+        if holds_run(run):
+            return run
+        hint = sweep_hint(run) or (
+            "is it a run directory? A run that was stopped before it wrote them must be started "
+            "again"
+        )
+        raise CheckpointError(f"{run} holds neither {CONFIG} nor a checkpoint; {hint}")
+    file = checkpoint.find(run)
+    if checkpoint.read(file).document.kind != "last":
+        raise CheckpointError(
+            f"{file} holds only the weights of a policy; a run is resumed from {checkpoint.LAST}"
+        )
+    directory = file.parent.parent
+    if file.resolve() != (directory / checkpoint.LAST).resolve():
+        raise CheckpointError(
+            f"{file} does not lie in a run directory; a run is resumed from its {checkpoint.LAST}"
+        )
+    return directory
+
+
+def sweep_hint(folder: Path) -> str:
+    """Return why a folder is no run: it does not exist, or has runs in it; empty otherwise."""
+    if not folder.exists():
+        return "there is no such folder"
+    if not folder.is_dir():
+        return ""
+    runs = sorted(filter(holds_run, folder.iterdir()), key=checkpoint.job_order)
+    return f"give one of its runs, such as {runs[0]}" if runs else ""
+
+
+def read(directory: Path) -> tuple[checkpoint.Checkpoint | None, TrainConfig]:
+    """Return the checkpoint to resume from (None if the run begins again), and the configuration.
+
+    Raises:
+        CheckpointError: a file of the run is damaged, or is not valid in this version.
+    """
+    if (directory / checkpoint.LAST).is_file():
+        saved = checkpoint.read(directory / checkpoint.LAST)
+        return saved, saved.config()
+    config = directory / CONFIG
+    document, fault = read_config(config)
+    if document:
+        try:
+            if isinstance(document, dict):
+                return None, parse(TrainConfig, document)
+            raise ConfigError("it is not a mapping")
+        except ConfigError as error:
+            raise CheckpointError(f"{config}: its configuration does not fit: {error}") from error
+    if (directory / checkpoint.BEST).is_file():
+        return None, checkpoint.read(directory / checkpoint.BEST).config()
+    raise CheckpointError(
+        f"{config} is damaged ({fault}) and there is no checkpoint, so the run cannot be resumed; "
+        f"delete {directory} and start the run again"
+    )
+
+
+def write_config(directory: Path, config: TrainConfig) -> None:
+    """Write the configuration as ``config.yaml``."""
+    write_bytes(directory / CONFIG, OmegaConf.to_yaml(to_dict(config)).encode())
+
+
+def write_hydra(directory: Path, documents: Mapping[str, Any]) -> None:
+    """Write Hydra's own record of a job: a YAML file for each document, in ``.hydra``."""
+    folder = make_folder(directory / HYDRA)
+    for name, document in documents.items():
+        write_bytes(folder / f"{name}.yaml", OmegaConf.to_yaml(document).encode())
+
+
+def differing_settings(there: TrainConfig, here: TrainConfig) -> list[str]:
+    """Return a text with both values for each setting in which two configurations differ.
+
+    Loggers may differ: they record a run and do not change it.
+    """
+    plain = [to_dict(config.model_copy(update={"logger": {}})) for config in (there, here)]
+    first, second = (dict(_leaves(settings)) for settings in plain)
+    return [
+        f"{key}: {first.get(key, 'none')} there, {second.get(key, 'none')} here"
+        for key in dict.fromkeys([*first, *second])
+        if first.get(key) != second.get(key)
+    ]
+
+
+def _leaves(node: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield the dotted key and the value of each setting."""
+    for key, value in node.items():
+        if isinstance(value, dict) and value:
+            yield from _leaves(value, f"{path}{key}.")
+        else:
+            yield f"{path}{key}", value
+
+
+def clear_leftovers(directory: Path) -> None:
+    """Remove the partial files of a process that was killed while it wrote a file of the run."""
+    for name in _WRITTEN:
+        remove_partial(directory / name)
+    for part in (directory / PARTS).glob(".*.part"):
+        part.unlink()
+
+
+def discard(directory: Path, loggers: Iterable[str]) -> None:
+    """Remove the files of a new run and its loggers that was refused before its first decision.
+
+    The caller holds the lock of the run, whose file is removed, too: a process that has opened it
+    notices that. Other files in the directory stay.
+    """
+    clear_leftovers(directory)
+    for name in (*_WRITTEN, _LOCK):
+        (directory / name).unlink(missing_ok=True)
+    for folder in (*map(Path, loggers), HYDRA):
+        shutil.rmtree(directory / folder, ignore_errors=True)
+    (directory / checkpoint.BEST.parent).rmdir()
+
+
+_REACHED = ("pitch_variation_100hz", "pitch_variation", "t_cost")
+"""Measures of a validation that are means over the episodes that reached the finish."""
+_SHOWN = (
+    "decision",
+    "success_rate",
+    "pitch_variation_100hz",
+    "pitch_variation",
+    "t_cost",
+    "return",
+    "mean_return",
+)
+
+
+@dataclass(frozen=True)
+class RunRows:
+    """The rows of a run's ``metrics.csv``."""
+
+    episodes: list[dict[str, str]]
+    validations: list[dict[str, str]]
+
+    @classmethod
+    def read(cls, run: Path) -> RunRows:
+        """Read the rows of a run directory.
+
+        Raises:
+            RequestError: it holds no ``metrics.csv``.
+        """
+        metrics = run / METRICS
+        if not metrics.is_file():
+            hint = sweep_hint(run) or "is it a run directory?"
+            raise RequestError(f"{run} holds no {METRICS}; {hint}")
+        rows = read_rows(metrics)
+        kinds = ("episode", "validation")
+        return cls(*([row for row in rows if row["kind"] == kind] for kind in kinds))
+
+
+def summarise(run: Path, rows: RunRows) -> dict[str, Any]:
+    """Return ``summary.json`` (None if missing), the number of episodes and the validations.
+
+    ``running``: whether a process trains it now.
+    """
+    file = run / SUMMARY
+    return {
+        "run": str(run),
+        "summary": json.loads(file.read_text("utf-8")) if file.is_file() else None,
+        "running": lock.is_held(run),
+        "episodes": len(rows.episodes),
+        "validations": [
+            of_reached({key: _number(row, key) for key in _SHOWN}) for row in rows.validations
+        ],
+    }
+
+
+def of_reached(validation: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the measures of a validation; None for those of the way to a finish never reached.
+
+    The files have the means over all episodes there, by which validations are ranked.
+    """
+    if validation.get("success_rate"):
+        return dict(validation)
+    return {name: None if name in _REACHED else v for name, v in validation.items()}
+
+
+def _number(row: Mapping[str, str], key: str) -> float | None:
+    """Return the number in a cell; None if it is empty, or its column is of a later version."""
+    cell = row.get(key)
+    return float(cell) if cell else None

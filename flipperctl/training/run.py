@@ -1,0 +1,464 @@
+"""Train in a run directory: start, continue or resume a run, with its lock, files and Ctrl-C.
+
+In: a training's configuration and a directory. Out: the files of the run, and its summary, with the
+returns of its best policy and of simple rules on episodes with seeds of their own. Device, terrain,
+network and memory are checked before. Nothing is printed here; ``Reports`` holds the caller's
+callbacks.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from flipperctl import checkpoint
+from flipperctl.api import Listener
+from flipperctl.api.controllers import is_rule
+from flipperctl.checkpoint import Checkpoint
+from flipperctl.config import EnvConfig, Eval, EvalConfig, TrainConfig, to_dict, with_overrides
+from flipperctl.errors import (
+    CheckpointError,
+    ConfigError,
+    FlipperctlError,
+    InterruptedRunError,
+    OutputError,
+    RequestError,
+    RunHeldError,
+    WriteError,
+)
+from flipperctl.evaluation.play import Player
+from flipperctl.evaluation.policies import TRAINED
+from flipperctl.evaluation.store import EpisodeStore
+from flipperctl.evaluation.views.regret import LEVEL, RegretScene, measure
+from flipperctl.evaluation.workers import EpisodeWorkers
+from flipperctl.files import make_folder
+from flipperctl.policies.source import PolicySource
+from flipperctl.results import METRICS, finished, hold, holds_run, names
+from flipperctl.reward_sum import paying_terms
+from flipperctl.session import command, interrupts, quote_path
+from flipperctl.training import folder as run_folder
+from flipperctl.training.listeners import MetricsCsv, openers
+from flipperctl.training.trainer import Trainer, open_all
+
+if TYPE_CHECKING:
+    from flipperctl.checkpoint.document import State
+    from flipperctl.config import Train
+
+_RESUMABLE = ("train.", "device", "collector", "logger")
+"""What the overrides of a resumed run begin with."""
+_JUDGING = ("best_by", "validation_episodes", "validation_seed")
+"""Settings of ``train`` that hold from the first validation on, of which all choose the best."""
+
+
+def check(config: TrainConfig) -> None:
+    """Refuse a training that cannot begin.
+
+    Raises:
+        RequestError: the terrain, device, teacher or network cannot be used.
+    """
+    check_device(config)
+    _check_terrain(config)
+    _check_network(config, _recorded_decisions(config))
+    _check_start(config)
+
+
+def check_resumable(words: Iterable[str]) -> None:
+    """Refuse overrides of a resumed run that would make it another run.
+
+    Raises:
+        ConfigError: an override sets anything but ``train``, device, collector or loggers.
+    """
+    for word in words:
+        if "=" not in word or not word.startswith(_RESUMABLE):
+            raise ConfigError(
+                f"{word!r}: a resumed run keeps its configuration; only train.<field>=…, "
+                "device=…, collector=… and logger=… can be given with --resume"
+            )
+
+
+def require_kept(before: Train, after: Train, state: State) -> None:
+    """Refuse changes of a run in this state that would mix ways of judging or collecting.
+
+    Raises:
+        ConfigError: one of these settings differs.
+    """
+
+    def word(value: object) -> str:
+        return str(value).lower() if isinstance(value, bool) else f"{value}"
+
+    kept_from_now = [*(_JUDGING if state.validations else ()), *(["record"] * (state.episode > 0))]
+    if state.orders:  # workers have begun episodes
+        kept_from_now.append("mode")
+    for name in kept_from_now:
+        kept, given = getattr(before, name), getattr(after, name)
+        if given != kept:
+            raise ConfigError(
+                f"train.{name}={word(given)}: the run goes on with train.{name}={word(kept)}, "
+                "which holds for all of it; leave it out, or begin a new run"
+            )
+
+
+def check_device(config: TrainConfig) -> None:
+    """Refuse a device that torch cannot use.
+
+    Raises:
+        ConfigError: it cannot be used.
+    """
+    import torch
+
+    try:
+        torch.empty(0, device=config.device)
+    except (RuntimeError, AssertionError) as error:
+        reason = str(error).splitlines()[0]
+        raise ConfigError(f"device: {config.device!r} cannot be used: {reason}") from error
+
+
+def _check_terrain(config: TrainConfig) -> None:
+    from flipperctl.env.flipper_env import FlipperEnv
+    from flipperctl.env.repeating import require_repeatable
+
+    env = FlipperEnv(config=config.environment())
+    env.reset(seed=0)
+    require_repeatable(env, 0)
+
+
+def _recorded_decisions(config: TrainConfig) -> int:
+    from flipperctl.training.recorded import read_teacher
+
+    recording = read_teacher(config)
+    return 0 if recording is None else recording.decisions
+
+
+def _check_start(config: TrainConfig) -> None:
+    from flipperctl.training.starting import read_start, read_values
+
+    read_start(config)
+    read_values(config)
+
+
+def _check_network(config: TrainConfig, recorded: int) -> None:
+    from flipperctl.agent.contract import check_contract, check_demand
+    from flipperctl.api import ACTIONS
+
+    check_demand(
+        *(config.network, config.perception, len(ACTIONS), config.agent),
+        config.train.decisions + recorded,
+        labelled=config.teacher.teaches,
+    )
+    check_contract(config.network, config.perception)
+
+
+SEED = 2_718_281_828
+"""Seed of the evaluation, unlike the default one of ``eval``, so that who chooses among runs by
+this measure can still evaluate the chosen one on episodes that had no part in it."""
+_POLICY, _TEACHER = "best policy", "teacher"
+_RULES = (LEVEL, "okada")
+
+
+class FinalRegret:
+    """Measures the best policy of a finished run once; stops at the next episode after Ctrl-C."""
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        directory: Path,
+        stop: Callable[[], bool],
+        tell: Callable[[str], None],
+    ) -> None:
+        """``tell`` is called with a line if a policy or the environment fails."""
+        self._config, self._directory = config, directory
+        self._stop, self._tell = stop, tell
+        self.interrupted = False
+        """Whether the measurement was stopped; the run is finished nevertheless."""
+
+    def __call__(self) -> dict[str, Any] | None:
+        """Return the result; None if it is turned off, was stopped, or failed."""
+        if not self._config.train.regret_episodes or not paying_terms(self._config.rewards):
+            return None
+        try:
+            with EpisodeWorkers(stop=self._stop) as workers:
+                found = measure(self._scene(), Player(EpisodeStore(), workers))
+                self.interrupted = workers.interrupted
+        except KeyboardInterrupt:  # a second Ctrl-C; the summary is still to be written
+            self.interrupted = True
+            return None
+        except FlipperctlError as error:
+            self._tell(f"the return of the best policy is not measured: {error}")
+            return None
+        if found is None:
+            return None
+        kept = {k: v for k, v in found.items() if k not in ("terrain", "rewards", "conditions")}
+        return {"seed": SEED, **kept}
+
+    def _scene(self) -> RegretScene:
+        """Return the episodes in the conditions of the training, with its own reward terms."""
+        config, best = self._config, self._directory / checkpoint.BEST
+        sections = {name: getattr(config, name) for name in EnvConfig.model_fields}
+        settings = Eval(episodes=config.train.regret_episodes, seed=SEED)
+        evaluation = EvalConfig(**sections, conditions=TRAINED, eval=settings)
+        return RegretScene(
+            evaluation, "own", _POLICY, PolicySource(checkpoint=best), self._references()
+        )
+
+    def _references(self) -> dict[str, PolicySource]:
+        """Return the rules, and the teacher if it is another rule; what searches takes too long."""
+        found = {name: PolicySource.of_plugin(name, "controller") for name in _RULES}
+        teacher = self._config.teacher.controller
+        if teacher is not None and is_rule(teacher):
+            source = PolicySource(settings=to_dict(teacher))
+            if source not in found.values():
+                found[_TEACHER] = source
+        return found
+
+
+@dataclass(frozen=True)
+class Reports:
+    """Callbacks of the caller of a training; none by default."""
+
+    listeners: Sequence[Callable[[int, int], Listener]] = ()
+    """Each returns a listener, given the total number of decisions and of those already made."""
+    tell: Callable[[str], None] = lambda text: None
+    """Called with a line about where the run begins, or that there is nothing to train."""
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A run that is trained to its end."""
+
+    directory: Path
+    summary: dict[str, Any]
+    """Contents of ``summary.json``."""
+    trained: bool
+    """Whether this call trained it; False if it was finished before."""
+
+
+def start(
+    config: TrainConfig,
+    directory: Path,
+    reports: Reports = Reports(),  # frozen
+    *,
+    keep_more: Callable[[Path], None] = lambda place: None,
+    numbered: bool = False,
+) -> Finished:
+    """Train in a new run directory.
+
+    ``keep_more`` writes further files into it, once it is known to be new and locked. ``numbered``:
+    if it has a run, or another process trains there, take the first free of ``…_2``, ``…_3``, ….
+
+    Raises:
+        InterruptedRunError: the run was stopped by Ctrl-C; all is saved.
+        RunHeldError: another process is training in it.
+        OutputError: it already holds a run.
+        RequestError: the training cannot begin; nothing of it is left in the directory.
+    """
+    with _kept_threads():
+        for place in names(directory, numbered=numbered):
+            make_folder(place)
+            held = contextlib.ExitStack()
+            try:
+                held.enter_context(_held(place))
+            except RunHeldError:
+                if not numbered:
+                    raise
+                continue
+            with held:
+                if not holds_run(place):
+                    return _begin(config, place, reports, partial(keep_more, place))
+        raise OutputError(
+            f"{directory} already holds a run; resume it with: "
+            f"{command('train', '--resume', directory)}, or choose another hydra.run.dir"
+        )
+
+
+def start_or_continue(
+    config: TrainConfig,
+    directory: Path,
+    reports: Reports = Reports(),  # frozen
+    *,
+    keep_more: Callable[[], None] = lambda: None,
+    stop: Callable[[], bool] = lambda: False,
+) -> Finished:
+    """Train one run of a sweep, from where an earlier start of the sweep left it.
+
+    A finished run is not changed. If ``stop``, called between episodes, returns True, the run ends
+    as after Ctrl-C.
+
+    Raises:
+        InterruptedRunError: the run was stopped; all is saved.
+        RunHeldError: another process is training in it.
+        OutputError: it holds a run with other settings.
+        RequestError: the training cannot begin; nothing of it is left in the directory.
+    """
+    make_folder(directory)
+    with _held(directory), _kept_threads():
+        if not holds_run(directory):
+            return _begin(config, directory, reports, keep_more, stop)
+        saved, earlier = run_folder.read(directory)
+        if differing := run_folder.differing_settings(earlier, config):
+            raise OutputError(
+                f"{directory} already holds a run with other settings "
+                f"({', '.join(differing[:3])}{' …' if len(differing) > 3 else ''}); "
+                "choose another hydra.sweep.dir"
+            )
+        if (summary := finished(directory, config.train.decisions)) is not None:
+            reports.tell(f"{quote_path(directory)} is finished")
+            return Finished(directory, summary, trained=False)
+        return _continue(config, directory, reports, saved, stop)
+
+
+def resume(
+    run: Path,
+    changes: Mapping[str, Any],
+    reports: Reports = Reports(),  # frozen
+    *,
+    check: Callable[[TrainConfig], None] = check_device,
+) -> Finished:
+    """Resume a run from its last full checkpoint, or from its start if it has none.
+
+    ``run`` is its directory or its last checkpoint. ``changes`` are merged into its configuration,
+    by their keys, such as ``train.decisions``; ``check`` may refuse the result.
+
+    Raises:
+        InterruptedRunError: the run was stopped by Ctrl-C; all is saved.
+        RunHeldError: another process is training it.
+        CheckpointError: ``run`` is not a run, or its checkpoint is damaged.
+        ConfigError: a setting is changed that holds from the start of a run.
+    """
+    directory = run_folder.find(run)
+    with hold(directory), _kept_threads():
+        saved, before = run_folder.read(directory)
+        config = with_overrides(before, dict(changes))
+        if saved is not None and (state := saved.document.state) is not None:
+            require_kept(before.train, config.train, state)
+        check(config)
+        return _continue(config, directory, reports, saved)
+
+
+@contextlib.contextmanager
+def _held(directory: Path) -> Iterator[None]:
+    """Lock the directory; remove it afterwards if it is empty."""
+    try:
+        with hold(directory):
+            yield
+    finally:
+        with contextlib.suppress(OSError):  # it holds files
+            directory.rmdir()
+
+
+@contextlib.contextmanager
+def _kept_threads() -> Iterator[None]:
+    """Give torch as many threads afterwards as it had before the training."""
+    threads = torch.get_num_threads()
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+def _begin(
+    config: TrainConfig,
+    directory: Path,
+    reports: Reports,
+    keep_more: Callable[[], None],
+    stop: Callable[[], bool] = lambda: False,
+) -> Finished:
+    run_folder.check_free(directory)
+    run_folder.clear_leftovers(directory)
+    trainer = Trainer(config, directory)
+    make_folder(directory / checkpoint.BEST.parent)
+    keep_more()
+    try:
+        return _train(trainer, None, reports, stop)
+    except RequestError:
+        if trainer.progress.decision == 0:  # the corrected request may have the directory
+            run_folder.discard(directory, config.logger)
+        raise
+
+
+def _continue(
+    config: TrainConfig,
+    directory: Path,
+    reports: Reports,
+    saved: Checkpoint | None,
+    stop: Callable[[], bool] = lambda: False,
+) -> Finished:
+    if saved is None and (directory / checkpoint.BEST).is_file():
+        raise CheckpointError(
+            f"{directory} lacks {checkpoint.LAST}, from which it would be resumed; its policy can "
+            "be evaluated, and a new run can start from it (agent.start_from)"
+        )
+    run_folder.clear_leftovers(directory)
+    trainer = Trainer(config, directory)
+    make_folder(directory / checkpoint.BEST.parent)
+    if saved is None:
+        reports.tell(
+            f"{directory} was stopped before its first checkpoint; it begins again "
+            "with the same configuration and seed"
+        )
+    else:
+        trainer.restore(saved)
+    decision = trainer.progress.decision
+    summary = finished(directory, decision)
+    if decision >= config.train.decisions and summary is not None:
+        reports.tell(
+            f"nothing left to do: {directory} has trained {decision} decisions, and "
+            f"train.decisions is {config.train.decisions}; give a larger train.decisions=… to "
+            "continue"
+        )
+        return Finished(directory, summary, trained=False)
+    return _train(trainer, decision, reports, stop)
+
+
+def _train(
+    trainer: Trainer, resume_at: int | None, reports: Reports, stop: Callable[[], bool]
+) -> Finished:
+    directory = trainer.directory
+    run_folder.write_config(directory, trainer.config)
+    trainer.listeners += _listeners(trainer, resume_at, reports)
+    try:
+        with interrupts("finishing the episode and saving …") as interrupted:
+
+            def stopped() -> bool:
+                return interrupted() or stop()
+
+            regret = FinalRegret(trainer.config, directory, stopped, reports.tell)
+            summary = trainer.run(stopped, regret)
+    except (FlipperctlError, OSError) as error:
+        if directory.is_dir():
+            raise
+        raise WriteError(
+            f"{directory} was deleted or moved while the run was training; "
+            "nothing more can be saved"
+        ) from error
+    if not summary["finished"]:
+        raise InterruptedRunError(
+            f"interrupted at decision {trainer.progress.decision}; all is saved. "
+            f"Resume with: {command('train', '--resume', directory)}"
+        )
+    if regret.interrupted:
+        raise InterruptedRunError(
+            "interrupted while the best policy was compared with simple rules; the training is "
+            "finished and saved. "
+            f"Compare with: {command('inspect', 'reward', '--regret', '--checkpoint', directory)}"
+        )
+    return Finished(directory, summary, trained=True)
+
+
+def _listeners(trainer: Trainer, resume_at: int | None, reports: Reports) -> list[Listener]:
+    """Open the listeners that write the run's files, and then those of the caller."""
+    config, directory = trainer.config, trainer.directory
+    metrics, terms = directory / METRICS, list(config.rewards)
+    total, done = config.train.decisions, trainer.progress.decision
+    return open_all(
+        [
+            lambda: MetricsCsv(metrics, terms, config.randomise.names, resume_at),
+            *openers(config, directory, resume_at),
+            *(lambda make=make: make(total, done) for make in reports.listeners),
+        ]
+    )
