@@ -3,7 +3,7 @@
     python -m benchmarks.tables [--check]
 
 A table stands between ``<!-- results: FILE COLUMN … -->`` and ``<!-- end -->``; its columns are
-those of ``flipperctl.report.result_table``; files ``shipped_SUITE.json`` have the tables
+those of ``flipperctl.evaluation.views.markdown``; files ``shipped_SUITE.json`` have the tables
 ``overview`` and ``scenes`` instead (``benchmarks.shipped_table``), and files ``cells_NAME.json``
 the table ``cells`` (``benchmarks.cells``). ``--check`` writes nothing and
 exits with code 1 if a page disagrees with its results. ``python -m benchmarks.results`` makes the
