@@ -22,7 +22,7 @@ PARTS = ("flipperctl", "plugins", "tests", "benchmarks", "examples")
 COMMANDS = (
     "eval okada terrain=stair --episodes 3",
     "train terrain=stair experiment=quick train.mode=exact train.decisions=300 "
-    "agent.learning_starts=100 train.validation_episodes=1 train.regret_episodes=1 logger=null",
+    "agent.learning_starts=100 train.validation_episodes=1 train.regret_episodes=1",
 )
 _TRACER = """
 import sys
@@ -34,8 +34,9 @@ sys.setprofile(note)
 from flipperctl.cli.main import main
 try:
     main(sys.argv[2:])
-except SystemExit:
-    pass
+except SystemExit as ended:
+    if ended.code:
+        raise
 sys.setprofile(None)
 own = {name for name in files if name.startswith(sys.argv[1])}
 print(len(own), file=sys.stderr)
