@@ -116,9 +116,11 @@ def policies(found: Document, title: str, columns: Sequence[str] = ()) -> Table:
         head.append(Column("passable_text", "of passable"))
     latex = r"pitch variation $\hat\theta_R$ [rad]"
     head.append(Column("pitch_variation_100hz", VARIATION, latex=latex))
-    head.append(Column("time", "time [s]", 1))
     counts = dict.fromkeys(f"{row['episodes']} episodes" for row in rows if not row.get("dim"))
-    head += _chosen(found, [*columns, *(["episodes"] if len(counts) > 1 else [])])
+    further = _chosen(found, [*columns, *(["episodes"] if len(counts) > 1 else [])])
+    if not any(column.key == "t_cost" for column in further):  # which has the interval as well
+        head.append(Column("time", "time [s]", 1))
+    head += further
     parts = [title, *([next(iter(scenes))] if single else [])]
     text = " on ".join(part for part in dict.fromkeys(parts) if part)
     if found.get("interrupted"):
