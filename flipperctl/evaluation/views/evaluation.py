@@ -117,7 +117,7 @@ def policies(found: Document, title: str, columns: Sequence[str] = ()) -> Table:
     latex = r"pitch variation $\hat\theta_R$ [rad]"
     head.append(Column("pitch_variation_100hz", VARIATION, latex=latex))
     counts = dict.fromkeys(f"{row['episodes']} episodes" for row in rows if not row.get("dim"))
-    further = _chosen(found, [*columns, *(["episodes"] if len(counts) > 1 else [])])
+    further = [*_chosen(found, [*columns, *(["episodes"] if len(counts) > 1 else [])])]
     if not any(column.key == "t_cost" for column in further):  # which has the interval as well
         head.append(Column("time", "time [s]", 1))
     head += further
