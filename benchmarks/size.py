@@ -2,7 +2,7 @@
 
     python -m benchmarks.size [--trace "eval okada terrain=stair --episodes 3"]
 
-It prints the lines, files and rooms of the packages, the floors of the import contract, and for each
+It prints the lines and files of each part, the floors of the import contract, and for each
 command the files of the package in which it runs code.
 """
 
