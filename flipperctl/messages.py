@@ -7,6 +7,7 @@ import os
 import re
 import shlex
 from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, get_args
 
 if TYPE_CHECKING:  # pydantic costs 40 ms, and the command line's help needs only close matches
@@ -60,11 +61,15 @@ def missing_name(kind: str, name: str, known: Iterable[str]) -> str:
     return "; a plugin of your own is loaded by --plugins FILE"
 
 
-def missing_plugin(kind: str, name: str, file: str | None) -> str:
-    """Return the error text for a missing plugin; ``file`` is the file that it came from."""
+def missing_plugin(kind: str, name: str, file: str | Path | None) -> str:
+    """Return the error text for a missing plugin.
+
+    ``file``: the name of the file that it came from, or the path of a copy that the run has.
+    """
     advice = "install it or name its file with --plugins"
     if file is not None:
-        advice = f"it came from {file}: add --plugins {shlex.quote(file)}"
+        found = "this run brings" if isinstance(file, Path) else "it came from"
+        advice = f"{found} {Path(file).name}: add --plugins {shlex.quote(str(file))}"
     return f"there is no {kind} plugin {name!r}; {advice}"
 
 

@@ -80,6 +80,11 @@ def folders() -> list[Path]:
     return list(dict.fromkeys(found))
 
 
+def loaded_files() -> list[Path]:
+    """Return the files that were loaded by path, and the neighbours that they imported."""
+    return sorted({path for module, (path, _) in _contents.items() if module in _loaded})
+
+
 def file_name(cls: type[Plugin]) -> str | None:
     """Return the name of the file that a plugin was loaded from; None for an installed plugin."""
     return _files.get(cls)

@@ -3,6 +3,8 @@
 from flipperctl.checkpoint.file import (
     BEST,
     LAST,
+    PLUGINS,
+    TRUST,
     Checkpoint,
     describe,
     find,
@@ -21,6 +23,8 @@ from flipperctl.checkpoint.sealed import serialize
 __all__ = [
     "BEST",
     "LAST",
+    "PLUGINS",
+    "TRUST",
     "Checkpoint",
     "describe",
     "find",

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import difflib
 import json
+import os
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
@@ -31,6 +32,10 @@ if TYPE_CHECKING:
 
 _GONE = (("eval", "static_bound"),)
 """Settings of earlier versions without influence on a policy, which are left out on reading."""
+PLUGINS = Path("plugins")
+"""Folder of a run with copies of its plugin files, and their SHA-256 in ``SHA256SUMS``."""
+TRUST = "FLIPPERCTL_TRUST"
+"""Environment variable: folders below which runs load their copies of plugin files unasked."""
 BEST, LAST = Path("checkpoints/best.safetensors"), Path("checkpoints/last.safetensors")
 
 
@@ -54,6 +59,7 @@ class Checkpoint:
             CheckpointError: a plugin of the configuration is not installed, or the configuration
                 is not valid in this version.
         """
+        self._load_trusted()
         self._require_plugins()
         return self._parse(self.document.config.model_dump(mode="json"))
 
@@ -67,10 +73,13 @@ class Checkpoint:
             CheckpointError: another plugin is missing, such as the network's, or the
                 configuration is not valid in this version.
         """
+        self._load_trusted()
         known = frozenset(registry.items())
         if known not in self._configs:
             self._require_plugins(optional=("terrain", "reward", "controller", "logger"))
-            files = {(p.kind, p.name): p.origin for p in self.document.plugins if p.origin}
+            files = {
+                (p.kind, p.name): self._file(p.origin) for p in self.document.plugins if p.origin
+            }
             settings = self.document.config.model_dump(mode="json")
             self._configs[known] = self._parse(with_stand_ins(settings, files))
         return self._configs[known]
@@ -79,8 +88,28 @@ class Checkpoint:
         """Check that all plugins are available, except those of the ``optional`` kinds."""
         for plugin in self.document.plugins:
             if plugin.kind not in optional and (plugin.kind, plugin.name) not in registry:
-                text = missing_plugin(plugin.kind, plugin.name, plugin.origin)
+                file = self._file(plugin.origin) if plugin.origin else None
+                text = missing_plugin(plugin.kind, plugin.name, file)
                 raise CheckpointError(f"{self.path}: {text}")
+
+    def _file(self, name: str) -> str | Path:
+        """Return the path of the run's own copy of a plugin file; its name if there is none."""
+        copies = sorted((self.path.parent.parent / PLUGINS).rglob(name))
+        return copies[0] if copies else name
+
+    def _load_trusted(self) -> None:
+        """Load the run's copies of missing plugins, if it lies in a folder that is trusted.
+
+        Raises:
+            PluginError: a copy does not import.
+        """
+        trusted = [folder for folder in os.environ.get(TRUST, "").split(os.pathsep) if folder]
+        if not any(self.path.resolve().is_relative_to(Path(f).resolve()) for f in trusted):
+            return
+        missing = [p.origin for p in self.document.plugins if (p.kind, p.name) not in registry]
+        copies = {file for name in missing if name and isinstance(file := self._file(name), Path)}
+        if copies:
+            plugins.load(sorted(copies))
 
     def _parse(self, settings: Mapping[str, Any]) -> TrainConfig:
         known = dict(settings)

@@ -8,6 +8,7 @@ them on another terrain; a stand-in raises when it is used.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any, ClassVar, NoReturn
 
 import numpy as np
@@ -17,8 +18,8 @@ from flipperctl.api import RewardTerm, Terrain, Transition, registry
 from flipperctl.errors import PluginError
 from flipperctl.messages import missing_plugin
 
-Files = Mapping[tuple[str, str], str]
-"""(kind, name) of a plugin → the name of the file that it came from."""
+Files = Mapping[tuple[str, str], str | Path]
+"""(kind, name) of a plugin → the name of the file that it came from, or the path of a copy."""
 
 
 class AbsentTerrain(Terrain):

@@ -7,6 +7,7 @@ made; the run begins again), or both (the run continues from the checkpoint).
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
@@ -16,7 +17,7 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
-from flipperctl import checkpoint
+from flipperctl import checkpoint, plugins
 from flipperctl import results as lock
 from flipperctl.config import TrainConfig, parse, to_dict
 from flipperctl.errors import CheckpointError, ConfigError, OutputError, RequestError
@@ -26,6 +27,7 @@ from flipperctl.training import listeners as timing
 from flipperctl.training.listeners import read_rows
 from flipperctl.training.recorder import EPISODES, PARTS
 
+_SUMS = "SHA256SUMS"
 _LOCK, _LOCK_NOTE = Path(".run.lock"), Path(".run.lock.json")
 _WRITTEN = (
     *(CONFIG, METRICS, SUMMARY, EPISODES, checkpoint.BEST, checkpoint.LAST),
@@ -115,6 +117,31 @@ def write_config(directory: Path, config: TrainConfig) -> None:
     write_bytes(directory / CONFIG, OmegaConf.to_yaml(to_dict(config)).encode())
 
 
+def keep_plugins(directory: Path) -> None:
+    """Copy the plugin files of this process into the run, with their SHA-256.
+
+    Files of several folders lie together unless two of them have one name.
+
+    Raises:
+        OutputError: other files lie there.
+    """
+    files = plugins.loaded_files()
+    if not files:
+        return
+    folders = list(dict.fromkeys(file.parent for file in files))
+    apart = len({file.name for file in files}) < len(files)
+    place, listed = directory / checkpoint.PLUGINS, directory / checkpoint.PLUGINS / _SUMS
+    if place.exists() and not listed.exists():
+        raise OutputError(f"{place} is not of a run; move it, or choose another folder")
+    sums = []
+    for file in files:
+        part = str(folders.index(file.parent)) if apart else ""
+        copy, content = make_folder(place / part) / file.name, file.read_bytes()
+        write_bytes(copy, content)
+        sums.append(f"{hashlib.sha256(content).hexdigest()}  {copy.relative_to(place)}\n")
+    write_bytes(listed, "".join(sums).encode())
+
+
 def write_hydra(directory: Path, documents: Mapping[str, Any]) -> None:
     """Write Hydra's own record of a job: a YAML file for each document, in ``.hydra``."""
     folder = make_folder(directory / HYDRA)
@@ -160,6 +187,8 @@ def discard(directory: Path, loggers: Iterable[str]) -> None:
     notices that. Other files in the directory stay.
     """
     clear_leftovers(directory)
+    if (directory / checkpoint.PLUGINS / _SUMS).exists():
+        shutil.rmtree(directory / checkpoint.PLUGINS)
     for name in (*_WRITTEN, _LOCK):
         (directory / name).unlink(missing_ok=True)
     for folder in (*map(Path, loggers), HYDRA):

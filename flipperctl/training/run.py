@@ -372,6 +372,7 @@ def _begin(
     run_folder.clear_leftovers(directory)
     trainer = Trainer(config, directory)
     make_folder(directory / checkpoint.BEST.parent)
+    run_folder.keep_plugins(directory)
     keep_more()
     try:
         return _train(trainer, None, reports, stop)

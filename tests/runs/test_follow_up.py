@@ -1,5 +1,6 @@
 """What is printed to be typed next works as it is, and a file names the plugins that it needs."""
 
+import hashlib
 import json
 import shutil
 from pathlib import Path
@@ -44,6 +45,13 @@ class Mine(Network):
 '''
 NETWORK = ("--plugins", "mine.py")
 ALL = ("--plugins", "my plugins", "--plugins", "calm.py", *NETWORK)
+
+
+FROM = {
+    "run": "this run brings {0}.py: add --plugins run/plugins/{0}.py",
+    "run.onnx": "it came from {0}.py: add --plugins {0}.py",
+}
+"""How the file of a missing plugin is named: a run has a copy."""
 
 
 @pytest.fixture(scope="module")
@@ -94,8 +102,8 @@ def test_a_missing_terrain_is_named_with_its_file(made: Path, policy: str) -> No
         done = call("eval", "--checkpoint", policy, *terrain, *NETWORK, cwd=made)
         assert (done.code, done.out) == (2, "")
         assert done.err == (
-            f"error: {file}: there is no terrain plugin 'ridge'; it came from ridge.py: add "
-            "--plugins ridge.py, or evaluate another one with terrain=NAME\n"
+            f"error: {file}: there is no terrain plugin 'ridge'; {FROM[policy].format('ridge')}, "
+            "or evaluate another one with terrain=NAME\n"
         )
 
 
@@ -105,9 +113,7 @@ def test_another_terrain_needs_no_plugin_of_the_training(made: Path, policy: str
     network = NETWORK if policy == "run" else ()
     alone = call(*command, *network, cwd=made)
     assert alone.code == 0, alone.err
-    lacking = (
-        "the return lacks rewards.calm: there is no reward plugin 'calm'; it came from calm.py"
-    )
+    lacking = "the return lacks rewards.calm: there is no reward plugin 'calm'; this run brings"
     assert (lacking in alone.err) == (policy == "run")  # an exported file holds no rewards
     beside = call(*command, *ALL, cwd=made)
     assert beside.err == ""
@@ -122,15 +128,33 @@ def test_what_trains_or_exports_needs_all_plugins(made: Path) -> None:
     ):
         done = call(*command, "--plugins", "calm.py", *NETWORK, cwd=made)
         assert done.code == 2
-        assert "there is no terrain plugin 'ridge'; it came from ridge.py: add" in done.err
+        assert "there is no terrain plugin 'ridge'; this run brings ridge.py: add" in done.err
 
 
 def test_a_network_that_is_missing_is_named_with_its_file(made: Path) -> None:
     done = call("eval", "--checkpoint", "run", "terrain=step", cwd=made)
     assert done.code == 2
-    assert (
-        "there is no network plugin 'mine'; it came from mine.py: add --plugins mine.py" in done.err
-    )
+    assert f"there is no network plugin 'mine'; {FROM['run'].format('mine')}" in done.err
+
+
+def test_a_run_keeps_its_plugins_and_loads_them_where_it_is_trusted(
+    made: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = made / "run" / "plugins"
+    assert sorted(file.name for file in kept.iterdir()) == [
+        *("SHA256SUMS", "calm.py", "mine.py", "ridge.py")
+    ]
+    for line in (kept / "SHA256SUMS").read_text().splitlines():
+        content, name = line.split("  ")
+        assert hashlib.sha256((kept / name).read_bytes()).hexdigest() == content
+    assert (kept / "calm.py").read_text() == CALM
+    command = ("eval", "run", "--episodes", "2", "--json")
+    asked = call(*command, "--plugins", "run/plugins", cwd=made)
+    assert asked.code == 0, asked.err
+    monkeypatch.setenv(checkpoint.TRUST, str(made))
+    assert call(*command, cwd=made) == asked
+    monkeypatch.setenv(checkpoint.TRUST, str(made / "my plugins"))
+    assert call(*command, cwd=made).code == 2
 
 
 def test_an_interrupted_run_is_resumed_with_its_plugins(made: Path, tmp_path: Path) -> None:
@@ -145,10 +169,10 @@ def test_an_interrupted_run_is_resumed_with_its_plugins(made: Path, tmp_path: Pa
     ):
         plugins = [word for path in typed for word in ("--plugins", path)]
         shown = " ".join(call("inspect", "run", "run", *plugins, cwd=tmp_path).out.split())
-        assert f"{resume} {printed} ┏" in shown
+        assert f"{resume} {printed} decision" in shown
     with hold(tmp_path / "run"):
         shown = " ".join(call("inspect", "run", "run", cwd=tmp_path).out.split())
-    assert "run: still running ┏" in shown
+    assert "run: still running decision" in shown
 
 
 def test_a_checkpoint_of_version_0_2_tells_the_file_by_its_module() -> None:

@@ -21,12 +21,10 @@ from flipperctl.sim import jit as code_cache
 
 MODULES = [
     "flipperctl.lookahead.dynamics",
-    "flipperctl.lookahead.dynamics",
-    "flipperctl.sim.planar.rays",
+    "flipperctl.sim.ground",
     "flipperctl.sim.planar.compiled",
     "flipperctl.sim.planar.rays",
     "flipperctl.sim.resting",
-    "flipperctl.sim.ground",
 ]
 
 
