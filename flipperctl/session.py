@@ -55,7 +55,7 @@ def interrupted_run(run: Path) -> InterruptedRunError:
 def sweep_command(folder: Path) -> str:
     """Return the command that continues the sweep in ``folder``, which this process runs."""
     words = [word for word in sys.argv[1:] if word != "--multirun"]
-    if not any(word.startswith("hydra.sweep.dir=") for word in words):
+    if not any(word.startswith(("hydra.sweep.dir=", "--output")) for word in words):
         short = os.path.relpath(folder) if folder.is_relative_to(Path.cwd()) else str(folder)
         plain = re.fullmatch(r"[\w./-]+", short) is not None
         from flipperctl.config.words import literal_override  # only where it is needed

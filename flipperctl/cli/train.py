@@ -26,7 +26,7 @@ OVERRIDES are Hydra's: key=value. [bold]flipperctl inspect config[/] shows every
 
   flipperctl train terrain=step seed=3 train.decisions=40000 rewards.pitch.lambda_2=8
 
-  flipperctl train -m terrain=step,stair seed=1,2
+  flipperctl train -m terrain=step,stair seed=1,2 --output runs/compared
 
   flipperctl train --resume runs/stair/2026-01-31_12-00-00
 """
@@ -52,6 +52,10 @@ def run(
         bool,
         typer.Option("--multirun", "-m", help="One run for each combination of a,b lists."),
     ] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of the run, or of the runs with -m."),
+    ] = None,
     cfg: Annotated[
         str | None,
         typer.Option(metavar="job|hydra|all", help="Print the composed configuration and stop."),
@@ -63,9 +67,14 @@ def run(
     if resume is not None:
         from flipperctl.evaluation.policies import refuse_beside
 
-        refuse_beside("--resume", {"cfg": cfg, "multirun": multirun})
+        refuse_beside("--resume", {"cfg": cfg, "multirun": multirun, "output": output})
         _resume(resume, arguments)
         return
+    if output is not None:
+        from flipperctl.config.words import literal_override
+
+        key = "hydra.sweep.dir" if multirun else "hydra.run.dir"
+        arguments.append(literal_override(key, str(output)))
     if cfg is not None:
         arguments += ["--cfg", cfg]
     if multirun:

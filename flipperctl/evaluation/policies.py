@@ -346,8 +346,9 @@ def entrants(names: Sequence[str], tell: Callable[[str], None]) -> list[Entrant]
 
     A name is that of a controller or a shipped policy, or the path of a run, a checkpoint or an
     exported file; names of controllers may be joined by commas, and a path of such a name begins
-    with ``./``. A folder with the runs of a sweep stands for them all: for one method, if they differ in their seeds alone. ``tell`` is called
-    with a line for each run that has no checkpoint, repeats another one, or is not finished.
+    with ``./``. A folder with the runs of a sweep stands for them all: for one method, if they
+    differ in their seeds alone. ``tell`` is called with a line for each run that has no
+    checkpoint, repeats another one, or is not finished.
 
     Raises:
         RequestError: a name is empty, or a folder has no run with a checkpoint.

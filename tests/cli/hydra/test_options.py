@@ -42,6 +42,8 @@ def my(tmp_path: Path) -> Path:
         ("hydra.mode=BOTH", "hydra.mode: RUN or MULTIRUN is allowed; the value is BOTH"),
         ("-m seed=glob(*)", "seed=glob(*): no name fits"),
         ("hydra.searchpath=3", "hydra.searchpath: a list of folders is allowed"),
+        ("--output a hydra.run.dir=b", "hydra.run.dir is given twice"),
+        ("--output a --resume b", "--output: no meaning beside --resume"),
         ("--cfg job -p nope", "--cfg: package 'nope' not found in config"),
         ("--cfg job terrain=3", "terrain: a name is allowed; the value is 3"),
         ("--cfg job hydra/launcher=[1]", "hydra/launcher: a name is allowed"),
@@ -58,6 +60,15 @@ def test_requests_that_hydra_fails_on_are_refused(tmp_path: Path, words: str, er
 def test_one_word_with_a_space_may_be_one_value_or_several_words(tmp_path: Path) -> None:
     text = refused("train", "hydra.run.dir=my run=1", cwd=tmp_path)
     assert """if it is one value, quote it: 'hydra.run.dir="my run=1"'""" in text
+
+
+def test_the_folder_of_a_run_and_of_a_sweep_is_the_output(tmp_path: Path) -> None:
+    one = call("train", *QUICK, "--output", "my runs/one", cwd=tmp_path)
+    assert one.code == 0, one.err
+    assert "eval --checkpoint 'my runs/one'" in one.err
+    several = call("train", *QUICK, "-m", "--output", "swept", "seed=1,2", cwd=tmp_path)
+    assert several.code == 0, several.err
+    assert (tmp_path / "swept" / "0_seed=1" / "config.yaml").is_file()
 
 
 def test_options_may_stand_between_overrides(tmp_path: Path) -> None:
