@@ -32,7 +32,7 @@ beside it. Each command in the card gives the same hash of conditions, which is 
 
 [bold]Examples[/]
 
-  flipperctl eval generalist --baseline okada,level terrain=stair --output evaluated
+  flipperctl eval generalist --baseline okada,level --output evaluated
 
   flipperctl card generalist evaluated --output card.md
 """

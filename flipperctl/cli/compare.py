@@ -18,7 +18,7 @@ for LaTeX (.tex), or a picture of performance profiles (.png, .svg, .pdf).
 
   flipperctl compare judged --against level --output profile.png
 
-  flipperctl compare plain=seeds/a searched=seeds/b --against all --output table.tex
+  flipperctl compare plain=a searched=b --against all --output table.tex
 """
 
 

@@ -27,7 +27,7 @@ Repeat a command with the same --output to play only what is missing.
 
   flipperctl eval best.safetensors terrain=paper_step,paper_stair --json
 
-  flipperctl eval okada terrain=stair perception.noise=0.01 --by steps --jobs 2
+  flipperctl eval okada terrain=stair perception.noise=0.01 --by steps
 
   flipperctl eval runs/sweep okada,mpc terrain=stair,ramp --output judged
 

@@ -23,15 +23,15 @@ A scene or an episode is the first one of eval with the same OVERRIDES, checkpoi
 
 [bold]Examples[/]
 
-  flipperctl export onnx --checkpoint runs/stair/2026-01-31_12-00-00 --output stair.onnx
+  flipperctl export onnx --checkpoint runs/first --output stair.onnx
 
   flipperctl export pt2 --checkpoint best.safetensors
 
-  flipperctl export onnx --checkpoint generalist --output mine.onnx robot.flipper_speed=0.5
+  flipperctl export onnx --checkpoint generalist robot.flipper_speed=0.5
 
   flipperctl export urdf terrain=stair robot=absolem --output absolem.urdf
 
-  flipperctl export mcap --checkpoint generalist terrain=step sim=mujoco perception=lidar
+  flipperctl export mcap --controller okada sim=mujoco perception=lidar
 """
 
 

@@ -18,9 +18,9 @@ command with the same --output to play only what is missing.
 
 [bold]Examples[/]
 
-  flipperctl map okada terrain=uplift --over terrain.height,sim.friction=0.4:1.0
+  flipperctl map okada terrain=uplift --over terrain.height,sim.friction
 
-  flipperctl map generalist terrain=step --over terrain.height=0.1:0.6:8,sim.friction --jobs 2
+  flipperctl map generalist --over terrain.height=0.1:0.6:8,sim.friction
 """
 
 

@@ -24,7 +24,7 @@ OVERRIDES are Hydra's: key=value. [bold]flipperctl inspect config[/] shows every
 
   flipperctl train terrain=stair
 
-  flipperctl train terrain=step seed=3 train.decisions=40000 rewards.pitch.lambda_2=8
+  flipperctl train terrain=step seed=3 rewards.pitch.lambda_2=8
 
   flipperctl train -m terrain=step,stair seed=1,2 --output runs/compared
 

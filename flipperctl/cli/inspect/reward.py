@@ -36,11 +36,11 @@ at their end. With --checkpoint, controller.<field> applies to the controllers o
 
   flipperctl inspect reward terrain=stair
 
-  flipperctl inspect reward --checkpoint runs/stair/2026-01-31_12-00-00 rewards.pitch.lambda_2=8
+  flipperctl inspect reward --checkpoint runs/first rewards.pitch.lambda_2=8
 
-  flipperctl inspect reward --compare level,okada terrain=step,ramp rewards=paper,tuned,smooth
+  flipperctl inspect reward --compare level,okada rewards=paper,tuned
 
-  flipperctl inspect reward --compare okada,generalist,planner terrain=ramp controller.width=8
+  flipperctl inspect reward --compare okada,planner controller.width=8
 
   flipperctl inspect reward --regret --checkpoint generalist terrain=stair,ramp
 """
