@@ -16,6 +16,8 @@ if TYPE_CHECKING:  # pydantic costs 40 ms, and the command line's help needs onl
 _LONGEST = 600  # characters of a validator's message
 _ALIKE = 0.7
 """Smallest similarity of a misspelling: planner and none have 0.55, stair and stiar 0.8."""
+_GONE_PLUGINS = {("logger", "trackio"): "logger=wandb, or a logger of your own, takes its place"}
+"""(kind, name) of plugins of earlier versions, and what to use instead."""
 _BOUNDS = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
 
 
@@ -46,6 +48,8 @@ def missing_name(kind: str, name: str, known: Iterable[str]) -> str:
     Each engine and sensor has an entry point of its own, even in this package, and entry points
     are read from the installed metadata.
     """
+    if gone := _GONE_PLUGINS.get((kind, name)):
+        return f"; it is gone: {gone}"
     known = list(known)
     key, _, value = name.partition("=")
     if value in known:

@@ -9,6 +9,9 @@ _INTERVALS = "is gone; flipperctl compare DIR... gives the 95 % interval of each
 _MOVED = {
     "transfer": _ENGINES,
     "inspect engines": _ENGINES,
+    "inspect conventions": (
+        "is now: flipperctl inspect plugins --check, or inspect checkpoint FILE --check of a policy"
+    ),
     "inspect results": "is now: flipperctl compare DIR...",
     "eval --map": "is now: flipperctl map POLICY --over SETTINGS",
     "eval --replay": "is now: flipperctl replay FILE",

@@ -116,7 +116,7 @@ def check_robot(interface: Interface, robot: Robot, file: Path) -> None:
     if not changed:
         raise ConfigError(
             f"{file} applies {', '.join(found)}, unlike the robot in its own metadata; "
-            f"flipperctl inspect conventions --checkpoint {shlex.quote(str(file))} shows where"
+            f"flipperctl inspect checkpoint {shlex.quote(str(file))} --check shows where"
         )
     values = {name: json.dumps(getattr(robot, name)) for name in changed}
     asked = " ".join(f"robot.{name}={value}" for name, value in values.items())

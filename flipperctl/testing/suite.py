@@ -103,7 +103,7 @@ def _checks(cls: type[Plugin], pictures: Path | None) -> Iterator[Check]:
             yield at_defaults("repeats", controller.repeats)
             yield at_defaults("in time", controller.in_time)
         case "sim":
-            from flipperctl.testing import engine
+            from flipperctl.testing import conventions, engine
 
             yield at_defaults("drives", engine.drives)
             yield at_defaults("stops", engine.stops)
@@ -112,14 +112,16 @@ def _checks(cls: type[Plugin], pictures: Path | None) -> Iterator[Check]:
             yield at_all("repeats", engine.repeats)
             yield at_all("returns", engine.returns)
             yield at_defaults("rays", engine.rays)
+            yield at_defaults("conventions", conventions.engine_conventions)
         case "perception":
-            from flipperctl.testing import sensor
+            from flipperctl.testing import conventions, sensor
 
             yield at_all("senses", sensor.senses)
             yield at_all("samples", sensor.samples)
             yield at_all("repeats", sensor.repeats)
             yield at_all("returns", sensor.returns)
             yield at_defaults("portable", sensor.portable)
+            yield at_defaults("conventions", conventions.sensor_conventions)
         case "logger":
             from flipperctl.testing import logger
 

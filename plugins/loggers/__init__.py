@@ -1,5 +1,5 @@
 """Built-in loggers; a tracker's library is imported only when its logger is opened."""
 
-from . import tensorboard, trackio, wandb
+from . import tensorboard, wandb
 
-__all__ = ["tensorboard", "trackio", "wandb"]
+__all__ = ["tensorboard", "wandb"]

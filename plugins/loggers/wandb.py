@@ -1,17 +1,120 @@
-"""``logger=wandb``: Weights & Biases, online or as files that ``wandb sync`` sends later."""
+"""``logger=wandb``: Weights & Biases, online or as files that ``wandb sync`` sends later.
+
+In: the rows of a training. Out: their numbers in the tracker, with decisions as steps. The library
+runs in its own thread, so that a slow tracker does not delay the training.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Literal
+import json
+from collections.abc import Callable, Mapping
+from importlib.util import find_spec
+from queue import SimpleQueue
+from threading import Thread
+from typing import Any, ClassVar, Literal, Protocol
+from uuid import uuid4
 
 from pydantic import Field
 
-from flipperctl.api import Listener, Logger, RunInfo, logger
+from flipperctl.api import Listener, Logger, RunInfo, logger, scalars
 
-from .tracker import Tracker, require
+_STATE = "run.json"
+"""File in the logger's folder with the tracker's run id and the last decision logged for each kind
+of row."""
 
-if TYPE_CHECKING:
-    from .tracker import TrackedRun
+
+class TrackedRun(Protocol):
+    """A run of a tracker."""
+
+    def log(self, values: dict[str, float], step: int) -> object:
+        """Record values by name."""
+
+    def finish(self) -> object:
+        """Send the remaining values."""
+
+
+Begin = Callable[[str], TrackedRun]
+"""Starts the run with the given id in the tracker, or resumes it if the tracker has it."""
+
+
+class Tracker:
+    """Record a training in a tracker; an error in its thread is raised by the next call."""
+
+    def __init__(self, begin: Begin, run: RunInfo, patience: float) -> None:
+        """``patience``: longest time that ``close`` waits for the tracker [s]."""
+        self._begin, self._patience = begin, patience
+        self._state = run.folder / _STATE
+        self._id, self._logged = uuid4().hex[:12], {"episode": -1, "validation": -1}
+        if run.resume_at is not None:
+            self._restore()
+        run.folder.mkdir(parents=True, exist_ok=True)
+        self._rows: SimpleQueue[tuple[str, int, dict[str, float]] | None] = SimpleQueue()
+        self._error: BaseException | None = None
+        self._thread = Thread(target=self._work, name="tracker", daemon=True)
+        self._thread.start()
+
+    def episode(self, row: Mapping[str, Any]) -> None:
+        """Record the row's numbers."""
+        self._add("episode", row)
+
+    def validation(self, row: Mapping[str, Any]) -> None:
+        """Record the row's numbers."""
+        self._add("validation", row)
+
+    def note(self, text: str) -> None:
+        """Ignore notes; a tracker would send them as alerts."""
+
+    def close(self) -> None:
+        """Wait until the tracker has finished.
+
+        Raises:
+            TimeoutError: it has not finished within ``patience``.
+        """
+        self._rows.put(None)
+        self._thread.join(self._patience)
+        if self._thread.is_alive():
+            raise TimeoutError(f"it has not finished within {self._patience:g} s")
+        self._raise_error()
+
+    def _add(self, kind: str, row: Mapping[str, Any]) -> None:
+        self._raise_error()
+        self._rows.put((kind, row["decision"], scalars(kind, row)))
+
+    def _raise_error(self) -> None:
+        if isinstance(self._error, Exception):
+            raise self._error
+        if self._error is not None:  # SystemExit must not end the training
+            raise RuntimeError(repr(self._error)) from self._error
+
+    def _work(self) -> None:
+        try:
+            self._save()  # before the tracker has the run, so that a killed training keeps its id
+            tracked = self._begin(self._id)
+            while (row := self._rows.get()) is not None:
+                kind, decision, values = row
+                if decision > self._logged[kind]:  # a resumed run repeats logged rows exactly
+                    tracked.log(values, step=decision)
+                    self._logged[kind] = decision
+                    if kind == "validation":
+                        self._save()
+            tracked.finish()
+            self._save()
+        except BaseException as error:  # noqa: BLE001  # raised in the training's thread
+            self._error = error
+
+    def _restore(self) -> None:
+        """Restore the state of an earlier start; without a readable one, keep the new id."""
+        try:
+            found = json.loads(self._state.read_text())
+            run_id, logged = str(found["id"]), {k: int(found[k]) for k in self._logged}
+        except (OSError, ValueError, TypeError, KeyError):
+            return
+        self._id, self._logged = run_id, logged
+
+    def _save(self) -> None:
+        part = self._state.with_suffix(".part")
+        part.write_text(json.dumps({"id": self._id, **self._logged}))
+        part.replace(self._state)
 
 
 @logger("wandb")
@@ -37,7 +140,10 @@ class WeightsAndBiases(Logger):
         Raises:
             ImportError: wandb is not installed.
         """
-        require("wandb")
+        if find_spec("wandb") is None:
+            raise ImportError(
+                "the package wandb is not installed; run pip install 'flipperctl[wandb]'"
+            )
 
         def begin(run_id: str) -> TrackedRun:
             import wandb

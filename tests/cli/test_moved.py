@@ -15,6 +15,10 @@ GONE = "is gone; flipperctl compare DIR... gives the 95 % interval of each diffe
     [
         ("transfer --controller okada terrain=step --only 1", f"transfer {ENGINES}"),
         ("inspect engines terrain=ramp", f"inspect engines {ENGINES}"),
+        (
+            "inspect conventions sim=mujoco",
+            "is now: flipperctl inspect plugins --check, ",
+        ),
         ("inspect results judged --json", "results is now: flipperctl compare DIR...\n"),
         ("eval --controller okada --map seed,agent.gamma", "flipperctl map POLICY --over SETTINGS"),
         ("eval --replay=failure_stair_3.json", "--replay is now: flipperctl replay FILE\n"),

@@ -133,7 +133,7 @@ def test_a_view_without_episodes_names_its_own_seed(tmp_path: Path) -> None:
         (["map", *OKADA, "--terrain", "a b"], "; settings are written as 'terrain=a b'"),
         (["eval", *OKADA, "--agent.gamma", "0.9"], "no such option: --agent.gamma\n"),
         (["eval", *OKADA, "--episode", "5"], "--episode; did you mean '--episodes'?"),
-        (["inspect", "checkpoint", "x", "--seed", "3"], "no such option: --seed\n"),
+        (["inspect", "run", "x", "--seed", "3"], "no such option: --seed\n"),
         (["train", "--nonsense"], "no such option: --nonsense\n"),
         (["--terrain", "stair"], "--terrain; settings are written as terrain=stair\n"),
         (["--terrain=stair", "train"], "--terrain; settings are written as terrain=stair\n"),

@@ -17,7 +17,7 @@ OLD = {key: value for key, value in PLAIN.items() if key != "logger"}
     ("given", "names"),
     [
         ("wandb", ["wandb"]),
-        (["tensorboard", "trackio"], ["tensorboard", "trackio"]),
+        (["tensorboard", "wandb"], ["tensorboard", "wandb"]),
         ("csv", []),
         ([], []),
         ({}, []),
@@ -48,6 +48,7 @@ def test_a_resumed_run_may_have_other_loggers() -> None:
     [
         ({"logger": "wandbb"}, r"logger\.wandbb: .*did you mean 'wandb'"),
         ({"logger.wandb.project": "x"}, r"logger\.wandb: .*chosen: tensorboard; logger=wandb"),
+        ({"logger": "trackio"}, r"logger\.trackio: .*'trackio'; it is gone: logger=wandb"),
         ({"logger": 3}, "logger: names, or a mapping"),
         ({"logger": {"../x": {"name": "wandb"}}}, r"logger\.\.\./x: lower-case letters"),
     ],

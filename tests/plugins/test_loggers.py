@@ -1,4 +1,4 @@
-"""What ``wandb`` and ``trackio`` record, through a tracker that remembers its calls."""
+"""What ``wandb`` records, through a tracker that remembers its calls."""
 
 import threading
 from collections.abc import Callable, Iterator
@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from flipperctl_plugins.loggers.tracker import Tracker
+from flipperctl_plugins.loggers.wandb import Tracker
 
 from flipperctl.api import Logger, RunInfo, registry
 
@@ -89,12 +89,11 @@ def test_what_fails_in_the_thread_is_raised_in_the_training(
         tracker.close()
 
 
-@pytest.mark.parametrize("name", ["wandb", "trackio"])
 def test_a_package_that_is_missing_is_named_with_its_extra(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("flipperctl_plugins.loggers.tracker.find_spec", lambda package: None)
-    cls = registry["logger", name]
+    monkeypatch.setattr("flipperctl_plugins.loggers.wandb.find_spec", lambda package: None)
+    cls = registry["logger", "wandb"]
     assert issubclass(cls, Logger)
-    with pytest.raises(ImportError, match=rf"pip install 'flipperctl\[{name}\]'"):
+    with pytest.raises(ImportError, match=r"pip install 'flipperctl\[wandb\]'"):
         cls().open(run(tmp_path))

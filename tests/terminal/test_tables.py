@@ -28,7 +28,7 @@ COMMANDS = {
     "audit": ["inspect", "reward", *SCENE, "conditions=varied"],
     "terrain": ["inspect", "terrain", "stair", "--draws", "3"],
     "plugins": ["inspect", "plugins", "planar"],
-    "conventions": ["inspect", "conventions", "sim=planar"],
+    "conventions": ["inspect", "checkpoint", "generalist", "--check", "sim=planar"],
     "config": ["inspect", "config", "--describe"],
     "compare": ["compare", "judged"],
 }  # fmt: skip

@@ -4,10 +4,7 @@ from importlib import import_module
 
 from flipperctl.cli.command import App
 
-VIEWS = (
-    *("plugins", "terrain", "reward", "checkpoint", "run", "config"),
-    *("conventions", "perception"),
-)
+VIEWS = ("plugins", "terrain", "reward", "checkpoint", "run", "config", "perception")
 """Modules beside this one, each with a subcommand; help lists them in this order."""
 
 

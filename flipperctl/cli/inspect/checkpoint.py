@@ -16,31 +16,73 @@ HELP = """Describe a checkpoint. Nothing in the file is executed, and no plugin 
 The SHA-256 of the content covers configuration, results, state and weights: it is equal for equal
 runs, whatever versions of the packages wrote them.
 
+With [bold]--check[/], probe signs, frames, units and timing with the file's robot and observation:
+in two engines the robot drives on level ground, raises and lowers each pair of flippers, and drives
+up a ramp; the sensor measures a step. Actions, targets and period of an exported .onnx file are
+compared with that robot, or with yours after robot.… overrides. sim=… names the engine that is
+probed beside the default one. Fail if any of it differs from the contract.
+
 [bold]Examples[/]
 
   flipperctl inspect checkpoint runs/stair/2026-01-31_12-00-00
 
   flipperctl inspect checkpoint best.safetensors --json
+
+  flipperctl inspect checkpoint policy.onnx --check robot.flipper_speed=0.5
 """
 
 
 def run(
     path: Annotated[Path, typer.Argument(metavar="RUN_OR_FILE", help="A run or a checkpoint.")],
+    overrides: options.Overrides = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Probe the conventions; fail if one does not hold.")
+    ] = False,
     as_json: options.AsJson = False,
     plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
     from flipperctl import checkpoint
     from flipperctl.checkpoint.contents import contents
+    from flipperctl.policies.exported import is_exported
     from flipperctl.terminal.checkpoint import print_checkpoint
     from flipperctl.terminal.streams import show
 
     file = checkpoint.find(path)
-    if file.suffix == ".onnx":
+    if check:
+        _check(file, list(overrides or []), as_json=as_json)
+        return
+    if overrides:
+        raise RequestError(f"{overrides[0]}: overrides need --check")
+    if is_exported(file):
         raise RequestError(
             f"{file} is an exported file, not a checkpoint; "
-            f"python -m flipperctl.runtime {shlex.quote(str(file))} prints its interface"
+            f"python -m flipperctl.runtime {shlex.quote(str(file))} prints its interface, "
+            "and --check probes it"
         )
     saved = checkpoint.read(file)
     found = contents(saved)
     show(found, lambda: print_checkpoint(found, saved), as_json=as_json)
+
+
+def _check(file: Path, overrides: list[str], *, as_json: bool) -> None:
+    from flipperctl import checkpoint
+    from flipperctl.cli.hydra import config_store
+    from flipperctl.cli.hydra.compose import compose_environment
+    from flipperctl.cli.hydra.overrides import Overrides
+    from flipperctl.config.words import with_engine
+    from flipperctl.policies.exported import exported_config, is_exported
+    from flipperctl.show import print_table
+    from flipperctl.terminal.console import console
+    from flipperctl.terminal.streams import show
+    from flipperctl.testing.conventions import probe, require_conventions, table
+
+    exported = is_exported(file)
+    own = exported_config(file) if exported else checkpoint.read(file).policy_config()
+    primary = config_store.register_robot(own.robot, own.perception.layout)
+    config = compose_environment(Overrides.parse(with_engine(overrides)), primary)
+    found = probe(config, file)
+    holds = all(one.holds for one in found)
+    document = {"holds": holds, "probes": [one.to_dict() for one in found]}
+    show(document, lambda: print_table(table(found), console()), as_json=as_json)
+    require_conventions(found)

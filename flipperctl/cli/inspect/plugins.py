@@ -16,7 +16,7 @@ HELP = """List every registered plugin: its source, and its fields with default,
 
 With [bold]--check[/], run the conformance suite on them instead: terrains at every bound, rewards
 on recorded episodes of every outcome, networks including their ONNX export, controllers within a
-time limit.
+time limit, signs, frames, units and timing of engines and sensors.
 
 [bold]Examples[/]
 

@@ -8,12 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flipperctl.api import ACTIONS, Robot, SensedGround
+from flipperctl import plugins
+from flipperctl.api import ACTIONS, Robot, SensedGround, registry
 from flipperctl.config import EvalConfig
 from flipperctl.core.targets import TargetRule
-from flipperctl.evaluation.conventions import probe_export, probe_sensing, probe_world
+from flipperctl.errors import ConformanceError
 from flipperctl.sim.mujoco.world import MujocoWorld
 from flipperctl.sim.planar.sensing import TerrainSensor
+from flipperctl.testing import checks
+from flipperctl.testing.conventions import probe_export, probe_sensing, probe_world
 from tests.cli.call import call
 from tests.runtime import linear
 
@@ -98,18 +101,31 @@ def test_an_export_s_actions_and_period_are_compared() -> None:
     ]
 
 
+@pytest.mark.usefixtures("registry")
+def test_the_suite_has_the_conventions(monkeypatch: pytest.MonkeyPatch) -> None:
+    plugins.load([Path(__file__).parents[2] / "examples"])
+    found = {str(one): one for one in checks(*registry.values()) if one.name == "conventions"}
+    for one in found.values():
+        one()
+    time = property(lambda self: 0.02 * self._samples)
+    monkeypatch.setattr(MujocoWorld, "time", time)
+    with pytest.raises(ConformanceError, match=r"samples is 4\.000 s; 2\.000 ± 0\.000 is allowed"):
+        found["sim-mujoco-conventions"]()
+
+
 def test_the_command_fails_and_names_the_first_convention(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    held = call("inspect", "conventions", cwd=tmp_path)
+    shipped = ("inspect", "checkpoint", "generalist", "--check")
+    held = call(*shipped, cwd=tmp_path)
     assert held.code == 0, held.err
     assert "WRONG" not in held.out
     monkeypatch.setattr(MujocoWorld, "time", property(lambda self: 0.02 * self._samples))
-    done = call("inspect", "conventions", cwd=tmp_path)
+    done = call(*shipped, cwd=tmp_path)
     assert done.code == 1
     assert "sim=mujoco: time of 200 samples is 4.000 s; 2.000 ± 0.000 is allowed" in done.err
-    other = call("inspect", "conventions", "--checkpoint", "run", cwd=tmp_path)
-    assert (other.code, "an exported .onnx file is allowed" in other.err) == (2, True)
+    other = call(*shipped[:-1], "sim=mujoco", cwd=tmp_path)
+    assert (other.code, "sim=mujoco: overrides need --check" in other.err) == (2, True)
 
 
 def test_the_robot_and_the_observation_of_a_file_are_probed(tmp_path: Path) -> None:
@@ -117,7 +133,7 @@ def test_the_robot_and_the_observation_of_a_file_are_probed(tmp_path: Path) -> N
     robot = {**Robot().model_dump(exclude_none=True), **own}
     targets = {"meaning": "x", "window": robot["angle_step"], "limit": 0.2}
     linear.write(tmp_path / "p.onnx", robot=robot, targets=targets, bin_width=0.1)
-    probe = ("inspect", "conventions", "--checkpoint", "p.onnx", "--json")
+    probe = ("inspect", "checkpoint", "p.onnx", "--check", "--json")
     done = call(*probe, cwd=tmp_path)
     assert done.code == 0, done.err
     probes = {(p["of"], p["meaning"]): p for p in json.loads(done.out)["probes"]}

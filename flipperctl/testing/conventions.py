@@ -1,12 +1,13 @@
 """Probe the signs, frames, units and timing of engines, sensing and exported policies.
 
-In: a configuration, and an exported file. Out: the measured value of each probe and the one that
-the contract (``flipperctl.api``) states. A flipped sign or frame is the usual cause of a policy
-that fails without an error in another engine, so no probe passes with the opposite sign.
+In: a configuration, and an exported file. Out: the measured value of each probe, the one that the
+contract (``flipperctl.api``) states, and their table. A flipped sign or frame is the usual cause of
+a policy that fails without an error in another engine, so no probe passes with the opposite sign.
 """
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
@@ -15,15 +16,26 @@ from typing import Any
 
 import numpy as np
 
-from flipperctl.api import FloatArray, Mounting, Profile, Robot, RobotState, Start, World
+from flipperctl.api import (
+    Engine,
+    FloatArray,
+    Mounting,
+    Profile,
+    Robot,
+    RobotState,
+    Sensor,
+    Start,
+    World,
+)
 from flipperctl.config import EnvConfig
 from flipperctl.core.observation import ANGLES
 from flipperctl.env.guarded_world import place as place_guarded
 from flipperctl.env.perceiving import Perceiver
-from flipperctl.errors import FlipperctlError
+from flipperctl.errors import ConformanceError
 from flipperctl.evaluation.views.engines import in_default_engine
-from flipperctl.policies.exported import ExportedPolicy
+from flipperctl.policies.exported import ExportedPolicy, is_exported
 from flipperctl.runtime.interface import Interface
+from flipperctl.show import Column, Table
 
 _FLAT = Profile([(0.0, 0.0)])
 _SLOPE = math.radians(15)
@@ -53,33 +65,76 @@ class Probe:
         return {**asdict(self), "holds": self.holds}
 
 
-def probe(config: EnvConfig, file: Path | None = None) -> list[Probe]:
-    """Return the probes of both engines, of sensing and, if it is given, of an exported file.
+def probe(config: EnvConfig, file: Path) -> list[Probe]:
+    """Return the probes of both engines, of sensing and, if it is exported, of a policy's file.
 
     Raises:
         ConfigError: the default engine cannot have the configuration's settings.
         PolicyError: the file is damaged.
     """
     found = [*probe_world(in_default_engine(config)), *probe_world(config), *probe_sensing(config)]
-    if file is not None:
+    if is_exported(file):
         found += probe_export(ExportedPolicy(file).interface, config.robot, str(file))
     return found
+
+
+def engine_conventions(engine: Engine) -> None:
+    """Check signs, frames, units and timing of an engine's motion.
+
+    The pressed flippers of an engine without forces, such as ``examples/kinematic.py``, do not
+    pitch the chassis at all; one with a wrong sign pitches it the other way.
+    """
+    found = list(probe_world(EnvConfig(terrain="flat", sim=engine)))
+    lifting = [one for one in found if "pressed down" in one.meaning]
+    without_forces = all(one.found == 0 for one in lifting)
+    require_conventions([one for one in found if not (without_forces and one in lifting)])
+
+
+def sensor_conventions(sensor: Sensor) -> None:
+    """Check signs, frames and units of a sensor that perceives one state without a motion."""
+    if inspect.unwrap(type(sensor).over) is not inspect.unwrap(Sensor.over):
+        require_conventions(list(probe_sensing(EnvConfig(terrain="flat", perception=sensor))))
 
 
 def require_conventions(found: Sequence[Probe]) -> None:
     """Refuse probes of which one differs from the contract.
 
     Raises:
-        FlipperctlError: one does; the text has the first.
+        ConformanceError: one does; the text has the first.
     """
     wrong = [one for one in found if not one.holds]
     if wrong:
         first = wrong[0]
-        raise FlipperctlError(
+        raise ConformanceError(
             f"{len(wrong)} of {len(found)} conventions do not hold, first {first.of}: "
             f"{first.meaning} is {first.found:.3f} {first.unit}; {first.expected:.3f} ± "
             f"{first.tolerance:.3f} is allowed"
         )
+
+
+_COLUMNS = (
+    Column("of", "probed", named=True),
+    Column("meaning", "convention", wrapped=True),
+    Column("found", "found"),
+    Column("expected", "expected"),
+    Column("holds", ""),
+)
+
+
+def table(found: Sequence[Probe]) -> Table:
+    """Return a row for each convention."""
+    rows = [
+        {
+            "of": probe.of,
+            "meaning": probe.meaning,
+            "found": f"{probe.found:.3f}{unit}",
+            "expected": f"{probe.expected:.3f} ± {probe.tolerance:.3f}{unit}",
+            "holds": "holds" if probe.holds else "WRONG",
+        }
+        for probe in found
+        for unit in ("" if probe.unit == "-" else f" {probe.unit}",)
+    ]
+    return Table(_COLUMNS, rows)
 
 
 def probe_world(config: EnvConfig) -> Iterator[Probe]:
@@ -151,7 +206,7 @@ def _lifting(probe: Any, world: World, pair: str, index: int, robot: Robot) -> I
 
 def probe_sensing(config: EnvConfig) -> Iterator[Probe]:
     """Yield the probes of the observation in front of a step, without noise, bias and delay."""
-    plain = type(config.perception)(**dict(config.perception.layout))
+    plain = config.perception.exact()
     layout, radius = plain.layout, config.robot.track_radius
     rngs = np.random.default_rng(0), np.random.default_rng(0)
     ground = Profile([(_EDGE, 0.0), (_EDGE, _STEP)])
