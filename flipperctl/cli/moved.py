@@ -9,6 +9,9 @@ _INTERVALS = "is gone; flipperctl compare DIR... gives the 95 % interval of each
 _MOVED = {
     "transfer": _ENGINES,
     "inspect engines": _ENGINES,
+    "convert": "is now: flipperctl robot ground BAG --output FILE.xyz",
+    "shadow": "is now: flipperctl robot shadow POLICY BAG",
+    "inspect perception": "is now: flipperctl robot check BAG",
     "inspect results": "is now: flipperctl compare DIR...",
     "eval --map": "is now: flipperctl map POLICY --over SETTINGS",
     "eval --replay": "is now: flipperctl replay FILE",

@@ -15,6 +15,9 @@ GONE = "is gone; flipperctl compare DIR... gives the 95 % interval of each diffe
     [
         ("transfer --controller okada terrain=step --only 1", f"transfer {ENGINES}"),
         ("inspect engines terrain=ramp", f"inspect engines {ENGINES}"),
+        ("convert bag --output g.xyz", "flipperctl robot ground BAG --output FILE.xyz\n"),
+        ("shadow p.onnx bag", "shadow is now: flipperctl robot shadow POLICY BAG\n"),
+        ("inspect perception bag --at 3", "perception is now: flipperctl robot check BAG\n"),
         ("inspect results judged --json", "results is now: flipperctl compare DIR...\n"),
         ("eval --controller okada --map seed,agent.gamma", "flipperctl map POLICY --over SETTINGS"),
         ("eval --replay=failure_stair_3.json", "--replay is now: flipperctl replay FILE\n"),
