@@ -13,9 +13,9 @@ from sphinx.util.inventory import InventoryFile
 
 from docs import generate
 from flipperctl.api import Plugin, Settings, registry
-from flipperctl.cli.inspect import VIEWS
 from flipperctl.cli.main import COMMANDS, app
 from flipperctl.config import EvalConfig, TrainConfig
+from tests.cli.call import GROUPS, SUBCOMMANDS
 
 pytestmark = pytest.mark.slow  # it begins early: Sphinx takes long
 
@@ -109,7 +109,7 @@ def test_every_setting_of_a_section_has_its_entry(
 def test_every_command_and_option_has_its_entry(site: Path) -> None:
     text = generate.commands()
     parts = dict(re.findall(r"(?ms)^## `flipperctl ?([^`]*)`\n(.*?)(?=^## |\Z)", text))
-    assert set(parts) == {"", *COMMANDS, *(f"inspect {view}" for view in VIEWS)}
+    assert set(parts) == {"", *GROUPS, *map(" ".join, SUBCOMMANDS)}
     for path, part in parts.items():
         command = typer.main.get_command(app)
         for word in path.split():

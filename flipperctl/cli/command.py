@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from importlib import import_module
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -61,7 +62,7 @@ class Command(TyperCommand):
         for word in words:
             name = word.partition("=")[0]
             check_moved(ctx.command_path, name)
-            if name.startswith("-") and name not in known:
+            if name.startswith("-") and name not in ("-", *known):
                 self._refuse(name, args, known)
 
     def _refuse(self, name: str, args: list[str], known: list[str]) -> None:
@@ -161,3 +162,10 @@ class App(typer.Typer):
         cls: type[Command] = getattr(module, "COMMAND", Command)
         text = re.sub(r"(?<=\S)\n(?=\S)", " ", module.HELP)  # paragraphs of any width
         self.command(name, help=text, cls=cls, context_settings=cls.context)(module.run)
+
+    def add_group(self, name: str, package: ModuleType) -> None:
+        """Register a group of subcommands: the package's ``HELP``, and its modules ``VIEWS``."""
+        group = App(name=name, help=package.HELP, no_args_is_help=True, rich_markup_mode="rich")
+        for view in package.VIEWS:
+            group.add(view, import_module(f"{package.__name__}.{view.replace('-', '_')}"))
+        self.add_typer(group)

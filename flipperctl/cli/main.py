@@ -24,9 +24,8 @@ COMMANDS = (
     "compare",
     "card",
     "export",
-    "convert",
-    "shadow",
     "inspect",
+    "robot",
     "new",
     "bench",
 )
@@ -43,7 +42,9 @@ app = App(
     add_completion=True,
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
-    context_settings={"default_map": {**_ABSENT, "inspect": {"help": False}}},
+    context_settings={
+        "default_map": {**_ABSENT, "inspect": {"help": False}, "robot": {"help": False}}
+    },
 )
 
 
@@ -55,7 +56,7 @@ def root(version: bool = typer.Option(False, "--version", help="Print the versio
 for _name in COMMANDS:
     _module = import_module(f"flipperctl.cli.{_name}")
     if hasattr(_module, "VIEWS"):
-        app.add_typer(_module.group())
+        app.add_group(_name, _module)
     else:
         app.add(_name, _module)
 

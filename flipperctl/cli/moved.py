@@ -12,6 +12,9 @@ _MOVED = {
     "inspect conventions": (
         "is now: flipperctl inspect plugins --check, or inspect checkpoint FILE --check of a policy"
     ),
+    "convert": "is now: flipperctl robot ground BAG --output FILE.xyz",
+    "shadow": "is now: flipperctl robot shadow POLICY BAG",
+    "inspect perception": "is now: flipperctl robot check BAG",
     "inspect results": "is now: flipperctl compare DIR...",
     "eval --map": "is now: flipperctl map POLICY --over SETTINGS",
     "eval --replay": "is now: flipperctl replay FILE",

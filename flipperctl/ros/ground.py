@@ -22,9 +22,9 @@ from flipperctl.files import OutputKind, check_output, write_bytes
 from flipperctl.ros.reading import POSES, read_bag, read_folder
 from flipperctl.ros.transforms import Pose
 
-_HEADER = "# ground by flipperctl convert: x y z [m]\n"
+_HEADER = "# ground by flipperctl: x y z [m]\n"
 """First line of each file, by which an earlier one is recognised."""
-GROUND = OutputKind("recorded ground", (".xyz",), re.compile(rb"\A# ground by flipperctl convert"))
+GROUND = OutputKind("recorded ground", (".xyz",), re.compile(rb"\A# ground by flipperctl"))
 HALF_WIDTH = 0.45
 """Points closer than this to the middle of the robot, within its length, are its own [m]."""
 _MARGIN = 0.05  # around the length of the robot [m]

@@ -113,7 +113,7 @@ class Replay:
     half_width: float
     """Ground within this distance beside the robot's line counts [m]."""
     summary: dict[str, Any] = field(default_factory=dict)
-    """The numbers of ``inspect perception --json``."""
+    """The numbers of ``robot check --json``."""
     instants: list[Instant] = field(default_factory=list)
 
 

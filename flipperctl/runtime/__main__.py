@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -187,23 +186,10 @@ def _on_messages(words: list[str]) -> int:
         raise RequestError(f"there is no convention {name!r}; {known} is allowed")
     setup = RobotSetup(signs=CONVENTIONS[name])
 
-    def run(lines: Iterable[str], where: str) -> int:
-        if policy is None:
-            return self_test.run(lines, where, setup)
-        return shadow.run(policy, self_test.read_lines(lines, where), setup)
-
-    if file == "-":
-        return run(sys.stdin, "the input")
-    return run(_lines(file), file)
-
-
-def _lines(file: str) -> Iterator[str]:
-    """Yield the lines of a file; an error of the file names it, one of its reader passes."""
-    try:
-        with Path(file).open(encoding="utf-8") as lines:
-            yield from lines
-    except (OSError, ValueError) as error:
-        raise RequestError(f"{file} cannot be read: {error}") from error
+    lines, where = self_test.opened(file)
+    if policy is None:
+        return self_test.run(lines, where, setup)
+    return shadow.run(policy, self_test.read_lines(lines, where), setup)
 
 
 if __name__ == "__main__":

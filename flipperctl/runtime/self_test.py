@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from flipperctl.core.lidar.body import mounting
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Scan
-from flipperctl.errors import PolicyError
+from flipperctl.errors import PolicyError, RequestError
 from flipperctl.runtime.intake import Intake
 from flipperctl.runtime.messages import Attitude, Cloud, JointAngles, Odometry
 from flipperctl.runtime.setup import Limits, RobotSetup
@@ -238,6 +240,20 @@ def read_lines(lines: Iterable[str], where: str) -> Iterator[tuple[float, dict[s
                 f"{where}, line {number}: the time is {time}; a finite one is allowed"
             )
         yield time, messages
+
+
+def opened(file: str) -> tuple[Iterable[str], str]:
+    """Return the lines of a file, or of the standard input for ``-``, and its name in errors."""
+    return (sys.stdin, "the input") if file == "-" else (_lines(file), file)
+
+
+def _lines(file: str) -> Iterator[str]:
+    """Yield the lines of a file; an error of the file names it, one of its reader passes."""
+    try:
+        with Path(file).open(encoding="utf-8") as lines:
+            yield from lines
+    except (OSError, ValueError) as error:
+        raise RequestError(f"{file} cannot be read: {error}") from error
 
 
 def run(lines: Iterable[str], where: str, setup: RobotSetup) -> int:

@@ -7,8 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from flipperctl import api, plugins
-from flipperctl.cli.main import main
+from flipperctl.cli import inspect, robot
+from flipperctl.cli.main import COMMANDS, main
 
+GROUPS = {"inspect": inspect.VIEWS, "robot": robot.VIEWS}
+SUBCOMMANDS = [
+    *([name] for name in COMMANDS if name not in GROUPS),
+    *([group, view] for group, views in GROUPS.items() for view in views),
+]
 RUN = {
     "train.workers": 2,  # forked from one server; a lone worker imports torch for each training
     "train.decisions": 300,

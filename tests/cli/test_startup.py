@@ -7,14 +7,11 @@ from pathlib import Path
 import pytest
 
 from benchmarks.discovery import install
-from flipperctl.cli.inspect import VIEWS
-from flipperctl.cli.main import COMMANDS
-from tests.cli.call import call
+from tests.cli.call import GROUPS, SUBCOMMANDS, call
 
 HEAVY = {"torch", "hydra", "ray", "pymunk", "numba", "gymnasium", "matplotlib", "onnxruntime"}
 HEAVY |= {"omegaconf", "scipy", "safetensors", "tensorboard"}
 VALUES = {"numpy", "pydantic", "importlib.metadata"}
-SUBCOMMANDS = [[name] for name in COMMANDS] + [["inspect", name] for name in VIEWS]
 
 
 def imported(code: str) -> set[str]:
@@ -30,7 +27,9 @@ def run(*arguments: str) -> set[str]:
     return imported(f"from flipperctl.cli.main import main; main({list(arguments)!r})")
 
 
-@pytest.mark.parametrize("command", [[], *SUBCOMMANDS], ids=" ".join)
+@pytest.mark.parametrize(
+    "command", [[], *([group] for group in GROUPS), *SUBCOMMANDS], ids=" ".join
+)
 def test_help_imports_only_what_draws_it(command: list[str]) -> None:
     assert not run(*command, "--help") & (HEAVY | VALUES)
 
@@ -80,7 +79,7 @@ def test_hydra_discovers_the_sweepers_without_importing_what_they_run() -> None:
     assert not found & {"flipperctl", "optuna"}
 
 
-@pytest.mark.parametrize("command", [[], ["inspect"]], ids=" ".join)
+@pytest.mark.parametrize("command", [[], *([group] for group in GROUPS)], ids=" ".join)
 def test_a_command_without_arguments_shows_its_help_and_no_error(
     command: list[str], tmp_path: Path
 ) -> None:

@@ -179,11 +179,12 @@ compare: nowhere
 card: nowhere | paper nowhere
 export onnx: --checkpoint nowhere | --checkpoint paper --output no/x.onnx | --controller okada
 export: onxx --checkpoint paper | onnx --checkpoint paper --output calm.py
-convert: nowhere --output x.xyz | file --output x.xyz
-shadow: nowhere.onnx nowhere | text.onnx nowhere
+robot ground: nowhere --output x.xyz | file --output x.xyz
+robot shadow: nowhere.onnx nowhere | text.onnx nowhere
+robot: check nowhere | self-test nowhere | shadow
 inspect: plugins stiar | terrain stiar | terrain stair --output x.bmp | reward --compare okada
 inspect: checkpoint nowhere | checkpoint flipped.safetensors | run sweep
-inspect: config agent.gama=1 | perception nowhere
+inspect: config agent.gama=1
 flipperctl.evaluate: ("okado") | ("okada", terrain="stiar") | ("okada", episodes=0)
 flipperctl.evaluate: ("okada", baselines="level") | ("cut.safetensors") | ("okada", by=["hight"])
 flipperctl.train: (terrain="stiar") | (train={"decisons": 5}) | (resume="nowhere") | (device="gpu")

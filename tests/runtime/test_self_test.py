@@ -15,6 +15,7 @@ from flipperctl.errors import PolicyError, RequestError
 from flipperctl.runtime import OURS, REP_103, RobotSetup, Signs
 from flipperctl.runtime.__main__ import _main
 from flipperctl.runtime.self_test import SelfTest, read_lines, run
+from tests.cli.call import call
 
 MOUNT = RobotSetup().mount
 PERIOD = 0.05
@@ -95,6 +96,19 @@ def test_an_x_axis_to_the_rear_is_named(tmp_path: Path, capsys: pytest.CaptureFi
 
 def json_lines(motions: Iterator[tuple[float, dict]]) -> Iterator[str]:
     return (json.dumps({"time": time, **messages}) for time, messages in motions)
+
+
+@pytest.mark.parametrize("signs", [OURS, replace(OURS, rear=-1)])
+def test_the_command_of_the_robot_answers_as_the_module_does(
+    tmp_path: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch, signs: Signs
+) -> None:
+    status = _main(["--self-test", write(tmp_path / "m.jsonl", signs)])
+    told = capsys.readouterr().out
+    done = call("robot", "self-test", "m.jsonl", cwd=tmp_path)
+    assert (done.code, done.out, done.err) == (status, told, "")
+    with (tmp_path / "m.jsonl").open() as pipe:
+        monkeypatch.setattr("sys.stdin", pipe)
+        assert call("robot", "self-test", "-", cwd=tmp_path) == done
 
 
 @pytest.mark.parametrize("convention", ["flipperctl", "rep103"])

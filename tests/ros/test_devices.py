@@ -13,7 +13,7 @@ from flipperctl.ros.messages import JOINTS, Messages
 from flipperctl.ros.perceiving import replay
 from flipperctl.ros.topics import Names
 from flipperctl.sim.lidar.sensor import LidarSensor
-from tests.bags.driving import FRONT, HEIGHT, MOUNT, REAR, SECONDS, SPEED, driving, points, state
+from tests.ros.driving import FRONT, HEIGHT, MOUNT, REAR, SECONDS, SPEED, driving, points, state
 
 _EPOCH = 1_000_000_000
 """Seconds at which the bags of the simulator begin."""

@@ -1,4 +1,4 @@
-"""``flipperctl shadow``: what a policy would have done on a robot's recording."""
+"""``flipperctl robot shadow``: what a policy would have done on a robot's recording."""
 
 import json
 import math
@@ -13,8 +13,8 @@ from flipperctl.files import check_output
 from flipperctl.policies.source import PolicySource
 from flipperctl.ros.episode import ACTION, export_bag, typestore, write_bag
 from flipperctl.ros.shadowing import LOG
-from tests.bags.driving import FRONT, REAR, SECONDS, driving
 from tests.cli.call import call
+from tests.ros.driving import FRONT, REAR, SECONDS, driving
 from tests.runtime.linear import ROBOT, RULE, write
 
 
@@ -30,7 +30,7 @@ def folder(tmp_path_factory):
 
 
 def test_the_log_says_what_the_policy_would_have_done(folder):
-    done = call("shadow", "p.onnx", "drive", "--output", "log.jsonl", "--json", cwd=folder)
+    done = call("robot", "shadow", "p.onnx", "drive", "--output", "log.jsonl", "--json", cwd=folder)
     assert done.code == 0, done.err
     found = json.loads(done.out)
     assert found["decisions"] == sum(found["actions"].values()) == 4  # at 0, 0.6 … 1.8 s
@@ -48,7 +48,7 @@ def test_the_log_says_what_the_policy_would_have_done(folder):
 
 
 def test_what_a_robot_would_refuse_is_in_the_log_with_the_reason(folder):
-    done = call("shadow", "p.onnx", "blind", "--output", "blind.jsonl", cwd=folder)
+    done = call("robot", "shadow", "p.onnx", "blind", "--output", "blind.jsonl", cwd=folder)
     assert done.code == 0, done.err
     assert re.search(r"cloud is 0\.5\d s old; at most 0\.5 s is allowed", done.out)
     lines = [json.loads(line) for line in (folder / "blind.jsonl").read_text().splitlines()]
@@ -64,7 +64,7 @@ def test_an_episode_s_own_policy_proposes_what_it_did(folder):
         episode={"run_up": 1.0, "run_out": 0.2},
     )
     export_bag(config, PolicySource(Path(file)), folder / "own")
-    done = call("shadow", file, "own", "--output", "own.jsonl", cwd=folder)
+    done = call("robot", "shadow", file, "own", "--output", "own.jsonl", cwd=folder)
     assert done.code == 0, done.err
     lines = [json.loads(line) for line in (folder / "own.jsonl").read_text().splitlines()]
     proposed = [line["action"] for line in lines if line["action"] is not None]
@@ -88,7 +88,7 @@ def test_an_episode_s_own_policy_proposes_what_it_did(folder):
     ],
 )
 def test_a_wrong_request_is_one_error(folder, words, error):
-    done = call("shadow", *words, "--output", "wrong.jsonl", cwd=folder)
+    done = call("robot", "shadow", *words, "--output", "wrong.jsonl", cwd=folder)
     assert (done.code, done.out) == (2, "")
     assert error in done.err
     assert not (folder / "wrong.jsonl").exists()

@@ -73,7 +73,7 @@ def test_the_points_of_a_turn_have_the_poses_of_their_times(tmp_path):
             yield Stamped(time, "/points", cloud)
 
     write_bag(tmp_path / "drive", list(turning()))
-    done = call("convert", "drive", "--output", "ground.xyz", "--json", cwd=tmp_path)
+    done = call("robot", "ground", "drive", "--output", "ground.xyz", "--json", cwd=tmp_path)
     assert done.code == 0, done.err
     found = json.loads(done.out)
     check_step({**found, "output": str(tmp_path / "ground.xyz")})
@@ -108,12 +108,12 @@ def check_step(found):
 
 def test_a_bag_becomes_the_ground_that_was_measured(bag, tmp_path):
     output = tmp_path / "ground.xyz"
-    done = call("convert", str(bag), "--output", str(output), "--json", cwd=tmp_path)
+    done = call("robot", "ground", str(bag), "--output", str(output), "--json", cwd=tmp_path)
     assert done.code == 0, done.err
     found = json.loads(done.out)
     assert (found["clouds"], found["clouds_without_pose"]) == (len(TIMES), 0)
     check_step(found)
-    done = call("convert", str(bag / "drive.mcap"), "--output", "same.xyz", cwd=tmp_path)
+    done = call("robot", "ground", str(bag / "drive.mcap"), "--output", "same.xyz", cwd=tmp_path)
     assert "terrain=profile_file terrain.path=same.xyz 'terrain.start=[" in done.out
     assert (tmp_path / "same.xyz").read_text() == output.read_text()
     check_output(output, GROUND)  # ground of before is replaced
@@ -198,7 +198,7 @@ def test_what_is_no_bag_is_refused(bag, tmp_path, monkeypatch):
     }.items():
         with pytest.raises(RequestError, match=error):
             convert(tmp_path / source, tmp_path / "ground.xyz", Robot())
-    done = call("convert", str(bag), "--output", "ground.pcd", cwd=tmp_path)
+    done = call("robot", "ground", str(bag), "--output", "ground.pcd", cwd=tmp_path)
     assert "recorded ground is a .xyz file" in done.err
     monkeypatch.setitem(sys.modules, "rosbags", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'flipperctl\[ros\]'"):

@@ -1,4 +1,4 @@
-"""``inspect perception``: what a robot's own recording shows of its sensing."""
+"""``robot check``: what a robot's own recording shows of its sensing."""
 
 import dataclasses
 import json
@@ -21,7 +21,8 @@ from flipperctl.ros.topics import Names
 from flipperctl.runtime.messages import REP_103
 from flipperctl.sim.lidar.sensor import LidarSensor
 from flipperctl.terminal.tables import print_perception
-from tests.bags.driving import (
+from tests.cli.call import call
+from tests.ros.driving import (
     AXIS,
     EDGE,
     FRONT,
@@ -33,7 +34,6 @@ from tests.bags.driving import (
     driving,
     points,
 )
-from tests.cli.call import call
 
 CLOUDS = round(10 * SECONDS) + 1
 
@@ -70,7 +70,7 @@ def test_the_step_ahead_of_the_robot_is_perceived(bag):
 
 
 def test_the_command_writes_a_film_a_picture_and_the_numbers(bag, tmp_path):
-    done = call("inspect", "perception", str(bag), "--output", "a.gif", "--json", cwd=tmp_path)
+    done = call("robot", "check", str(bag), "--output", "a.gif", "--json", cwd=tmp_path)
     assert done.code == 0, done.err
     summary = json.loads(done.out)
     assert 0.3 < summary["coverage"]["least"] <= summary["coverage"]["mean"] <= 1
@@ -101,7 +101,7 @@ def test_one_instant_is_drawn_and_a_table_printed(bag, tmp_path, capsys):
     ],
 )
 def test_a_wrong_request_is_one_error(bag, tmp_path, words, error):
-    done = call("inspect", "perception", str(bag), *words, cwd=tmp_path)
+    done = call("robot", "check", str(bag), *words, cwd=tmp_path)
     assert (done.code, done.out) == (2, "")
     assert error in done.err
 

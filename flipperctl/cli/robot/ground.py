@@ -1,4 +1,4 @@
-"""``flipperctl convert``."""
+"""``flipperctl robot ground``."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ OVERRIDES are the robot that recorded, as in robot=absolem, whose own points are
 
 [bold]Examples[/]
 
-  flipperctl convert recorded_bag --output ground.xyz
+  flipperctl robot ground recorded_bag --output ground.xyz
 
-  flipperctl convert run.mcap --output ground.xyz --topic /ouster/points --fixed-frame map
+  flipperctl robot ground run.mcap --output ground.xyz --topic /ouster/points --fixed-frame map
 """
 
 
@@ -30,16 +30,9 @@ def run(
     source: Annotated[Path, typer.Argument(help="A bag, or a folder of clouds and poses.txt.")],
     output: Annotated[Path, typer.Option(metavar="FILE.xyz", help="The file to write.")],
     overrides: options.Overrides = None,
-    topic: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="Topic of the PointCloud2, if several."),
-    ] = None,
-    fixed_frame: Annotated[
-        str, typer.Option(metavar="NAME", help="Frame in which the ground is at rest.")
-    ] = "odom",
-    base_frame: Annotated[
-        str, typer.Option(metavar="NAME", help="Frame of the chassis.")
-    ] = "base_link",
+    topic: options.CloudTopic = None,
+    fixed_frame: options.FixedFrame = "odom",
+    base_frame: options.BaseFrame = "base_link",
     reach: Annotated[
         float,
         typer.Option(min=0.5, help="Distance in m beyond which points are left out."),
@@ -59,7 +52,7 @@ def run(
     from flipperctl.terminal.streams import show
     from flipperctl.terminal.tables import print_ground
 
-    robot = Robot(**robot_fields(Overrides.parse(overrides or ()).values(), "convert"))
+    robot = Robot(**robot_fields(Overrides.parse(overrides or ()).values(), "robot ground"))
     frames, limits = Frames(topic, fixed_frame, base_frame), Limits(reach, cell)
     found = convert(source, output, robot, frames, limits)
     show(found, lambda: print_ground(found), as_json=as_json)

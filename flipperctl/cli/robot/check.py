@@ -1,4 +1,4 @@
-"""``flipperctl inspect perception``."""
+"""``flipperctl robot check``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from flipperctl.cli import options
 
 HELP = """Replay what a robot recorded through the estimator that runs on it: will its sensing do?
 
-BAG is a bag of ROS 1 or 2, or a folder of clouds and poses.txt (see flipperctl convert). The table
+BAG is a bag of ROS 1 or 2, or a folder of clouds and poses.txt (see flipperctl robot ground). The table
 tells which scans are used, how much ground is seen, how certain it is and how the odometry drifts.
 --output shows the cloud, the map, heights, faces, filled and unseen ground: a film (.gif), or with
 --at SECONDS one instant (.png, .svg, .pdf).
@@ -20,11 +20,11 @@ OVERRIDES are the robot and the estimator, as in robot=absolem perception.pose=m
 
 [bold]Examples[/]
 
-  flipperctl inspect perception recorded_bag --output perceived.gif
+  flipperctl robot check recorded_bag --output perceived.gif
 
-  flipperctl inspect perception run.mcap robot=my_robot.yaml --topic /ouster/points --json
+  flipperctl robot check run.mcap robot=my_robot.yaml --topic /ouster/points --json
 
-  flipperctl inspect perception recorded_bag --at 12 --output edge.png
+  flipperctl robot check recorded_bag --at 12 --output edge.png
 """
 
 
@@ -47,7 +47,7 @@ def run(
     plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
-    from flipperctl.cli.recorded import recorded_robot
+    from flipperctl.cli.robot import recorded_robot
     from flipperctl.ros.perceiving import replay
     from flipperctl.ros.topics import names_of
     from flipperctl.terminal.progress import episodes_progress
@@ -59,9 +59,9 @@ def run(
 
         check_output(output, at)
     names = names_of(topic, imu, belts, fixed_frame, base_frame, front, rear, signs.value)
-    given = recorded_robot(overrides)
-    found = replay(bag, given.sensor, given.robot, given.pose, names)
+    config, pose, _ = recorded_robot(overrides)
+    found = replay(bag, config.perception, config.robot, pose, names)
     if output is not None:
         with episodes_progress("drawing", 1) as report:
-            draw(output, found, given.robot, at, report)
+            draw(output, found, config.robot, at, report)
     show(found.summary, lambda: print_perception(found.summary, output), as_json=as_json)

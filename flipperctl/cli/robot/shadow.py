@@ -1,4 +1,4 @@
-"""``flipperctl shadow``."""
+"""``flipperctl robot shadow``."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ OVERRIDES are widths and errors of the robot, as in perception.overall_width=0.6
 
 [bold]Examples[/]
 
-  flipperctl shadow stair.onnx recorded_bag --output shadow.jsonl
+  flipperctl robot shadow stair.onnx recorded_bag --output shadow.jsonl
 
-  flipperctl shadow stair.onnx run.mcap perception.pose=matched --topic /ouster/points --json
+  flipperctl robot shadow stair.onnx run.mcap perception.pose=matched --topic /ouster/points
 """
 
 
@@ -44,14 +44,14 @@ def run(
     plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
-    from flipperctl.cli.recorded import recorded_robot
+    from flipperctl.cli.robot import recorded_robot
     from flipperctl.ros.shadowing import check_used, shadow
     from flipperctl.ros.topics import names_of
     from flipperctl.terminal.streams import show
     from flipperctl.terminal.tables import print_shadow
 
-    given = recorded_robot(overrides)
-    check_used(given.keys)
+    config, pose, given = recorded_robot(overrides)
+    check_used(given)
     names = names_of(topic, imu, belts, None, base_frame, front, rear, signs.value)
-    found = shadow(policy, bag, given.sensor, given.pose, names, output)
+    found = shadow(policy, bag, config.perception, pose, names, output)
     show(found, lambda: print_shadow(found), as_json=as_json)
