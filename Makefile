@@ -1,6 +1,7 @@
 # Two commands do everything on a fresh machine with Python 3.11+ and make:
 #   make train   sets up, trains terrain=stair for about a minute, evaluates, prints the table
-#   make test    sets up and runs every check
+#   make test    sets up and runs the static checks and every test that is not marked as long
+#   make long    runs the tests marked as long, each night; about half an hour
 #   make check runs the static checks and the quick tests, for use while one works
 #   make docs  builds the documentation in build/docs, without the network; a warning is an error
 PYTHON ?= python3
@@ -8,7 +9,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DECISIONS ?= 30000
 
-.PHONY: setup train check test static tests quick-tests docs clean
+.PHONY: setup train check test long static tests quick-tests docs clean
 
 setup: $(VENV)/ready
 
@@ -44,6 +45,10 @@ static:
 tests:
 	$(BIN)/python -m tests.machine_code
 	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder
+
+long: setup
+	$(BIN)/python -m tests.machine_code
+	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder -m long
 
 quick-tests:
 	$(BIN)/pytest -n 2 --dist loadfile --no-loadscope-reorder --quick

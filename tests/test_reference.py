@@ -17,8 +17,6 @@ from flipperctl.cli.main import COMMANDS, app
 from flipperctl.config import EvalConfig, TrainConfig
 from tests.cli.call import GROUPS, SUBCOMMANDS
 
-pytestmark = pytest.mark.slow  # it begins early: Sphinx takes long
-
 ROOT = Path(__file__).parents[1]
 BASES = {
     "CommonSettings",
@@ -65,13 +63,29 @@ def sections(cls: type[Settings] = Settings) -> Iterator[type[Settings]]:
                 yield inner
 
 
-def test_every_public_name_has_its_entry(site: Path) -> None:
+def names(module: str) -> set[str]:
+    return {f"{module}.{name}" for name in importlib.import_module(module).__all__}
+
+
+def test_every_public_name_has_its_directive() -> None:
+    text = generate.api()
+    for module in generate.MODULES:
+        assert {name for name in names(module) if f":: {name}\n" not in text} == set()
+
+
+@pytest.mark.slow  # it begins early: Sphinx takes long
+@pytest.mark.long
+def test_every_public_name_and_setting_and_command_is_shown(site: Path) -> None:
     inventory = InventoryFile.loads((site / "objects.inv").read_bytes(), uri="").data
     known = {name for kind, found in inventory.items() if kind.startswith("py:") for name in found}
-    for module in ("flipperctl", "flipperctl.api", "flipperctl.runtime", "flipperctl.testing"):
-        names = {f"{module}.{name}" for name in importlib.import_module(module).__all__}
-        assert names - known == set()
+    for module in generate.MODULES:
+        assert names(module) - known == set()
     assert "flipperctl.env.flipper_env.FlipperEnv.step" in known
+    shown = (site / "reference" / "settings.html").read_text()
+    ours = [cls for cls in registry.values() if cls.__module__.startswith("flipperctl")]
+    assert all(f".{field}<" in shown for cls in ours for field in cls.model_fields)
+    shown = (site / "reference" / "commands.html").read_text()
+    assert all(f"flipperctl-{command}" in shown for command in COMMANDS)
 
 
 def test_every_entry_says_what_it_is() -> None:
@@ -79,18 +93,14 @@ def test_every_entry_says_what_it_is() -> None:
         assert re.search(r"\n\n   \S", entry.partition("\n.. auto")[0]), entry
 
 
-def test_every_setting_of_a_plugin_has_its_entry(
-    tables: dict[str, dict[str, list[str]]], site: Path
-) -> None:
+def test_every_setting_of_a_plugin_has_its_entry(tables: dict[str, dict[str, list[str]]]) -> None:
     keys = {"reward": "rewards"}
-    shown = (site / "reference" / "settings.html").read_text()
     for (kind, name), cls in registry.items():
         if not cls.__module__.startswith("flipperctl"):
             continue  # of another test
         rows = tables[f"`{keys.get(kind, kind)}`: `{name}`"]
         assert set(rows) == set(cls.model_fields)
         assert all(cells[-1] for cells in rows.values())
-        assert all(f".{field}<" in shown for field in rows)
 
 
 def test_every_setting_of_a_section_has_its_entry(
@@ -106,7 +116,7 @@ def test_every_setting_of_a_section_has_its_entry(
     }  # fmt: skip
 
 
-def test_every_command_and_option_has_its_entry(site: Path) -> None:
+def test_every_command_and_option_has_its_entry() -> None:
     text = generate.commands()
     parts = dict(re.findall(r"(?ms)^## `flipperctl ?([^`]*)`\n(.*?)(?=^## |\Z)", text))
     assert set(parts) == {"", *GROUPS, *map(" ".join, SUBCOMMANDS)}
@@ -116,5 +126,3 @@ def test_every_command_and_option_has_its_entry(site: Path) -> None:
             command = command.commands[word]
         options = {option for p in command.params for option in p.opts if option.startswith("-")}
         assert {option for option in options - {"--help"} if option not in part} == set()
-    shown = (site / "reference" / "commands.html").read_text()
-    assert all(f"flipperctl-{command}" in shown for command in COMMANDS)

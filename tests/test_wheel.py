@@ -13,7 +13,7 @@ from numba.core.caching import UserProvidedCacheLocator
 
 from tests.environment import Environment
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.long]
 
 ROOT = Path(__file__).parents[1]
 TRAIN = ["train", "terrain=step", "seed=7", "train.decisions=300", "train.validation_episodes=2"]

@@ -131,9 +131,7 @@ def _checks(cls: type[Plugin], pictures: Path | None) -> Iterator[Check]:
 
 def _check_pictures(cases: list[Variant], folder: Path | None) -> None:
     from flipperctl.testing import terrain
-    from flipperctl.testing import terrain as picture
 
-    run_on_variants(cases[:1], lambda t: picture.shows_ground_and_robot(t, full=True))
-    run_on_variants(cases[1:], lambda t: picture.shows_ground_and_robot(t, full=False))
+    run_on_variants(cases[:1], terrain.shows_ground_and_robot)
     if folder is not None:
         terrain.write_pictures(cases, folder)

@@ -76,6 +76,7 @@ def test_joblib_trains_each_combination_where_the_basic_launcher_would(folder: P
     assert (first / checkpoint.LAST).stat().st_mtime_ns == before
 
 
+@pytest.mark.long
 def test_ray_does_so_too_and_an_error_in_a_job_is_the_commands(folder: Path) -> None:
     done = sweep(folder, "terrain=floor", "terrain.broken=false,true", *RAY, *ONE_CPU)
     assert done.code == 1

@@ -60,6 +60,7 @@ class NodeKiller(Notes):
             self._cluster.remove_node(node, allow_graceful=False)
 
 
+@pytest.mark.long
 def test_a_run_goes_on_with_the_workers_that_have_a_cpu(
     cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -118,6 +119,7 @@ def test_searched_values_come_with_the_episodes(cluster: Any, tmp_path: Path) ->
     assert run.valued.memory.added == 6 * run.progress.episode > 0
 
 
+@pytest.mark.long
 def test_without_a_free_cpu_a_run_stops_at_once_when_asked_and_fails_in_time(
     cluster: Any, tmp_path: Path
 ) -> None:
@@ -137,6 +139,7 @@ def test_without_a_free_cpu_a_run_stops_at_once_when_asked_and_fails_in_time(
         ray.shutdown()
 
 
+@pytest.mark.long
 def test_a_run_on_two_nodes_finishes_though_one_is_killed(cluster: Any, tmp_path: Path) -> None:
     collector = {"name": "ray", "address": cluster.address, "workers": 2}
     settings = {"train.mode": "fast", "collector": collector, "train.decisions": 1500}
@@ -155,6 +158,7 @@ def test_a_run_on_two_nodes_finishes_though_one_is_killed(cluster: Any, tmp_path
     assert (labels.sum(axis=1) == 1).all()
 
 
+@pytest.mark.long
 def test_an_address_without_a_cluster_is_named(tmp_path: Path) -> None:
     collector = {"name": "ray", "address": "127.0.0.1:1", "workers": 1}
     config = short_config(**{"train.mode": "fast", "collector": collector})
