@@ -18,7 +18,7 @@ import torch
 from benchmarks.extras import import_extra
 from benchmarks.settings import Benchmark
 from flipperctl.agent.d3qn import D3qn
-from flipperctl.agent.networks import input_size
+from flipperctl.agent.frames import input_size
 from flipperctl.agent.replay import Replay
 from flipperctl.api import ACTIONS
 from flipperctl.bench import learner

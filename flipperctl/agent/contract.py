@@ -12,12 +12,12 @@ import numpy as np
 import torch
 
 from flipperctl.agent import replay as memory
+from flipperctl.agent.frames import input_size
 from flipperctl.agent.networks import (
     TRAINING_COPIES,
     Distributional,
     build_network,
     describe_fault,
-    input_size,
     naming_network,
 )
 from flipperctl.agent.noise import Noise, seeded

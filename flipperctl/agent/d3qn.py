@@ -9,6 +9,7 @@ import torch
 
 from flipperctl.agent.baseline import Baselines
 from flipperctl.agent.descent import part
+from flipperctl.agent.frames import input_size
 from flipperctl.agent.learner import Learner, Pair
 from flipperctl.agent.losses import (
     mean_value_penalty,
@@ -16,7 +17,7 @@ from flipperctl.agent.losses import (
     teacher_cross_entropy,
     teacher_large_margin,
 )
-from flipperctl.agent.networks import choose_head, input_size, naming_network
+from flipperctl.agent.networks import choose_head, naming_network
 from flipperctl.agent.noise import seeded
 from flipperctl.agent.replay import Batch, GroupBatch
 from flipperctl.api import Network, ObservationLayout

@@ -14,12 +14,8 @@ import torch
 from numpy.typing import NDArray
 
 from flipperctl.agent.descent import Adam, descend, flatten_parameters, part, restore_moments
-from flipperctl.agent.networks import (
-    TRAINING_COPIES,
-    build_network,
-    input_size,
-    record_plugin,
-)
+from flipperctl.agent.frames import input_size
+from flipperctl.agent.networks import TRAINING_COPIES, build_network, record_plugin
 from flipperctl.agent.noise import Noise
 from flipperctl.agent.risk import RiskLearner
 from flipperctl.api import Network, ObservationLayout

@@ -17,28 +17,12 @@ import torch
 from numpy.typing import NDArray
 
 from flipperctl.agent import replay as memory
+from flipperctl.agent.frames import input_size
 from flipperctl.agent.losses import double_q_target, double_quantile_target, huber, quantile_huber
 from flipperctl.agent.replay import Batch
 from flipperctl.api import ACTIONS, MAX_HISTORY, Network, ObservationLayout
 from flipperctl.errors import ConfigError, FlipperctlError, NonFiniteError, PluginFailedError
 from flipperctl.guard import definition, naming, plugin_label, refusal, short_repr
-
-
-def input_size(network: Network, layout: ObservationLayout) -> int:
-    """Return the length of the network's input row, frames · (N + 3)."""
-    return network.frames * layout.size
-
-
-def stacked(recent: Sequence[NDArray[np.float32]], frames: int) -> NDArray[np.float32]:
-    """Return the newest ``frames`` observations in one row, oldest first, (frames · (N + 3),).
-
-    ``recent``: observations of one episode, newest last. At its start the first observation is
-    repeated for those that are missing.
-    """
-    if frames == 1:
-        return recent[-1]
-    newest = recent[-frames:]
-    return np.concatenate([*[newest[0]] * (frames - len(newest)), *newest])
 
 
 @runtime_checkable

@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 
 from flipperctl.agent.baseline import Baseline
 from flipperctl.agent.descent import Adam, descend, flatten_parameters, part, restore_moments
+from flipperctl.agent.frames import input_size
 from flipperctl.agent.learner import Learner
 from flipperctl.agent.losses import clipped_gain, divergence
-from flipperctl.agent.networks import input_size, naming_network
+from flipperctl.agent.networks import naming_network
 from flipperctl.agent.noise import seeded
 from flipperctl.agent.replay import Batch
 from flipperctl.api import Network, ObservationLayout

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 from flipperctl.agent.d3qn import D3qn
-from flipperctl.agent.networks import input_size
+from flipperctl.agent.frames import input_size
 from flipperctl.agent.replay import Replay
 from flipperctl.api import ACTIONS
 from flipperctl.bench.settings import Bench, CommonSettings, measure_in_turn, quantity, ratio

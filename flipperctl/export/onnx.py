@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from flipperctl import __version__
-from flipperctl.agent.networks import input_size
+from flipperctl.agent.frames import input_size
 from flipperctl.agent.risk import Risk
 from flipperctl.api import ObservationLayout
 from flipperctl.checkpoint import plugin_references

@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from flipperctl.agent.networks import stacked
+from flipperctl.agent.frames import stacked
 from flipperctl.api import Perception
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv

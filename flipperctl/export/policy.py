@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from flipperctl.agent.networks import input_size
+from flipperctl.agent.frames import input_size
 from flipperctl.api import Robot
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.config import TrainConfig, with_overrides

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.agent.networks import stacked
+from flipperctl.agent.frames import stacked
 from flipperctl.api import Perception, Robot, Simulator
 from flipperctl.config import EvalConfig, parse
 from flipperctl.config.absent import with_stand_ins

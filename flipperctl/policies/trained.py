@@ -11,7 +11,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from flipperctl.agent.networks import best, build_network, input_size, q_values, stacked
+from flipperctl.agent.frames import input_size, stacked
+from flipperctl.agent.networks import best, build_network, q_values
 from flipperctl.agent.risk import Risk, RiskNetwork, uncalibrated
 from flipperctl.api import ACTIONS, Perception, Simulator
 from flipperctl.checkpoint import Checkpoint

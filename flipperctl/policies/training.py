@@ -13,7 +13,8 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from flipperctl.agent.networks import greedy, q_values, stacked
+from flipperctl.agent.frames import stacked
+from flipperctl.agent.networks import greedy, q_values
 from flipperctl.agent.noise import Noise
 from flipperctl.api import (
     ACTIONS,

@@ -15,7 +15,8 @@ import numpy as np
 import torch
 
 from flipperctl import plugins
-from flipperctl.agent.networks import build_network, input_size, naming_network, stacked
+from flipperctl.agent.frames import input_size, stacked
+from flipperctl.agent.networks import build_network, naming_network
 from flipperctl.agent.risk import RiskNetwork, plain_risk, split_weights
 from flipperctl.api import ACTIONS
 from flipperctl.config import TrainConfig, parse

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.agent.networks import stacked
+from flipperctl.agent.frames import stacked
 from flipperctl.agent.replay import Replay
 from flipperctl.api import MAX_HISTORY, ObservationLayout, Robot
 from flipperctl.checkpoint import recording

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from flipperctl import checkpoint
 from flipperctl.agent.descent import part
+from flipperctl.agent.frames import input_size
 from flipperctl.agent.learner import Learner
-from flipperctl.agent.networks import input_size
 from flipperctl.agent.replay import UNKNOWN, GroupBatch, GroupMemory, Replay
 from flipperctl.api import ACTIONS, ObservationLayout, Outcome
 from flipperctl.checkpoint import Checkpoint

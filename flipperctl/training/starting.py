@@ -10,8 +10,9 @@ from pathlib import Path
 
 import torch
 
+from flipperctl.agent.frames import input_size
 from flipperctl.agent.learner import Learner
-from flipperctl.agent.networks import build_network, input_size
+from flipperctl.agent.networks import build_network
 from flipperctl.agent.policy_gradient import PolicyGradient, build_values
 from flipperctl.api import ACTIONS
 from flipperctl.checkpoint import LAST, find, read

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from flipperctl.agent.networks import input_size, stacked
+from flipperctl.agent.frames import input_size, stacked
 from flipperctl.api import Network, ObservationLayout
 from flipperctl.config import resolver
 

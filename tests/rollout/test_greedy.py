@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from flipperctl.agent.networks import input_size
+from flipperctl.agent.frames import input_size
 from flipperctl.config import to_dict
 from flipperctl.rollout.actor import Actor, GreedyPlayer
 from tests.short import short_config, trainer
