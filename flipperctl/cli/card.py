@@ -10,19 +10,15 @@ import json
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from flipperctl.cli import options
-from flipperctl.cli.hydra import compose, config_store
-from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.config import DEFAULT_ENGINE
 from flipperctl.errors import FlipperctlError
-from flipperctl.evaluation.conditions import Conditions
-from flipperctl.evaluation.policies import read_config
-from flipperctl.evaluation.views.markdown import summary_file
-from flipperctl.evaluation.views.summary import compared
+
+if TYPE_CHECKING:
+    from flipperctl.evaluation.conditions import Conditions
 
 HELP = """Write a policy's card: what it is, how it was trained, what it reached and where it fails.
 
@@ -82,6 +78,10 @@ def evaluation_commands(policy: Path, file: Path, results: Sequence[Path]) -> li
 
     ``policy`` is the name or path that the commands show, ``file`` its checkpoint.
     """
+    from flipperctl.cli.hydra import config_store
+    from flipperctl.evaluation.policies import read_config
+    from flipperctl.evaluation.views.markdown import summary_file
+
     primary = config_store.register_trained(read_config(file, ["flat"], lambda line: None))
     groups: dict[tuple[tuple[str, ...], bool], list[str]] = {}
     for folder in results:
@@ -100,6 +100,9 @@ def evaluation_commands(policy: Path, file: Path, results: Sequence[Path]) -> li
 
 def _words(primary: str, scene: Mapping[str, Any]) -> tuple[list[str], bool]:
     """Return the options and overrides of a scene, and whether they give its conditions."""
+    from flipperctl.config import DEFAULT_ENGINE
+    from flipperctl.evaluation.views.summary import compared
+
     stored = scene["conditions"]
     options = ["--episodes", str(scene["episodes"]), "--seed", str(scene["seed"])]
     if names := [other["controller"] for other in compared(scene)]:
@@ -121,6 +124,10 @@ def _words(primary: str, scene: Mapping[str, Any]) -> tuple[list[str], bool]:
 
 
 def _conditions(primary: str, words: Sequence[str]) -> Conditions:
+    from flipperctl.cli.hydra import compose
+    from flipperctl.cli.hydra.overrides import Overrides
+    from flipperctl.evaluation.conditions import Conditions
+
     ((config, _),) = compose.compose_eval(Overrides.parse(words), primary)
     return Conditions.of(config)
 

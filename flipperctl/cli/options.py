@@ -8,15 +8,13 @@ from typing import Annotated
 
 import typer
 
-from flipperctl import session as follow_up
-
 
 def _load_plugins(context: typer.Context, paths: list[Path] | None) -> list[Path] | None:
     """Load the installed plugins and those of ``paths`` before the command runs."""
     if not context.resilient_parsing:  # shell completion
-        from flipperctl import plugins
+        from flipperctl import plugins, session
 
-        follow_up.remember_plugins(paths)
+        session.remember_plugins(paths)
         plugins.load(paths or ())
     return paths
 

@@ -7,7 +7,6 @@ from typing import Annotated, ClassVar
 
 import typer
 
-from flipperctl import session as follow_up
 from flipperctl.cli import options
 from flipperctl.cli.command import TrainingCommand
 
@@ -85,6 +84,7 @@ def run(
 
 
 def _resume(run: Path, words: list[str]) -> None:
+    from flipperctl import session
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.terminal.training import check_resumed, print_best, reports
     from flipperctl.training.run import check_resumable, resume
@@ -94,4 +94,4 @@ def _resume(run: Path, words: list[str]) -> None:
     try:
         print_best(resume(run, changes, reports(), check=check_resumed))
     except KeyboardInterrupt as error:  # outside the episodes, which stop by themselves
-        raise follow_up.interrupted_run(run) from error
+        raise session.interrupted_run(run) from error

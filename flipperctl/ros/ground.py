@@ -10,7 +10,6 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from flipperctl.api import FloatArray, Robot
 from flipperctl.errors import RequestError
 from flipperctl.files import OutputKind, check_output, write_bytes
 from flipperctl.ros.reading import POSES, read_bag, read_folder
+from flipperctl.ros.topics import Names
 from flipperctl.ros.transforms import Pose
 
 _HEADER = "# ground by flipperctl: x y z [m]\n"
@@ -36,40 +36,23 @@ _INSET = 0.02
 """Distance of the line's ends from the last points [m]."""
 
 
-@dataclass(frozen=True)
-class Frames:
-    """The names of a bag's topic and frames."""
-
-    topic: str | None = None
-    """Topic of the clouds; None: the only one."""
-    fixed: str = "odom"
-    """Frame in which the ground is at rest."""
-    base: str = "base_link"
-    """Frame of the chassis."""
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Which points count, and how dense they become."""
-
-    reach: float = 5.0
-    """Largest distance of a point from the chassis [m]."""
-    cell: float = 0.02
-    """Edge of a cube of which the mean of the points is kept [m]."""
-
-
-@dataclass(frozen=True)
-class _Scan:
-    points: FloatArray
-    """(P, 3) in the frame of the chassis [m]."""
-    pose: Pose
-    """The chassis in the fixed frame."""
+_USUAL = Names()
+_Scan = tuple[FloatArray, Pose]
+"""Points in the frame of the chassis, (P, 3) [m], and the chassis in the fixed frame."""
 
 
 def convert(
-    source: Path, output: Path, robot: Robot, frames: Frames = Frames(), limits: Limits = Limits()
+    source: Path,
+    output: Path,
+    robot: Robot,
+    names: Names = _USUAL,
+    reach: float = 5.0,
+    cell: float = 0.02,
 ) -> dict[str, Any]:
     """Write the ground of a bag or folder to an ``.xyz`` file; return what it covers.
+
+    ``reach``: largest distance of a point from the chassis [m]; ``cell``: edge of a cube of which
+    the mean of the points is kept [m].
 
     Raises:
         MissingExtraError: rosbags, or a package for the clouds' format, is not installed.
@@ -78,11 +61,11 @@ def convert(
     """
     check_output(output, GROUND)
     if source.is_dir() and (source / POSES).exists():
-        scans = [_Scan(points, pose) for points, pose in read_folder(source, output)]
-        sizes, skipped, remarks = [len(scan.points) for scan in scans], 0, list[str]()
+        scans = list(read_folder(source, output))
+        sizes, skipped, remarks = [len(points) for points, _ in scans], 0, list[str]()
     else:
-        scans, sizes, skipped, remarks = _scans(source, frames)
-    points = thinned(_seen(scans, robot, limits), limits.cell)
+        scans, sizes, skipped, remarks = _scans(source, names)
+    points = thinned(_seen(scans, robot, reach, cell), cell)
     start, end = _known_line(source, points, scans, _half_length(robot))
     write_bytes(output, _text(points).encode())
     return {
@@ -111,7 +94,7 @@ def _known_line(
     The way is the straight line from its first to its last place, and as far ``ahead`` as the robot
     reaches. The ground below the robot at the start is never seen.
     """
-    first, last = scans[0].pose.place[:2], scans[-1].pose.place[:2]
+    first, last = scans[0][1].place[:2], scans[-1][1].place[:2]
     length = float(np.linalg.norm(last - first))
     if length < _SHORTEST:
         raise RequestError(
@@ -133,31 +116,31 @@ def _known_line(
     return first + direction * (longest[0] + _INSET), first + direction * (longest[-1] - _INSET)
 
 
-def _scans(source: Path, frames: Frames) -> tuple[list[_Scan], list[int], int, list[str]]:
+def _scans(source: Path, names: Names) -> tuple[list[_Scan], list[int], int, list[str]]:
     """Return the clouds of a bag in the frame of the chassis, and what became of its messages.
 
     That is the number of points of each that is used, the number of those without a pose, and what
     a reader of the result should know.
     """
-    bag = read_bag(source, frames.topic)
+    bag = read_bag(source, names.clouds)
     found, sizes = [], Counter[int]()
     for cloud in bag.clouds:
         try:
-            pose = bag.transforms.pose(frames.fixed, frames.base, cloud.time)
-            mount = bag.transforms.pose(frames.base, cloud.frame, cloud.time)
+            pose = bag.transforms.pose(names.fixed, names.base, cloud.time)
+            mount = bag.transforms.pose(names.base, cloud.frame, cloud.time)
         except RequestError as error:
             raise RequestError(f"{source}: {error}") from error
         if pose is not None and mount is not None:
             sizes[cloud.message] += len(cloud.points)
-            found.append(_Scan(mount.apply(cloud.points), pose))
+            found.append((mount.apply(cloud.points), pose))
     if not any(len(cloud.points) for cloud in bag.clouds):
         raise RequestError(f"{source}: the {bag.messages} clouds of {bag.topic} have no points")
     if not found:
         raise RequestError(
             f"{source}: none of the {bag.messages} clouds of {bag.topic} has a transform to "
-            f"{frames.fixed!r} at its stamp; is another clock in the stamps?"
+            f"{names.fixed!r} at its stamp; is another clock in the stamps?"
         )
-    remarks = [*bag.remarks, *bag.transforms.remarks(frames.fixed, frames.base)]
+    remarks = [*bag.remarks, *bag.transforms.remarks(names.fixed, names.base)]
     return found, [*sizes.values()], bag.messages - len(sizes), remarks
 
 
@@ -166,16 +149,16 @@ def _half_length(robot: Robot) -> float:
     return robot.hinge_offset + robot.flipper_axle + robot.track_radius + _MARGIN
 
 
-def _seen(scans: Iterable[_Scan], robot: Robot, limits: Limits) -> FloatArray:
+def _seen(scans: Iterable[_Scan], robot: Robot, reach: float, cell: float) -> FloatArray:
     """Return the points of all scans in the fixed frame, without the robot's own."""
     ahead = _half_length(robot)
 
     def kept() -> Iterator[FloatArray]:
-        for scan in scans:
-            x, y, _ = scan.points.T
+        for points, pose in scans:
+            x, y, _ = points.T
             own = (np.abs(x) <= ahead) & (np.abs(y) <= HALF_WIDTH)
-            near = np.linalg.norm(scan.points, axis=1) <= limits.reach
-            yield thinned(scan.pose.apply(scan.points[near & ~own]), limits.cell)
+            near = np.linalg.norm(points, axis=1) <= reach
+            yield thinned(pose.apply(points[near & ~own]), cell)
 
     parts = list(kept())
     return np.concatenate(parts) if parts else np.empty((0, 3))

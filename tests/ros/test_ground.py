@@ -14,8 +14,9 @@ from flipperctl.core.lidar.body import attitude, mounting
 from flipperctl.errors import MissingExtraError, RequestError
 from flipperctl.files import check_output
 from flipperctl.ros.episode import TYPES, Stamped, typestore, write_bag
-from flipperctl.ros.ground import GROUND, Frames, convert, thinned
+from flipperctl.ros.ground import GROUND, convert, thinned
 from flipperctl.ros.messages import LIDAR, Messages
+from flipperctl.ros.topics import Names
 from flipperctl.ros.transforms import Pose, Transforms
 from tests.cli.call import call
 
@@ -170,12 +171,12 @@ def unstamped():
 @pytest.mark.parametrize(
     ("made", "frames", "error"),
     [
-        (unstamped, Frames(), r"/points: a cloud has no stamp \(header.stamp is 0\)"),
-        (messages, Frames(fixed="odon"), "there is no frame 'odon'; did you mean 'odom'"),
-        (messages, Frames(base="lidar2"), "no frame 'lidar2'.*base_link, base_stabilized, lidar"),
-        (messages, Frames(topic="/poins"), "no PointCloud2 is on '/poins'; did you mean"),
-        (lambda: messages(shift=100.0), Frames(), "none of the 11 clouds of /points has a trans"),
-        (lambda: list(messages())[:5], Frames(), r"topics: none; the bag has /tf \(tf2_msgs/TFMes"),
+        (unstamped, Names(), r"/points: a cloud has no stamp \(header.stamp is 0\)"),
+        (messages, Names(fixed="odon"), "there is no frame 'odon'; did you mean 'odom'"),
+        (messages, Names(base="lidar2"), "no frame 'lidar2'.*base_link, base_stabilized, lidar"),
+        (messages, Names(clouds="/poins"), "no PointCloud2 is on '/poins'; did you mean"),
+        (lambda: messages(shift=100.0), Names(), "none of the 11 clouds of /points has a trans"),
+        (lambda: list(messages())[:5], Names(), r"topics: none; the bag has /tf \(tf2_msgs/TFMes"),
     ],
 )
 def test_a_bag_that_cannot_be_used_is_refused_with_the_reason(tmp_path, made, frames, error):

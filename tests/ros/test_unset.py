@@ -7,8 +7,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from flipperctl.ros.topics import orientations, speed_unset
 from flipperctl.ros.transforms import Pose
-from flipperctl.ros.unset import orientations, speed_unset
 
 LEVEL = 0.0, 0.0, 0.0, 1.0
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from flipperctl.config import EvalConfig
+    from flipperctl.config import EnvConfig
 
 HELP = "Check a robot's sensing and signs, and use what it recorded."
 VIEWS = ("check", "shadow", "ground", "self-test")
@@ -15,7 +15,7 @@ VIEWS = ("check", "shadow", "ground", "self-test")
 
 def recorded_robot(
     overrides: Sequence[str] | None,
-) -> tuple[EvalConfig, str | None, frozenset[str]]:
+) -> tuple[EnvConfig, str | None, frozenset[str]]:
     """Return the robot and LiDAR of a recording, ``perception.pose`` and the settings given.
 
     ``perception.pose`` is None if it is not among these.

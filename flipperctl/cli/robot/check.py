@@ -11,10 +11,10 @@ from flipperctl.cli import options
 
 HELP = """Replay what a robot recorded through the estimator that runs on it: will its sensing do?
 
-BAG is a bag of ROS 1 or 2, or a folder of clouds and poses.txt (see flipperctl robot ground). The table
-tells which scans are used, how much ground is seen, how certain it is and how the odometry drifts.
---output shows the cloud, the map, heights, faces, filled and unseen ground: a film (.gif), or with
---at SECONDS one instant (.png, .svg, .pdf).
+BAG is a bag of ROS 1 or 2, or a folder of clouds and poses.txt (see flipperctl robot ground). The
+table tells which scans are used, how much ground is seen, how certain it is and how the odometry
+drifts. --output shows the cloud, the map, heights, faces, filled and unseen ground: a film (.gif),
+or with --at SECONDS one instant (.png, .svg, .pdf).
 
 OVERRIDES are the robot and the estimator, as in robot=absolem perception.pose=matched.
 

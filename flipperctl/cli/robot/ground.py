@@ -48,11 +48,12 @@ def run(
     from flipperctl.api import Robot
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.export.policy import robot_fields
-    from flipperctl.ros.ground import Frames, Limits, convert
+    from flipperctl.ros.ground import convert
+    from flipperctl.ros.topics import Names
     from flipperctl.terminal.streams import show
     from flipperctl.terminal.tables import print_ground
 
     robot = Robot(**robot_fields(Overrides.parse(overrides or ()).values(), "robot ground"))
-    frames, limits = Frames(topic, fixed_frame, base_frame), Limits(reach, cell)
-    found = convert(source, output, robot, frames, limits)
+    names = Names(clouds=topic, fixed=fixed_frame, base=base_frame)
+    found = convert(source, output, robot, names, reach, cell)
     show(found, lambda: print_ground(found), as_json=as_json)
