@@ -25,7 +25,7 @@ from flipperctl.api import (
 )
 from flipperctl.core.observation import mean_heights
 from flipperctl.sim.planar.map_errors import LARGEST, MapErrors, MapErrorSize
-from flipperctl.sim.planar.rays import Mast, SeenGround
+from flipperctl.sim.planar.occlusion import Mast, SeenGround
 
 
 @sensor("planar")
