@@ -21,7 +21,7 @@ from flipperctl.checkpoint import sealed
 from flipperctl.checkpoint.document import Document, PluginReference, State
 from flipperctl.config import TrainConfig, parse, resolver, to_dict
 from flipperctl.config.absent import with_stand_ins
-from flipperctl.errors import CheckpointError, ConfigError
+from flipperctl.errors import CheckpointError, ConfigError, OldVersionError
 from flipperctl.files import write_bytes
 from flipperctl.messages import close_match, missing_plugin
 from flipperctl.sim.versions import engine_versions
@@ -29,8 +29,6 @@ from flipperctl.sim.versions import engine_versions
 if TYPE_CHECKING:
     import torch
 
-_GONE = (("eval", "static_bound"),)
-"""Settings of earlier versions without influence on a policy, which are left out on reading."""
 BEST, LAST = Path("checkpoints/best.safetensors"), Path("checkpoints/last.safetensors")
 
 
@@ -70,7 +68,7 @@ class Checkpoint:
         known = frozenset(registry.items())
         if known not in self._configs:
             self._require_plugins(optional=("terrain", "reward", "controller", "logger"))
-            files = {(p.kind, p.name): p.origin for p in self.document.plugins if p.origin}
+            files = {(p.kind, p.name): p.file for p in self.document.plugins if p.file}
             settings = self.document.config.model_dump(mode="json")
             self._configs[known] = self._parse(with_stand_ins(settings, files))
         return self._configs[known]
@@ -79,16 +77,12 @@ class Checkpoint:
         """Check that all plugins are available, except those of the ``optional`` kinds."""
         for plugin in self.document.plugins:
             if plugin.kind not in optional and (plugin.kind, plugin.name) not in registry:
-                text = missing_plugin(plugin.kind, plugin.name, plugin.origin)
+                text = missing_plugin(plugin.kind, plugin.name, plugin.file)
                 raise CheckpointError(f"{self.path}: {text}")
 
     def _parse(self, settings: Mapping[str, Any]) -> TrainConfig:
-        known = dict(settings)
-        for section, key in _GONE:
-            if isinstance(part := known.get(section), Mapping):
-                known[section] = {name: value for name, value in part.items() if name != key}
         try:
-            return parse(TrainConfig, known)
+            return parse(TrainConfig, settings)
         except ConfigError as error:
             raise CheckpointError(
                 f"{self.path}: its configuration is not valid: {error}"
@@ -182,12 +176,15 @@ def read(path: Path) -> Checkpoint:
     """Read and check a checkpoint; nothing in the file is executed.
 
     Raises:
-        CheckpointError: the file is missing, truncated or changed, or of another program or format.
+        CheckpointError: the file is missing, truncated or changed, or of another program or
+            version.
     """
     text, tensors = sealed.read(path, "checkpoint")
     try:
         document = documents.parse(text)
         _check_names(document, tensors)
+    except OldVersionError as error:
+        raise CheckpointError(f"{path} {error}") from error
     except ValueError as error:
         raise CheckpointError(f"{path}: its document is not valid: {error}") from error
     return Checkpoint(path, document, tensors)
@@ -232,10 +229,9 @@ def _check_names(document: Document, tensors: Mapping[str, torch.Tensor]) -> Non
     if document.state and document.state.groups_added:
         parts.add("groups")
     parts |= {f"weights{request.version}" for request in requests}
-    older = document.kind == "last" and document.state is None
     for name in tensors:
         part = name.partition(".")[0]
-        if part not in parts and not (older and part.startswith("weights")):
+        if part not in parts:
             raise ValueError(
                 f"a tensor is named {name!r:.60}; its part must be one of {sorted(parts)}"
             )
