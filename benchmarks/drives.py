@@ -130,7 +130,7 @@ def record(
     seed: int,
     *,
     sensor: Mapping[str, Any],
-    policy: str = "generalist_first",
+    policy: str = "generalist",
     sim: Mapping[str, Any] | None = None,
 ) -> Recorded:
     """Drive over one ground of a family; ``sensor`` are settings of ``perception=lidar``."""

@@ -8,7 +8,7 @@ in bins that were seen, ``perception.map_error``, ``map_length`` and ``map_drift
 driving with the model once, ``map_drift`` is corrected and ``map_jitter`` takes the part of it
 that changes from decision to decision. Then ``okada`` drives again on other episodes
 with the LiDAR and with the model. The output shows the distributions and autocorrelations of both,
-and θ̂_R of ``okada`` and ``generalist_first`` on the true ground, with the LiDAR and with the model.
+and θ̂_R of ``okada`` and ``generalist`` on the true ground, with the LiDAR and with the model.
 """
 
 from __future__ import annotations
@@ -226,7 +226,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     seed = chosen.seed + COMPARED
     for name, words in (("lidar", lidar), ("model", model)):
         _describe(name, _record(words, seed))
-    for policy in ("okada", "generalist_first"):
+    for policy in ("okada", "generalist"):
         for name, words in (("true ground", common), ("lidar", lidar), ("model", model)):
             _print_variation(policy, name, [*words, f"eval.seed={seed}"])
     return 0

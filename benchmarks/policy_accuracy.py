@@ -21,7 +21,7 @@ from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import Row, play
 from flipperctl.rollout.seeds import EvaluationSeeds
 
-SHIPPED = "generalist_first"
+SHIPPED = "generalist"
 """The shipped policy that is measured."""
 FINER = 0.25
 """The finer substep as a multiple of the configured one [-]."""

@@ -31,8 +31,6 @@ _TEN = "step,stair,building_stair,ramp,uplift,gap,wave,rubble,pallet,plum"
 COMMANDS: Mapping[str, str] = {
     "generalist": "flipperctl eval --checkpoint generalist --episodes 100 --seed 61157 "
     f"--baseline okada,level,random conditions=wide terrain={_TEN}",
-    "generalist_first": "flipperctl eval --checkpoint generalist_first --episodes 100 "
-    f"--seed 60241 --baseline okada,level,random conditions=trained terrain={_TEN}",
     "paper_scenes": "flipperctl eval --checkpoint generalist --episodes 100 "
     f"--baseline okada,level,random terrain=paper_step,paper_stair {_NOISE}",
     "cells_planar": "flipperctl eval suite=generalist sim=planar --checkpoint generalist "

@@ -36,7 +36,7 @@ TRAININGS: Mapping[str, str] = {
 The results state the settings with which the trainings in the given folder were made.
 """
 RULES = "okada,level"
-"""Controllers that take milliseconds a decision; the policies above and the generalists do, too."""
+"""Controllers that take milliseconds a decision; the policies above and the generalist do, too."""
 SEARCHES = ("mpc", "planner")
 """Controllers that take seconds an episode, and so play fewer."""
 AGAINST = "level"
@@ -64,7 +64,7 @@ def calls(runs: Path, output: Path, jobs: int, numbers: Numbers) -> Iterator[tup
     if not trained:
         known = "; ".join(TRAININGS.values())
         raise RequestError(f"{runs}: none of {', '.join(TRAININGS)} is a folder there; run {known}")
-    policies = [*(str(runs / name) for name in trained), "generalist", "generalist_first"]
+    policies = [*(str(runs / name) for name in trained), "generalist"]
     checkpoints = shlex.join(word for path in policies for word in ("--checkpoint", path))
     common = f"--baseline none --jobs {jobs} eval.cell=5"
     for suite in SUITES:

@@ -45,6 +45,13 @@ class CheckpointError(RequestError):
     """A checkpoint is missing, damaged, foreign, or needs a plugin that is not installed."""
 
 
+class OldVersionError(ValueError):
+    """A file is of a version whose files are no longer read; the text follows its name."""
+
+    def __init__(self, version: str, advice: str) -> None:
+        super().__init__(f"is of version {version}; this version reads 0.3; {advice}")
+
+
 class PolicyError(RequestError):
     """An exported policy is missing, damaged or foreign, or received an input that does not fit."""
 

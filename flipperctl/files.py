@@ -93,7 +93,6 @@ def remove_partial(path: Path) -> None:
     """Remove the partial files of killed processes; no other process may be writing ``path``."""
     for part in path.parent.glob(f".{glob.escape(path.name)}.*{_PART}"):
         part.unlink(missing_ok=True)
-    path.with_name(f".{path.name}{_PART}").unlink(missing_ok=True)  # of earlier versions
 
 
 def write_json(path: Path, document: Any) -> None:

@@ -10,7 +10,6 @@ import hashlib
 import importlib
 import importlib.util
 import os
-import re
 import sys
 from collections.abc import Callable, Iterable
 from importlib.metadata import entry_points
@@ -88,14 +87,6 @@ def loaded_files() -> list[Path]:
 def file_name(cls: type[Plugin]) -> str | None:
     """Return the name of the file that a plugin was loaded from; None for an installed plugin."""
     return _files.get(cls)
-
-
-def module_file_name(module: str) -> str | None:
-    """Return the name of the file that a module was loaded from by path; None for any other."""
-    if module in _contents:
-        return _contents[module][0].name
-    found = re.fullmatch(rf"{USER_MODULE}(.+)_[0-9a-f]{{8}}", module)  # a name of version 0.2
-    return f"{found[1]}.py" if found else None
 
 
 def _files_at(path: Path) -> list[Path]:

@@ -8,7 +8,6 @@ import pytest
 from flipperctl import api
 from flipperctl.api import (
     ACTIONS,
-    MAX_HISTORY,
     ObservationLayout,
     Outcome,
     Profile,
@@ -111,13 +110,6 @@ def test_a_turn_that_is_none_is_refused(turns: tuple[int, int], name: str) -> No
 def test_a_setting_cannot_be_set() -> None:
     with pytest.raises(AttributeError, match=r"Robot\.track_speed cannot be set: settings do not"):
         api.Robot().track_speed = 0.3
-
-
-def test_the_old_name_of_a_constant_warns_and_an_unknown_name_is_missing() -> None:
-    with pytest.warns(DeprecationWarning, match="MEMORY is deprecated .* use MAX_HISTORY"):
-        assert api.MEMORY == MAX_HISTORY == 32
-    with pytest.raises(AttributeError, match=r"'flipperctl\.api' has no attribute 'MEMORIES'"):
-        _ = api.MEMORIES
 
 
 def test_outcomes_are_their_names() -> None:

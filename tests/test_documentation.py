@@ -124,10 +124,7 @@ def with_budget(command: list[str]) -> list[str]:
     """The same command with a budget for a test behind it."""
     if command[0] == "train" and "--cfg" not in command:
         command, few = fewer(command), list[str]()
-        if any(word.startswith("experiment=taught,") for word in command):
-            command = [*command, "teacher=okada"]  # whose labels cost no search
-        searching = {"experiment=taught", "experiment=generalist", "experiment=generalist_first"}
-        if searching & set(command):
+        if {"experiment=taught", "experiment=generalist"} & set(command):
             command = [*command, "teacher.controller.beam=2", "teacher.controller.horizon=2"]
         if {"experiment=generalist", "experiment=distilled"} & set(command):
             command = [*command, "teacher.final_updates=8"]

@@ -7,9 +7,6 @@ the chassis). Signs: a flipper angle is positive when the flipper is above the c
 and rear alike; the pitch is positive nose up.
 """
 
-import warnings
-from typing import TYPE_CHECKING
-
 from flipperctl.api.candidate import candidate_angle, candidate_angles
 from flipperctl.api.controllers import (
     Controller,
@@ -142,16 +139,3 @@ __all__ = [
     "sensor",
     "terrain",
 ]
-
-if not TYPE_CHECKING:  # a type checker must go on finding names that do not exist
-
-    def __getattr__(name: str) -> int:
-        """Return the value of a constant that was renamed, with a DeprecationWarning."""
-        if name != "MEMORY":
-            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-        warnings.warn(
-            "flipperctl.api.MEMORY is deprecated since flipperctl 0.2; use MAX_HISTORY",
-            DeprecationWarning,
-            stacklevel=2,
-        )
-        return MAX_HISTORY

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import warnings
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
@@ -136,17 +135,14 @@ class Controller(Plugin):
 
     @classmethod
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
-        """Raise TypeError for a controller that implements neither ``act`` nor ``build``."""
+        """Raise TypeError for one that implements neither ``act`` nor ``build``, or ``begin``."""
         if not any(_implements(cls, name) for name in ("act", "build")):
             raise TypeError(f"controller {cls.__name__} needs a method act(p) or build()")
-        if _implements(cls, "begin"):
-            warnings.warn(
-                f"controller {cls.__name__}: begin is deprecated since flipperctl 0.2; "
-                "write build(), which returns an object with reset and act",
-                DeprecationWarning,
-                stacklevel=2,
+        if hasattr(cls, "begin"):
+            raise TypeError(
+                f"controller {cls.__name__}: begin is never called; write build(), which returns "
+                "an object with reset and act"
             )
-            cls.searches_first = True
 
     def build(self) -> Policy:
         """Return a new policy with these settings; ``reset`` begins each of its episodes."""
@@ -155,9 +151,6 @@ class Controller(Plugin):
     def act(self, p: Perception) -> int:
         """Return the index into ``ACTIONS`` of the next action, from this perception alone."""
         raise TypeError(f"controller {type(self).__name__} decides through build() only")
-
-    def begin(self, simulator: Simulator) -> None:
-        """Begin an episode; deprecated in favour of ``build``."""
 
 
 def _implements(cls: type[Controller], method: str) -> bool:
@@ -177,8 +170,7 @@ class Rule:
         self._controller = controller
 
     def reset(self, simulator: Simulator) -> None:
-        """Begin an episode; only controllers written for version 0.1 implement ``begin``."""
-        self._controller.begin(simulator)
+        """Begin an episode, of which a rule remembers nothing."""
 
     def act(self, p: Perception) -> int:
         """Return the controller's action."""

@@ -6,7 +6,6 @@ In: JSON text of any origin. Out: a ``Document`` whose values have valid types a
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
 from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import (
@@ -20,21 +19,20 @@ from pydantic import (
     model_validator,
 )
 
-from flipperctl import plugins
 from flipperctl.checkpoint.sealed import decode
 from flipperctl.core.targets import PAIRS
+from flipperctl.errors import OldVersionError
 from flipperctl.messages import explain
 
 FORMAT: Final = 2
-"""Format number. Format 1 held the run's state in another form; its policies can still be read."""
+"""Format number of version 0.3. Version 0.1 had 1; the documents of 0.2 lack ``actions``."""
 EPISODES: Final = "episodes"
 """Document kind of recorded episodes, which are sealed like checkpoints."""
 RECENT = 100
 """Number of episodes over which the running success rate is computed."""
 
-BestBy = Literal["pitch_variation_100hz", "pitch_variation", "return", "decision"]
-"""What ranks validations: success and θ̂_R at 100 Hz, or at decisions for runs that began with an
-earlier version; the mean return; or how late they are."""
+BestBy = Literal["pitch_variation_100hz", "return", "decision"]
+"""What ranks validations: success and θ̂_R at 100 Hz; the mean return; or how late they are."""
 Count = Annotated[int, Field(ge=0, lt=2**63)]
 Fraction = Annotated[float, Field(ge=0, le=1)]
 Label = Annotated[str, Field(pattern=r"^\P{C}*$")]  # fits on one line of an error
@@ -98,16 +96,11 @@ class PluginReference(Record):
     name: Label
     module: Label
     file: Label | None = None
-    """Name of its file, if it was not installed; not in files of version 0.2."""
-
-    @property
-    def origin(self) -> str | None:
-        """Name of its file, also derived from its module's name; None if it was installed."""
-        return self.file or plugins.module_file_name(self.module)
+    """Name of its file; None if it was installed."""
 
     @model_serializer(mode="wrap")
     def _without_none(self, serialize: SerializerFunctionWrapHandler) -> dict[str, str]:
-        """Omit ``file`` for an installed plugin, as files of version 0.2 do."""
+        """Omit ``file`` for an installed plugin."""
         return {name: text for name, text in serialize(self).items() if text is not None}
 
 
@@ -121,25 +114,22 @@ class Validation(Record):
     t_cost: NonNegative
     pitch_variation: NonNegative
     """θ̂_R at decisions [rad]."""
-    pitch_variation_100hz: NonNegative | None = None
-    """θ̂_R at 100 Hz [rad]; None in a run of an earlier version that did not record it."""
+    pitch_variation_100hz: NonNegative
+    """θ̂_R at 100 Hz [rad]."""
     mean_return: float | None = None
-    """Mean over all episodes of the return without shaping [-]; not in files of version 0.2."""
+    """Mean return of all episodes without shaping [-]; the shipped ``mpc_value`` has none."""
 
     def score(self, best_by: BestBy) -> tuple[float, float]:
         """Return the key that the best validation maximises: success rate, then negated θ̂_R.
 
         With ``return`` it is the mean return, then the success rate; with ``decision``, the newest
-        is the best. Without a θ̂_R at 100 Hz, that at decisions is used.
+        is the best.
         """
         if best_by == "decision":
             return float(self.decision), self.success_rate
         if best_by == "return" and self.mean_return is not None:
             return self.mean_return, self.success_rate
-        variation = self.pitch_variation_100hz
-        if best_by == "pitch_variation" or variation is None:
-            variation = self.pitch_variation
-        return self.success_rate, -variation
+        return self.success_rate, -self.pitch_variation_100hz
 
 
 class RequestState(Record):
@@ -185,8 +175,8 @@ class State(Record):
     loss: float
     recent: Annotated[tuple[bool, ...], Field(max_length=RECENT)]
     validations: tuple[Validation, ...]
-    best_by: BestBy = "pitch_variation"
-    """What the run chooses its best policy by; not in files of earlier versions."""
+    best_by: BestBy
+    """What the run chooses its best policy by."""
     started: Count
     lost: Count
     updates: Count
@@ -194,26 +184,18 @@ class State(Record):
     orders: tuple[RequestState, ...]
     """Outstanding requests, oldest first; the key's name is part of the format."""
     replay_added: Count
-    replay_kept: Count = 0
-    """Number of recorded transitions in the replay; not in files of earlier versions."""
-    groups_added: Count = 0
-    """Number of groups of valued states so far; not in files of earlier versions."""
-    files: tuple[Label | None, ...] = ()
-    """SHA-256 of each file that the plugins read, such as recorded ground; not in files of earlier
-    versions."""
+    replay_kept: Count
+    """Number of recorded transitions in the replay."""
+    groups_added: Count
+    """Number of groups of valued states so far."""
+    files: tuple[Label | None, ...]
+    """SHA-256 of each file that the plugins read, such as recorded ground."""
     generators: Generators
 
     @property
     def best(self) -> Validation | None:
         """Best validation so far."""
         return max(self.validations, key=lambda v: v.score(self.best_by), default=None)
-
-    @model_validator(mode="after")
-    def _validations_are_comparable(self) -> Self:
-        for at, validation in enumerate(self.validations):
-            if getattr(validation, self.best_by) is None:
-                raise ValueError(f"validations.{at} lacks {self.best_by}, which best_by names")
-        return self
 
     @model_validator(mode="after")
     def _counts_agree(self) -> State:
@@ -239,29 +221,27 @@ class State(Record):
 class Document(Record):
     """The document of a checkpoint of kind ``best`` (a policy) or ``last`` (a whole run)."""
 
-    format: Literal[1, 2]
+    format: Literal[2]
     kind: Literal["best", "last"]
     config: PartialConfig
     versions: dict[Label, Label]
     plugins: tuple[PluginReference, ...]
-    actions: Actions | None = None
-    """Actions of the Q-values; files of version 0.2 omit them and have these."""
+    actions: Actions
+    """Actions of the Q-values."""
     decision: Count | None = None
     """Decision of the run at which the best policy was validated."""
     validation: Validation | None = None
     """Result of that validation."""
     state: State | None = None
-    """State of a whole run; None for a run of format 1, which cannot be resumed."""
+    """State of a whole run."""
 
     @model_validator(mode="after")
     def _fits_its_kind(self) -> Document:
         best = self.kind == "best"
         if best != (self.validation is not None) or (best and self.decision is None):
             raise ValueError("decision and validation belong to the kind 'best', and to no other")
-        if best and self.state is not None:
-            raise ValueError("a state belongs to the kind 'last'")
-        if not best and self.format == FORMAT and self.state is None:
-            raise ValueError("the kind 'last' needs a state")
+        if best == (self.state is not None):
+            raise ValueError("a state belongs to the kind 'last', and to no other")
         return self
 
     def plain(self) -> dict[str, Any]:
@@ -277,16 +257,19 @@ def parse(text: str) -> Document:
     """Parse the JSON text of a document.
 
     Raises:
+        OldVersionError: it is that of an earlier version.
         ValueError: the text is not a valid document; the message names the invalid key.
     """
     raw = decode(text)
     if raw.get("kind") == EPISODES:
         raise ValueError("it describes recorded episodes, which hold no policy")
     number = raw.get("format")
-    if type(number) is not int or number not in (1, FORMAT):
-        raise ValueError(f"its format is {number!r:.40}; this version reads 1 and {FORMAT}")
-    if number == 1 and isinstance(state := raw.pop("state", None), Mapping):
-        raw["decision"] = state.get("decision")
+    old = type(number) is int and "config" in raw and (number == 1 or "actions" not in raw)
+    if old and number in (1, FORMAT):
+        version = "0.1" if number == 1 else "0.2"
+        raise OldVersionError(version, f"train again, or use it with flipperctl {version}")
+    if type(number) is not int or number != FORMAT:
+        raise ValueError(f"its format is {number!r:.40}; this version reads {FORMAT}")
     try:
         return Document.model_validate_json(json.dumps(raw))
     except ValidationError as error:

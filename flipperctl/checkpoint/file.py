@@ -22,7 +22,7 @@ from flipperctl.checkpoint import sealed
 from flipperctl.checkpoint.document import Document, PluginReference, State
 from flipperctl.config import TrainConfig, parse, resolver, to_dict
 from flipperctl.config.absent import with_stand_ins
-from flipperctl.errors import CheckpointError, ConfigError
+from flipperctl.errors import CheckpointError, ConfigError, OldVersionError
 from flipperctl.files import write_bytes
 from flipperctl.messages import close_match, missing_plugin
 from flipperctl.sim.versions import engine_versions
@@ -30,8 +30,6 @@ from flipperctl.sim.versions import engine_versions
 if TYPE_CHECKING:
     import torch
 
-_GONE = (("eval", "static_bound"),)
-"""Settings of earlier versions without influence on a policy, which are left out on reading."""
 PLUGINS = Path("plugins")
 """Folder of a run with copies of its plugin files, and their SHA-256 in ``SHA256SUMS``."""
 TRUST = "FLIPPERCTL_TRUST"
@@ -77,9 +75,7 @@ class Checkpoint:
         known = frozenset(registry.items())
         if known not in self._configs:
             self._require_plugins(optional=("terrain", "reward", "controller", "logger"))
-            files = {
-                (p.kind, p.name): self._file(p.origin) for p in self.document.plugins if p.origin
-            }
+            files = {(p.kind, p.name): self._file(p.file) for p in self.document.plugins if p.file}
             settings = self.document.config.model_dump(mode="json")
             self._configs[known] = self._parse(with_stand_ins(settings, files))
         return self._configs[known]
@@ -88,7 +84,7 @@ class Checkpoint:
         """Check that all plugins are available, except those of the ``optional`` kinds."""
         for plugin in self.document.plugins:
             if plugin.kind not in optional and (plugin.kind, plugin.name) not in registry:
-                file = self._file(plugin.origin) if plugin.origin else None
+                file = self._file(plugin.file) if plugin.file else None
                 text = missing_plugin(plugin.kind, plugin.name, file)
                 raise CheckpointError(f"{self.path}: {text}")
 
@@ -106,18 +102,14 @@ class Checkpoint:
         trusted = [folder for folder in os.environ.get(TRUST, "").split(os.pathsep) if folder]
         if not any(self.path.resolve().is_relative_to(Path(f).resolve()) for f in trusted):
             return
-        missing = [p.origin for p in self.document.plugins if (p.kind, p.name) not in registry]
+        missing = [p.file for p in self.document.plugins if (p.kind, p.name) not in registry]
         copies = {file for name in missing if name and isinstance(file := self._file(name), Path)}
         if copies:
             plugins.load(sorted(copies))
 
     def _parse(self, settings: Mapping[str, Any]) -> TrainConfig:
-        known = dict(settings)
-        for section, key in _GONE:
-            if isinstance(part := known.get(section), Mapping):
-                known[section] = {name: value for name, value in part.items() if name != key}
         try:
-            return parse(TrainConfig, known)
+            return parse(TrainConfig, settings)
         except ConfigError as error:
             raise CheckpointError(
                 f"{self.path}: its configuration is not valid: {error}"
@@ -211,12 +203,15 @@ def read(path: Path) -> Checkpoint:
     """Read and check a checkpoint; nothing in the file is executed.
 
     Raises:
-        CheckpointError: the file is missing, truncated or changed, or of another program or format.
+        CheckpointError: the file is missing, truncated or changed, or of another program or
+            version.
     """
     text, tensors = sealed.read(path, "checkpoint")
     try:
         document = documents.parse(text)
         _check_names(document, tensors)
+    except OldVersionError as error:
+        raise CheckpointError(f"{path} {error}") from error
     except ValueError as error:
         raise CheckpointError(f"{path}: its document is not valid: {error}") from error
     return Checkpoint(path, document, tensors)
@@ -261,10 +256,9 @@ def _check_names(document: Document, tensors: Mapping[str, torch.Tensor]) -> Non
     if document.state and document.state.groups_added:
         parts.add("groups")
     parts |= {f"weights{request.version}" for request in requests}
-    older = document.kind == "last" and document.state is None
     for name in tensors:
         part = name.partition(".")[0]
-        if part not in parts and not (older and part.startswith("weights")):
+        if part not in parts:
             raise ValueError(
                 f"a tensor is named {name!r:.60}; its part must be one of {sorted(parts)}"
             )

@@ -26,13 +26,13 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, JsonValue, ValidationError, model_validator
 
 from flipperctl import __version__
-from flipperctl.api import ACTIONS, Outcome
+from flipperctl.api import ACTIONS, Outcome, Robot
 from flipperctl.checkpoint import sealed
 from flipperctl.checkpoint.document import EPISODES, Count, Label, PartialReward, Record
 from flipperctl.checkpoint.sealed import decode, require_equal_layout
 from flipperctl.config import EnvConfig, to_dict
 from flipperctl.core import observation
-from flipperctl.errors import CheckpointError, ConfigError
+from flipperctl.errors import CheckpointError, ConfigError, OldVersionError
 from flipperctl.files import OutputKind, write_bytes
 from flipperctl.messages import explain
 from flipperctl.sim.versions import engine_versions
@@ -213,11 +213,13 @@ def read(path: Path) -> Recording:
     """Read and check a file of recorded episodes; nothing in the file is executed.
 
     Raises:
-        CheckpointError: the file is missing, truncated or changed, or of another kind or format.
+        CheckpointError: the file is missing, truncated or changed, or of another kind or version.
     """
     text, tensors = sealed.read(path, NOUN)
     try:
         document = _parse(text)
+    except OldVersionError as error:
+        raise CheckpointError(f"{path} {error}") from error
     except ValueError as error:
         raise CheckpointError(f"{path}: its document is not valid: {error}") from error
     try:
@@ -236,9 +238,12 @@ def _parse(text: str) -> RecordingDocument:
     if type(number) is not int or number != FORMAT:
         raise ValueError(f"its format is {number!r:.40}; this version reads {FORMAT}")
     try:
-        return RecordingDocument.model_validate_json(json.dumps(raw))
+        found = RecordingDocument.model_validate_json(json.dumps(raw))
     except ValidationError as error:
         raise ValueError(explain(error, "document", RecordingDocument)) from error
+    if any(set(Robot.model_fields) - set(one.robot) for one in found.environments):
+        raise OldVersionError("0.2", "record its episodes again")
+    return found
 
 
 def _check(document: RecordingDocument, tensors: Mapping[str, torch.Tensor]) -> None:

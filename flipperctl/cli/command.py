@@ -62,6 +62,7 @@ class Command(TyperCommand):
         for word in words:
             name = word.partition("=")[0]
             check_moved(ctx.command_path, name)
+            check_moved(ctx.command_path, word)
             if name.startswith("-") and name not in ("-", *known):
                 self._refuse(name, args, known)
 

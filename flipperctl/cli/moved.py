@@ -24,11 +24,22 @@ _MOVED = {
         for option in ("--detect", "--detect-success")
     },
     "eval eval.static_bound": "is gone; leave it out",
+    **{
+        f"train experiment={name}": f"is now: {settings}"
+        for name, settings in {
+            "taught_annealed": "experiment=taught teacher.weight_end=0",
+            "taught_imitation": "experiment=taught teacher.td_weight=0",
+            "taught_margin": "experiment=taught teacher.loss=margin",
+            "taught_td": "experiment=taught teacher.weight=0 teacher.weight_end=0",
+            "generalist_first": "experiment=generalist",
+        }.items()
+    },
+    "eval generalist_first": "is gone; flipperctl eval generalist",
 }
 
 
 def check_moved(command_path: str, word: str) -> None:
-    """Refuse a subcommand, an option or a key of ``flipperctl …`` that an earlier version had.
+    """Refuse a word of ``flipperctl …`` that an earlier version had: a command, an option, a key.
 
     Raises:
         RequestError: it has moved; the text says what to type.

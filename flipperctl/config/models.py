@@ -61,7 +61,7 @@ def _sensor(value: object) -> object:
 
 
 def _with_default_name(value: object) -> object:
-    """Return the settings with a name; files of version 0.1 have none."""
+    """Return the settings with a name: that of the default where there is none."""
     if isinstance(value, Mapping) and "name" not in value:
         return {"name": DEFAULT_ENGINE, **value}
     return value

@@ -218,7 +218,7 @@ class Randomise(Settings):
 
     @model_serializer(mode="wrap")
     def _without_empty_sections(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Leave out what is newer and not used, so that files and hashes stay as in version 0.2."""
+        """Leave out what is newer and not used, so that hashes stay the same."""
         plain = serialize(self).items()
         return {name: value for name, value in plain if value or name not in OMITTED}
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -107,15 +106,6 @@ class SceneSimulator:
     def report_result(self, **values: float | str) -> None:
         """Report numbers and texts about the search, to be added to the episode's result."""
         self.results.update(values)
-
-    def tell(self, share: float) -> None:
-        """Report progress; deprecated in favour of ``report_progress``."""
-        warnings.warn(
-            "Simulator.tell is deprecated since flipperctl 0.2; use report_progress",
-            DeprecationWarning,
-            stacklevel=2,
-        )
-        self.report_progress(share)
 
 
 def _saved(perceiver: Perceiver | None) -> tuple[Perceiver, Any] | None:

@@ -154,7 +154,7 @@ def _without_effect(config: EvalConfig, section: str) -> set[str]:
     """Return the settings of engine or sensor that change nothing in any episode.
 
     Sampled settings may give others an effect, as errors of a map do for the length of its errors.
-    These are left out at their defaults nevertheless, as in hashes of earlier versions.
+    These are left out at their defaults nevertheless, so that hashes stay the same.
     """
     configured = getattr(config, section)
     sampled = {

@@ -134,7 +134,7 @@ class EpisodeRecord(_Frozen):
 
     @model_serializer(mode="wrap")
     def _without_risks(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Omit the risks of a policy that tells none, as earlier versions do."""
+        """Omit the risks of a policy that tells none."""
         return {n: v for n, v in serialize(self).items() if n != "risks" or v is not None}
 
     def evaluation(self, where: Path) -> EvalConfig:

@@ -139,11 +139,6 @@ def policy_notes(
     if isinstance(trained, TrainConfig):
         lines = dict.fromkeys(_training_line(trained, config, keys) for config in configs)
         yield from (f"{path}: {line}" for line in lines if line)
-    if any(isinstance(p, ExportedPolicy) and not p.interface.states_targets for p in policies):
-        yield (
-            f"{path} does not state how a blocked flipper is turned: here its target stays within "
-            "robot.angle_step of the measured angle, on a robot nothing bounds it; export it again"
-        )
 
 
 def _training_line(trained: TrainConfig, config: EvalConfig, keys: Collection[str]) -> str:

@@ -99,12 +99,6 @@ def running_mean(values: FloatArray, window: int) -> FloatArray:
     return np.where(weight > 0, mean, math.nan)
 
 
-def since_first_update(loss: FloatArray) -> FloatArray:
-    """Return the loss, (T,), with NaN before the first update, where older versions wrote 0."""
-    learning = np.isfinite(loss) & (loss != 0.0)
-    return np.where(np.maximum.accumulate(learning), loss, math.nan)
-
-
 def _curve(axes: Axes, at: FloatArray, values: FloatArray, colour: str, dots: bool = False) -> None:
     if dots:
         axes.plot(
@@ -139,7 +133,7 @@ def _validation(axes: Axes, at: FloatArray, values: FloatArray) -> None:
 
 def _losses(axes: Axes, at: FloatArray, rows: Rows) -> None:
     """Draw the loss on the left axis, logarithmic if any is above 0, and ε on the right axis."""
-    loss = since_first_update(column(rows, "loss"))
+    loss = column(rows, "loss")
     axes.plot(at, loss, color=CHASSIS, linewidth=1.0, label="loss")
     if (loss > 0).any():
         axes.set_yscale("log")

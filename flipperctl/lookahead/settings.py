@@ -174,16 +174,12 @@ class MpcSettings(Settings):
     @model_validator(mode="before")
     @classmethod
     def _choose_value(cls, data: Any) -> Any:
-        """Return the settings with a value in place of null, so that saved ones name it.
-
-        Saved settings of version 0.2 have no ``value`` and every field of the hand-set cost, which
-        they keep: without ``value``, a field of that cost counts even at its default.
-        """
+        """Return the settings with a value in place of null, so that saved ones name it."""
         if not isinstance(data, Mapping) or data.get("value") is not None:
             return data
         own = (name for name in HAND_SET if name in data)
         defaults = {name: cls.model_fields[name].default for name in HAND_SET}
-        chosen = any("value" not in data or data[name] != defaults[name] for name in own)
+        chosen = any(data[name] != defaults[name] for name in own)
         if chosen or data.get("rewards") is not None:
             return {**data, "value": ""}
         fallback = data.get("fallback")

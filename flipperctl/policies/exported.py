@@ -80,8 +80,7 @@ def is_exported(file: Path) -> bool:
 def exported_config(file: Path) -> EvalConfig:
     """Return the file's evaluation configuration: robot, layout and terrain, all as in training.
 
-    A file of format 1 holds only the terrain's name; its fields then have their defaults. A
-    stand-in replaces a terrain whose plugin is missing (see ``config.absent``).
+    A stand-in replaces a terrain whose plugin is missing (see ``config.absent``).
 
     Raises:
         PolicyError: flipperctl did not export the file, or this version lacks one of its settings.

@@ -95,16 +95,12 @@ def _network(interface: Interface) -> list[str]:
 
 def _targets(interface: Interface) -> str:
     """Return a line about the rule of the targets."""
-    from math import degrees, isfinite
+    from math import degrees
 
-    rule, limit = interface.targets, "without a limit"
-    if isfinite(rule.limit):
-        limit = f"within ±{degrees(rule.limit):.1f}°"
-    if not interface.states_targets:
-        return f"targets: last target + turn, {limit}; not stated by the file, as in its training"
+    rule = interface.targets
     return (
-        "targets: last target, held within "
-        f"{degrees(rule.window):.1f}° of the measured angle, + turn, {limit}"
+        f"targets: last target, held within {degrees(rule.window):.1f}° of the measured angle, "
+        f"+ turn, within ±{degrees(rule.limit):.1f}°"
     )
 
 

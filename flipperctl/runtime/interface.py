@@ -1,7 +1,6 @@
 """The inputs and outputs of an exported policy, from the entries of its metadata.
 
-In: the metadata of an ONNX model, as JSON that is read strictly. Out: an ``Interface``, checked,
-and what a file without an optional entry means.
+In: the metadata of an ONNX model, as JSON that is read strictly. Out: an ``Interface``, checked.
 """
 
 from __future__ import annotations
@@ -23,8 +22,8 @@ from flipperctl.core.lidar.ground import MapQuality
 from flipperctl.core.observation import ANGLES
 from flipperctl.core.risk import LAGS, SCALE, EscapeRule, RiskSign
 from flipperctl.core.targets import PAIRS, TargetRule
-from flipperctl.errors import PolicyError
-from flipperctl.runtime.session import FORMAT_VERSION, PREFIX
+from flipperctl.errors import OldVersionError, PolicyError
+from flipperctl.runtime.session import EXPORT_AGAIN, FORMAT_VERSION, PREFIX
 
 
 def read_entry(
@@ -96,10 +95,8 @@ MAP = f"{PREFIX}map"
 """Metadata entry of the map's settings, in files whose policy was trained with a LiDAR."""
 
 
-def targets(metadata: Mapping[str, str], where: str, robot: Mapping[str, float]) -> TargetRule:
-    """Return the rule for the targets; without its entry, the rule of earlier versions."""
-    if TARGETS not in metadata:
-        return TargetRule(window=math.inf, limit=robot.get("angle_limit", math.inf))
+def targets(metadata: Mapping[str, str], where: str) -> TargetRule:
+    """Return the rule for the targets."""
     rule = read_entry(
         metadata,
         where,
@@ -229,10 +226,7 @@ class Interface:
     actions: NDArray[np.float64]
     """Turns of the joints by each action, (9, J) in frame R [rad]."""
     targets: TargetRule
-    """How an action turns the flippers; see ``states_targets``."""
-    states_targets: bool
-    """Whether the file states that rule. If not, the policy was trained with targets that were not
-    bounded by measured angles, and ``targets.window`` is infinite."""
+    """How an action turns the flippers."""
     decision_period: float
     """Time between two actions [s]."""
     robot: Mapping[str, float]
@@ -240,7 +234,7 @@ class Interface:
     terrain: str
     """Name of the terrain plugin of the training."""
     terrain_config: Mapping[str, Any]
-    """``name`` and all fields of that plugin; only the name in a file of format 1."""
+    """``name`` and all fields of that plugin."""
     seed: int
     """Seed of the training."""
     package_version: str
@@ -277,15 +271,17 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
     ``where``: name of the file, for the errors.
 
     Raises:
-        PolicyError: flipperctl did not write the metadata, their format is unknown, or an entry
-            is not valid.
+        PolicyError: flipperctl did not write the metadata, they are of an earlier version, or an
+            entry is not valid.
     """
     version = metadata.get(f"{PREFIX}format_version")
-    if version not in ("1", str(FORMAT_VERSION)):
+    if version != str(FORMAT_VERSION):
         raise PolicyError(
             f"{where} has format version {version!r}; "
-            f"this version of flipperctl reads 1 and {FORMAT_VERSION}"
+            f"this version of flipperctl reads {FORMAT_VERSION}"
         )
+    if f"{PREFIX}joints" not in metadata:
+        raise PolicyError(f"{where} {OldVersionError('0.2', EXPORT_AGAIN)}")
     entry = partial(read_entry, metadata, where)
     bins = entry("bins", "a whole number above 0", is_count)
     size = layout.size(bins)
@@ -304,7 +300,6 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
         "joints",
         f"the list {json.dumps(PAIRS.joints)}, the joints of this version,",
         lambda v: v == list(PAIRS.joints),
-        absent=json.dumps(PAIRS.joints),  # as in files of version 0.2
     )
     table = entry("actions", f"a table of {len(PAIRS.steps)} pairs of angles", is_table)
     actions = np.array(table, dtype=np.float64)
@@ -319,17 +314,15 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
         "terrain_config",
         f"a mapping with the name {terrain!r} and the terrain's fields",
         lambda v: isinstance(v, dict) and v.get("name") == terrain,
-        absent=json.dumps({"name": terrain}) if version == "1" else "",
     )
     return Interface(
         observation=tuple(Quantity(**e) for e in observation),
         bins=bins,
         bin_width=entry("bin_width", "a length above 0", is_positive),
-        frames=entry("frames", "a whole number above 0", is_count, absent="1"),
+        frames=entry("frames", "a whole number above 0", is_count),
         joints=tuple(joints),
         actions=actions,
-        targets=targets(metadata, where, robot),
-        states_targets=TARGETS in metadata,
+        targets=targets(metadata, where),
         decision_period=entry("decision_period", "a time above 0", is_positive),
         robot=MappingProxyType(robot),
         terrain=terrain,

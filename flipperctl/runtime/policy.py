@@ -26,7 +26,6 @@ from flipperctl.runtime.session import (
     open_session,
     read_model,
     run_error,
-    warn_of_targets,
 )
 
 FloatPair = NDArray[np.float64]
@@ -176,8 +175,6 @@ class OnnxPolicy:
             PolicyError: an argument is not two numbers within ±π, or there is no such action.
             NonFiniteError: an angle is NaN or infinite.
         """
-        if not self.interface.states_targets:
-            warn_of_targets(str(self.path))
         row = _index(action)
         if row is None:
             raise PolicyError(

@@ -7,36 +7,27 @@ error before any other code parses them. The checksum is computed over the whole
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import logging
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from flipperctl.core.reading import read_whole
 from flipperctl.core.risk import LAGS
 from flipperctl.core.targets import ACTIONS
-from flipperctl.errors import MissingExtraError, PolicyError
+from flipperctl.errors import MissingExtraError, OldVersionError, PolicyError
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
 FORMAT_VERSION = 2
-"""Format of the metadata under ``flipperctl.*``; 1 had no checksum and only the terrain's name."""
+"""Format of the metadata under ``flipperctl.*``; version 0.1 had 1, without a checksum."""
 PREFIX = "flipperctl."
+EXPORT_AGAIN = "train its policy again, and export it with this version"
 CHECKSUM = f"{PREFIX}sha256"
 PLACEHOLDER = "0" * 64
 """Value of the checksum entry while the checksum is computed."""
-_NAME = re.compile(re.escape(PREFIX).encode() + rb"\w*")
 _FORMAT = f"{PREFIX}format_version"
-_FORMAT_1_ENTRIES = frozenset(
-    f"{PREFIX}{name}".encode()
-    for name in (
-        *("format_version", "package_version", "observation", "bins", "bin_width", "frames"),
-        *("actions", "decision_period", "robot", "terrain", "seed", "network"),
-    )
-)
 
 
 def add_checksum(data: bytes) -> bytes:
@@ -51,12 +42,12 @@ def add_checksum(data: bytes) -> bytes:
     return _replace_at(data, start, hashlib.sha256(data).hexdigest())
 
 
-def verify(data: bytes, where: str) -> bool:
-    """Check the bytes of a file; return whether they have a checksum (format 1 has none).
+def verify(data: bytes, where: str) -> None:
+    """Check the bytes of a file against its checksum.
 
     Raises:
-        PolicyError: the bytes were changed since the export, or ``flipperctl export onnx`` did not
-            write them.
+        PolicyError: the bytes were changed since the export, or ``flipperctl export onnx`` of this
+            version did not write them.
     """
     start = _find_entry(data, CHECKSUM, len(PLACEHOLDER))
     if start is not None:
@@ -67,21 +58,20 @@ def verify(data: bytes, where: str) -> bool:
                 f"{where} is damaged, or was changed since its export: "
                 "its SHA-256 does not match its contents"
             )
-        return True
+        return
     version = _find_entry(data, _FORMAT, 1)
     if version is None:
         raise PolicyError(
             f"{where} is damaged, or not a file of flipperctl export onnx: it holds no {_FORMAT}"
         )
     found_version = data[version : version + 1]
-    if found_version == b"1" and _FORMAT_1_ENTRIES.issuperset(re.findall(_NAME, data)):
-        return False
-    # Without a checksum, only the entries of format 1 are possible: this file is damaged.
-    if found_version in (b"1", b"%d" % FORMAT_VERSION):
+    if found_version == b"1":
+        raise PolicyError(f"{where} {OldVersionError('0.1', EXPORT_AGAIN)}")
+    if found_version == b"%d" % FORMAT_VERSION:
         raise PolicyError(f"{where} is damaged: its SHA-256 cannot be found")
     raise PolicyError(
         f"{where} has format version {found_version.decode(errors='replace')!r}, or is damaged; "
-        f"this version of flipperctl reads 1 and {FORMAT_VERSION}"
+        f"this version of flipperctl reads {FORMAT_VERSION}"
     )
 
 
@@ -147,8 +137,7 @@ def _read(path: Path) -> bytes:
     """Return the bytes of a file whose checksum is right."""
 
     def verified(data: bytes) -> bytes:
-        if not verify(data, str(path)):
-            _warn_once(str(path))
+        verify(data, str(path))
         return data
 
     try:
@@ -158,26 +147,6 @@ def _read(path: Path) -> bytes:
     except (OSError, ValueError) as error:  # ValueError: the name is not valid
         reason = getattr(error, "strerror", None) or error
         raise PolicyError(f"{path} cannot be read: {reason}") from error
-
-
-@functools.cache
-def _warn_once(path: str) -> None:
-    _LOGGER.warning(
-        "%s was exported by flipperctl 0.1 without a checksum: damage cannot be checked, and the "
-        "file holds only the name of its terrain; export it again",
-        path,
-    )
-
-
-@functools.cache
-def warn_of_targets(path: str) -> None:
-    """Warn once that a file does not state the rule for its targets."""
-    _LOGGER.warning(
-        "%s does not state how a blocked flipper is turned (flipperctl.targets): it was exported "
-        "by an earlier flipperctl, whose targets were not bounded by measured angles; they are "
-        "computed as in its training. Export it again to bound them",
-        path,
-    )
 
 
 def read_model(session: InferenceSession, where: str) -> tuple[dict[str, str], Shapes]:

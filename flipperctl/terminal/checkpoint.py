@@ -28,9 +28,7 @@ def print_checkpoint(found: dict[str, Any], saved: Checkpoint) -> None:
         "decision": str(found.get("decision") or (state or {}).get("decision")),
         "numbers": ", ".join(f"{name} {count}" for name, count in found["numbers"].items()),
         "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
-        "plugins": ", ".join(
-            f"{p.kind} {p.name} ({p.origin or p.module})" for p in document.plugins
-        ),
+        "plugins": ", ".join(f"{p.kind} {p.name} ({p.file or p.module})" for p in document.plugins),
     }
     if best:
         lines["best"] = (

@@ -54,5 +54,5 @@ def _resume_command(run: Path) -> str:
     if not follow_up.plugin_paths():
         with contextlib.suppress(CheckpointError):  # train --resume says what is damaged
             named = checkpoint.read(run / checkpoint.LAST).document.plugins
-            files = list(dict.fromkeys(p.origin for p in named if p.origin))
+            files = list(dict.fromkeys(p.file for p in named if p.file))
     return f"{command} (and --plugins for {', '.join(files)})" if files else command

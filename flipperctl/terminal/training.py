@@ -39,7 +39,7 @@ def print_best(run: Finished) -> None:
     best = run.summary["best"]
     print_note(
         f"\nBest validation at decision {best['decision']}: success {best['success_rate']:.0%}, "
-        f"{way_text(best)}{_return_text(best)}. "
+        f"{way_text(best)}, return {best['mean_return']:.2f}. "
         f"{run.summary['decisions']} decisions in {run.summary['seconds']:.0f} s.\n"
         f"{_risk_line(best)}{regret.line(run.summary.get('regret'))}"
         f"Evaluate: {command('eval', '--checkpoint', run.directory)}\n"
@@ -52,9 +52,3 @@ def _risk_line(validation: Mapping[str, Any]) -> str:
     start = "risk_"
     found = {n.removeprefix(start): v for n, v in validation.items() if n.startswith(start)}
     return f"Its risk, there: {risk.text(found)}.\n" if "threshold" in found else ""
-
-
-def _return_text(validation: Mapping[str, Any]) -> str:
-    """Return the mean return; a validation of an earlier version may lack it."""
-    value = validation["mean_return"]
-    return "" if value is None else f", return {value:.2f}"

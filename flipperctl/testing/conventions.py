@@ -247,13 +247,9 @@ def probe_export(interface: Interface, robot: Robot, file: str) -> Iterator[Prob
                 file, f"turn of the {pair} pair by action {index}", "rad", found, expected, 1e-6
             )
     rule = interface.targets
-    if math.isfinite(rule.limit):  # a file of version 0.1 may not state it
-        yield Probe(
-            file, "largest target, in both directions", "rad", rule.limit, robot.angle_limit, 1e-6
-        )
-    if interface.states_targets:
-        held = "distance between target and angle"
-        yield Probe(file, held, "rad", rule.window, robot.angle_step, 1e-6)
+    largest, held = "largest target, in both directions", "distance between target and angle"
+    yield Probe(file, largest, "rad", rule.limit, robot.angle_limit, 1e-6)
+    yield Probe(file, held, "rad", rule.window, robot.angle_step, 1e-6)
     period = interface.decision_period
     yield Probe(file, "time between two actions", "s", period, robot.decision_period, 1e-6)
     right = tuple(quantity.name for quantity in interface.observation[-3:]) == ANGLES

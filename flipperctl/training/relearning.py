@@ -22,7 +22,7 @@ from flipperctl.checkpoint import Checkpoint
 from flipperctl.checkpoint.sealed import require_equal_layout
 from flipperctl.config import TrainConfig
 from flipperctl.errors import CheckpointError
-from flipperctl.training.starting import Start, give, read_start
+from flipperctl.training.starting import Start, give
 
 _PART = "start"
 """Part of a checkpoint that holds the weights to begin with."""
@@ -60,17 +60,14 @@ class Relearning:
         return {f"{_PART}.{name}": tensor for name, tensor in weights.items()}
 
     def restore(self, saved: Checkpoint) -> None:
-        """Restore the weights to begin with; those of a run of an earlier version are read again.
+        """Restore the weights to begin with.
 
         Raises:
-            CheckpointError: they are not those of this network; see ``read_start``, too.
-            ConfigError: see ``read_start``.
+            CheckpointError: they are not those of this network.
         """
         if not (self._relearns and self._config.agent.start_from):
             return
-        if not (weights := saved.part(_PART)):
-            self.begin(read_start(self._config))
-            return
+        weights = saved.part(_PART)
         module = build_network(self._config.network, self._layout, len(ACTIONS))
         try:
             require_equal_layout(weights, module.state_dict())

@@ -240,15 +240,12 @@ class RunSaver:
         """Restore the run from a checkpoint; return the requests that were outstanding.
 
         Raises:
-            CheckpointError: the checkpoint is of an earlier version, its tensors are not those of
-                this run, or a file that a plugin reads has changed.
+            CheckpointError: it is no checkpoint of a run, its tensors are not those of this run, or
+                a file that a plugin reads has changed.
         """
         state = saved.document.state
         if state is None:
-            raise CheckpointError(
-                f"{saved.path} is of an earlier version: its policy can be evaluated and exported, "
-                "but the run cannot be resumed"
-            )
+            raise CheckpointError(f"{saved.path} holds a policy alone, not a run")
         self._require_files(state)
         replay, weights = run_arrays(saved, state, self._agent, self._replay)
         self._agent.restore(saved.tensors, state.updates)
@@ -264,7 +261,7 @@ class RunSaver:
         for name in _COUNTERS:
             setattr(self._progress, name, getattr(state, name))
         self._progress.recent.extend(state.recent)
-        self._validator.restore(state.validations, state.best_by)
+        self._validator.history[:] = state.validations
         return [
             RolloutRequest(**request.model_dump(), weights=weights[request.version])
             for request in state.orders

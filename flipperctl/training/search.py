@@ -132,7 +132,7 @@ def _twins(study: Study, trial: Trial) -> list[FrozenTrial]:
 def free_place(study: Study, trial: Trial) -> int:
     """Return the lowest place that no earlier trial has which counts or runs.
 
-    Trials of earlier versions do not know theirs; it is their number among the others.
+    A trial that has just begun has not noted its own; it counts as the lowest free one.
     """
     taken: set[int] = set()
     for other in begun(study):  # in the order of their numbers

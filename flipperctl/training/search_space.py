@@ -48,16 +48,13 @@ def objective(best: dict[str, Any] | None, episodes: int, best_by: str = "succes
     It is the mean return if ``best_by``, as in ``train.best_by``, is ``return``. Else it is the
     success rate minus a penalty of at most one episode that grows with θ̂_R at 100 Hz [rad]:
     ``success − θ̂_R / (1 + θ̂_R) / episodes``. It orders runs as validations are ordered: by success,
-    then by θ̂_R. Runs of earlier versions that lack θ̂_R at 100 Hz use θ̂_R at decisions.
-    Return None if there was no validation.
+    then by θ̂_R. Return None if there was no validation.
     """
     if best is None:
         return None
-    if best_by == "return" and best.get("mean_return") is not None:
+    if best_by == "return":
         return float(best["mean_return"])
-    variation = best.get("pitch_variation_100hz")
-    if variation is None:  # a run of an earlier version
-        variation = best["pitch_variation"] or 0.0
+    variation = best["pitch_variation_100hz"]
     penalty = variation / (1.0 + variation) if math.isfinite(variation) else 1.0
     return float(best["success_rate"]) - penalty / episodes
 

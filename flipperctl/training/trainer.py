@@ -386,8 +386,7 @@ class Trainer:
         """Restore the run from a checkpoint that ``save`` wrote.
 
         Raises:
-            CheckpointError: the checkpoint is of an earlier version, or its tensors are not those
-                of this run.
+            CheckpointError: see ``RunSaver.restore``.
         """
         self._outstanding = self._saver.restore(saved)
         self._restored = True

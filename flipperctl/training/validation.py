@@ -146,23 +146,13 @@ class Validator:
         self.history: list[Validation] = []
         """Results of all validations, oldest first."""
         self._paying = [f"reward_{name}" for name in paying_terms(config.rewards)]
-        self._configured: BestBy = _BEST_BY[settings.best_by]
-        self.best_by: BestBy = self._configured
+        self.best_by = _BEST_BY[settings.best_by]
         """What ranks the validations."""
 
     @property
     def best(self) -> Validation | None:
         """Best validation so far by ``best_by``."""
         return max(self.history, key=lambda v: v.score(self.best_by), default=None)
-
-    def restore(self, history: Sequence[Validation], best_by: BestBy) -> None:
-        """Continue after the validations of a resumed run.
-
-        A run that has chosen a best policy, as by θ̂_R at decisions in earlier versions, goes on
-        choosing in that way: with another one the best could be one whose weights are lost.
-        """
-        self.history[:] = history
-        self.best_by = best_by if history else self._configured
 
     @property
     def last(self) -> Validation | None:

@@ -101,6 +101,6 @@ def test_the_calls_name_the_trainings_that_exist(tmp_path: Path) -> None:
     assert words == (
         "eval suite=families --baseline none --jobs 2 eval.cell=5 "
         f"--checkpoint {tmp_path / 'searched'} --checkpoint generalist "
-        "--checkpoint generalist_first --controller okada,level "
+        "--controller okada,level "
         "--episodes 30 --output judged/families/fast"
     )

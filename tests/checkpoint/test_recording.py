@@ -106,6 +106,16 @@ def test_a_checkpoint_is_no_recording_and_the_reverse(short_run: Path, file: Pat
         recording.read(file.with_name("none"))
 
 
+def test_episodes_of_version_0_2_are_refused_in_one_line(file: Path) -> None:
+    text, tensors = sealed.read(file, recording.NOUN)
+    document = json.loads(text)
+    for environment in document["environments"]:
+        del environment["robot"]["payload"]
+    file.write_bytes(sealed.serialize(json.dumps(document), tensors))
+    with pytest.raises(CheckpointError, match=r"is of version 0\.2; .*; record its"):
+        recording.read(file)
+
+
 LABELS = torch.full((6, 9), 1 / 9)
 
 

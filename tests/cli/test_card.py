@@ -53,7 +53,7 @@ def test_a_card_from_results_with_the_commands_that_make_them(tmp_path: Path) ->
     assert "| terrain | conditions | policy |" in text  # of which one table may have several
 
     # The folder remembers which weights they were.
-    other = call("eval", "generalist_first", *asked[:3], "--baseline", "none",
+    other = call("eval", "mpc_value", *asked[:3], "--baseline", "none",
                  "terrain=flat", "--output", "other", cwd=tmp_path)  # fmt: skip
     assert other.code == 0, other.err
     for name in (
@@ -61,7 +61,7 @@ def test_a_card_from_results_with_the_commands_that_make_them(tmp_path: Path) ->
         *(f"cells/{f.name}" for f in (tmp_path / "other/cells").iterdir()),
     ):
         file = tmp_path / "other" / name
-        file.write_text(file.read_text().replace("generalist_first", "generalist"))
+        file.write_text(file.read_text().replace("mpc_value", "generalist"))
     done = call("card", "generalist", "other", cwd=tmp_path)
     assert done.code == 2, done.out
     assert "other: generalist had other weights there than" in done.err

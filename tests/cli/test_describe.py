@@ -18,7 +18,7 @@ def list_settings(*overrides: str, cwd: Path) -> dict[str, dict[str, Any]]:
     return by_path
 
 
-@pytest.mark.parametrize("experiment", ["quick", "generalist", "generalist_first", "taught"])
+@pytest.mark.parametrize("experiment", ["quick", "generalist", "taught"])
 def test_it_lists_every_setting_of_the_configuration(experiment: str, tmp_path: Path) -> None:
     changes = [f"experiment={experiment}", "collector=ray"]
     found = list_settings(*changes, cwd=tmp_path)

@@ -27,6 +27,10 @@ GONE = "is gone; flipperctl compare DIR... gives the 95 % interval of each diffe
         ("eval --replay=failure_stair_3.json", "--replay is now: flipperctl replay FILE\n"),
         ("eval okada --detect 0.1", f"eval --detect {GONE}"),
         ("eval okada eval.static_bound=true", "eval.static_bound is gone; leave it out\n"),
+        ("train terrain=ramp experiment=taught_margin", "experiment=taught teacher.loss=margin\n"),
+        ("train experiment=generalist_first", "is now: experiment=generalist\n"),
+        ("eval generalist_first", "generalist_first is gone; flipperctl eval generalist\n"),
+        ("inspect checkpoint generalist_first", "did you mean 'generalist'?"),
         ("compare judged --detect-success 0.1", f"compare --detect-success {GONE}"),
     ],
 )

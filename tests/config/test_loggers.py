@@ -1,4 +1,4 @@
-"""The choice of loggers: by names, with settings, of files of 0.2, and without their plugins."""
+"""The choice of loggers: by names, with settings, and without their plugins."""
 
 from typing import Any
 
@@ -9,8 +9,6 @@ from flipperctl.config.absent import with_stand_ins
 from flipperctl.errors import ConfigError
 
 PLAIN = to_dict(TrainConfig(terrain="flat", network="mlp"))
-OLD = {key: value for key, value in PLAIN.items() if key != "logger"}
-"""A configuration of version 0.2, which has no loggers."""
 
 
 @pytest.mark.parametrize(
@@ -25,11 +23,7 @@ OLD = {key: value for key, value in PLAIN.items() if key != "logger"}
     ],
 )
 def test_loggers_are_chosen_by_name(given: Any, names: list[str]) -> None:
-    assert list(parse(TrainConfig, {**OLD, "logger": given}).logger) == names
-
-
-def test_a_training_of_version_0_2_has_its_events() -> None:
-    assert list(parse(TrainConfig, OLD).logger) == ["tensorboard"]
+    assert list(parse(TrainConfig, {**PLAIN, "logger": given}).logger) == names
 
 
 def test_a_resumed_run_may_have_other_loggers() -> None:

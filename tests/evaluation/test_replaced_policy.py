@@ -17,7 +17,7 @@ def test_a_policy_that_is_replaced_meanwhile_is_refused(
 ) -> None:
     """As by a run that is still trained and finds a better policy."""
     shipped, file = shipped_policies(), tmp_path / "best.safetensors"
-    file.write_bytes(shipped["generalist_first"].read_bytes())
+    file.write_bytes(shipped["mpc_value"].read_bytes())
     play = EpisodeRunner.play
 
     def replaced(self: EpisodeRunner, index: int) -> Row:

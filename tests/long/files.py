@@ -47,13 +47,11 @@ def cases(kind: str, folder: Path, originals: dict[str, bytes]) -> list[Case]:
             ]
         return found
     if kind == "onnx":
-        whole, old = originals["onnx"], originals["old"]
+        whole = originals["onnx"]
         return [
             *raw("onnx"),
             *(("metadata", lambda rng: signed.resealed(whole, rng), "onnx", True),) * 4,
             ("disguised", lambda rng: signed.disguised(whole, rng), "onnx", False),
-            ("format 1", lambda rng: BYTES["flip"](old, rng), "old", True),
-            ("format 1", lambda rng: BYTES["blank"](old, rng), "old", True),
         ]
     mutations = {**BYTES, "number": number_at_the_start}
     return [

@@ -31,7 +31,7 @@ INPUTS = np.random.default_rng(0).uniform(-0.5, 0.5, (50, 18)).astype(np.float32
 
 
 def files(folder: Path) -> dict[str, bytes]:
-    """Return ``best`` and ``last`` of a tiny run with a pending request, ``onnx`` and ``old``."""
+    """Return ``best`` and ``last`` of a tiny run with a pending request, and ``onnx``."""
     run = folder / "run"
     small = {"network": {"name": "at_d3qn", "terrain": [8], "fused": 8, "head": 8}}
     budget = {"train.decisions": 150, "train.validate_every": 100, "train.validation_episodes": 1}
@@ -50,27 +50,12 @@ def files(folder: Path) -> dict[str, bytes]:
         "best": (run / checkpoint.BEST).read_bytes(),
         "last": (run / checkpoint.LAST).read_bytes(),
         "onnx": whole,
-        "old": _old(whole),
     }
 
 
 def _model(data: bytes) -> tuple[Any, dict[str, str]]:
     model = onnx.load_from_string(data)
     return model, {p.key: p.value for p in model.metadata_props}
-
-
-LATER = ("terrain_config", "targets", "joints")
-"""Entries that version 0.1 did not write."""
-
-
-def _old(data: bytes) -> bytes:
-    """Return the policy as flipperctl 0.1 wrote it."""
-    model, metadata = _model(data)
-    for name in (CHECKSUM, *(f"flipperctl.{later}" for later in LATER)):
-        del metadata[name]
-    del model.metadata_props[:]
-    onnx.helper.set_model_props(model, {**metadata, "flipperctl.format_version": "1"})
-    return bytes(model.SerializeToString())
 
 
 def read_checkpoint(path: Path) -> str:

@@ -7,7 +7,6 @@ from typing import Any
 import pytest
 
 import flipperctl
-from flipperctl import checkpoint
 from flipperctl.api import Controller
 from flipperctl.cli.hydra import compose
 from flipperctl.cli.hydra.overrides import Overrides
@@ -76,15 +75,6 @@ def test_other_settings_and_defaults_do_not() -> None:
     assert Mpc(beam=4, friction=0.7).value == "mpc_value"
 
 
-def test_settings_of_version_0_2_keep_the_hand_set_cost() -> None:
-    """They hold every field of the cost at its default, and no value."""
-    file = checkpoint.shipped_policies()["generalist_first"]
-    saved = checkpoint.read(file).document.config.model_dump(mode="json")["teacher"]["controller"]
-    assert "value" not in saved
-    assert saved["swing"] == Mpc.model_fields["swing"].default
-    assert resolver.create("controller", saved, "controller").value == ""
-
-
 def test_rewards_alone_take_no_other_objective_s_value() -> None:
     assert Mpc(rewards={"end": "end"}).value == ""
     assert Mpc(rewards={"end": "end"}, value="mpc_value").value == "mpc_value"
@@ -95,8 +85,7 @@ def test_rewards_alone_take_no_other_objective_s_value() -> None:
     [
         ["teacher=mpc"],
         ["teacher=lookahead"],
-        ["experiment=generalist_first"],
-        ["experiment=taught_td"],
+        ["experiment=taught"],
     ],
     ids=" ".join,
 )

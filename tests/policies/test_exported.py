@@ -55,8 +55,6 @@ def test_a_policy_of_a_mix_is_evaluated_on_that_mix(tmp_path: Path) -> None:
     }
     path = linear.write(tmp_path / "p.onnx", terrain="mix", terrain_config=mix)
     assert exported_config(path).terrain == EnvConfig(terrain=mix).terrain
-    old = linear.write(tmp_path / "old.onnx", **{**linear.FORMAT_1, "terrain": "mix"})
-    assert exported_config(old).terrain == EnvConfig(terrain="mix").terrain
 
 
 def test_another_layout_is_refused(exported: Path) -> None:
@@ -93,13 +91,6 @@ def test_a_terrain_with_wrong_settings_is_still_refused(tmp_path: Path) -> None:
     path = linear.write(tmp_path / "p.onnx", terrain="stair", terrain_config=stair)
     with pytest.raises(PolicyError, match=r"terrain\.rise: .*greater than 0"):
         exported_config(path)
-
-
-def test_a_file_that_states_no_rule_for_targets_says_what_differs(tmp_path: Path) -> None:
-    path = linear.write(tmp_path / "p.onnx", robot=Robot().model_dump(exclude_none=True))
-    done = call("eval", "--checkpoint", str(path), "--episodes", "1", cwd=tmp_path)
-    assert done.code == 0, done.err
-    assert done.err.count("does not state how a blocked flipper is turned: here its target") == 1
 
 
 def test_eval_takes_an_exported_file(exported: Path, tmp_path: Path) -> None:

@@ -29,8 +29,8 @@ def policy(*names: str) -> CostPolicy:
 
 
 def test_several_policies_drive_by_the_mean_of_their_values() -> None:
-    first, second = policy("generalist"), policy("generalist_first")
-    both, same = policy("generalist", "generalist_first"), policy("generalist", "generalist")
+    first, second = policy("generalist"), policy("mpc_value")
+    both, same = policy("generalist", "mpc_value"), policy("generalist", "generalist")
     for decision in islice(decisions(FlipperEnv(config=CONFIG), both, seed=2), 20):
         p = decision.perception
         mean = (first.costs(p) + second.costs(p)) / 2
@@ -41,14 +41,14 @@ def test_several_policies_drive_by_the_mean_of_their_values() -> None:
 
 def test_each_of_several_policies_is_part_of_the_identity(tmp_path: Path) -> None:
     copy = tmp_path / "copy.safetensors"
-    copy.write_bytes(Path("flipperctl/policies/generalist_first.safetensors").read_bytes())
+    copy.write_bytes(Path("flipperctl/policies/mpc_value.safetensors").read_bytes())
     digests = [
         PolicyIdentity.of(source(*names)).digest
         for names in (
             ("generalist",),
-            ("generalist", "generalist_first"),
+            ("generalist", "mpc_value"),
             ("generalist", str(copy)),
-            ("generalist_first", "generalist"),
+            ("mpc_value", "generalist"),
         )
     ]
     assert digests[1] == digests[2], "the content counts, not the place"

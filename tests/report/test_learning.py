@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from flipperctl.figures.figure import save
-from flipperctl.figures.learning import column, learning_figure, running_mean, since_first_update
+from flipperctl.figures.learning import column, learning_figure, running_mean
 from tests.report.test_figures import texts
 
 
@@ -77,11 +77,8 @@ def test_the_panel_of_swing_leaves_out_what_did_not_reach_the_finish() -> None:
     assert all(np.isnan(line.get_ydata()).all() for line in checked)
 
 
-def test_the_loss_is_empty_before_the_first_update() -> None:
-    written = np.array([0.0, math.nan, 0.0, 0.2, 0.0, 0.1])  # by an older version: 0, not empty
-    expected = np.array([math.nan, math.nan, math.nan, 0.2, 0.0, 0.1])
-    assert since_first_update(written) == pytest.approx(expected, nan_ok=True)
-    unlearned = [{**row, "loss": "0.0"} for row in rows(3)]
+def test_a_run_without_an_update_says_so() -> None:
+    unlearned = [{**row, "loss": ""} for row in rows(3)]
     assert "no update yet" in texts(learning_figure(unlearned, [], "run"))
 
 

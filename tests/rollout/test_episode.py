@@ -6,7 +6,7 @@ import warnings
 import numpy as np
 import pytest
 
-from flipperctl.api import Controller, Perception, Policy, Simulator, action_index, controller
+from flipperctl.api import Controller, Perception, Policy, Simulator, action_index
 from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.plugin import FunctionPolicy
@@ -64,30 +64,21 @@ def test_play_passes_every_decision_to_watch() -> None:
     assert len(watched) == row["decisions"]
 
 
-@pytest.mark.usefixtures("registry")
-def test_the_begin_of_a_version_0_1_controller_is_called_in_each_episode() -> None:
-    begun = []
-    with pytest.warns(DeprecationWarning, match=r"begin is deprecated.*build"):
-
-        @controller("old_fashioned")
-        class OldFashioned(Controller):
-            """Written for version 0.1."""
-
-            def begin(self, simulator: Simulator) -> None:
-                begun.append(simulator.finish)
-
-            def act(self, p: Perception) -> int:
-                return HOLD
-
-    policy = OldFashioned().build()
-    play(FlipperEnv("flat"), policy, 0)
-    play(FlipperEnv("flat"), policy, 1)
-    assert len(begun) == 2
-    assert OldFashioned.searches_first
-
-
 def test_a_controller_without_act_and_build_is_refused() -> None:
     with warnings.catch_warnings(), pytest.raises(TypeError, match=r"Idle.*act\(p\) or build\(\)"):
 
         class Idle(Controller):
             """Has neither ``act`` nor ``build``."""
+
+
+def test_the_begin_of_a_version_0_1_controller_is_refused() -> None:
+    with pytest.raises(TypeError, match=r"OldFashioned: begin is never called; write build\(\)"):
+
+        class OldFashioned(Controller):
+            """Written for version 0.1."""
+
+            def begin(self, simulator: Simulator) -> None:
+                pass
+
+            def act(self, p: Perception) -> int:
+                return HOLD

@@ -173,14 +173,3 @@ def test_an_interrupted_run_is_resumed_with_its_plugins(made: Path, tmp_path: Pa
     with hold(tmp_path / "run"):
         shown = " ".join(call("inspect", "run", "run", cwd=tmp_path).out.split())
     assert "run: still running decision" in shown
-
-
-def test_a_checkpoint_of_version_0_2_tells_the_file_by_its_module() -> None:
-    from flipperctl.checkpoint.document import PluginReference
-
-    module = "flipperctl_user_my_ridge_65531daf"
-    found = PluginReference(kind="terrain", name="ridge", module=module)
-    assert (found.file, found.origin) == (None, "my_ridge.py")
-    assert found.model_dump() == {"kind": "terrain", "name": "ridge", "module": module}
-    installed = PluginReference(kind="terrain", name="x", module="flipperctl_plugins.terrains.x")
-    assert installed.origin is None

@@ -18,10 +18,13 @@ ANGLES = [
 STEP = math.pi / 12
 METADATA = {
     "format_version": 2,
-    "package_version": "0.1.0",
+    "package_version": "0.3.0",
     "observation": HEIGHTS + ANGLES,
     "bins": 15,
     "bin_width": 0.15,
+    "frames": 1,
+    "joints": ["front", "rear"],
+    "targets": {"meaning": "x", "window": STEP, "limit": math.pi / 3},
     "actions": [[i * STEP, j * STEP] for i in (-1, 0, 1) for j in (-1, 0, 1)],
     "decision_period": 0.6,
     "robot": {"chassis_length": 0.76, "flipper_length": 0.536, "angle_step": STEP},
@@ -33,8 +36,9 @@ METADATA = {
 ROBOT = {**METADATA["robot"], "track_radius": 0.1, "track_speed": 0.2, "flipper_speed": 0.436}
 RULE = {"window": STEP, "limit": math.pi / 3}
 """What a file for the controller also has: all of the robot, and the rule of its targets."""
-FORMAT_1 = {"format_version": 1, "terrain_config": None, "checksum": False}
-"""Arguments of ``write`` for a file of format 1."""
+VERSION_0_1 = {"format_version": 1, "terrain_config": None, "checksum": False}
+VERSION_0_2 = {"joints": None}
+"""Arguments of ``write`` for files of earlier versions."""
 RISK = {"horizon": 10, "threshold": 0.7, "lags": [1, 2, 4, 8, 16], "scale": 0.03}
 """Metadata of a file with a risk."""
 

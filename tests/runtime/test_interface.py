@@ -8,13 +8,13 @@ import pytest
 from flipperctl.core.lidar.ground import MapQuality
 from flipperctl.errors import PolicyError
 from flipperctl.runtime import OnnxPolicy
-from tests.runtime.linear import MAP, METADATA, write
+from tests.runtime.linear import MAP, METADATA, VERSION_0_1, VERSION_0_2, write
 
 
 def test_the_metadata_describe_inputs_and_outputs(tmp_path: Path) -> None:
     interface = OnnxPolicy(write(tmp_path / "p.onnx")).interface
     assert (interface.size, interface.bins, interface.bin_width) == (18, 15, 0.15)
-    assert (interface.frames, interface.inputs) == (1, 18)  # the metadata have no entry of frames
+    assert (interface.frames, interface.inputs) == (1, 18)
     assert [q.name for q in interface.observation[14:]] == [
         "h_15",
         "theta_f1",
@@ -22,13 +22,13 @@ def test_the_metadata_describe_inputs_and_outputs(tmp_path: Path) -> None:
         "theta_R",
     ]
     assert interface.observation[15].unit == "rad"
-    assert interface.joints == ("front", "rear")  # of version 0.2, whose files do not name them
+    assert interface.joints == ("front", "rear")
     # action = 3·(i + 1) + (j + 1): index 2 is front −1, rear +1
     assert interface.actions.shape == (9, 2)
     assert interface.actions[2].tolist() == pytest.approx([-math.pi / 12, math.pi / 12])
     assert interface.decision_period == 0.6
     assert interface.robot["chassis_length"] == 0.76
-    assert (interface.terrain, interface.seed, interface.package_version) == ("stair", 7, "0.1.0")
+    assert (interface.terrain, interface.seed, interface.package_version) == ("stair", 7, "0.3.0")
     assert dict(interface.terrain_config) == {"name": "stair", "rise": 0.15}
 
 
@@ -82,9 +82,13 @@ def test_a_map_that_lacks_a_setting_is_refused(name: str, tmp_path: Path) -> Non
             {**dict.fromkeys(METADATA), "checksum": False},
             r"not a file of flipperctl export onnx.*no flipperctl\.format_version",
         ),
-        ({"format_version": 3}, r"format version '3'; this version of flipperctl reads 1 and 2"),
+        ({"format_version": 3}, r"format version '3'; this version of flipperctl reads 2"),
         ({"format_version": 3, "checksum": False}, r"format version '3', or is damaged"),
-        ({"format_version": None}, r"format version None; this version of flipperctl reads 1 and"),
+        ({"format_version": None}, r"format version None; this version of flipperctl reads 2"),
+        (VERSION_0_1, r"is of version 0\.1; this version reads 0\.3; train .*and export it"),
+        (VERSION_0_2, r"is of version 0\.2; this version reads 0\.3; train .*and export it"),
+        ({"frames": None}, r"flipperctl\.frames is ''"),
+        ({"targets": None}, r"flipperctl\.targets is ''"),
         ({"bins": None}, r"flipperctl\.bins is ''.*a whole number above 0 is allowed"),
         ({"bins": 12}, r"flipperctl\.observation is .* a list of 15 mappings"),
         ({"bin_width": -0.15}, r"flipperctl\.bin_width is '-0\.15'.*above 0"),

@@ -1,6 +1,5 @@
 """How an action turns the flippers, on the robot as in the environment."""
 
-import logging
 import math
 from pathlib import Path
 
@@ -8,7 +7,7 @@ import pytest
 
 from flipperctl.errors import NonFiniteError, PolicyError
 from flipperctl.runtime import OnnxPolicy, TargetRule
-from tests.runtime.linear import FORMAT_1, STEP, write
+from tests.runtime.linear import STEP, write
 
 RULE = TargetRule(window=0.25, limit=1.0)
 STATED = {"meaning": "x", "window": 0.25, "limit": 1.0}
@@ -50,26 +49,6 @@ def test_the_robot_turns_its_flippers_by_the_rule_of_its_policy(tmp_path: Path) 
     # action 2: front down, rear up, each by 15°
     found = policy.next_targets([0.5, 0.0], [0.125, 0.0], 2)
     assert found.tolist() == pytest.approx([0.375 - STEP, STEP])
-
-
-@pytest.mark.parametrize("changes", [{}, FORMAT_1], ids=["format 2", "format 1"])
-def test_a_file_without_the_rule_is_run_by_that_of_its_training(
-    changes: dict, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    policy = OnnxPolicy(write(tmp_path / "p.onnx", **changes))
-    assert not policy.interface.states_targets
-    caplog.clear()
-    with caplog.at_level(logging.WARNING):
-        for _ in range(3):
-            found = policy.next_targets([0.75, 0.0], [0.0, 0.0], 7)  # the front up
-    assert found.tolist() == pytest.approx([0.75 + STEP, 0.0])
-    (message,) = caplog.messages
-    assert "does not state how a blocked flipper is turned (flipperctl.targets)" in message
-
-
-def test_an_older_file_keeps_the_limit_of_its_robot(tmp_path: Path) -> None:
-    policy = OnnxPolicy(write(tmp_path / "p.onnx", robot={"angle_limit": 0.8}))
-    assert policy.interface.targets == TargetRule(window=math.inf, limit=0.8)
 
 
 @pytest.mark.parametrize("stated", [{}, {"window": 0.25}, {**STATED, "window": 0}, "free", [1, 2]])

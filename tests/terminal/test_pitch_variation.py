@@ -6,11 +6,9 @@ from flipperctl.terminal.progress import pitch_variation_text
 from tests.cli.call import call
 
 
-def test_both_are_named_and_an_earlier_validation_has_the_papers_alone() -> None:
+def test_both_are_named() -> None:
     both = {"pitch_variation": 1.125, "pitch_variation_100hz": 1.375}
     assert pitch_variation_text(both, 3) == "θ̂_R 1.375 rad (1.125 at decisions)"
-    earlier = {"pitch_variation": 1.125, "pitch_variation_100hz": None}
-    assert pitch_variation_text(earlier, 3) == "θ̂_R at decisions 1.125 rad"
 
 
 def test_tables_of_eval_have_it_first(tmp_path: Path) -> None:

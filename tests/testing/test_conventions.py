@@ -85,7 +85,6 @@ def test_an_export_s_actions_and_period_are_compared() -> None:
         decision_period=robot.decision_period,
         observation=names,
         targets=TargetRule(window=robot.angle_step, limit=robot.angle_limit),
-        states_targets=True,
     )
     assert wrong(probe_export(interface, robot, "policy.onnx")) == []
     interface.actions[0, 1] *= -1

@@ -57,27 +57,6 @@ def test_each_checkpoint_writes_its_new_episodes_alone_and_a_kill_loses_none(
         assert not (folder / PARTS).exists()
 
 
-def test_a_file_of_all_episodes_of_an_earlier_version_is_continued(tmp_path: Path) -> None:
-    """Version 0.2 kept one file, and wrote it before the checkpoint that counts its episodes."""
-    config = short_config(**{"train.record": True, "train.decisions": 300})
-    run = trainer(config, tmp_path)
-    run.run(stop=lambda: run.progress.decision >= 100)
-    earlier = (tmp_path / EPISODES).read_bytes()
-    stopped = checkpoint.read(tmp_path / checkpoint.LAST)
-    assert stopped.document.state is not None
-    resumed = trainer(config, tmp_path)
-    resumed.restore(stopped)
-    resumed.run()
-    at_end = recording.read(tmp_path / EPISODES)
-    (tmp_path / EPISODES).write_bytes(earlier)
-    count = stopped.document.state.episode
-    assert [e.number for e in recording.read(tmp_path / EPISODES).episodes] == list(range(count))
-    recording.write(tmp_path / EPISODES, "x", [(config, at_end.episodes[: count + 1])])
-    again = trainer(config, tmp_path)
-    again.restore(stopped)
-    assert len(recording.read(tmp_path / EPISODES).episodes) == count
-
-
 def test_a_damaged_recording_of_the_run_itself_is_one_error(tmp_path: Path) -> None:
     config = short_config(**{"train.record": True, "train.decisions": 200})
     trainer(config, tmp_path).run()

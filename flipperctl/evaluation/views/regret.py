@@ -258,8 +258,8 @@ def line(found: Mapping[str, Any] | None) -> str:
 def _level_line(found: Mapping[str, Any]) -> str:
     """Return a line on success and θ̂_R beside holding still; empty if they were not measured."""
     own, level = found["policy"], found["references"].get(LEVEL)
-    if level is None or "pitch_above_level" not in own:
-        return ""  # of an earlier version
+    if level is None:
+        return ""
     told = []
     for name, one in (("the policy", own), (LEVEL, level)):
         theta = "" if one[_PITCH] is None else f", θ̂_R {one[_PITCH]:.2f} rad"

@@ -156,20 +156,6 @@ def test_the_taught_experiment_takes_any_teacher() -> None:
     assert to_dict(config.teacher.controller) == {**MPC, "beam": 6, "horizon": 8, "of_each": 1}
 
 
-def test_the_ways_of_teaching_differ_from_the_taught_experiment_in_their_loss_alone() -> None:
-    ways = {
-        "imitation": {"td_weight": 0.0},
-        "annealed": {"weight_end": 0.0},
-        "margin": {"loss": "margin"},
-        "td": {"weight": 0.0, "weight_end": 0.0},
-    }
-    (whole,) = compose_train(["experiment=taught", "terrain=ramp"])
-    for name, changes in ways.items():
-        (config,) = compose_train([f"experiment=taught_{name}", "terrain=ramp"])
-        expected = {f"teacher.{key}": value for key, value in changes.items()}
-        assert to_dict(config) == to_dict(with_overrides(whole, expected))
-
-
 # Presets of rewards
 
 
