@@ -47,7 +47,6 @@ from flipperctl.api.sensors import (
     GroundSensor,
     Instrument,
     Mounting,
-    RememberingSensor,
     Sensor,
     sensor,
 )
@@ -105,7 +104,6 @@ __all__ = [
     "Profile",
     "Published",
     "RayWorld",
-    "RememberingSensor",
     "RewardTerm",
     "Robot",
     "RobotGeometry",
