@@ -141,6 +141,8 @@ def explain(
 
 def explain_unknown_key(key: str, node: Mapping[str, Any]) -> str:
     """Return the error for a dotted key that the nested mapping ``node`` does not have."""
+    from flipperctl.api.removed import removal
+
     *parents, leaf = key.split(".")
     inside = ""  # the innermost existing section on the path to the key
     for parent in parents:
@@ -148,6 +150,8 @@ def explain_unknown_key(key: str, node: Mapping[str, Any]) -> str:
             leaf = parent
             break
         node, inside = node[parent], f"{inside}.{parent}".lstrip(".")
+    if gone := removal(str(node.get("name", inside.rpartition(".")[2])), leaf, key):
+        return gone
     known = sorted(name for name in node if name != "name")
     inner = [path for path in _paths(node) if not inside and path.endswith(f".{leaf}")]
     hint = f"; did you mean {' or '.join(inner)}?" if 0 < len(inner) <= 3 else ""

@@ -44,7 +44,6 @@ COSTLY = {
     "teacher.final_updates": 8,
     "agent.policy_gradient.decisions": 40,
     "agent.policy_gradient.passes": 3,
-    "agent.policy_gradient.value_passes": 3,
     "teacher.controller.budget": 2000,
     "teacher.controller.width": 20,
     "teacher.controller.beam": 16,

@@ -94,7 +94,7 @@ class Learner:
     @property
     def policy(self) -> torch.nn.Module:
         """The network that is validated and exported."""
-        return self.target if self.settings.act_with == "target" else self.online
+        return self.target
 
     def policy_arrays(self) -> dict[str, NDArray[np.generic]]:
         """Return a copy of the policy's weights, and of those of its risk, for other processes."""

@@ -33,6 +33,10 @@ from flipperctl.config import Agent
 from flipperctl.core.schedules import linear
 from flipperctl.errors import NonFiniteError
 
+_VALUE_RATE: Final = 1e-3
+"""Adam step of the values [-]."""
+_VALUE_PASSES: Final = 8
+"""Passes over the decisions of each of the first rounds, in which the values alone learn [-]."""
 _WIDTH: Final = 256
 """Width of the layers of the values."""
 
@@ -122,7 +126,7 @@ class PolicyGradient(Learner):
         advantage, goal = self._advantages(batch)
         warm, moves = self.rounds < g.warm_up, True
         error = 0.0
-        for _ in range(g.value_passes if warm else g.passes):
+        for _ in range(_VALUE_PASSES if warm else g.passes):
             order = torch.from_numpy(rng.permutation(len(goal))).to(self.device)
             for rows in torch.split(order, s.batch_size):
                 step = batch.rows(rows)
@@ -162,8 +166,7 @@ class PolicyGradient(Learner):
                 f"the loss of the values is {value}; the largest reward of the batch is "
                 f"{float(batch.reward.abs().max()):g}"
             )
-        rate = self.settings.policy_gradient.value_rate
-        descend(loss, self._value_parameters, self._value_optimiser, 1.0, rate)
+        descend(loss, self._value_parameters, self._value_optimiser, 1.0, _VALUE_RATE)
         return value
 
     def _policy_step(

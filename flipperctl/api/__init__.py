@@ -44,7 +44,6 @@ from flipperctl.api.sensors import (
     GroundSensor,
     Instrument,
     Mounting,
-    RememberingSensor,
     Sensor,
     sensor,
 )
@@ -102,7 +101,6 @@ __all__ = [
     "Profile",
     "Published",
     "RayWorld",
-    "RememberingSensor",
     "RewardTerm",
     "Robot",
     "RobotGeometry",

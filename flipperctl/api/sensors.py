@@ -11,7 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol, TypeVar, runtime_checkable
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 from pydantic import Field
@@ -30,17 +30,6 @@ class GroundSensor(Protocol):
         self, state: RobotState, rng: np.random.Generator
     ) -> tuple[SensedGround, SensedAngles]:
         """Sense ground and posture from the robot's true state; noise is drawn from ``rng``."""
-
-
-@runtime_checkable
-class RememberingSensor(Protocol):
-    """A ``GroundSensor`` with state, which snapshots of an episode include."""
-
-    def save(self) -> Any:
-        """Return a snapshot of the state, which later calls of ``sense`` do not change."""
-
-    def load(self, saved: Any) -> None:
-        """Restore a snapshot."""
 
 
 @dataclass(frozen=True)

@@ -78,14 +78,6 @@ class PolicyGradient(Settings):
         description="start with the values of the run that agent.start_from names, too, which must "
         "be one of agent.learner=policy_gradient; false: random weights [-]",
     )
-    value_rate: float = Field(1e-3, gt=0, le=1, description="Adam step of the values [-]")
-    value_passes: int = Field(
-        8,
-        ge=1,
-        le=100,
-        description="passes over the decisions of each of the first rounds, in which the values "
-        "alone learn [-]",
-    )
     warm_up: int = Field(
         3, ge=0, le=1000, description="first rounds, in which the values alone learn [-]"
     )
@@ -215,11 +207,6 @@ class Agent(Settings):
         gt=0,
         le=1e6,
         description="rewards are multiplied by this factor inside the learner [-]",
-    )
-    act_with: Literal["target", "online"] = Field(
-        "target",
-        description="weights that are validated and exported: the slowly following target "
-        "or the online network [-]",
     )
     bootstrap_outcomes: tuple[Outcome, ...] = Field(
         (), description="outcomes after which the target bootstraps [-]"

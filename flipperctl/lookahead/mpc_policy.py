@@ -382,6 +382,8 @@ _EPISODE = Episode()
 """A robot does not know its episode's own settings; plans are made for the defaults."""
 _EDGE = 0.03
 """Height difference to the ground ahead that counts as an edge [m]."""
+_AVERAGING = 0.5
+"""Share of the estimates at smaller depths in the return of a plan [-]."""
 _LONG, _WIDEST = 3, 4
 """Decisions of standing after which the search widens again, and its largest multiple [-]."""
 _STANDS_STILL = 2
@@ -481,7 +483,7 @@ class ReturnPolicy(MpcPolicy):
             root=self._history.node(root, np.array(model.chassis(root))),
             standing=self._standing,
             patience=_EPISODE.stuck_decisions(robot.decision_period),
-            averaging=settings.averaging,
+            averaging=_AVERAGING,
         )
         width = settings.beam * min(_WIDEST, 1 + self._standing // _LONG)
         search = Search(

@@ -160,6 +160,8 @@ class Pursuit:
         return played
 
 
+_BIN_LENGTH = 0.12
+"""Length of a distance bin, in which nodes compete [m]."""
 _STARTS = ("level", "okada", "mpc")
 """Controllers whose trajectories the search starts from."""
 _TOLERANCE = 0.3
@@ -306,7 +308,7 @@ class _Search:
             self._robot,
             goal,
             width=width,
-            bin_length=settings.stretch,
+            bin_length=_BIN_LENGTH,
             cell=settings.cell,
         )
         spent = self._spent

@@ -81,13 +81,6 @@ class MpcSettings(Settings):
         description="reward terms that plans are paid by, or a preset's name, as in "
         "``controller.rewards=smooth``; null: those that ``value`` was trained with [-]",
     )
-    averaging: float = Field(
-        0.5,
-        ge=0,
-        lt=1,
-        description="with ``value``: share of the estimates at smaller depths in the return of a "
-        "plan; the errors of a learned value average out [-]",
-    )
     hurry_below: float = Field(
         0.0,
         ge=0,
@@ -228,9 +221,6 @@ class PlannerSettings(Settings):
         ge=1,
         le=100_000_000,
         description="largest number of predicted decisions in the searches of an episode [-]",
-    )
-    stretch: float = Field(
-        0.12, gt=0.001, le=1, description="length of a distance bin, in which nodes compete [m]"
     )
     cell: float = Field(
         0.02,

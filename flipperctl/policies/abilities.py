@@ -17,12 +17,10 @@ from flipperctl.api import (
     CostPolicy,
     Perception,
     Policy,
-    RewardTerm,
     Simulator,
     StateGroups,
 )
 from flipperctl.core.risk import RiskSign
-from flipperctl.lookahead.settings import LearnedValue
 
 
 @runtime_checkable
@@ -99,33 +97,6 @@ class ValuingPolicy(Policy, Protocol):
 
     def groups(self, rng: np.random.Generator, /) -> StateGroups:
         """Return groups of states of the episode's ground with the values of their actions."""
-
-
-@runtime_checkable
-class ValueUser(Protocol):
-    """A controller that ends its plans with the values of a trained policy."""
-
-    @property
-    def value(self) -> str | None:
-        """A run, a checkpoint or a shipped policy; empty for none."""
-
-    @property
-    def fallback(self) -> bool | None:
-        """Whether the controller plans without values for a robot that these do not fit."""
-
-    def ending_with(self, learned: LearnedValue, /) -> Controller:
-        """Return the same settings with the values that the setting ``value`` names."""
-
-    def without_value(self) -> Controller:
-        """Return the same settings without values."""
-
-
-@runtime_checkable
-class RewardUser(Protocol):
-    """A controller whose policy plans for reward terms."""
-
-    def paying(self, rewards: Mapping[str, RewardTerm], /) -> Controller:
-        """Return the same settings with the reward terms that count."""
 
 
 @runtime_checkable

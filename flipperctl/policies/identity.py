@@ -18,7 +18,8 @@ from flipperctl.checkpoint import find, read_policy
 from flipperctl.config import TrainConfig, identity, to_dict
 from flipperctl.config.identity import content_digest, foreign_sources
 from flipperctl.errors import CheckpointError
-from flipperctl.policies.abilities import PolicyUser, ValueUser
+from flipperctl.lookahead import Mpc
+from flipperctl.policies.abilities import PolicyUser
 from flipperctl.policies.exported import ExportedPolicy, is_exported
 from flipperctl.policies.source import PolicySource
 
@@ -108,7 +109,7 @@ def named_files(controller: Controller) -> Iterator[tuple[str, str]]:
     """Yield each setting that names a policy's file, and its value."""
     if isinstance(controller, PolicyUser):
         yield from controller.named.items()
-    if isinstance(controller, ValueUser) and controller.value:
+    if isinstance(controller, Mpc) and controller.value:
         yield "value", controller.value
 
 

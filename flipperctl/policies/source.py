@@ -15,7 +15,8 @@ from flipperctl.api import Controller, Policy, Robot
 from flipperctl.checkpoint import find, read_policy, shipped_policies
 from flipperctl.config import EnvConfig, resolver
 from flipperctl.errors import CheckpointError
-from flipperctl.policies.abilities import PolicyUser, RewardUser, ValueUser
+from flipperctl.lookahead import Mpc, ValueIteration
+from flipperctl.policies.abilities import PolicyUser
 from flipperctl.policies.exported import (
     ExportedPolicy,
     check_robot,
@@ -99,7 +100,7 @@ class PolicySource:
     @property
     def plans_for_rewards(self) -> bool:
         """Whether the policy is a controller that drives for the configured rewards."""
-        return self.checkpoint is None and isinstance(self.controller(), RewardUser)
+        return self.checkpoint is None and isinstance(self.controller(), ValueIteration)
 
     def notes(self, config: EnvConfig) -> Iterator[str]:
         """Yield what a controller does otherwise than its settings name in this environment.
@@ -147,7 +148,7 @@ def with_files(controller: Controller, config: EnvConfig, path: str = "controlle
     if isinstance(controller, PolicyUser) and controller.named:
         policies = [_named(f"{path}.{key}", name, config) for key, name in controller.named.items()]
         controller = controller.starting_from(policies)
-    if isinstance(controller, ValueUser) and controller.value:
+    if isinstance(controller, Mpc) and controller.value:
         from flipperctl.policies.values import learned_value
 
         learned = learned_value(controller.value, f"{path}.value")
@@ -155,7 +156,7 @@ def with_files(controller: Controller, config: EnvConfig, path: str = "controlle
             controller = controller.without_value()
         else:
             controller = controller.ending_with(learned)
-    if isinstance(controller, RewardUser):
+    if isinstance(controller, ValueIteration):
         controller = controller.paying(config.rewards)
     return controller
 
@@ -168,7 +169,7 @@ def controller_notes(
     Raises:
         CheckpointError: the file is missing or damaged.
     """
-    if isinstance(controller, ValueUser) and controller.value and controller.fallback:
+    if isinstance(controller, Mpc) and controller.value and controller.fallback:
         from flipperctl.policies.values import learned_value
 
         learned = learned_value(controller.value, f"{path}.value")

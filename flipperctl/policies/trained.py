@@ -89,7 +89,7 @@ def policy_module(checkpoint: Checkpoint) -> torch.nn.Module:
     except ConfigError as error:
         raise CheckpointError(f"{checkpoint.path}: {error}") from error
     best = checkpoint.document.kind == "best"
-    weights = checkpoint.part("policy" if best else config.agent.act_with)
+    weights = checkpoint.part("policy" if best else "target")
     try:
         require_equal_layout(weights, module.state_dict())
     except ValueError as error:

@@ -8,8 +8,8 @@ the budget is spent, the rest of the running episodes is not learnt from.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -55,35 +55,27 @@ class Closable(Protocol):
 ClosableT = TypeVar("ClosableT", bound=Closable)
 
 
-@contextmanager
-def closing(opened: Sequence[Closable]) -> Iterator[None]:
-    """Close everything in ``opened`` when the block ends, newest first.
+def closer(one: Closable) -> Callable[..., None]:
+    """Return an ``ExitStack`` callback that closes; of several errors, the first is raised."""
 
-    The block may add to ``opened``. Its own error is raised, otherwise the first of closing.
-    """
-    errors: list[BaseException] = []
-    try:
-        yield
-    except BaseException as error:  # noqa: BLE001  # raised below
-        errors.append(error)
-    for one in reversed(opened):
+    def close(kind: object, error: BaseException | None, trace: object) -> None:
         try:
             one.close()
-        except BaseException as error:  # noqa: BLE001  # raised below; the others are closed first
-            errors.append(error)
-    if errors:
-        raise errors[0]
+        except BaseException:
+            if error is None:
+                raise
+
+    return close
 
 
 def open_all(makers: Iterable[Callable[[], ClosableT]]) -> list[ClosableT]:
     """Return the objects of the makers; if a maker fails, close those made before."""
     opened: list[ClosableT] = []
-    try:
+    with ExitStack() as stack:
         for make in makers:
-            opened.append(make())  # noqa: PERF401  # the list is closed if a later one fails
-    except BaseException:
-        with closing(opened):
-            raise
+            opened.append(make())
+            stack.push(closer(opened[-1]))
+        stack.pop_all()
     return opened
 
 
@@ -250,8 +242,9 @@ class Trainer:
         is part of the summary. Returns the summary, which is also written to ``summary.json``. The
         listeners are closed even after an error.
         """
-        opened: list[Closable] = [*self.listeners]
-        with closing(opened):
+        with ExitStack() as opened:
+            for listener in self.listeners:
+                opened.push(closer(listener))
             self._stopwatch.start()
             if not self._restored:  # else the checkpoint has what follows
                 self._recorder.restore(0)
@@ -259,7 +252,7 @@ class Trainer:
                 add_recorded(self.replay, self.config, self._report)
             self._save_all(self._outstanding)
             collector = self.episodes.start_collector(self._outstanding, stop, self.replay.kept)
-            opened.append(collector)
+            opened.push(closer(collector))
             if not self.progress.decision:
                 for text in notes_on_budget(self.config):
                     self._report(text)

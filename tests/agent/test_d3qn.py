@@ -160,13 +160,6 @@ def test_the_margin_is_weighted_and_added_to_the_temporal_difference() -> None:
     assert joined.update(batch, 0.25) == pytest.approx(2 * td + 3 * margin)  # 4 · (1 - 0.25)
 
 
-@pytest.mark.parametrize("act_with", ["target", "online"])
-def test_the_policy_is_the_network_that_the_settings_name(act_with: str) -> None:
-    agent = learner(act_with=act_with)
-    agent.update(fixed_batch(), 0.0)
-    assert agent.policy is getattr(agent, act_with)
-
-
 def test_a_restored_learner_continues_as_the_saved_one() -> None:
     saved, other = learner(seed=1), learner(seed=2)
     saved.update(fixed_batch(), 0.0)
@@ -198,7 +191,7 @@ def test_quantiles_are_learnt_from_a_fixed_batch() -> None:
 
 
 def test_noise_explores_without_epsilon_and_is_off_in_a_validation() -> None:
-    agent = learner("noisy", act_with="online")
+    agent = learner("noisy")
     assert len(set(explored(agent, 0.0, 50))) > 1
     row = torch.zeros(1, LAYOUT.size)
     policy = agent.policy.eval()
@@ -206,7 +199,7 @@ def test_noise_explores_without_epsilon_and_is_off_in_a_validation() -> None:
     explored(agent, 0.0, 1)
     assert torch.equal(policy(row), first)
     policy.train()
-    assert not torch.equal(agent.online(row), first)
+    assert not torch.equal(policy(row), first)
 
 
 def test_each_update_draws_new_noise_from_the_learner_s_seed() -> None:

@@ -140,13 +140,10 @@ def test_the_policy_stops_at_its_divergence_while_the_values_go_on() -> None:
 
 
 def test_in_its_first_rounds_only_the_values_learn() -> None:
-    agent, rng = (
-        learner(policy_gradient={"warm_up": 1, "value_passes": 2}),
-        np.random.default_rng(0),
-    )
+    agent, rng = learner(policy_gradient={"warm_up": 1}), np.random.default_rng(0)
     before = {name: tensor.clone() for name, tensor in agent.online.state_dict().items()}
     agent.update(round_of(agent, rng), 0.0, rng)
-    assert agent._value_optimiser.steps == 2 * 4
+    assert agent._value_optimiser.steps == 8 * 4
     after = agent.online.state_dict()
     assert all(torch.equal(after[name], tensor) for name, tensor in before.items())
     agent.update(round_of(agent, rng), 0.0, rng)

@@ -70,7 +70,7 @@ def test_a_setting_of_the_hand_set_cost_chooses_that(name: str) -> None:
 
 
 def test_other_settings_and_defaults_do_not() -> None:
-    for words in (["controller.beam=4"], ["controller.swing=10"], ["controller.averaging=0"]):
+    for words in (["controller.beam=4"], ["controller.swing=10"], ["controller.memory=8"]):
         assert built(composed(*words)) is ReturnPolicy
     assert Mpc(beam=4, friction=0.7).value == "mpc_value"
 

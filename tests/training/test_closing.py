@@ -1,6 +1,7 @@
 """Listeners are closed when a training, its start, or one of them fails."""
 
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import pytest
 from flipperctl.config import TrainConfig, with_overrides
 from flipperctl.errors import WriteError
 from flipperctl.training import run as training
-from flipperctl.training.trainer import Trainer, closing, open_all
+from flipperctl.training.trainer import Trainer, closer, open_all
 from tests.cli.call import RUN
 
 
@@ -103,6 +104,9 @@ def test_the_newest_is_closed_first_and_the_first_error_is_raised() -> None:
                 raise WriteError(str(self.number))
 
     opened = open_all([lambda: Numbered(0), lambda: Numbered(1)])
-    with pytest.raises(WriteError, match="2"), closing(opened):
-        opened += [Numbered(2), Numbered(3)]
+    stack = ExitStack()
+    for one in (*opened, Numbered(2), Numbered(3)):
+        stack.push(closer(one))
+    with pytest.raises(WriteError, match="2"):
+        stack.close()
     assert order == [3, 2, 1, 0]

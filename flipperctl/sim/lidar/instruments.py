@@ -61,6 +61,8 @@ def levelled(state: RobotState) -> FloatArray:
 
 PERIOD = 0.01
 """Time between two measurements [s]."""
+_WANDER_TIME = 30.0
+"""Time constant of the slow error of roll and pitch [s]."""
 
 
 @dataclass(frozen=True)
@@ -69,8 +71,6 @@ class InertialErrors:
 
     tilt_wander: float
     """Slow error of roll and pitch [rad]."""
-    wander_time: float
-    """Time constant of the slow error [s]."""
     tilt_noise: float
     """White noise of roll and pitch [rad]."""
     yaw_rate_noise: float
@@ -94,7 +94,7 @@ class InertialUnit(Instrument):
         """Return a measurement; the slow error is a first-order Gauss-Markov process."""
         errors = self._errors
         noise = rng.standard_normal(5)
-        stays = math.exp(-PERIOD / errors.wander_time)
+        stays = math.exp(-PERIOD / _WANDER_TIME)
         self._tilt = stays * self._tilt + errors.tilt_wander * math.sqrt(1 - stays**2) * noise[:2]
         roll, pitch = (self._tilt + errors.tilt_noise * noise[2:4]).tolist()
         last, self._yaw = self._yaw, heading(state)

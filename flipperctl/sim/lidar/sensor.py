@@ -77,7 +77,6 @@ class LidarSensor(LidarSettings, Sensor):
         assert isinstance(robot, Robot)  # a RobotGeometry has no speed
         errors = InertialErrors(
             tilt_wander=self.tilt_wander,
-            wander_time=self.wander_time,
             tilt_noise=self.tilt_noise,
             yaw_rate_noise=self.yaw_rate_noise,
             yaw_rate_bias=self.yaw_rate_bias * float(rng.standard_normal()),

@@ -109,12 +109,6 @@ class LidarSettings(Settings):
         description="standard deviation of the inertial unit's slow error of roll and pitch; "
         "0.2° of static accuracy are usual for such units (not for pose=true) [rad]",
     )
-    wander_time: float = Field(
-        30.0,
-        ge=1,
-        le=1000,
-        description="time constant of the slow error of roll and pitch (not for pose=true) [s]",
-    )
     tilt_noise: float = Field(
         0.001,
         ge=0,

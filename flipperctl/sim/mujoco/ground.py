@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray, Profile, Surface
 from flipperctl.errors import PluginFailedError, TerrainError
-from flipperctl.sim.mujoco.settings import MujocoSettings
+from flipperctl.sim.mujoco.settings import GROUND_WIDTH, MujocoSettings
 
 _HEIGHT = 2.5  # of walls and posts above the highest ground [m]
 _WALL = 0.1  # of walls [m]
@@ -103,7 +103,7 @@ def surface_borders(sim: MujocoSettings) -> set[float]:
     """Return the borders between the strips of a surface, as y [m]."""
     count = math.ceil((reach(sim) + _MARGIN) / sim.strip_width)
     narrow = count * sim.strip_width
-    wide = np.arange(narrow, sim.ground_width / 2, _WIDE)
+    wide = np.arange(narrow, GROUND_WIDTH / 2, _WIDE)
     positive = [*(sim.strip_width * k for k in range(count)), *wide.tolist()]
     return {y * sign for y in positive for sign in (-1.0, 1.0)}
 
@@ -246,7 +246,7 @@ def boxes(profile: Profile, sim: MujocoSettings, rng: np.random.Generator) -> li
 
 def _strips(profile: Profile, sim: MujocoSettings) -> list[Strip]:
     """Return the strips along x that divide the ground, from right to left."""
-    half = sim.ground_width / 2
+    half = GROUND_WIDTH / 2
     changed: set[float] = set()  # borders at which these settings change the ground
     if sim.one_sided:
         changed.add(0.0)

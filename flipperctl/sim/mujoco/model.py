@@ -42,6 +42,8 @@ overdamped ones hop least at the default substep; statics are not affected.
 """
 _SLIP = 10.0
 """Stiffness of friction relative to that of contacts, so that a held robot does not creep [-]."""
+_ROTOR_INERTIA = 1.0
+"""Inertia of a flipper's geared motor at its hinge; a guess [kg m²]."""
 _SERVO = 2000.0
 """Torque of a flipper's servo for each rad/s of velocity error [N m s/rad], before its limit."""
 ROBOT_GROUP = 1
@@ -260,7 +262,7 @@ def _add_hinge(
         axis=[0.0, axis, 0.0],
         range=[-limit, limit],
         limited=True,
-        armature=sim.rotor_inertia,
+        armature=_ROTOR_INERTIA,
         solref_limit=[SAMPLE_PERIOD, 1.0],
     )
     servo = spec.add_actuator(

@@ -9,6 +9,9 @@ from pydantic import Field, model_validator
 
 from flipperctl.api import SAMPLE_PERIOD, Settings
 
+GROUND_WIDTH = 4.0
+"""Width of the ground, half to each side [m]."""
+
 
 class MujocoSettings(Settings):
     """Solver, ground, tracks and steering of the robot in 3-D."""
@@ -23,9 +26,6 @@ class MujocoSettings(Settings):
         le=10,
         description="friction between track and ground; not given in the paper [-]",
     )
-    ground_width: float = Field(
-        4.0, ge=1, le=100, description="width of the ground, half to each side [m]"
-    )
     strip_width: float = Field(
         0.2,
         ge=0.02,
@@ -39,25 +39,12 @@ class MujocoSettings(Settings):
         0.266, ge=0.05, le=2, description="middle of each flipper beside the chassis centre [m]"
     )
     track_width: float = Field(0.18, ge=0.02, le=0.5, description="width of every track [m]")
-    rotor_inertia: float = Field(
-        1.0,
-        ge=0.2,
-        le=10,
-        description="inertia of a flipper's geared motor at its hinge; a guess [kg m²]",
-    )
     heading_gain: float = Field(
         2.0,
         ge=0,
         le=20,
         description="difference of the belt speeds for each rad of heading error, as a fraction "
         "of the speed; steers as an operator does; 0 does not steer [1/rad]",
-    )
-    roll_gain: float = Field(
-        0.0,
-        ge=0,
-        le=2,
-        description="turn of the left and right flippers against each other for each rad of "
-        "roll; 0 turns both alike [-]",
     )
     roll_limit: float = Field(
         math.pi / 3,
@@ -142,13 +129,4 @@ class MujocoSettings(Settings):
     def _flippers_outside(self) -> MujocoSettings:
         if self.flipper_offset < self.main_track_offset:
             raise ValueError("flipper_offset must be at least main_track_offset")
-        return self
-
-    @model_validator(mode="after")
-    def _starts_on_the_ground(self) -> MujocoSettings:
-        if self.offset > self.ground_width / 2:
-            raise ValueError(
-                f"offset ({self.offset:g} m) must not exceed half the ground_width "
-                f"({self.ground_width:g} m), or robots start beside the ground"
-            )
         return self

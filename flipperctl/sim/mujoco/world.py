@@ -33,7 +33,7 @@ from flipperctl.errors import NonFiniteError
 from flipperctl.sim.mujoco.axes import orientation, quaternion
 from flipperctl.sim.mujoco.ground import ROUGH_MARGIN, add_scenery, boxes
 from flipperctl.sim.mujoco.model import ROBOT_GROUP, Model, build
-from flipperctl.sim.mujoco.settings import MujocoSettings
+from flipperctl.sim.mujoco.settings import GROUND_WIDTH, MujocoSettings
 from flipperctl.sim.resting import OVERLAP, height_at
 
 if TYPE_CHECKING:
@@ -180,7 +180,7 @@ class MujocoWorld:
             rng = np.random.default_rng([sim.variation, *rng.integers(2**32, size=4).tolist()])
         yaw = sim.yaw * rng.uniform(-1.0, 1.0)
         side = sim.offset * rng.uniform(-1.0, 1.0)
-        self._half_width = sim.ground_width / 2
+        self._half_width = GROUND_WIDTH / 2
         (placing,) = rng.spawn(1)  # so that the scenery changes no other random number
         scenery = partial(add_scenery, profile=profile, sim=sim, rng=placing)
         self.ground = boxes(profile, sim, rng)
@@ -241,12 +241,8 @@ class MujocoWorld:
     def _drive(self) -> None:
         """Set the velocities of the servos and the speeds of the belts for one sample."""
         angles = self.data.qpos[_HINGES]
-        targets = self._targets
-        if self.sim.roll_gain:
-            turn = self.sim.roll_gain * (self.roll - self.sim.lateral_slope)
-            targets = targets + turn * np.array([1.0, 1.0, -1.0, -1.0])
         limit, rate = self.robot.angle_limit, self.robot.flipper_speed
-        errors = np.minimum(np.maximum(targets, -limit), limit) - angles
+        errors = np.minimum(np.maximum(self._targets, -limit), limit) - angles
         self.data.ctrl[:] = np.minimum(np.maximum(_SERVO_RATE * errors, -rate), rate)
         self._tracks.steer(self.yaw, float(self.data.qpos[1]))
 

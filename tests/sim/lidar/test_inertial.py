@@ -96,7 +96,7 @@ def test_on_a_sideways_slope_gravity_leans_and_the_scan_rolls_with_the_robot(
 
 def test_on_a_sideways_slope_the_unit_turns_with_the_level_heading() -> None:
     """A robot that pitches turns its heading then, about the vertical and not about world's z."""
-    perfect = InertialErrors(0.0, 1.0, 0.0, 0.0, 0.0)
+    perfect = InertialErrors(0.0, 0.0, 0.0, 0.0)
     world = Mujoco(lateral_slope=0.3).place(
         Profile([(0.2, 0.0), (1.2, 0.6)]), Robot(), Start(-0.6), np.random.default_rng(0)
     )

@@ -7,7 +7,6 @@ import pytest
 
 from flipperctl.api import EndingWorld, Outcome, Profile, Robot, Start, action_index
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.errors import ConfigError
 from flipperctl.sim.mujoco import Mujoco
 from flipperctl.sim.mujoco.world import MujocoWorld
 
@@ -55,19 +54,6 @@ def test_the_lower_side_is_the_right_one() -> None:
     assert world.state().side < -0.2
 
 
-def test_a_roll_correction_turns_the_lower_flippers_down() -> None:
-    # The left side stands 0.1 m higher, so that the robot rolls.
-    block = Profile([(-2.0, 0.0), (-2.0, 0.1), (2.0, 0.1), (2.0, 0.0)])
-    rolls = {}
-    for gain in (0.0, 1.0):
-        world = place(0.0, block, one_sided=1.0, roll_gain=gain, heading_gain=0.0)
-        world.advance(200)
-        rolls[gain] = world.roll
-        left, right = world.data.qpos[7], world.data.qpos[9]
-        assert left - right == pytest.approx(2 * gain * world.roll, abs=0.02)
-    assert 0.0 < rolls[1.0] < rolls[0.0]
-
-
 def test_a_roll_ends_as_overturned() -> None:
     env = FlipperEnv("flat", sim={"name": "mujoco", "lateral_slope": 0.2, "roll_limit": 0.1})
     env.reset(seed=0)
@@ -75,8 +61,15 @@ def test_a_roll_ends_as_overturned() -> None:
     assert (info["outcome"], terminated, truncated) == (Outcome.OVERTURNED, True, False)
 
 
+@pytest.fixture
+def narrow(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the ground end 0.5 m beside the line."""
+    monkeypatch.setattr("flipperctl.sim.mujoco.world.GROUND_WIDTH", 1.0)
+
+
+@pytest.mark.usefixtures("narrow")
 def test_leaving_the_ground_sideways_ends_as_overturned() -> None:
-    world = place(ground_width=1.0, heading_gain=0.0)
+    world = place(heading_gain=0.0)
     assert isinstance(world, EndingWorld)
     turn(world, 0.7)
     assert world.ended() is None
@@ -86,8 +79,9 @@ def test_leaving_the_ground_sideways_ends_as_overturned() -> None:
     assert world.ended() is Outcome.OVERTURNED
 
 
+@pytest.mark.usefixtures("narrow")
 def test_an_end_of_the_worlds_own_ends_the_episode() -> None:
-    sim = {"name": "mujoco", "ground_width": 1.0, "heading_gain": 0.0, "yaw": 0.7}
+    sim = {"name": "mujoco", "heading_gain": 0.0, "yaw": 0.7}
     env = FlipperEnv("flat", sim=sim)
     env.reset(seed=5)  # whose heading is 0.69 rad
     for _ in range(200):
@@ -97,11 +91,6 @@ def test_an_end_of_the_worlds_own_ends_the_episode() -> None:
     assert info["outcome"] is Outcome.OVERTURNED
     assert abs(env.state.side) > 0.5
     assert abs(env.state.pitch) < 0.1
-
-
-def test_starts_beside_the_ground_are_refused_before_any_is_drawn() -> None:
-    with pytest.raises(ConfigError, match=r"sim: offset \(0\.6 m\) must not exceed half"):
-        FlipperEnv("flat", sim={"name": "mujoco", "ground_width": 1.0, "offset": 0.6})
 
 
 def lateral(env: FlipperEnv, seed: int) -> tuple[float, float, list[float]]:

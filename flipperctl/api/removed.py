@@ -1,0 +1,46 @@
+"""Settings of earlier versions, and the value at which each is fixed now.
+
+Files of earlier versions hold them. One that has its value is left out when settings are read; any
+other value is refused, since the file then means something else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+_REMOVED: Mapping[str, Mapping[str, object]] = {
+    "agent": {"act_with": "target"},
+    "policy_gradient": {"value_rate": 1e-3, "value_passes": 8},
+    "mpc": {"averaging": 0.5},
+    "planner": {"stretch": 0.12},
+    "mujoco": {"ground_width": 4.0, "roll_gain": 0.0, "rotor_inertia": 1.0},
+    "lidar": {"wander_time": 30.0},
+}
+"""Section or plugin → its former settings with their values."""
+
+
+def removal(owner: str, name: str, key: str | None = None) -> str | None:
+    """Return what to say of a setting that is gone, or None if there was no such setting.
+
+    ``owner``: section or plugin. ``key``: the setting as it was written, by default its name.
+    """
+    gone = _REMOVED.get(owner, {})
+    if name not in gone:
+        return None
+    return f"{key or name} is gone; its value was {gone[name]}"
+
+
+def without_removed(owner: str, values: Any) -> Any:
+    """Return the values of settings without those that are gone and have their last value.
+
+    Raises:
+        ValueError: one that is gone has another value.
+    """
+    gone = _REMOVED.get(owner)
+    if gone is None or not isinstance(values, Mapping):
+        return values
+    for name in gone.keys() & values.keys():
+        if values[name] != gone[name]:
+            raise ValueError(f"{removal(owner, name)}; it is {values[name]!r} here")
+    return {name: value for name, value in values.items() if name not in gone}
