@@ -33,9 +33,10 @@ def test_the_long_tests_run_each_night_and_at_no_other_time() -> None:
     (job,) = nightly["jobs"].values()
     assert [step["run"] for step in job["steps"] if "run" in step] == ["make long"]
     assert nightly["on"]["schedule"]
-    assert "pytest -n 2 --dist loadfile --no-loadscope-reorder -m long\n" in (
-        ROOT / "Makefile"
-    ).read_text()
+    assert (
+        "pytest -n 2 --dist loadfile --no-loadscope-reorder -m long\n"
+        in (ROOT / "Makefile").read_text()
+    )
 
 
 def test_the_workflow_runs_the_same_script_on_every_supported_python() -> None:
