@@ -5,8 +5,10 @@ import math
 import re
 import shlex
 import shutil
+from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 from uuid import uuid4
 
 import pytest
@@ -46,12 +48,15 @@ SEARCH = {
     "mpc": ["controller.beam=4", "controller.horizon=4"],
 }
 """Smaller searches of the controllers that look ahead."""
+PLAYING = {"train", "eval", "map", "bench", "shadow", "export mcap", "export onnx"}
+PLAYING |= {f"inspect {view}" for view in ("reward", "perception", "conventions")}
+"""Subcommands whose further commands run in ``make long`` alone."""
 SPARSE = ["perception.azimuths=60", "episode.run_up=0.8", "episode.run_out=0.5"]
 """A LiDAR of fewer rays, and a shorter way to the ground."""
 
 
-def blocks(language: str) -> list[str]:
-    return re.findall(rf"^```{language}\n(.*?)^```", TEXT, _BLOCK)
+def blocks(language: str, text: str = TEXT) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", text, _BLOCK)
 
 
 def saved() -> dict[str, str]:
@@ -59,9 +64,9 @@ def saved() -> dict[str, str]:
     return dict(re.findall(r"Save this as `([\w.]+)`:\n\n```\w+\n(.*?)^```", TEXT, _BLOCK))
 
 
-def commands() -> list[list[str]]:
+def commands(text: str = TEXT) -> list[list[str]]:
     """Return every command that is shown, each once; those of a loop over runs for one run."""
-    lines = [line for block in blocks("sh") for line in block.splitlines()]
+    lines = [line for block in blocks("sh", text) for line in block.splitlines()]
     lines = [_LOOP.sub(lambda loop: loop[1].replace("$run", SHOWN), line) for line in lines]
     words = [shlex.split(line, comments=True) for line in lines]
     return [list(w) for w in dict.fromkeys(map(tuple, words)) if w and w[0] == "flipperctl"]
@@ -174,15 +179,52 @@ def small_searches(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(best_known, "_STARTS", ("level",))  # not a whole drive of mpc
 
 
+MAKERS = {
+    name: command
+    for command in reversed(commands())
+    if command[1] in ("train", "export", "convert")
+    for option, word in pairwise(["", *command])
+    for name in [word.removeprefix("hydra.run.dir=")]
+    if option == "--output" or name != word
+}
+"""What a command writes → the first that writes it."""
+
+
+def subcommand(command: list[str]) -> str:
+    """Return the words of a command before its options and settings, as ``inspect run``."""
+    return " ".join(command[1 : 3 if command[1] in ("inspect", "export", "new") else 2])
+
+
+def cases() -> Iterator[Any]:
+    """Each command; those that play or learn are long, but the README's and the first of each."""
+    first = commands((ROOT / "README.md").read_text())
+    seen = {"shadow"}  # tests/bags/test_shadowing.py runs it
+    for command in commands():
+        name = subcommand(command)
+        long = command not in first and name in seen and name in PLAYING
+        seen.add(name)
+        if command not in LAUNCHED:
+            yield pytest.param(command, id=" ".join(command), marks=[pytest.mark.long] * long)
+
+
 @pytest.mark.usefixtures("small_searches")
-@pytest.mark.parametrize("command", [c for c in commands() if c not in LAUNCHED], ids=" ".join)
+@pytest.mark.parametrize("command", [*cases()])
 def test_every_command_that_is_shown_runs(command: list[str], folder: Path) -> None:
+    run(command, folder)
+    assert (folder / SHOWN / checkpoint.LAST).is_file()
+
+
+def run(command: list[str], folder: Path) -> None:
+    """Run a command, and before it those that write what it reads."""
+    for word in command[1:]:
+        maker = MAKERS.get(word.rpartition("=")[2], command)
+        if maker != command and not (folder / word.rpartition("=")[2]).exists():
+            run(maker, folder)
     done = call(*smaller(command[1:]), cwd=folder)
     assert done.code == 0, done.err
     for word, name in pairwise(command):
         if word in ("--output", "--film"):
             assert (folder / name).exists()
-    assert (folder / SHOWN / checkpoint.LAST).is_file()
 
 
 def test_the_launchers_that_have_tests_of_their_own_are_shown() -> None:

@@ -47,12 +47,14 @@ def flipperctl(tmp_path_factory: pytest.TempPathFactory) -> Flipperctl:
     return lambda *arguments: environment.run(python, "-m", "flipperctl", *arguments)
 
 
+@pytest.mark.long
 def test_an_installed_package_passes_the_conformance_suite(flipperctl: Flipperctl) -> None:
     rows = json.loads(flipperctl("inspect", "plugins", "trunk", "--check", "--json"))
     assert {(row["kind"], row["name"]) for row in rows} == {("terrain", "trunk")}
     assert all(row["ok"] and not row["skipped"] for row in rows)
 
 
+@pytest.mark.long
 def test_one_packages_controller_is_evaluated_on_anothers_terrain(flipperctl: Flipperctl) -> None:
     evaluate = ["eval", "--controller", "postures", "terrain=trunk", "--episodes", "2", "--json"]
     (scene,) = json.loads(flipperctl(*evaluate))["scenes"]

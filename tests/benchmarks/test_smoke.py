@@ -27,7 +27,10 @@ def measured(name: str, **changes: object) -> dict[str, Any]:
     return dict(import_module(f"benchmarks.{name}").measure(small_benchmark(**changes)))
 
 
-@pytest.mark.parametrize("name", MEASURES)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param(name, marks=[pytest.mark.long] * (name != "physics")) for name in MEASURES],
+)
 def test_a_measure_runs(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     few = {"name": "lidar", "azimuths": 8, "scan_parts": 1}
     monkeypatch.setattr(lidar, "CONTESTANTS", {lidar.TRUE: {"name": "planar"}, "lidar.true": few})

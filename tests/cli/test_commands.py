@@ -141,12 +141,6 @@ def test_eval_compares_with_a_baseline_on_equal_draws(tmp_path: Path) -> None:
     assert "pitch variation [rad]  time [s]\n" in table.out  # units are no markup
 
 
-def test_eval_overrides_do_not_change_the_network(run: Path, tmp_path: Path) -> None:
-    arguments = ["sim.friction=0.7", "perception.noise=0.01", "--episodes", "1", "--json"]
-    done = call("eval", "--checkpoint", str(run / checkpoint.LAST), *arguments, cwd=tmp_path)
-    assert done.code == 0, done.err
-
-
 def test_export_prints_what_it_compared(run: Path, tmp_path: Path) -> None:
     done = call("export", "onnx", "--checkpoint", str(run), "--output", "p.onnx", cwd=tmp_path)
     assert done.code == 0, done.err

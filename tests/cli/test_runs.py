@@ -198,7 +198,11 @@ def test_a_run_directory_that_is_deleted_is_one_clear_error(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("arguments", [["--version"], ["inspect", "config"], ["--help"]])
+@pytest.mark.parametrize(
+    "arguments",
+    [["--version"], ["--help"], ["inspect", "config"], ["inspect", "config", "--json"]],
+    ids=" ".join,
+)
 def test_an_output_that_is_full_is_one_clear_error(arguments: list[str]) -> None:
     if not Path("/dev/full").exists():
         pytest.skip("this system has no device that is always full")

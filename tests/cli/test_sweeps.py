@@ -110,6 +110,7 @@ def test_optuna_that_is_not_installed_names_its_extra(
     assert not (folder / "runs").exists()
 
 
+@pytest.mark.long
 def test_a_search_that_was_killed_goes_on_with_the_same_command(folder: Path) -> None:
     command = ["terrain=floor", *SEARCH, RATE, "hydra.sweeper.n_trials=2"]
     place = "hydra.sweep.dir=runs/multirun/one"

@@ -11,7 +11,7 @@ import pytest
 from tests.long import golden
 
 ROOT = Path(__file__).parents[2]
-SHORT = {"--count": 50, "--early": 50, "--episodes": 250}
+SHORT = {"--count": 100, "--early": 50, "--episodes": 250}
 """Option → what its number is divided by."""
 
 

@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -50,11 +51,16 @@ def wait(process: subprocess.Popen[str], seconds: float) -> None:
         time.sleep(0.001)
 
 
+def moments(usual: float, *others: float) -> list[Any]:
+    """Return moments [s], of which all but the usual one are long."""
+    return [usual, *(pytest.param(other, marks=pytest.mark.long) for other in others)]
+
+
 TRAIN = ["train", "train.decisions=100000", "train.workers=2"]
 EVAL = ["eval", "--controller", "okada", "terrain=stair", "--episodes", "1000"]
 
 
-@pytest.mark.parametrize("moment", [0.02, 0.05, 0.1, 0.2, 0.5, 1.5])
+@pytest.mark.parametrize("moment", moments(0.2, 0.02, 0.05, 0.1, 0.5, 1.5))
 @pytest.mark.parametrize("words", [["--help"], EVAL, TRAIN], ids=lambda words: words[0])
 def test_ctrl_c_at_any_moment_is_one_line(moment: float, words: list[str], tmp_path: Path) -> None:
     if words == ["--help"] and moment > 0.2:
@@ -72,7 +78,7 @@ def test_ctrl_c_at_any_moment_is_one_line(moment: float, words: list[str], tmp_p
     assert len(err.splitlines()) <= 2 + noticed, err
 
 
-@pytest.mark.parametrize("moment", [0.02, 0.05, 0.1, 0.2, 0.3])
+@pytest.mark.parametrize("moment", moments(0.1, 0.02, 0.05, 0.2, 0.3))
 @pytest.mark.parametrize("program", ["runtime", "clock"])
 def test_ctrl_c_in_another_program_is_one_line(program: str, moment: float, tmp_path: Path) -> None:
     words = [str(write(tmp_path / "p.onnx")), *(["1000000", "0"] if program == "clock" else [])]

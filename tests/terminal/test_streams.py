@@ -53,14 +53,6 @@ def test_streams_without_file_descriptors_are_told_apart_as_well(tmp_path: Path)
     assert "imported" in call(*words, cwd=tmp_path).out  # tables do not mind
 
 
-def test_a_document_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "flipperctl", "inspect", "config", "--json"]
-    with Path("/dev/full").open("w") as full:
-        done = subprocess.run(command, cwd=tmp_path, stdout=full, stderr=subprocess.PIPE, text=True)
-    assert done.returncode == 1
-    assert done.stderr == "error: standard output cannot be written: No space left on device\n"
-
-
 def test_an_error_of_the_system_is_one_of_standard_output_only_if_that_fails(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -22,7 +22,7 @@ TIME_LEFT = 38
 """Column of the share of the time limit that is left."""
 
 
-@pytest.mark.parametrize("mode", ["exact", "fast"])
+@pytest.mark.parametrize("mode", ["exact", pytest.param("fast", marks=pytest.mark.long)])
 def test_a_resumed_run_equals_the_uninterrupted_one(mode: str, tmp_path: Path) -> None:
     config = short_config(**SETTINGS, **{"train.mode": mode, "train.workers": 2})
     whole, first = trainer(config, tmp_path / "whole"), trainer(config, tmp_path / "parts")

@@ -122,7 +122,7 @@ def test_a_student_learns_what_a_recorded_rule_does(file: Path, tmp_path: Path) 
     assert trainer(config, tmp_path).run()["best"]["success_rate"] >= 0.8
 
 
-@pytest.mark.parametrize("mode", ["exact", "fast"])
+@pytest.mark.parametrize("mode", ["exact", pytest.param("fast", marks=pytest.mark.long)])
 def test_a_training_records_its_episodes_and_repeats_them_when_it_resumes(
     file: Path, tmp_path: Path, mode: str
 ) -> None:
@@ -152,9 +152,16 @@ def test_recorded_episodes_have_no_privileged_states(file: Path) -> None:
     assert not config.learns_privileged_value  # nothing would use it
 
 
-def test_without_a_teacher_the_recorded_decisions_have_no_labels(tmp_path: Path) -> None:
-    trainer(short_config(**{"train.record": True, "train.decisions": 200}), tmp_path).run()
-    found = recording.read(tmp_path / EPISODES)
+@pytest.fixture(scope="module")
+def unlabelled(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What a training without a teacher records."""
+    folder = tmp_path_factory.mktemp("unlabelled")
+    trainer(short_config(**{"train.record": True, "train.decisions": 200}), folder).run()
+    return folder / EPISODES
+
+
+def test_without_a_teacher_the_recorded_decisions_have_no_labels(unlabelled: Path) -> None:
+    found = recording.read(unlabelled)
     assert found.decisions > 100
     assert not any(episode.labels.any() for episode in found.episodes)
 
@@ -258,9 +265,8 @@ def test_nothing_is_stated_where_there_is_no_sum_to_cut(
     assert list(notes(short_config(**settings), recording.read(file))) == []
 
 
-def test_episodes_without_labels_teach_nothing_by_labels_alone(tmp_path: Path) -> None:
-    trainer(short_config(**{"train.record": True}), tmp_path).run()
-    settings = {"teacher.episodes": str(tmp_path / EPISODES), "teacher.td_weight": 0.0}
+def test_episodes_without_labels_teach_nothing_by_labels_alone(unlabelled: Path) -> None:
+    settings = {"teacher.episodes": str(unlabelled), "teacher.td_weight": 0.0}
     with pytest.raises(
         ConfigError, match=r"holds no labels, so that nothing is learnt with teacher"
     ):
@@ -283,7 +289,8 @@ def test_something_recorded_must_be_named() -> None:
 def test_eval_records_what_train_learns_from(tmp_path: Path) -> None:
     made = ("--controller", "okada", "terrain=step", "--record", "a.safetensors")
     assert call("eval", *made, "--episodes", "2", cwd=tmp_path).code == 0
-    words = [f"{key}={value}" for key, value in EXACT.items()]
+    few = {"train.decisions": 40, "train.validation_episodes": 1}
+    words = [f"{key}={value}" for key, value in {**EXACT, **few}.items()]
     words += ["terrain=step", "teacher=recorded", "hydra.run.dir=run"]
     done = call("train", *words, "teacher.episodes=a.safetensors", cwd=tmp_path)
     assert done.code == 0, done.err

@@ -15,7 +15,7 @@ from tests.short import short_config, trainer
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.parametrize("mode", ["exact", "fast"])
+@pytest.mark.parametrize("mode", ["exact", pytest.param("fast", marks=pytest.mark.long)])
 def test_a_run_stopped_in_a_validation_begins_with_it_again(tmp_path: Path, mode: str) -> None:
     config = short_config(**{"train.mode": mode, "train.workers": 2, "train.decisions": 400})
     trainer(config, tmp_path / "whole").run()

@@ -185,7 +185,7 @@ def test_without_a_teacher_there_are_no_labels(short_run: Path) -> None:
     assert "replay.label" not in checkpoint.read(short_run / checkpoint.LAST).tensors
 
 
-@pytest.mark.parametrize("mode", ["exact", "fast"])
+@pytest.mark.parametrize("mode", ["exact", pytest.param("fast", marks=pytest.mark.long)])
 def test_a_taught_run_resumes_bit_for_bit_with_its_labels(tmp_path: Path, mode: str) -> None:
     settings = {"train.mode": mode, "train.workers": 2, "train.decisions": 300}
     config = short_config(**settings, **LOOKAHEAD)

@@ -65,7 +65,7 @@ def test_a_resumed_run_equals_the_uninterrupted_one_bit_for_bit(
         assert (tmp_path / name).read_bytes() == (short_run / name).read_bytes(), name
 
 
-@pytest.mark.parametrize("workers", [2, 1])
+@pytest.mark.parametrize("workers", [2, pytest.param(1, marks=pytest.mark.long)])
 def test_a_fast_run_is_repeatable_and_resumes_bit_for_bit_with_its_requests(
     workers: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

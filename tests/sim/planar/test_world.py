@@ -1,4 +1,4 @@
-"""The physics against numbers worked by hand."""
+"""The planar engine: its two loops, its belts; ``tests/sim/test_physics.py`` has its physics."""
 
 import math
 
@@ -15,143 +15,15 @@ from flipperctl.sim.planar.compiled import CompiledLoop
 from flipperctl.sim.planar.joints import Budget
 from flipperctl.sim.planar.plain import GROUND, TRACK, Belt, PlainLoop
 from flipperctl.sim.planar.world import PlanarWorld
+from tests.sim.test_physics import crossing, episode
 
 FLAT = Profile([(0.0, 0.0)])
 UNBOUNDED = Budget(gravity=0.0, servos=0.0, belts=0.0, tolerance=math.inf)
-STILL = 1e-9  # [m/s] belts that brake: the smallest speed that the settings allow
 
 
 def run(world: PlanarWorld, seconds: float) -> None:
     for _ in range(round(100 * seconds)):
         world.advance()
-
-
-def turn(world: PlanarWorld, angle: float, lift: float) -> None:
-    """Turn the whole robot about the ground below its centre, then lift it."""
-    x, _ = world.position
-    pivot = pymunk.Vec2d(x, world.profile.height(x))
-    for body in world.space.bodies:
-        body.position = pivot + (body.position - pivot).rotated(angle) + (0.0, lift)
-        body.angle += angle
-
-
-def on_slope(degrees: float, friction: float) -> PlanarWorld:
-    """Return a braking robot that stands on a slope of 120 m length."""
-    slope = math.radians(degrees)
-    rise = 60.0 * math.tan(slope)
-    ground = Profile([(-60.0, -rise), (60.0, rise)])
-    world = PlanarWorld(ground, Robot(track_speed=STILL), Planar(friction=friction), Start(0.0))
-    turn(world, slope, 0.0)
-    run(world, 0.5)
-    return world
-
-
-def crossing(height: float, friction: float) -> str:
-    """Return the outcome of the rule controller at one riser."""
-    env = FlipperEnv(
-        terrain={"name": "step", "low": height, "high": height},
-        sim={"friction": friction},
-        episode={"start_noise": 0},
-    )
-    return episode(env)["outcome"]
-
-
-def episode(env: FlipperEnv) -> dict:
-    """Return the last info of an episode under the rule controller."""
-    rule = resolver.create("controller", "okada", "controller").build()
-    env.reset(seed=0)
-    while True:
-        *_, terminated, truncated, info = env.step(rule.act(env.perception))
-        if terminated or truncated:
-            return info
-
-
-@pytest.mark.parametrize("speed", [0.05, 0.2, 1.0])
-def test_drives_at_the_belt_speed_on_the_flat(speed: float) -> None:
-    world = PlanarWorld(FLAT, Robot(track_speed=speed), Planar(), Start(-5.0))
-    run(world, 1.0)  # it starts at rest
-    start = world.position[0]
-    run(world, 5.0)
-    assert (world.position[0] - start) / 5.0 == pytest.approx(speed, rel=0.01)
-
-
-def test_rests_at_the_height_of_its_tracks() -> None:
-    world = PlanarWorld(FLAT, Robot(track_speed=STILL), Planar(), Start(0.0))
-    run(world, 1.0)
-    assert world.position == pytest.approx((0.0, 0.1), abs=2e-4)
-    assert world.pitch == pytest.approx(0.0, abs=1e-4)
-
-
-# atan 0.5 = 26.57°
-@pytest.mark.parametrize("degrees", [20.0, 25.0])
-def test_holds_on_a_slope_below_the_angle_of_friction(degrees: float) -> None:
-    world = on_slope(degrees, friction=0.5)
-    before = np.array(world.position)
-    run(world, 2.0)
-    assert np.linalg.norm(np.array(world.position) - before) < 1e-3
-    assert math.degrees(world.pitch) == pytest.approx(degrees, abs=0.1)
-
-
-# g (sin a - 0.5 cos a): 9.81 · (0.46947 - 0.44147) = 0.2747, 9.81 · (0.52992 - 0.42402) = 1.0388
-@pytest.mark.parametrize(("degrees", "acceleration"), [(28.0, 0.2747), (32.0, 1.0388)])
-def test_slides_on_a_slope_above_the_angle_of_friction(degrees: float, acceleration: float) -> None:
-    world = on_slope(degrees, friction=0.5)
-    before = np.linalg.norm(world.state().velocity)
-    run(world, 1.0)
-    gained = np.linalg.norm(world.state().velocity) - before
-    assert gained == pytest.approx(acceleration, rel=0.03)
-    assert world.state().velocity[0] < 0  # downhill
-
-
-# At the edge of a cliff, the front pair level and the rear pair up at π/3. Seen from the chassis
-# centre, a pair's centre of gravity lies 0.28 + 0.168 = 0.448 m ahead and
-# 0.28 + 0.168 · cos(π/3) = 0.364 m behind; pairs of m kg and the chassis of 35 kg balance at
-# m (0.448 - 0.364) / (35 + 2 m): 9.3 mm ahead for 5 kg, 22.4 mm for 20 kg.
-@pytest.mark.parametrize(("mass", "ahead"), [(5.0, 0.0093), (20.0, 0.0224)])
-def test_tips_over_an_edge_where_statics_says(mass: float, ahead: float) -> None:
-    cliff = Profile([(0.0, 0.0), (0.0, -2.0)])
-    robot = Robot(track_speed=STILL, flipper_mass=mass)
-    pitches = []
-    for overhang in (-0.005, 0.005):  # [m] of the centre of gravity beyond the edge
-        world = PlanarWorld(cliff, robot, Planar(), Start(overhang - ahead, 0.0, math.pi / 3))
-        run(world, 2.0)
-        pitches.append(world.pitch)
-    assert pitches[0] == pytest.approx(0.0, abs=1e-3)
-    assert pitches[1] < -0.5
-
-
-# A tilted robot rocks a little when its other end slaps down.
-@pytest.mark.parametrize(("tilt", "rebound"), [(0.0, 0.02), (0.3, 0.1)])
-def test_a_drop_loses_energy_and_does_not_bounce(tilt: float, rebound: float) -> None:
-    robot, sim = Robot(track_speed=STILL), Planar()
-    world = PlanarWorld(FLAT, robot, sim, Start(0.0))
-    turn(world, tilt, lift=0.5)
-
-    def energy() -> float:
-        return sum(
-            body.mass * 9.81 * body.position.y
-            + body.mass * body.velocity.length**2 / 2
-            + body.moment * body.angular_velocity**2 / 2
-            for body in world.space.bodies
-        )
-
-    energies, heights = [energy()], []
-    for _ in range(200):
-        world.advance()
-        energies.append(energy())
-        heights.append(world.position[1])
-    # The engine lets bodies in contact sink in by at most one substep's way, here
-    # √(2 · 9.81 · 0.5) m/s · 5 ms = 15.7 mm, and pushes them out again: 45 · 9.81 · 0.0157 = 6.9 J
-    # of the 45 · 9.81 · 0.5 = 221 J that the drop sets free.
-    assert max(np.diff(energies)) < 6.9
-    assert energies[-1] == pytest.approx(45 * 9.81 * 0.1, rel=0.01)  # at rest on the tracks
-    landed = int(np.argmax(np.array(heights) < 0.11))
-    assert max(heights[landed:]) < 0.1 + rebound
-
-
-@pytest.mark.parametrize(("height", "friction"), [(0.2, 0.7), (0.4, 1.0)])
-def test_the_belt_climbs_a_riser(height: float, friction: float) -> None:
-    assert crossing(height, friction) == "reached"
 
 
 @pytest.mark.parametrize("terrain", ["step", "paper_step", "paper_stair"])
@@ -237,23 +109,6 @@ def test_the_belt_runs_along_the_face_that_it_touches(
         np.empty((100, 5)), Limits()
     )
     assert track.velocity == pytest.approx(velocity, abs=1e-6)
-
-
-def test_penetration_is_the_depth_in_the_ground() -> None:
-    world = PlanarWorld(FLAT, Robot(), Planar(), Start(0.0))
-    turn(world, 0.0, lift=-0.03)
-    assert world.penetration() == pytest.approx(0.03, abs=1e-6)
-
-
-@pytest.mark.parametrize("terrain", ["paper_step", "paper_stair"])
-def test_half_the_substep_changes_the_pitch_variation_little(terrain: str) -> None:
-    coarse, fine = (
-        episode(FlipperEnv(terrain, sim={"substep": s}, episode={"start_noise": 0}))
-        for s in (0.005, 0.0025)
-    )
-    assert coarse["outcome"] == fine["outcome"] == "reached"
-    variations = [info["metrics"]["pitch_variation"] for info in (coarse, fine)]
-    assert variations[0] == pytest.approx(variations[1], rel=0.05)
 
 
 def test_equal_inputs_give_bit_identical_trajectories() -> None:

@@ -1,0 +1,220 @@
+"""The physics of both engines against numbers worked by hand."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import mujoco
+import numpy as np
+import pymunk
+import pytest
+
+from flipperctl.api import Engine, Profile, Robot, Start
+from flipperctl.config import resolver
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.sim.mujoco import Mujoco
+from flipperctl.sim.mujoco.world import MujocoWorld
+from flipperctl.sim.planar import Planar
+from flipperctl.sim.planar.world import PlanarWorld
+
+FLAT = Profile([(0.0, 0.0)])
+STILL = 1e-9  # [m/s] belts that brake: the smallest speed that the settings allow
+
+
+def turn_planar(world: PlanarWorld, angle: float, lift: float) -> None:
+    """Turn the whole robot nose up about the ground below its centre, then lift it."""
+    x, _ = world.position
+    pivot = pymunk.Vec2d(x, world.profile.height(x))
+    for body in world.space.bodies:
+        body.position = pivot + (body.position - pivot).rotated(angle) + (0.0, lift)
+        body.angle += angle
+
+
+def turn_mujoco(world: MujocoWorld, angle: float, lift: float) -> None:
+    """Do the same in three dimensions."""
+    pose = world.data.qpos
+    height = pose[2] - world.profile.height(float(pose[0]))
+    pose[0] -= height * math.sin(angle)
+    pose[2] += height * (math.cos(angle) - 1) + lift
+    pose[3:7] = math.cos(angle / 2), 0.0, -math.sin(angle / 2), 0.0
+
+
+def energy_planar(world: PlanarWorld) -> float:
+    """Return the robot's kinetic and potential energy, 0 at z = 0 [J]."""
+    return sum(
+        body.mass * 9.81 * body.position.y
+        + body.mass * body.velocity.length**2 / 2
+        + body.moment * body.angular_velocity**2 / 2
+        for body in world.space.bodies
+    )
+
+
+def energy_mujoco(world: MujocoWorld) -> float:
+    """Return the robot's kinetic and potential energy, 0 at z = 0 [J]."""
+    model, data = world.model, world.data
+    mujoco.mj_forward(model, data)
+    mujoco.mj_energyPos(model, data)
+    mujoco.mj_energyVel(model, data)
+    return float(data.energy.sum())
+
+
+@dataclass(frozen=True)
+class Case:
+    """An engine, what its tests do to its world, and how closely it keeps what is at rest."""
+
+    engine: type[Engine]
+    turn: Callable[[Any, float, float], None]
+    energy: Callable[[Any], float]
+    rests: float
+    """Largest error of a height at rest [m]."""
+    creeps: float
+    """Largest way in 2 s of holding on a slope [m]."""
+    balances: float
+    """Largest pitch on the brink [rad]."""
+
+    @property
+    def name(self) -> str:
+        return self.engine.plugin_name
+
+    def place(self, profile: Profile, robot: Robot, x: float, *angles: float, **sim: float) -> Any:
+        start = Start(x, *angles)
+        return self.engine(**sim).place(profile, robot, start, np.random.default_rng(0))
+
+    def on_slope(self, degrees: float, friction: float) -> Any:
+        """Return a braking robot that stands on a slope of 120 m length."""
+        slope = math.radians(degrees)
+        rise = 60.0 * math.tan(slope)
+        ground = Profile([(-60.0, -rise), (60.0, rise)])
+        world = self.place(ground, Robot(track_speed=STILL), 0.0, friction=friction)
+        self.turn(world, slope, 0.0)
+        world.advance(50)
+        return world
+
+
+PLANAR = Case(Planar, turn_planar, energy_planar, rests=2e-4, creeps=1e-3, balances=1e-3)
+MUJOCO = Case(Mujoco, turn_mujoco, energy_mujoco, rests=5e-4, creeps=2e-3, balances=5e-3)
+
+
+@pytest.fixture(params=[PLANAR, MUJOCO], ids=lambda case: case.name)
+def case(request: pytest.FixtureRequest) -> Case:
+    return request.param
+
+
+def episode(env: FlipperEnv) -> dict:
+    """Return the last info of an episode under the rule controller."""
+    rule = resolver.create("controller", "okada", "controller").build()
+    env.reset(seed=0)
+    while True:
+        *_, terminated, truncated, info = env.step(rule.act(env.perception))
+        if terminated or truncated:
+            return info
+
+
+def crossing(height: float, **sim: object) -> str:
+    """Return the outcome of the rule controller at one riser."""
+    terrain = {"name": "step", "low": height, "high": height}
+    return episode(FlipperEnv(terrain=terrain, sim=sim, episode={"start_noise": 0}))["outcome"]
+
+
+@pytest.mark.parametrize("speed", [0.05, 0.2, 1.0])
+def test_drives_at_the_belt_speed_on_the_flat(speed: float, case: Case) -> None:
+    world = case.place(FLAT, Robot(track_speed=speed), -5.0)
+    world.advance(100)  # it starts at rest
+    start = world.position[0]
+    world.advance(500)
+    assert (world.position[0] - start) / 5.0 == pytest.approx(speed, rel=0.01)
+
+
+def test_rests_at_the_height_of_its_tracks(case: Case) -> None:
+    world = case.place(FLAT, Robot(track_speed=STILL), 0.0)
+    world.advance(100)
+    assert tuple(world.position) == pytest.approx((0.0, 0.1), abs=case.rests)
+    assert world.pitch == pytest.approx(0.0, abs=1e-4)
+
+
+# atan 0.5 = 26.57°
+@pytest.mark.parametrize("degrees", [20.0, 25.0])
+def test_holds_on_a_slope_below_the_angle_of_friction(degrees: float, case: Case) -> None:
+    world = case.on_slope(degrees, friction=0.5)
+    before = np.array(world.position)
+    world.advance(200)
+    assert np.linalg.norm(np.array(world.position) - before) < case.creeps
+    assert math.degrees(world.pitch) == pytest.approx(degrees, abs=0.1)
+
+
+# g (sin a - 0.5 cos a): 9.81 · (0.46947 - 0.44147) = 0.2747, 9.81 · (0.52992 - 0.42402) = 1.0388
+@pytest.mark.parametrize(("degrees", "acceleration"), [(28.0, 0.2747), (32.0, 1.0388)])
+def test_slides_on_a_slope_above_the_angle_of_friction(
+    degrees: float, acceleration: float, case: Case
+) -> None:
+    world = case.on_slope(degrees, friction=0.5)
+    downhill = -np.array([math.cos(math.radians(degrees)), math.sin(math.radians(degrees))])
+    before = world.state().velocity @ downhill
+    ways = world.advance(100)[:, :2] @ downhill
+    gained = world.state().velocity @ downhill - before
+    assert case is MUJOCO or gained == pytest.approx(acceleration, rel=0.03)  # in 3-D it rocks
+    assert 2 * np.polyfit(0.01 * np.arange(100), ways, 2)[0] == pytest.approx(
+        acceleration, rel=0.02
+    )
+
+
+# At the edge of a cliff, the front pair level and the rear pair up at π/3. Seen from the chassis
+# centre, a pair's centre of gravity lies 0.28 + 0.168 = 0.448 m ahead and
+# 0.28 + 0.168 · cos(π/3) = 0.364 m behind; pairs of m kg and the chassis of 35 kg balance at
+# m (0.448 - 0.364) / (35 + 2 m): 9.3 mm ahead for 5 kg, 22.4 mm for 20 kg.
+@pytest.mark.parametrize(("mass", "ahead"), [(5.0, 0.0093), (20.0, 0.0224)])
+def test_tips_over_an_edge_where_statics_says(mass: float, ahead: float, case: Case) -> None:
+    cliff = Profile([(0.0, 0.0), (0.0, -2.0)])
+    robot = Robot(track_speed=STILL, flipper_mass=mass)
+    pitches = []
+    for overhang in (-0.005, 0.005):  # [m] of the centre of gravity beyond the edge
+        world = case.place(cliff, robot, overhang - ahead, 0.0, math.pi / 3)
+        world.advance(200)
+        pitches.append(world.pitch)
+    assert pitches[0] == pytest.approx(0.0, abs=case.balances)
+    assert pitches[1] < -0.5
+
+
+# A tilted robot rocks a little when its other end slaps down.
+@pytest.mark.parametrize(("tilt", "rebound"), [(0.0, 0.02), (0.3, 0.1)])
+def test_a_drop_loses_energy_and_does_not_bounce(tilt: float, rebound: float, case: Case) -> None:
+    world = case.place(FLAT, Robot(track_speed=STILL), 0.0)
+    case.turn(world, tilt, 0.5)
+    energies, heights = [case.energy(world)], []
+    for _ in range(200):
+        world.advance(1)
+        energies.append(case.energy(world))
+        heights.append(world.position[1])
+    # The planar engine lets bodies in contact sink in by at most one substep's way, here
+    # √(2 · 9.81 · 0.5) m/s · 5 ms = 15.7 mm, and pushes them out again: 45 · 9.81 · 0.0157 = 6.9 J
+    # of the 45 · 9.81 · 0.5 = 221 J that the drop sets free. Springs of contacts return as much.
+    assert max(np.diff(energies)) < 6.9
+    assert energies[-1] == pytest.approx(45 * 9.81 * 0.1, rel=0.01)  # at rest on the tracks
+    landed = int(np.argmax(np.array(heights) < 0.11))
+    assert max(heights[landed:]) < 0.1 + rebound
+
+
+@pytest.mark.parametrize(("height", "friction"), [(0.2, 0.7), (0.4, 1.0)])
+def test_the_belt_climbs_a_riser(height: float, friction: float, case: Case) -> None:
+    assert crossing(height, name=case.name, friction=friction) == "reached"
+
+
+def test_penetration_is_the_depth_in_the_ground(case: Case) -> None:
+    world = case.place(FLAT, Robot(), 0.0)
+    case.turn(world, 0.0, -0.03)
+    assert world.penetration() == pytest.approx(0.03, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "terrain"),
+    [("planar", "paper_step"), ("planar", "paper_stair"), ("mujoco", "paper_step")],
+)
+def test_half_the_substep_changes_the_pitch_variation_little(name: str, terrain: str) -> None:
+    coarse, fine = (
+        episode(FlipperEnv(terrain, sim={"name": name, "substep": s}, episode={"start_noise": 0}))
+        for s in (0.005, 0.0025)
+    )
+    assert coarse["outcome"] == fine["outcome"] == "reached"
+    variations = [info["metrics"]["pitch_variation"] for info in (coarse, fine)]
+    assert variations[0] == pytest.approx(variations[1], rel=0.05)
