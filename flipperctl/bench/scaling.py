@@ -24,7 +24,7 @@ from flipperctl.bench.settings import Bench, BenchSettings, measure_in_turn, qua
 from flipperctl.config import RayCollector, TrainConfig, to_dict
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
-from flipperctl.policies.training import ExploringPolicy
+from flipperctl.policies.exploring import ExploringPolicy
 from flipperctl.rollout import collect
 from flipperctl.rollout.collect import RolloutWorkers
 from flipperctl.rollout.pool import ProcessWorkers

@@ -24,7 +24,7 @@ from flipperctl.errors import CheckpointError, FlipperctlError
 from flipperctl.evaluation.rows import DIGEST, RECORDED, Row, arranged
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource
-from flipperctl.policies.training import DemonstratingPolicy
+from flipperctl.policies.teaching import DemonstratingPolicy
 from flipperctl.rollout.episode import Decision, EpisodeRecorder, decisions, play
 from flipperctl.rollout.pool import WorkerDiedError, WorkerPool
 from flipperctl.rollout.seeds import EvaluationSeeds

@@ -24,9 +24,10 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.privileged import PrivilegedStates
 from flipperctl.errors import FlipperctlError
 from flipperctl.policies.abilities import LabellingPolicy
+from flipperctl.policies.exploring import DrawingPolicy, ExploringPolicy
 from flipperctl.policies.source import controller_policy
+from flipperctl.policies.teaching import TaughtPolicy
 from flipperctl.policies.trained import TrainedPolicy
-from flipperctl.policies.training import DrawingPolicy, ExploringPolicy, TaughtPolicy
 from flipperctl.rollout.episode import Row, decisions, play
 from flipperctl.rollout.seeds import exploration_rng
 from flipperctl.rollout.values import Rollout, RolloutRequest, Weights

@@ -13,8 +13,9 @@ from flipperctl.config import TrainConfig, to_dict
 from flipperctl.core.schedules import linear
 from flipperctl.env import ground
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.policies.exploring import DrawingPolicy, ExploringPolicy
 from flipperctl.policies.source import controller_notes, controller_policy
-from flipperctl.policies.training import DrawingPolicy, ExploringPolicy, TaughtPolicy
+from flipperctl.policies.teaching import TaughtPolicy
 from flipperctl.rollout.collect import AsyncCollector, Collector, InProcessCollector, RolloutWorkers
 from flipperctl.rollout.pool import ProcessWorkers
 from flipperctl.rollout.seeds import training_seed

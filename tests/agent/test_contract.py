@@ -14,7 +14,7 @@ from flipperctl.agent.contract import check_contract
 from flipperctl.agent.d3qn import D3qn
 from flipperctl.config import Agent
 from flipperctl.errors import ConfigError
-from flipperctl.policies.training import ExploringPolicy
+from flipperctl.policies.exploring import ExploringPolicy
 from tests.agent.learners import ACTIONS, LAYOUT, Foreign, fixed_batch
 
 

@@ -6,7 +6,7 @@ import pytest
 from flipperctl.agent.d3qn import D3qn
 from flipperctl.api import Perception, RobotGeometry
 from flipperctl.config import Agent
-from flipperctl.policies.training import ExploringPolicy
+from flipperctl.policies.exploring import ExploringPolicy
 from tests.agent.learners import ACTIONS, LAYOUT, Ramp
 
 ZEROS = np.zeros(LAYOUT.size, np.float32)

@@ -8,9 +8,9 @@ from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import PluginFailedError
 from flipperctl.lookahead.mpc_policy import NO_PLAN
-from flipperctl.policies import training as labels
+from flipperctl.policies import teaching as labels
 from flipperctl.policies.plugin import PluginCostPolicy, PluginPolicy, plugin_policy
-from flipperctl.policies.training import DemonstratingPolicy
+from flipperctl.policies.teaching import DemonstratingPolicy
 from flipperctl.rollout.collect import InProcessCollector
 
 

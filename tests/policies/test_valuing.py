@@ -21,7 +21,7 @@ from flipperctl.errors import ConfigError, PluginFailedError
 from flipperctl.policies.abilities import ValuingPolicy
 from flipperctl.policies.plugin import plugin_policy
 from flipperctl.policies.source import controller_policy
-from flipperctl.policies.training import DemonstratingPolicy, TaughtPolicy
+from flipperctl.policies.teaching import DemonstratingPolicy, TaughtPolicy
 from flipperctl.rollout.episode import decisions
 
 SEEN, VALUES = np.zeros((2, 3, 18), np.float32), np.zeros((2, 3, len(ACTIONS)), np.float32)

@@ -10,7 +10,7 @@ from flipperctl.checkpoint import recording
 from flipperctl.config import EnvConfig
 from flipperctl.evaluation.rows import RECORDED
 from flipperctl.policies.source import PolicySource
-from flipperctl.policies.training import TaughtPolicy
+from flipperctl.policies.teaching import TaughtPolicy
 from flipperctl.rollout.pool import ProcessWorkers
 from flipperctl.training import episodes
 from tests.played import play_episodes

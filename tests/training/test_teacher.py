@@ -14,8 +14,8 @@ from flipperctl.config import EnvConfig, Teacher, TrainConfig, resolver, with_ov
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 from flipperctl.policies.plugin import plugin_policy
+from flipperctl.policies.teaching import TaughtPolicy
 from flipperctl.policies.trained import policy_module
-from flipperctl.policies.training import TaughtPolicy
 from flipperctl.rollout.episode import decisions
 from tests.short import short_config, trainer
 

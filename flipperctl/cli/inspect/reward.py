@@ -42,7 +42,7 @@ at their end. With --checkpoint, controller.<field> applies to the controllers o
 
   flipperctl inspect reward --compare okada,planner controller.width=8
 
-  flipperctl inspect reward --regret --checkpoint generalist terrain=stair,ramp
+  flipperctl inspect reward --regret --checkpoint generalist terrain=ramp
 """
 
 REFERENCES = "level,okada,mpc"

@@ -22,7 +22,7 @@ OVERRIDES are the robot and the estimator, as in robot=absolem perception.pose=m
 
   flipperctl robot check recorded_bag --output perceived.gif
 
-  flipperctl robot check run.mcap robot=my_robot.yaml --topic /ouster/points --json
+  flipperctl robot check run.mcap robot=mine.yaml --topic /points --json
 
   flipperctl robot check recorded_bag --at 12 --output edge.png
 """

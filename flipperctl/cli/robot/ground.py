@@ -22,7 +22,7 @@ OVERRIDES are the robot that recorded, as in robot=absolem, whose own points are
 
   flipperctl robot ground recorded_bag --output ground.xyz
 
-  flipperctl robot ground run.mcap --output ground.xyz --topic /ouster/points --fixed-frame map
+  flipperctl robot ground run.mcap --output ground.xyz --fixed-frame map
 """
 
 

@@ -22,7 +22,7 @@ OVERRIDES are widths and errors of the robot, as in perception.overall_width=0.6
 
   flipperctl robot shadow stair.onnx recorded_bag --output shadow.jsonl
 
-  flipperctl robot shadow stair.onnx run.mcap perception.pose=matched --topic /ouster/points
+  flipperctl robot shadow stair.onnx run.mcap perception.pose=matched
 """
 
 

@@ -1,8 +1,8 @@
-"""The policies of training episodes: ε-greedy, drawn by their Q-values, or taught.
+"""The policies of a teacher's episodes: they label the decisions from which a student learns.
 
-In: a student's policy, and a teacher with the student's share of the episodes. Out: actions, each
-with a label where there is a teacher: the target distribution over actions for its student, (9,),
-from the cost of each action or the action that a policy takes.
+In: a student's policy, and a teacher with the student's share of the episodes; or any policy. Out:
+actions, each with a label: the target distribution over actions for a student, (9,), from the cost
+of each action or the action that a policy takes.
 """
 
 from __future__ import annotations
@@ -10,12 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from flipperctl.agent.frames import stacked
-from flipperctl.agent.networks import greedy, q_values
-from flipperctl.agent.noise import Noise
 from flipperctl.api import (
     ACTIONS,
     CostPolicy,
@@ -26,7 +22,7 @@ from flipperctl.api import (
     StateGroups,
 )
 from flipperctl.config import Teacher
-from flipperctl.core.risk import RiskSign, drawn
+from flipperctl.core.risk import RiskSign
 from flipperctl.errors import ConfigError
 from flipperctl.policies.abilities import FollowingPolicy, RiskPolicy, TrainingPolicy, ValuingPolicy
 
@@ -197,79 +193,3 @@ class TaughtPolicy:
         if self.explored:
             return int(self._rng.integers(len(ACTIONS)))
         return choice
-
-
-class ExploringPolicy:
-    """Takes a random action with probability ε, otherwise the greedy action under new noise."""
-
-    def __init__(
-        self,
-        module: torch.nn.Module,
-        frames: int,
-        epsilon: Callable[[], float],
-        rng: np.random.Generator,
-        noise_rng: np.random.Generator,
-        share: float = 1.0,
-    ) -> None:
-        """``module`` is put into the mode of decisions at the start of each episode.
-
-        ``frames``: number of observations that the network takes as one input. ``epsilon`` is
-        called at each decision. ``rng`` draws the actions, ``noise_rng`` the noise.
-        ``share``: share of the episodes that have random actions [-].
-        """
-        self._module, self._frames, self._epsilon = module, frames, epsilon
-        self._rng, self._noise_rng = rng, noise_rng
-        self._noise = Noise(module)
-        self._device = next(module.parameters(), torch.empty(0)).device
-        self._share, self._greedy = share, False
-        self.explored = False
-        """Whether the last action was random."""
-
-    def reset(self, simulator: Simulator) -> None:
-        """Begin an episode; decide whether it has random actions."""
-        self._noise.acts()
-        self._greedy = self._share < 1 and self._rng.random() >= self._share
-
-    def act(self, p: Perception) -> int:
-        """Return the index of a random or greedy action."""
-        self.explored = not self._greedy and self._rng.random() < self._epsilon()
-        if self.explored:
-            return int(self._rng.integers(len(ACTIONS)))
-        self._noise.draw(self._noise_rng)
-        return greedy(self._module, stacked(p.recent, self._frames), self._device)
-
-
-class DrawingPolicy:
-    """Draws each action with the probabilities softmax(Q / temperature), which are its label."""
-
-    groups: StateGroups | None = None
-    explored = False
-
-    def __init__(
-        self,
-        module: torch.nn.Module,
-        frames: int,
-        temperature: Callable[[], float],
-        rng: np.random.Generator,
-    ) -> None:
-        """``module`` is put into ``eval()`` mode at the start of each episode.
-
-        ``frames``: number of observations that the network takes as one input. ``rng`` draws.
-        ``temperature``: called at each decision [-].
-        """
-        self._module, self._frames = module, frames
-        self._temperature, self._rng = temperature, rng
-        self._device = next(module.parameters(), torch.empty(0)).device
-        self.label = none()
-        """Probabilities of the actions at the last decision, (9,)."""
-
-    def reset(self, simulator: Simulator) -> None:
-        """Begin an episode; nothing is remembered."""
-        self._module.eval()  # at each decision it took a tenth of the time
-
-    def act(self, p: Perception) -> int:
-        """Return the index of the drawn action."""
-        observation = stacked(p.recent, self._frames)
-        values = q_values(self._module, observation, self._device)
-        self.label = from_costs(-np.array(values), self._temperature())
-        return drawn(self.label.tolist(), self._rng.random())
