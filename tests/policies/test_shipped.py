@@ -37,6 +37,8 @@ def test_a_shipped_policy_has_the_configuration_of_its_command_and_reaches_the_f
     config_store.register_defaults()
     (experiment,) = compose.compose_train(Overrides.parse(command(path, saved.config())))
     trained, wanted = to_dict(saved.config()), to_dict(experiment)
+    for terrain in (trained["terrain"], wanted["terrain"]):
+        del terrain["name"]  # all_kinds was a mix with these parts when mpc_value was trained
     for train in (trained["train"], wanted["train"]):
         del train["best_by"]  # newer than the policies; the weights of mpc_value are the last ones
     assert trained == wanted
