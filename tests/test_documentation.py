@@ -141,7 +141,8 @@ def with_budget(command: list[str]) -> list[str]:
         resumed = "--resume" in command
         trials = ["hydra.sweeper.n_trials=2"] if "hydra/sweeper=optuna" in command else []
         alone = not resumed and "-m" not in command  # two of one second would share a folder
-        own = [f"hydra.run.dir=runs/{uuid4()}"] if alone and ROVER not in command else []
+        named = ROVER in command or "--output" in command
+        own = [f"hydra.run.dir=runs/{uuid4()}"] if alone and not named else []
         asked = any(word.startswith(("train.workers=", "collector=")) for word in command)
         default = command == ["train", "terrain=stair"]
         quick = ["train.decisions=160"] if resumed else WORKERS if asked or default else QUICK

@@ -27,7 +27,7 @@ from flipperctl.errors import MissingExtraError
 from flipperctl.policies.exploring import ExploringPolicy
 from flipperctl.rollout import collect
 from flipperctl.rollout.collect import RolloutWorkers
-from flipperctl.rollout.pool import ProcessWorkers
+from flipperctl.rollout.processes import ProcessWorkers
 from flipperctl.rollout.seeds import training_seed
 from flipperctl.rollout.values import RolloutRequest
 

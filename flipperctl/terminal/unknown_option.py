@@ -11,9 +11,6 @@ from flipperctl.messages import closest
 if TYPE_CHECKING:
     from flipperctl.config import TrainConfig
 
-_RUN_FOLDER = {"output": "hydra.run.dir", "out": "hydra.run.dir", "output_dir": "hydra.run.dir"}
-"""The setting of a training for the folder that other commands call --output."""
-
 
 def explain(
     name: str,
@@ -56,9 +53,6 @@ def _settings(key: str, primary: str, default: Callable[[], TrainConfig]) -> Ite
     from flipperctl.config.defaults import CHOICES
     from flipperctl.config.describe import paths_named
 
-    if primary == "train" and key in _RUN_FOLDER:
-        yield _RUN_FOLDER[key]
-        return
     plugins.load()
     config = default()
     sections = type(config).model_fields if primary == "train" else EvalConfig.model_fields

@@ -17,7 +17,7 @@ from flipperctl.policies.exploring import DrawingPolicy, ExploringPolicy
 from flipperctl.policies.source import controller_notes, controller_policy
 from flipperctl.policies.teaching import TaughtPolicy
 from flipperctl.rollout.collect import AsyncCollector, Collector, InProcessCollector, RolloutWorkers
-from flipperctl.rollout.pool import ProcessWorkers
+from flipperctl.rollout.processes import ProcessWorkers
 from flipperctl.rollout.seeds import training_seed
 from flipperctl.rollout.values import RolloutRequest, Stop, Weights
 from flipperctl.training.saving import Progress

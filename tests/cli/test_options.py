@@ -123,7 +123,7 @@ def test_a_view_without_episodes_names_its_own_seed(tmp_path: Path) -> None:
         (["train", "--gamma", "0.9"], "; settings are written as agent.gamma=0.9"),
         (["train", "--learning-rate=1e-3"], "; settings are written as agent.learning_rate=1e-3"),
         (["train", "--terrain", "terrain=stair"], "; settings are written as terrain=…"),
-        (["train", "--output", "here"], "; settings are written as hydra.run.dir=here"),
+        (["train", "--out", "here"], "; did you mean '--output'?"),
         (
             ["inspect", "config", "--experiment", "quick"],
             "; settings are written as experiment=quick",

@@ -11,7 +11,7 @@ from flipperctl.config import EnvConfig
 from flipperctl.evaluation.rows import RECORDED
 from flipperctl.policies.source import PolicySource
 from flipperctl.policies.teaching import TaughtPolicy
-from flipperctl.rollout.pool import ProcessWorkers
+from flipperctl.rollout.processes import ProcessWorkers
 from flipperctl.training import episodes
 from tests.played import play_episodes
 from tests.short import short_config, trainer
