@@ -141,8 +141,12 @@ def with_budget(command: list[str]) -> list[str]:
         resumed = "--resume" in command
         trials = ["hydra.sweeper.n_trials=2"] if "hydra/sweeper=optuna" in command else []
         alone = not resumed and "-m" not in command  # two of one second would share a folder
-        named = ROVER in command or "--output" in command
-        own = [f"hydra.run.dir=runs/{uuid4()}"] if alone and not named else []
+        if "--output" in command:  # the folder has that run already
+            command = [
+                *command[: command.index("--output")],
+                *command[command.index("--output") + 2 :],
+            ]
+        own = [f"hydra.run.dir=runs/{uuid4()}"] if alone and ROVER not in command else []
         asked = any(word.startswith(("train.workers=", "collector=")) for word in command)
         default = command == ["train", "terrain=stair"]
         quick = ["train.decisions=160"] if resumed else WORKERS if asked or default else QUICK
@@ -183,10 +187,10 @@ def small_searches(monkeypatch: pytest.MonkeyPatch) -> None:
 MAKERS = {
     name: command
     for command in reversed(commands())
-    if command[1] in ("train", "export", "convert")
+    if command[1] in ("train", "export", "robot")
     for option, word in pairwise(["", *command])
     for name in [word.removeprefix("hydra.run.dir=")]
-    if option == "--output" or name != word
+    if name != FIRST and (option == "--output" or name != word)
 }
 """What a command writes → the first that writes it."""
 
