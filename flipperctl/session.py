@@ -19,8 +19,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from flipperctl import entry, plugins
-from flipperctl import results as lock
+from flipperctl import entry, plugins, results
 from flipperctl.errors import InterruptedRunError
 from flipperctl.rollout.worker import STOPS
 
@@ -132,13 +131,13 @@ class CommandProcess:
     folder: Path
     """Working directory, which is another one in a worker of a running cluster."""
     holder: dict[str, Any]
-    """The process (``lock.holder``), whose death a job notices."""
+    """The process (``results.holder``), whose death a job notices."""
 
     @classmethod
     def current(cls) -> CommandProcess:
         """Return this process."""
         typed = plugin_paths()
-        return cls(plugins.configured_paths(), typed, Path.cwd(), lock.holder())
+        return cls(plugins.configured_paths(), typed, Path.cwd(), results.holder())
 
     def restore(self) -> None:
         """Load the plugins in a job, and enter the working directory if it exists.

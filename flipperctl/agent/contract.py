@@ -11,7 +11,6 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from flipperctl.agent import replay as memory
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.networks import (
     TRAINING_COPIES,
@@ -21,7 +20,7 @@ from flipperctl.agent.networks import (
     naming_network,
 )
 from flipperctl.agent.noise import Noise, seeded
-from flipperctl.agent.replay import row_bytes
+from flipperctl.agent.replay import require, row_bytes
 from flipperctl.api import ACTIONS, Network, ObservationLayout
 from flipperctl.config import Agent
 from flipperctl.errors import ConfigError
@@ -54,7 +53,7 @@ def check_demand(
         inputs = input_size(network, layout)
         activations = _count_activations(module, inputs)
     rows = min(settings.replay_size, decisions)
-    memory.require(
+    require(
         rows * row_bytes(inputs, n_actions if labelled else 0, privileged, risk=settings.risk),
         f"agent.replay_size: {rows:,} transitions of {inputs} numbers each take",
         "lower it, or use fewer bins or frames",
@@ -62,7 +61,7 @@ def check_demand(
     together, batch = settings.updates_together, settings.batch_size
     # The transitions of all updates; and for one update the output of every layer and its gradient.
     numbers = 2 * together * batch * inputs + 2 * batch * activations
-    memory.require(
+    require(
         _FLOAT * numbers,
         f"agent.batch_size: {together} times {batch:,} transitions "
         "(agent.updates_together times it) take",

@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from flipperctl.agent import replay as memory
+from flipperctl.agent import replay
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.losses import double_q_target, double_quantile_target, huber, quantile_huber
 from flipperctl.agent.replay import Batch
@@ -157,7 +157,7 @@ def _build(network: Network, layout: ObservationLayout, n_actions: int, copies: 
         """Count a parameter, whose memory is reserved but not yet used."""
         if isinstance(parameter, torch.Tensor) and not torch.nn.parameter.is_lazy(parameter):
             counted[id(parameter)] = parameter.numel() * parameter.element_size()
-            free = memory.available()
+            free = replay.available()
             if free is not None and copies * sum(counted.values()) > free:
                 raise _TooLargeError
 
@@ -189,14 +189,14 @@ def _too_large(
         sizes = []
     count, size = (sum(column) for column in zip(*sizes, strict=True)) if sizes else (0, least)
     parameters = f"{count:,} parameters" if count else "parameters"
-    each = f" ({copies} times {memory.gigabytes(size)})" if copies > 1 else ""
-    free = memory.available()
-    left = "more than is available" if free is None else f"but {memory.gigabytes(free)} are free"
+    each = f" ({copies} times {replay.gigabytes(size)})" if copies > 1 else ""
+    free = replay.available()
+    left = "more than is available" if free is None else f"but {replay.gigabytes(free)} are free"
     return refusal(
         network,
         "build",
         f"builds a network whose {parameters} take {'' if sizes else 'at least '}"
-        f"{memory.gigabytes(copies * size)} of memory{each}, {left}; choose a smaller one",
+        f"{replay.gigabytes(copies * size)} of memory{each}, {left}; choose a smaller one",
         ConfigError,
     )
 

@@ -27,8 +27,7 @@ from flipperctl.api import (
 )
 from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.config.identity import foreign_plugins
-from flipperctl.env import ground, start
-from flipperctl.env import repeating as copying
+from flipperctl.env import ground, repeating, start
 from flipperctl.env.drive import Drive
 from flipperctl.env.guarded_sensor import exact as exact_sensor
 from flipperctl.env.metrics import DRAWN, EpisodeMetrics, measures
@@ -113,7 +112,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self._prepared: Profile  # after it
         self._last_move: tuple[int, int] | None = None
         self._outcome: Outcome | None = None
-        self._replayed: copying.Replayed | None = None
+        self._replayed: repeating.Replayed | None = None
         self._running = False
 
     def reset(
@@ -140,7 +139,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
 
     def _begin(self, difficulty: float, seed: int | None) -> None:
         """Begin an episode with the next children of the environment's generator."""
-        spawned = copying.children(self.np_random)
+        spawned = repeating.children(self.np_random)
         # Each has a generator of its own, so that sensing noise never changes the terrain.
         terrain_rng, start_rng, *rngs, randomise_rng = self.np_random.spawn(5)
         # Spawned from the start's, so that the others stay the same, here and in later episodes.
@@ -166,16 +165,16 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self._pitches = [self.state.pitch]
         self._metrics = EpisodeMetrics(self._measures)
         self.perception = self._perceiver.perceive(self.drive.delayed_state)
-        self._replayed = copying.Replayed(spawned, difficulty)
+        self._replayed = repeating.Replayed(spawned, difficulty)
         self._running = True
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what repeats the episode so far; observers stay with the original."""
-        return copying.state_of(self, self._replayed)
+        return repeating.state_of(self, self._replayed)
 
     def __setstate__(self, kept: dict[str, Any]) -> None:
-        """Repeat the episode of ``__getstate__``; see ``copying.restore``."""
-        copying.restore(self, kept, self._begin)
+        """Repeat the episode of ``__getstate__``; see ``repeating.restore``."""
+        repeating.restore(self, kept, self._begin)
 
     def _place(self, rng: np.random.Generator) -> dict[str, float]:
         """Place the robot at a sampled start; return what was drawn for it, by name."""

@@ -17,12 +17,12 @@ import numpy as np
 
 from flipperctl import entry
 from flipperctl import plugins as registered
-from flipperctl import session as follow_up
 from flipperctl.api import Measure, Plugin, Settings, registry
 from flipperctl.config import EnvConfig, TrainConfig, resolver, to_dict
 from flipperctl.config.defaults import CHOICES, LISTS
 from flipperctl.config.words import quoted
 from flipperctl.errors import ConfigError, PluginError, RequestError
+from flipperctl.session import remember_plugins
 from flipperctl.terminal import notices
 
 Paths = Sequence[str | os.PathLike[str]]
@@ -39,7 +39,7 @@ def begin(plugins: Paths) -> None:
         raise RequestError(f"plugins: a list of paths is allowed; the value is {plugins!r}")
     notices.begin()
     paths = [os.fspath(path) for path in plugins]
-    follow_up.remember_plugins(paths)
+    remember_plugins(paths)
     registered.load(paths)
 
 

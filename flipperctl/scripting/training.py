@@ -20,9 +20,8 @@ from flipperctl.scripting.progress import training_reports
 from flipperctl.scripting.settings import Paths, begin, check_training, short_errors, words
 from flipperctl.session import interrupts
 from flipperctl.terminal.training import check_resumed, print_best
-from flipperctl.training import run as preflight
 from flipperctl.training.listeners import read_rows
-from flipperctl.training.run import Finished, start
+from flipperctl.training.run import Finished, check, check_resumable, start
 from flipperctl.training.run import resume as resume_run
 
 if TYPE_CHECKING:
@@ -118,7 +117,7 @@ def train(
         run = Path(resume)
         if directory is not None:
             raise ConfigError("directory: a resumed run stays in its own; leave it out")
-        preflight.check_resumable(typed)
+        check_resumable(typed)
         changes = Overrides.parse(typed).values()
         finished = _interruptible(
             lambda: resume_run(run, changes, shown, check=check_resumed), [run], plugins
@@ -151,7 +150,7 @@ def _composed(
     with interrupts("stopping …") as stop:
         (config,) = compose_train(every.where(lambda key: key != _FOLDER))
         check_training(config)
-        preflight.check(config)
+        check(config)
     if stop():
         raise KeyboardInterrupt
     return config, run_directory(every).absolute()

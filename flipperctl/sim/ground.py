@@ -13,10 +13,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray, Profile
-from flipperctl.core import ground_map as thinning
+from flipperctl.core import ground_map
 from flipperctl.sim.jit import cached
 
-kept_points = cached(njit)(thinning.kept_points)
+kept_points = cached(njit)(ground_map.kept_points)
 
 
 TOLERANCE = 1e-4

@@ -6,8 +6,7 @@ import contextlib
 from pathlib import Path
 from typing import Any
 
-from flipperctl import checkpoint
-from flipperctl import session as follow_up
+from flipperctl import checkpoint, session
 from flipperctl.errors import CheckpointError
 from flipperctl.show import Column, Table, print_table
 from flipperctl.terminal.console import console
@@ -24,7 +23,7 @@ _COLUMNS = (
 
 
 def print_run(found: dict[str, Any], picture: Path | None) -> None:
-    """Print a row for each validation (``runs.summary.summarise``), and the picture's name."""
+    """Print a row for each validation (``training.folder.summarise``), and the picture's name."""
     summary = found["summary"]
     state = "still running" if found["running"] else "finished"
     if not (found["running"] or (summary and summary["finished"])):
@@ -49,9 +48,9 @@ def _resume_command(run: Path) -> str:
 
     A run records the names of its plugins' files, but not their folders.
     """
-    command = follow_up.command("train", "--resume", run)
+    command = session.command("train", "--resume", run)
     files: list[str] = []
-    if not follow_up.plugin_paths():
+    if not session.plugin_paths():
         with contextlib.suppress(CheckpointError):  # train --resume says what is damaged
             named = checkpoint.read(run / checkpoint.LAST).document.plugins
             files = list(dict.fromkeys(p.file for p in named if p.file))

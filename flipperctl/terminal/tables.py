@@ -129,7 +129,7 @@ _PROFILES = (
 
 
 def print_terrain(name: str, numbers: list[dict[str, Any]], picture: Path | None) -> None:
-    """Print a row for each profile (``studies.profiles.sample``), and the picture's name."""
+    """Print a row for each profile (``figures.terrain.sample``), and the picture's name."""
     rows = [
         row | {"points": len(row["points"]), "drawn": _drawn_text(row["drawn"])} for row in numbers
     ]

@@ -18,20 +18,18 @@ from typing import Any
 from omegaconf import OmegaConf
 
 from flipperctl import checkpoint, plugins
-from flipperctl import results as lock
 from flipperctl.config import TrainConfig, parse, to_dict
 from flipperctl.errors import CheckpointError, ConfigError, OutputError, RequestError
 from flipperctl.files import make_folder, remove_partial, write_bytes
-from flipperctl.results import CONFIG, HYDRA, METRICS, SUMMARY, holds_run, read_config
-from flipperctl.training import listeners as timing
-from flipperctl.training.listeners import read_rows
+from flipperctl.results import CONFIG, HYDRA, METRICS, SUMMARY, holds_run, is_held, read_config
+from flipperctl.training.listeners import NAME, read_rows
 from flipperctl.training.recorder import EPISODES, PARTS
 
 _SUMS = "SHA256SUMS"
 _LOCK, _LOCK_NOTE = Path(".run.lock"), Path(".run.lock.json")
 _WRITTEN = (
     *(CONFIG, METRICS, SUMMARY, EPISODES, checkpoint.BEST, checkpoint.LAST),
-    *(Path(timing.NAME), _LOCK_NOTE),
+    *(Path(NAME), _LOCK_NOTE),
 )
 
 
@@ -241,7 +239,7 @@ def summarise(run: Path, rows: RunRows) -> dict[str, Any]:
     return {
         "run": str(run),
         "summary": json.loads(file.read_text("utf-8")) if file.is_file() else None,
-        "running": lock.is_held(run),
+        "running": is_held(run),
         "episodes": len(rows.episodes),
         "validations": [
             of_reached({key: _number(row, key) for key in _SHOWN}) for row in rows.validations

@@ -21,7 +21,7 @@ from hydra.core.utils import env_override
 from hydra.types import RunMode
 from omegaconf import OmegaConf, read_write
 
-from flipperctl import session as follow_up
+from flipperctl import session
 from flipperctl.cli.hydra import config_store
 from flipperctl.cli.hydra.compose import check_training_effect, compose_train, parse_training
 from flipperctl.cli.hydra.config_store import strict_files
@@ -30,7 +30,7 @@ from flipperctl.cli.hydra.overrides import SEARCH_PATH, Overrides
 from flipperctl.cli.hydra.sweeps import named_by_time
 from flipperctl.errors import ConfigError, InterruptedRunError
 from flipperctl.files import failure
-from flipperctl.rollout import ray_workers as ray_cluster
+from flipperctl.rollout.ray_workers import shut_down
 from flipperctl.session import CommandProcess, interrupts
 from flipperctl.terminal.notices import print_notices
 from flipperctl.terminal.streams import print_note
@@ -82,7 +82,7 @@ def train(arguments: list[str], *, check: bool) -> None:
             if HydraConfig.get().mode is RunMode.MULTIRUN:
                 raise
             directory = Path(HydraConfig.get().runtime.output_dir)
-            stopped = follow_up.interrupted_run(directory)
+            stopped = session.interrupted_run(directory)
             # Hydra would add its own lines to an exception that it handles.
             errors.append(stopped if isinstance(error, KeyboardInterrupt) else error)
             return None
@@ -100,7 +100,7 @@ def train(arguments: list[str], *, check: bool) -> None:
             raise errors[0]
     except KeyboardInterrupt as error:  # while worker processes train
         raise InterruptedRunError(
-            f"interrupted; resume a saved run with: {follow_up.command('train', '--resume', 'RUN')}"
+            f"interrupted; resume a saved run with: {session.command('train', '--resume', 'RUN')}"
         ) from error
     except OSError as error:
         if error.filename is None:
@@ -109,7 +109,7 @@ def train(arguments: list[str], *, check: bool) -> None:
     finally:
         sys.argv = previous_argv
         if several:
-            ray_cluster.shut_down()  # Hydra's launcher leaves it running
+            shut_down()  # Hydra's launcher leaves it running
 
 
 def _options(arguments: Sequence[str]) -> argparse.Namespace:

@@ -20,11 +20,11 @@ from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf, read_write
 
-from flipperctl import session as follow_up
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config.words import literal_override
 from flipperctl.errors import InterruptedRunError
 from flipperctl.rollout.ray_workers import is_connected, join
+from flipperctl.session import sweep_command
 from flipperctl.terminal.streams import print_note
 from flipperctl.terminal.sweep import print_comparison
 from flipperctl.training.sweep import Job, JobResult, Sweep
@@ -167,5 +167,5 @@ class ListSweep:
                 done = sum(run.state == "finished" for run in self._jobs.runs)
                 raise InterruptedRunError(
                     f"interrupted; {done} of {self._jobs.jobs} runs are finished. "
-                    f"Continue with: {follow_up.sweep_command(self._jobs.folder)}"
+                    f"Continue with: {sweep_command(self._jobs.folder)}"
                 ) from error

@@ -74,9 +74,9 @@ def run(
 ) -> None:
     """See HELP."""
     from flipperctl.config.words import with_default, with_flags
-    from flipperctl.evaluation import policies as named_policies
+    from flipperctl.evaluation.policies import controller_or_okada, require_one_policy
 
-    chosen = named_policies.controller_or_okada(checkpoint, controller)
+    chosen = controller_or_okada(checkpoint, controller)
     arguments = with_default(with_flags(overrides, episodes=episodes), "eval.episodes", 20)
     if against is not None and not regret:
         raise RequestError("--against names the references of --regret; add --regret")
@@ -87,7 +87,7 @@ def run(
         _compare(compare, arguments, as_json)
         return
     if regret:
-        named_policies.require_one_policy(checkpoint, controller, overrides)
+        require_one_policy(checkpoint, controller, overrides)
         _regret(arguments, checkpoint, controller, against or REFERENCES, output, as_json)
         return
     from flipperctl.cli.hydra.compose import only_one

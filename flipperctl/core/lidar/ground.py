@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.core import observation
-from flipperctl.core import observation as bins
 from flipperctl.core.arrays import FloatArray
 from flipperctl.core.lidar.cells import Grid, TurningCells
 from flipperctl.core.lidar.certainty import Accuracy, deviations
@@ -30,6 +29,7 @@ from flipperctl.core.lidar.outline import (
     with_assumed,
     with_drops,
 )
+from flipperctl.core.observation import mean_heights, occupied
 from flipperctl.core.sensing import SensedGround
 
 _SECTORS = 256
@@ -290,8 +290,8 @@ class GroundSeen:
         above = filled & (gaps < 0)  # where the robot is, there is no ground
         points[above, 1] += gaps[above]
         self._correct(points, np.where(above, 0.0, gaps), filled)
-        heights = bins.mean_heights(points, s.bins, s.bin_width)
-        seen = bins.occupied(points[~filled], s.bins, s.bin_width)
+        heights = mean_heights(points, s.bins, s.bin_width)
+        seen = occupied(points[~filled], s.bins, s.bin_width)
         since = self._since(x, y, yaw)
         deviation = deviations(points, filled, since, s.bin_width, s.accuracy, unknown)
         return SensedGround(
@@ -342,8 +342,8 @@ class GroundSeen:
         assumed = np.zeros(len(line), np.bool_)
         limits = (-self._reach, self._reach)
         points, filled = points_along(line, assumed, _SPACING, _GAP, limits)
-        heights = bins.mean_heights(points[~filled], s.bins, s.bin_width)
-        return np.where(bins.occupied(points[~filled], s.bins, s.bin_width), heights, np.nan)
+        heights = mean_heights(points[~filled], s.bins, s.bin_width)
+        return np.where(occupied(points[~filled], s.bins, s.bin_width), heights, np.nan)
 
     def _first_lift(self, found: Columns, assumed: FloatArray, stance: Stance) -> float:
         """Return by how much the ground that is seen below the flippers differs from the start's.
