@@ -48,7 +48,7 @@ def run(
 ) -> None:
     """See HELP."""
     from flipperctl.errors import RequestError
-    from flipperctl.evaluation.policies import find_policy
+    from flipperctl.evaluation.inherited import find_policy
     from flipperctl.evaluation.views.card import CARD, card_facts, card_text
     from flipperctl.files import check_output, write_bytes
     from flipperctl.terminal.streams import print_note
@@ -79,7 +79,7 @@ def evaluation_commands(policy: Path, file: Path, results: Sequence[Path]) -> li
     ``policy`` is the name or path that the commands show, ``file`` its checkpoint.
     """
     from flipperctl.cli.hydra import config_store
-    from flipperctl.evaluation.policies import read_config
+    from flipperctl.evaluation.inherited import read_config
     from flipperctl.evaluation.views.markdown import summary_file
 
     primary = config_store.register_trained(read_config(file, ["flat"], lambda line: None))

@@ -99,7 +99,7 @@ def _policy(
 ) -> None:
     from flipperctl import checkpoint as checkpoints
     from flipperctl.cli.hydra.overrides import Overrides
-    from flipperctl.evaluation.policies import find_policy
+    from flipperctl.evaluation.inherited import find_policy
     from flipperctl.export.policy import KINDS, export, robot_fields
     from flipperctl.files import check_output
     from flipperctl.terminal.streams import print_note, show

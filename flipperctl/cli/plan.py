@@ -13,15 +13,9 @@ from flipperctl.cli.scenes import scenes
 from flipperctl.config import DEFAULT_ENGINE, EvalConfig, resolver
 from flipperctl.config.words import key_of
 from flipperctl.errors import RequestError
+from flipperctl.evaluation.inherited import Inherited, find_policy, read_config
 from flipperctl.evaluation.plan import Entry, Plan
-from flipperctl.evaluation.policies import (
-    Entrant,
-    Inherited,
-    controllers,
-    find_policy,
-    read_config,
-    standing,
-)
+from flipperctl.evaluation.policies import Entrant, controllers, standing
 from flipperctl.evaluation.suites import SuiteScene, split_suite
 from flipperctl.evaluation.views.engines import steps
 from flipperctl.evaluation.views.summary import short

@@ -13,7 +13,7 @@ from flipperctl.cli.hydra import compose, config_store
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import EvalConfig, resolver
 from flipperctl.config.defaults import CHOICES
-from flipperctl.evaluation.policies import find_policy, policy_notes, read_config
+from flipperctl.evaluation.inherited import find_policy, policy_notes, read_config
 from flipperctl.policies.source import PolicySource
 from flipperctl.terminal.streams import print_note
 

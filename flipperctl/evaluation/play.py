@@ -19,7 +19,7 @@ from flipperctl.evaluation.store import EpisodeStore, StoreKey, blocks
 from flipperctl.evaluation.workers import EpisodeWorkers, Task, play_block, require_unchanged
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource
-from flipperctl.rollout.ray_workers import QUIET, import_ray, join, shut_down, start_local
+from flipperctl.rollout import ray_workers
 from flipperctl.rollout.values import POLL
 
 Progress = Callable[[str, int], AbstractContextManager[Callable[[float], None]]]
@@ -201,12 +201,12 @@ class Player:
         wanted = list(self._blocks(requests))
         if not wanted:
             return
-        ray = import_ray()
+        ray = ray_workers.import_ray()
         joined = ray.is_initialized()
         if not joined and address == LOCAL:
-            start_local(requests[0][0].eval.jobs)
+            ray_workers.start_local(requests[0][0].eval.jobs)
         elif not joined:
-            join(address, "eval.ray", **QUIET)
+            ray_workers.join(address, "eval.ray", **ray_workers.QUIET)
         try:
             remote = ray.remote(play_block)
             cwd, paths = str(Path.cwd()), plugins.configured_paths()
@@ -223,7 +223,7 @@ class Player:
                 ray.cancel(reference)
         finally:
             if not joined:
-                shut_down()
+                ray_workers.shut_down()
 
     def _blocks(
         self, requests: Sequence[tuple[EvalConfig, PolicySource]]

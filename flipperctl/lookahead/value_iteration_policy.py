@@ -28,7 +28,8 @@ from flipperctl.core.targets import TargetRule
 from flipperctl.lookahead.dynamics import MOST_EXACT
 from flipperctl.lookahead.graph import Course, Graph
 from flipperctl.lookahead.model import TARGETS, Ground, Model, Nodes, compile_now
-from flipperctl.lookahead.mpc_policy import History, Returns, nominal
+from flipperctl.lookahead.mpc_policy import nominal
+from flipperctl.lookahead.returns import History, Returns
 from flipperctl.lookahead.search import Search, highest_at_finish
 from flipperctl.lookahead.settings import ValueIterationSettings
 from flipperctl.reward_sum import RewardSum

@@ -30,7 +30,7 @@ from flipperctl.cli.hydra.compose import with_preset
 from flipperctl.config import EnvConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError, NonFiniteError, PolicyError, RequestError
-from flipperctl.evaluation.policies import find_policy, read_config
+from flipperctl.evaluation.inherited import find_policy, read_config
 from flipperctl.messages import close_match
 from flipperctl.policies.abilities import ObservationPolicy
 from flipperctl.policies.source import PolicySource

@@ -32,8 +32,8 @@ from flipperctl.errors import (
     RunHeldError,
     WriteError,
 )
+from flipperctl.evaluation.inherited import TRAINED
 from flipperctl.evaluation.play import Player
-from flipperctl.evaluation.policies import TRAINED
 from flipperctl.evaluation.store import EpisodeStore
 from flipperctl.evaluation.views.regret import LEVEL, RegretScene, measure
 from flipperctl.evaluation.workers import EpisodeWorkers

@@ -8,7 +8,7 @@ from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 from flipperctl.lookahead.model import TARGETS, Model, Nodes, transitions
-from flipperctl.lookahead.mpc_policy import History
+from flipperctl.lookahead.returns import History
 from flipperctl.reward_sum import RewardSum
 from tests.lookahead.scenes import FLAT, model_of, standing
 

@@ -6,7 +6,7 @@ import pytest
 from flipperctl.api import ACTIONS, FloatArray, Profile, RewardTerm, action_index
 from flipperctl.config import resolver
 from flipperctl.lookahead.model import Model, Nodes
-from flipperctl.lookahead.mpc_policy import Returns
+from flipperctl.lookahead.returns import Returns
 from flipperctl.lookahead.search import Plan, Search
 from flipperctl.reward_sum import RewardSum
 from tests.lookahead.scenes import FLAT, ROBOT, WALL, model_of, standing

@@ -28,7 +28,7 @@ from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, parse
 from flipperctl.config.defaults import CHOICES, check_effect, missing_entry
 from flipperctl.errors import ConfigError
-from flipperctl.evaluation.policies import NOMINAL, TRAINED, explain_missing_training
+from flipperctl.evaluation.inherited import NOMINAL, TRAINED, explain_missing_training
 from flipperctl.terminal.notices import print_notices
 
 Composed = TypeVar("Composed")

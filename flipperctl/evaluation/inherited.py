@@ -1,0 +1,161 @@
+"""The settings that an evaluation inherits from a policy's file.
+
+In: a run, a checkpoint or an exported file. Out: sections as plain data, from which an evaluation
+is composed, and lines on missing or different settings.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Collection, Iterable, Iterator
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from flipperctl import checkpoint as checkpoints
+from flipperctl.api import ObservationLayout, Policy, registry
+from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, to_dict
+from flipperctl.config.absent import AbsentReward, AbsentTerrain
+from flipperctl.errors import CheckpointError
+from flipperctl.evaluation.conditions import Conditions
+from flipperctl.policies.exported import exported_config, is_exported
+
+NOMINAL, TRAINED = "nominal", "trained"
+"""The default conditions, and those of a policy's training."""
+_CHOSEN = ("sim", "perception", "episode", "randomise")
+"""The sections that ``conditions=`` chooses."""
+_SHOWN = 3
+"""Largest number of settings that a line names."""
+
+
+@dataclass(frozen=True)
+class Inherited:
+    """The sections that a policy brings to its evaluation, as plain data."""
+
+    chosen: dict[str, Any]
+    """Terrain, robot and rewards, which overrides may replace as a whole."""
+    kept: dict[str, Any]
+    """Observation layout (of ``perception``) and evaluation settings, in all conditions."""
+    nominal: dict[str, Any]
+    """The other sections at their defaults."""
+    trained: dict[str, Any] | None
+    """Engine, sensor and the other sections as in the training; None if the file lacks them."""
+
+    @classmethod
+    def of(cls, config: TrainConfig | EvalConfig) -> Inherited:
+        """Return the sections of a checkpoint, or of an exported file if it is an EvalConfig."""
+        own = to_dict(config.environment())
+        own["terrain"] = to_dict(config.terrain, brief=True)
+        layout = {name: own["perception"][name] for name in ObservationLayout.model_fields}
+        chosen = {name: own.pop(name) for name in ("terrain", "robot", "rewards")}
+        kept = {"perception": layout, "eval": to_dict(config.eval)}
+        default = to_dict(EvalConfig(terrain=config.terrain))
+        nominal = {name: default[name] for name in own if name not in ("sim", "perception")}
+        return cls(chosen, kept, nominal, own if isinstance(config, TrainConfig) else None)
+
+
+def find_policy(run_or_file: Path, tell: Callable[[str], None]) -> Path:
+    """Return the path of a policy's file, for a run that of its best policy.
+
+    A run without validations has no best policy; its last checkpoint is returned, and ``tell`` is
+    called with a line that says so. Names of shipped policies are allowed, too.
+
+    Raises:
+        CheckpointError: there is no such checkpoint.
+    """
+    file = checkpoints.find(run_or_file)
+    if run_or_file.is_dir() and file == run_or_file / checkpoints.LAST:
+        tell(
+            f"{run_or_file}: no validation has chosen a best policy yet; this is the last one, "
+            f"{checkpoints.LAST}"
+        )
+    return file
+
+
+def read_config(
+    file: Path, terrains: Collection[str | None], tell: Callable[[str], None]
+) -> TrainConfig | EvalConfig:
+    """Return the configuration of a checkpoint, or the part of it that an exported file holds.
+
+    ``terrains`` are those to be evaluated, None for the file's own. Reward terms whose plugins are
+    missing are left out, and ``tell`` is called with a line for each.
+
+    Raises:
+        CheckpointError: the file is damaged, or its own terrain is to be evaluated and the plugin
+            of that is missing.
+    """
+    exported = is_exported(file)
+    found = exported_config(file) if exported else checkpoints.read_policy(file).policy_config()
+    absent = found.terrain
+    if isinstance(absent, AbsentTerrain):
+        name = absent.plugin_name
+        named = ("terrain", name) in registry  # and only a terrain inside it is missing
+        if any(one is None or (one == name and not named) for one in terrains):
+            raise CheckpointError(
+                f"{file}: {absent.missing}, or evaluate another one with terrain=NAME"
+            )
+    for name, term in found.rewards.items():
+        if isinstance(term, AbsentReward):
+            tell(f"{file}: the return lacks rewards.{name}: {term.missing}")
+    present = {k: v for k, v in found.rewards.items() if not isinstance(v, AbsentReward)}
+    return found.model_copy(update={"rewards": present})
+
+
+def explain_missing_training(exported: bool) -> str:
+    """Return the error text for ``conditions=trained`` without a training."""
+    cause = (
+        "an exported file does not hold those of its training; evaluate the checkpoint instead"
+        if exported
+        else "they are those of a checkpoint's training and need --checkpoint"
+    )
+    folder = files("flipperctl.configs.conditions")
+    known = sorted(f.name.removesuffix(".yaml") for f in folder.iterdir() if ".yaml" in f.name)
+    return f"conditions: {TRAINED!r} is not known here: {cause}; known: {', '.join(known)}"
+
+
+def policy_notes(
+    path: Path,
+    policies: Iterable[Policy],
+    trained: TrainConfig | EvalConfig,
+    configs: Iterable[EvalConfig],
+    keys: Collection[str],
+) -> Iterator[str]:
+    """Yield a line for each thing that makes the evaluation of a file differ from its training.
+
+    ``path`` names the file, whose ``policies`` are built for the ``configs`` of the evaluation;
+    ``trained`` is its own configuration, and ``keys`` are the overridden settings.
+    """
+    if isinstance(trained, TrainConfig):
+        lines = dict.fromkeys(_training_line(trained, config, keys) for config in configs)
+        yield from (f"{path}: {line}" for line in lines if line)
+
+
+def _training_line(trained: TrainConfig, config: EvalConfig, keys: Collection[str]) -> str:
+    """Return a line on settings of the training that the evaluation changes; empty if none.
+
+    Changes that the user chose are left out: the overridden ``keys``, and all changes if
+    ``conditions=`` names other conditions than the default ones.
+    """
+    if config.conditions != NOMINAL:
+        return ""
+    own = EvalConfig(**{name: getattr(trained, name) for name in EnvConfig.model_fields})
+    before, here = Conditions.of(own).settings, Conditions.of(config).settings
+    changed = [
+        f"{section}.{name}={_short(before[section][name])} ({_short(here[section].get(name))})"
+        for section in _CHOSEN
+        if section not in keys
+        for name in before[section]
+        if before[section][name] != here[section].get(name) and f"{section}.{name}" not in keys
+    ]
+    if not changed:
+        return ""
+    more = f" and {len(changed) - _SHOWN} more settings" if len(changed) > _SHOWN else ""
+    return (
+        f"trained with {', '.join(changed[:_SHOWN])}{more}, evaluated with the values in brackets; "
+        f"conditions={TRAINED} keeps those of the training"
+    )
+
+
+def _short(value: object) -> str:
+    return json.dumps(value, separators=(",", ":")).strip('"')
