@@ -63,7 +63,7 @@ def measure(bench: Bench[CommonSettings], rivals: Rivals = no_rivals) -> dict[st
         RequestError: the configuration learns by a policy gradient, whose updates are not these.
     """
     s, config = bench.settings, bench.config
-    if config.agent.draws:
+    if config.agent.is_policy_gradient:
         raise RequestError(
             f"learner: agent.learner={config.agent.learner} has updates of whole rounds; the "
             "gradient steps of a double DQN alone are timed"

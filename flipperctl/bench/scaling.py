@@ -147,7 +147,7 @@ def factories(
         "processes": (process_collector, counts),
         "ray": (ray_collector(sum(counts)), counts),
     }
-    if config.teacher.controller is not None or config.agent.draws:
+    if config.teacher.controller is not None or config.agent.is_policy_gradient:
         return found
     return {"in_process": (InProcessCollector, (1,)), **found}
 

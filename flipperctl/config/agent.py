@@ -220,13 +220,13 @@ class Agent(Settings):
         return EscapeRule(self.escape_temperature, self.escape_decisions)
 
     @property
-    def draws(self) -> bool:
-        """Whether the training's episodes have drawn actions, from which the learner learns."""
+    def is_policy_gradient(self) -> bool:
+        """Whether the learner samples its actions and learns from what they earn."""
         return self.learner == "policy_gradient"
 
     @model_validator(mode="after")
     def _fits_policy_gradient(self) -> Self:
-        if not self.draws:
+        if not self.is_policy_gradient:
             return self
         if self.policy_gradient.start_values and self.start_from is None:
             raise ConfigError(

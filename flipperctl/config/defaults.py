@@ -24,7 +24,7 @@ from flipperctl.messages import close_match, missing_name
 def notes_on_budget(config: TrainConfig) -> Iterator[str]:
     """Yield a line if a new training ends before its policy changes for the first time."""
     agent, teacher, decisions = config.agent, config.teacher, config.train.decisions
-    if agent.draws:
+    if agent.is_policy_gradient:
         settings = agent.policy_gradient
         first = (settings.warm_up + 1) * settings.decisions
         if decisions < first:
@@ -40,7 +40,7 @@ def notes_on_budget(config: TrainConfig) -> Iterator[str]:
         )
 
 
-def check_effect(config: EnvConfig, given: Mapping[str, str]) -> None:
+def refuse_ineffective(config: EnvConfig, given: Mapping[str, str]) -> None:
     """Refuse an override of a setting that is sampled anew for every episode.
 
     ``given`` holds the overridden keys, and the override of each as it was typed.

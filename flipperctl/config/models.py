@@ -191,7 +191,7 @@ class TrainConfig(EnvConfig):
     @property
     def learns_privileged_value(self) -> bool:
         """Whether the learner needs privileged states: no learner of labels alone uses them."""
-        return self.agent.draws or (
+        return self.agent.is_policy_gradient or (
             self.agent.privileged_value
             and not (self.teacher.teaches and not self.teacher.td_weight)
         )
@@ -208,11 +208,11 @@ class TrainConfig(EnvConfig):
     @property
     def keeps_distributions(self) -> bool:
         """Whether each decision has a distribution over actions: a teacher's, or its own."""
-        return self.agent.draws or self.teacher.teaches
+        return self.agent.is_policy_gradient or self.teacher.teaches
 
     @model_validator(mode="after")
     def _check_learner(self) -> TrainConfig:
-        if self.agent.draws and self.teacher.teaches:
+        if self.agent.is_policy_gradient and self.teacher.teaches:
             raise ConfigError(
                 "teacher: agent.learner=policy_gradient learns from rewards alone; set teacher=none"
             )

@@ -22,7 +22,7 @@ from flipperctl.errors import ConfigError, FlipperctlError, RequestError
 from flipperctl.evaluation.inherited import find_policy
 from flipperctl.messages import close_match, missing_name
 from flipperctl.policies.exported import ExportedPolicy, is_exported
-from flipperctl.policies.identity import method_settings, without_sources
+from flipperctl.policies.identity import method_settings, without_input_paths
 from flipperctl.policies.source import PolicySource
 from flipperctl.results import unfinished
 
@@ -330,7 +330,7 @@ def _grouped(
     from several runs are several.
     """
     groups: dict[str, list[tuple[Path, int | None]]] = {}
-    alike = [repr(without_sources(settings)) for _, _, settings in trained]
+    alike = [repr(without_input_paths(settings)) for _, _, settings in trained]
     seeds = [(key, seed) for key, (_, seed, _) in zip(alike, trained, strict=True)]
     for key, (run, seed, settings) in zip(alike, trained, strict=True):
         swept = any(seeds.count((key, other)) > 1 for other in {s for k, s in seeds if k == key})

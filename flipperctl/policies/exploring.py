@@ -63,7 +63,7 @@ class ExploringPolicy:
         return greedy(self._module, stacked(p.recent, self._frames), self._device)
 
 
-class DrawingPolicy:
+class SamplingPolicy:
     """Draws each action with the probabilities softmax(Q / temperature), which are its label."""
 
     groups: StateGroups | None = None

@@ -84,7 +84,7 @@ def method_settings(config: TrainConfig) -> dict[str, Any]:
     return {name: value for name, value in plain.items() if name not in _PLACES}
 
 
-def without_sources(settings: Mapping[str, Any]) -> dict[str, Any]:
+def without_input_paths(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return ``method_settings`` in which it does not count from which run or file one learnt.
 
     Each training seed may go on from a run of its own, or learn from recordings of its own.
@@ -125,7 +125,7 @@ def _digest(document: object) -> str:
 
 def unlike_trainings(trainings: Sequence[Mapping[str, Any]]) -> str:
     """Return a sentence on the settings that differ; an empty one if none does."""
-    found = list(_unlike([without_sources(training) for training in trainings]))
+    found = list(_unlike([without_input_paths(training) for training in trainings]))
     if not found:
         return ""
     named = ", ".join(f"{key} ({_shown(values)})" for key, values in found[:_NAMED])

@@ -105,7 +105,7 @@ class DemonstratingPolicy:
         return action
 
 
-class TaughtPolicy:
+class DaggerPolicy:
     """Lets the student or the teacher act for an episode; the teacher labels both (DAgger).
 
     Ross, Gordon and Bagnell 2011, with whole episodes instead of single decisions mixed.

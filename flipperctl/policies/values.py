@@ -74,7 +74,7 @@ def _read(name: str, path: str, file: Path) -> LearnedValue:
             f"{path}={name}: it only imitated its teacher, so that its values estimate no return; "
             "train with teacher.td_weight above 0, or with experiment=searched"
         )
-    if config.agent.draws:
+    if config.agent.is_policy_gradient:
         raise CheckpointError(
             f"{path}={name}: it learnt by a policy gradient, so that its values order the actions "
             "and estimate no return; train with agent.learner=d3qn, or with experiment=searched"

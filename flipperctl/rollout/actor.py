@@ -24,9 +24,9 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.privileged import PrivilegedStates
 from flipperctl.errors import FlipperctlError
 from flipperctl.policies.abilities import LabellingPolicy
-from flipperctl.policies.exploring import DrawingPolicy, ExploringPolicy
+from flipperctl.policies.exploring import ExploringPolicy, SamplingPolicy
 from flipperctl.policies.source import controller_policy
-from flipperctl.policies.teaching import TaughtPolicy
+from flipperctl.policies.teaching import DaggerPolicy
 from flipperctl.policies.trained import TrainedPolicy
 from flipperctl.rollout.episode import Row, decisions, play
 from flipperctl.rollout.seeds import exploration_rng
@@ -72,7 +72,7 @@ class Actor:
         policy = self._driver(request, rng)
         if self._teacher is not None:
             learns = request.decision >= self._agent.learning_starts
-            policy = TaughtPolicy(policy, self._teacher, self._teaching, lambda: learns, rng)
+            policy = DaggerPolicy(policy, self._teacher, self._teaching, lambda: learns, rng)
         labelling = policy if isinstance(policy, LabellingPolicy) else None
         episode, labels, explored = [], [], []
         privileged = PrivilegedStates(self._env) if self._privileged else None
@@ -102,11 +102,11 @@ class Actor:
 
     def _driver(
         self, request: RolloutRequest, rng: np.random.Generator
-    ) -> DrawingPolicy | ExploringPolicy | TaughtPolicy:
+    ) -> SamplingPolicy | ExploringPolicy | DaggerPolicy:
         """Return the policy that plays a request, without a teacher."""
-        if self._agent.draws:
+        if self._agent.is_policy_gradient:
             temperature = self._temperature_at(request.decision)
-            return DrawingPolicy(self._module, self._frames, lambda: temperature, rng)
+            return SamplingPolicy(self._module, self._frames, lambda: temperature, rng)
         return ExploringPolicy(
             *(self._module, self._frames, lambda: request.epsilon, rng, rng),
             share=self._agent.exploring_share,

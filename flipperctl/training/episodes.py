@@ -13,9 +13,9 @@ from flipperctl.config import TrainConfig, to_dict
 from flipperctl.core.schedules import linear
 from flipperctl.env import ground
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.policies.exploring import DrawingPolicy, ExploringPolicy
+from flipperctl.policies.exploring import ExploringPolicy, SamplingPolicy
 from flipperctl.policies.source import controller_notes, controller_policy
-from flipperctl.policies.teaching import TaughtPolicy
+from flipperctl.policies.teaching import DaggerPolicy
 from flipperctl.rollout.collect import AsyncCollector, Collector, InProcessCollector, RolloutWorkers
 from flipperctl.rollout.processes import ProcessWorkers
 from flipperctl.rollout.seeds import training_seed
@@ -99,8 +99,8 @@ class EpisodeSource:
         frames, agent = self._config.network.frames, self._agent
         settings = self._config.agent
         policy: Policy = (
-            DrawingPolicy(agent.online, frames, lambda: self._temperature, self._rng)
-            if settings.draws
+            SamplingPolicy(agent.online, frames, lambda: self._temperature, self._rng)
+            if settings.is_policy_gradient
             else ExploringPolicy(
                 *(agent.online, frames, lambda: self.epsilon, self._rng, agent.noise_rng),
                 share=settings.exploring_share,
@@ -108,7 +108,7 @@ class EpisodeSource:
         )
         teacher = self._config.teacher
         if teacher.controller is not None:
-            policy = TaughtPolicy(
+            policy = DaggerPolicy(
                 policy,
                 controller_policy(
                     teacher.controller, self._config.environment(), "teacher.controller"

@@ -72,7 +72,7 @@ def read_values(config: TrainConfig) -> dict[str, torch.Tensor] | None:
             training.
     """
     name = config.agent.start_from
-    if not (config.agent.draws and config.agent.policy_gradient.start_values and name):
+    if not (config.agent.is_policy_gradient and config.agent.policy_gradient.start_values and name):
         return None
     with naming(_SETTING):
         policy, checkpoint = read(find(Path(name))), read(find(Path(name), prefer=LAST))

@@ -191,7 +191,7 @@ class Trainer:
         seed = int(init.generate_state(1)[0])
         shape = config.network, layout, len(ACTIONS), agent
         self.agent: Learner
-        if agent.draws:
+        if agent.is_policy_gradient:
             self.agent = drawing = PolicyGradient(
                 *shape, seed=seed, device=config.device, privileged=privileged
             )
@@ -216,7 +216,7 @@ class Trainer:
         rest = self.progress, generators["sample"]
         self._updates: Updates = (
             EpisodeUpdates(config, drawing, self.replay, *rest)
-            if agent.draws
+            if agent.is_policy_gradient
             else ReplayUpdates(config, imitating, self.replay, self.valued, *rest)
         )
         self.episodes = EpisodeSource(

@@ -21,7 +21,7 @@ from flipperctl.errors import ConfigError, PluginFailedError
 from flipperctl.policies.abilities import ValuingPolicy
 from flipperctl.policies.plugin import plugin_policy
 from flipperctl.policies.source import controller_policy
-from flipperctl.policies.teaching import DemonstratingPolicy, TaughtPolicy
+from flipperctl.policies.teaching import DaggerPolicy, DemonstratingPolicy
 from flipperctl.rollout.episode import decisions
 
 SEEN, VALUES = np.zeros((2, 3, 18), np.float32), np.zeros((2, 3, len(ACTIONS)), np.float32)
@@ -120,7 +120,7 @@ def test_value_iteration_follows_the_episode_whoever_asks_for_its_costs() -> Non
         own,
         DemonstratingPolicy(own),
         *(
-            TaughtPolicy(Rating(None), own, Teacher(**teacher, privileged=known), bool, rng)
+            DaggerPolicy(Rating(None), own, Teacher(**teacher, privileged=known), bool, rng)
             for known in (False, True)
         ),
     )
@@ -157,7 +157,7 @@ def test_an_episode_with_a_teacher_has_its_groups() -> None:
     env.reset(seed=0)
     for controller, expected in ((Rater(answer=answer), answer), ("okada", None)):
         made = resolver.create("controller", controller, "controller")
-        policy = TaughtPolicy(Rating(None), plugin_policy(made), settings, lambda: True, rng)
+        policy = DaggerPolicy(Rating(None), plugin_policy(made), settings, lambda: True, rng)
         assert policy.groups is None
         policy.reset(env.simulator())
         assert policy.groups is expected

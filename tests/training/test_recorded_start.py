@@ -10,7 +10,7 @@ from flipperctl.checkpoint import recording
 from flipperctl.config import EnvConfig
 from flipperctl.evaluation.rows import RECORDED
 from flipperctl.policies.source import PolicySource
-from flipperctl.policies.teaching import TaughtPolicy
+from flipperctl.policies.teaching import DaggerPolicy
 from flipperctl.rollout.processes import ProcessWorkers
 from flipperctl.training import episodes
 from tests.played import play_episodes
@@ -51,11 +51,11 @@ def test_recorded_decisions_count_before_the_student_drives(
 
     learns: list[Callable[[], bool]] = []
 
-    def taught(*arguments: Any) -> TaughtPolicy:
+    def taught(*arguments: Any) -> DaggerPolicy:
         learns.append(arguments[3])
-        return TaughtPolicy(*arguments)
+        return DaggerPolicy(*arguments)
 
-    monkeypatch.setattr(episodes, "TaughtPolicy", taught)
+    monkeypatch.setattr(episodes, "DaggerPolicy", taught)
     exact = trainer(short_config(**settings), tmp_path / "exact")
     exact.run(lambda: True)
     for decision, student in ((begins - 1, False), (begins, True)):

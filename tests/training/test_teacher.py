@@ -14,7 +14,7 @@ from flipperctl.config import EnvConfig, Teacher, TrainConfig, resolver, with_ov
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 from flipperctl.policies.plugin import plugin_policy
-from flipperctl.policies.teaching import TaughtPolicy
+from flipperctl.policies.teaching import DaggerPolicy
 from flipperctl.policies.trained import policy_module
 from flipperctl.rollout.episode import decisions
 from tests.short import short_config, trainer
@@ -51,7 +51,7 @@ class _Half(_Student):
 def drive(settings: Teacher, *, learns: bool = True, count: int = 10) -> list[tuple[int, int]]:
     """Return the action taken and the teacher's most probable one at each decision."""
     assert settings.controller is not None
-    policy = TaughtPolicy(
+    policy = DaggerPolicy(
         *(_Student(), plugin_policy(settings.controller), settings),
         *(lambda: learns, np.random.default_rng(0)),
     )
@@ -85,7 +85,7 @@ def shared_labels(share: float, student: float, count: int = 40) -> NDArray[np.f
         controller=mpc, random=0, student_share=student, label_share=share, privileged=True
     )
     assert settings.controller is not None
-    policy = TaughtPolicy(
+    policy = DaggerPolicy(
         *(_Half(np.random.default_rng(1)), plugin_policy(settings.controller), settings),
         *(lambda: True, np.random.default_rng(0)),
     )
@@ -123,7 +123,7 @@ def test_random_actions_of_teacher_and_student_are_reported() -> None:
     for share in (0.0, 1.0):
         settings = Teacher(controller="okada", student_share=share, random=0.5)
         assert settings.controller is not None
-        policy = TaughtPolicy(
+        policy = DaggerPolicy(
             *(_Half(rng), plugin_policy(settings.controller), settings), *(lambda: True, rng)
         )
         found = []
@@ -153,7 +153,7 @@ def test_a_privileged_teacher_perceives_exactly_what_the_student_drives() -> Non
             "friction": 1.0,
         }  # the true one, which a privileged teacher is told
         teacher = Teacher(controller=mpc, student_share=1, **settings)
-        policy = TaughtPolicy(
+        policy = DaggerPolicy(
             *(_Student(), plugin_policy(teacher.controller), teacher),
             *(lambda: True, np.random.default_rng(0)),
         )

@@ -26,7 +26,7 @@ from flipperctl.cli.hydra.config_store import (
 )
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, parse
-from flipperctl.config.defaults import CHOICES, check_effect, missing_entry
+from flipperctl.config.defaults import CHOICES, missing_entry, refuse_ineffective
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.inherited import NOMINAL, TRAINED, explain_missing_training
 from flipperctl.terminal.notices import print_notices
@@ -63,7 +63,7 @@ def check_training_effect(config: TrainConfig, overrides: Overrides) -> None:
         ConfigError: an override has no effect.
     """
     typed = overrides.typed.items()
-    check_effect(config, {key: word for key, word in typed if not key.startswith("robot.")})
+    refuse_ineffective(config, {key: word for key, word in typed if not key.startswith("robot.")})
 
 
 def run_directory(overrides: Overrides) -> Path:
@@ -81,7 +81,7 @@ def compose_eval(
         settings = with_preset(plain.pop("controller", None), "controller")
         plain["conditions"] = combination.choice("conditions") or NOMINAL
         config = parse(EvalConfig, plain)
-        check_effect(config, combination.typed)
+        refuse_ineffective(config, combination.typed)
         print_notices(config)
         found.append((config, settings))
     return found

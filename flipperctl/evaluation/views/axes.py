@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from flipperctl.config import EvalConfig, with_overrides
-from flipperctl.config.defaults import check_effect
+from flipperctl.config.defaults import refuse_ineffective
 from flipperctl.config.describe import Setting, settings
 from flipperctl.errors import ConfigError, RequestError
 from flipperctl.messages import close_match
@@ -96,7 +96,7 @@ def grid_config(config: EvalConfig, axes: tuple[Axis, Axis], at: tuple[int, int]
 def _axis(text: str, config: EvalConfig, known: Mapping[str, Setting], option: str) -> Axis:
     name, _, ends = text.partition("=")
     keys = tuple(key for one in name.split("+") for key in _keys(one, config, known, option))
-    check_effect(config, {key: f"{option} {key}" for key in keys})
+    refuse_ineffective(config, {key: f"{option} {key}" for key in keys})
     found = [known[key] for key in keys]
     whole = all("float" not in s.field.type for s in found)
     values = _typed_values(ends, text, option) if ends else _default_values(found, option)
