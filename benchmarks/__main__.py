@@ -20,12 +20,11 @@ HELP = """Measure flipperctl against its limits and another learner, in a clone 
 [bold]lookahead[/] decisions of mpc, and its prediction model against environment and engine;
 [bold]lidar[/] episodes with a simulated LiDAR, by odometry and number of rays;
 [bold]updates[/] against Stable-Baselines3's DQN; [bold]solve[/] time until unseen episodes succeed,
-also against it; [bold]startup[/] of each command; [bold]discovery[/] of installed plugins.
-Contestants run in turn; medians with quartiles.
+also against it; [bold]startup[/] of each command. Contestants run in turn; medians with quartiles.
 
 OVERRIDES are those of train and bench.<key>=…: repeats, seed, controller, episodes, starts,
 families, updates, batch_sizes, transitions, seeds, limit, validate_every, validation_episodes,
-in_a_row, commands, modules. lidar drives step in 3-D, accuracy and lookahead have scenes of
+in_a_row, commands. lidar drives step in 3-D, accuracy and lookahead have scenes of
 their own: other words for terrain, sim and perception change nothing there.
 
 [bold]Examples[/]

@@ -1,7 +1,9 @@
-"""Accuracy by the simulator's substep: θ̂_R on the paper's scenes compared with finer substeps.
+"""Accuracy by the simulator's substep: θ̂_R compared with finer substeps.
 
-The same controller crosses the same scene from several starts at each substep. In addition, single
-episodes of the shipped policy and of the controller are compared on all kinds of ground.
+A rule crosses the paper's scenes from several starts at each substep. In addition, single episodes
+of the shipped policy and of the rule are compared on all kinds of ground, each at the configured
+substep and at a finer one: a policy near its limits amplifies small differences, and a rule that
+follows the ground does not.
 """
 
 from __future__ import annotations
@@ -9,13 +11,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from benchmarks.planar import planar
-from benchmarks.policy_accuracy import measure_policies
-from benchmarks.settings import Benchmark
+from benchmarks.settings import FAMILIES, Benchmark, planar
+from flipperctl import checkpoint
 from flipperctl.api import SAMPLE_PERIOD
 from flipperctl.bench.settings import quantity, ratio
-from flipperctl.config import with_overrides
+from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import CheckpointError
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import Row, play
 from flipperctl.rollout.seeds import EvaluationSeeds
@@ -30,8 +32,11 @@ MEASURES = {"100hz.": "pitch_variation_100hz", "": "pitch_variation"}
 SCENES = ("paper_step", "paper_stair")
 FACTORS = (2.0, 1.0, 0.5, 0.25)
 """Substeps as multiples of the configured one [-]; the last one is the reference."""
+SHIPPED = "generalist"
+"""The shipped policy that is measured."""
 _RULE = 0.4
 """Fraction of the progress bar for the rule on the paper's scenes; policies take the rest."""
+_KEY = "pitch_variation_100hz"
 
 
 def measure(bench: Benchmark) -> dict[str, Any]:
@@ -40,41 +45,87 @@ def measure(bench: Benchmark) -> dict[str, Any]:
     substeps = [f * planar(bench.config.sim).substep for f in FACTORS]
     substeps = [step for step in substeps if step <= SAMPLE_PERIOD * (1 + 1e-9)]
     runs = [(scene, step) for scene in SCENES for step in substeps]
-    found: dict[tuple[str, float], list[Row]] = {}
+    rule, rows = _rule(bench), {}
     for index, (scene, step) in enumerate(runs):
         bench.report_progress(f"{scene} at {1e3 * step:g} ms", _RULE * index / len(runs))
-        found[scene, step] = _play(bench, scene, step)
+        config = with_overrides(bench.config.environment(), {"terrain": scene, "sim.substep": step})
+        rows[scene, step] = [row for (row,) in _play(bench, rule, config, config)]
     quantities: dict[str, Any] = {}
     ratios: dict[str, Any] = {}
     for prefix, key in MEASURES.items():
         names = {run: f"{run[0]}.{prefix}{1e3 * run[1]:g}ms" for run in runs}
-        values = {run: _variations(rows, key) for run, rows in found.items()}
+        values = {
+            run: [row[key] if row["outcome"] == "reached" else None for row in found]
+            for run, found in rows.items()
+        }
         quantities |= {names[run]: quantity(values[run], "rad") for run in runs}
         for scene, step in runs:
             if step != (finest := substeps[-1]):
                 name = f"{names[scene, step]} / {names[scene, finest]}"
                 ratios[name] = ratio(values[scene, step], values[scene, finest])
-    policies = measure_policies(bench, _RULE)
-    quantities |= policies["quantities"]
-    return {
-        "about": ABOUT,
-        "quantities": quantities,
-        "ratios": ratios,
-        "by_terrain": policies["by_terrain"],
-        "missing": policies["missing"],
+    policies = _measure_policies(bench)
+    quantities |= policies.pop("quantities")
+    return {"about": ABOUT, "quantities": quantities, "ratios": ratios, **policies}
+
+
+def _rule(bench: Benchmark) -> PolicySource:
+    return PolicySource.of_plugin(bench.settings.controller, "bench.controller")
+
+
+def _play(
+    bench: Benchmark, source: PolicySource, config: EnvConfig, *played_in: EnvConfig
+) -> list[tuple[Row, ...]]:
+    """Play an episode from each start, in each of the environments."""
+    envs = [FlipperEnv(config=one) for one in played_in]
+    policy = source.build(config)
+    seeds = EvaluationSeeds.of(bench.settings.seed, config.terrain).first(bench.settings.starts)
+    return [tuple(play(env, policy, seed) for env in envs) for seed in seeds]
+
+
+def _measure_policies(bench: Benchmark) -> dict[str, Any]:
+    """Measure relative changes of θ̂_R and changed outcomes [-], by policy and by terrain."""
+    sources = {
+        bench.settings.controller: _rule(bench),
+        SHIPPED: PolicySource(checkpoint=checkpoint.shipped_policies()[SHIPPED]),
     }
+    runs = [(name, f) for name in sources for f in FAMILIES[: bench.settings.families]]
+    played: dict[str, dict[str, list[tuple[Row, ...]]]] = {name: {} for name in sources}
+    missing: list[str] = []
+    for index, (name, family) in enumerate(runs):
+        done = _RULE + (1 - _RULE) * index / len(runs)
+        bench.report_progress(f"{name} on {family} at two substeps", done)
+        config = with_overrides(bench.config.environment(), {"terrain": family})
+        finer = with_overrides(config, {"sim.substep": FACTORS[-1] * planar(config.sim).substep})
+        try:
+            played[name][family] = _play(bench, sources[name], config, config, finer)
+        except CheckpointError as error:  # the policy needs another observation layout
+            missing = [str(error)]
+    quantities: dict[str, Any] = {}
+    for name, by_family in played.items():
+        pairs = [pair for family in by_family.values() for pair in family]
+        if values := changes(pairs):
+            quantities[f"{name}.change"] = quantity(values, "-")
+        if pairs:
+            quantities[f"{name}.changed_outcomes"] = quantity([changed_outcomes(pairs)], "-")
+    by_terrain = {
+        name: {
+            family: {"changes": changes(pairs), "changed_outcomes": changed_outcomes(pairs)}
+            for family, pairs in by_family.items()
+        }
+        for name, by_family in played.items()
+    }
+    return {"quantities": quantities, "by_terrain": by_terrain, "missing": missing}
 
 
-def _play(bench: Benchmark, scene: str, substep: float) -> list[Row]:
-    """Play an episode from each start."""
-    changes = {"terrain": scene, "sim.substep": substep}
-    env = FlipperEnv(config=with_overrides(bench.config.environment(), changes))
-    policy = PolicySource.of_plugin(bench.settings.controller, "bench.controller").build(env.config)
-    s = bench.settings
-    seeds = EvaluationSeeds.of(s.seed, env.config.terrain).first(s.starts)
-    return [play(env, policy, seed) for seed in seeds]
+def changes(pairs: Sequence[tuple[Row, ...]]) -> list[float]:
+    """Return |θ̂_R / θ̂_R at the finer substep − 1| of each episode that reaches with both [-]."""
+    return [
+        abs(coarse[_KEY] / fine[_KEY] - 1)
+        for coarse, fine in pairs
+        if coarse["outcome"] == fine["outcome"] == "reached" and fine[_KEY] > 0
+    ]
 
 
-def _variations(rows: Sequence[Row], key: str) -> list[float | None]:
-    """Return θ̂_R of each start [rad]; None where the finish was not reached."""
-    return [row[key] if row["outcome"] == "reached" else None for row in rows]
+def changed_outcomes(pairs: Sequence[tuple[Row, ...]]) -> float:
+    """Return the fraction of the episodes whose outcome differs [-]."""
+    return sum(str(a["outcome"]) != str(b["outcome"]) for a, b in pairs) / len(pairs)

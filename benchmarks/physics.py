@@ -3,20 +3,23 @@
 Episodes are recorded once. Then, in turn, the environment replays their actions, and a bare world
 is set to the state at the start of each decision and stepped as often as in that decision, where
 only these steps are timed. The parts of a decision are timed in the same way.
+
+Without the engine's callback the belts would stand still, so the tracks of a bare world get
+Chipmunk's own constant surface velocity instead. That velocity fails at risers, hence the states.
 """
 
 from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from pymunk import GearJoint, Vec2d
 
-from benchmarks import bare
-from benchmarks.planar import planar
-from benchmarks.settings import Benchmark
+from benchmarks.settings import Benchmark, planar
 from flipperctl.api import SAMPLE_PERIOD, Profile, Start, Transition
 from flipperctl.bench.settings import quantity, ratio
 from flipperctl.config import EnvConfig
@@ -26,12 +29,61 @@ from flipperctl.policies.source import PolicySource
 from flipperctl.reward_sum import RewardSum
 from flipperctl.rollout.episode import decisions
 from flipperctl.rollout.seeds import EvaluationSeeds
+from flipperctl.sim.planar.compiled import step_alone
+from flipperctl.sim.planar.plain import TRACK
 from flipperctl.sim.planar.world import PlanarWorld
 
 ABOUT = (
     "decisions of the environment against the same substeps by Chipmunk's step alone "
     "(same states, one process, in turn), and the parts of a decision's time"
 )
+_NO_HANDLER = 0
+"""A collision type without a callback."""
+_PARTS = ("reset", "decision", "bare", "world", "sensing", "rewards")
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """State of each body and target of each servo, in the engine's units and order."""
+
+    bodies: tuple[tuple[Vec2d, float, Vec2d, float], ...]
+    """Position [m], angle [rad], velocity [m/s] and angular velocity [rad/s] of each body."""
+    phases: tuple[float, ...]
+    """Target angles of the flippers' servos [rad]."""
+
+    @classmethod
+    def of(cls, world: PlanarWorld) -> Snapshot:
+        """Return the current state of a world."""
+        bodies = world.space.bodies
+        return cls(
+            tuple((b.position, b.angle, b.velocity, b.angular_velocity) for b in bodies),
+            tuple(c.phase for c in world.space.constraints if isinstance(c, GearJoint)),
+        )
+
+    def restore(self, world: PlanarWorld, phases: tuple[float, ...]) -> None:
+        """Put the bodies of a world into this state, and set other servo targets."""
+        for body, state in zip(world.space.bodies, self.bodies, strict=True):
+            body.position, body.angle, body.velocity, body.angular_velocity = state
+        gears = [c for c in world.space.constraints if isinstance(c, GearJoint)]
+        for gear, phase in zip(gears, phases, strict=True):
+            gear.phase = phase
+
+
+def strip(world: PlanarWorld) -> None:
+    """Remove the belts' callback and give the tracks Chipmunk's own surface velocity."""
+    for body in world.space.bodies:
+        for shape in body.shapes:
+            if shape.collision_type == TRACK:
+                shape.collision_type = _NO_HANDLER
+                shape.surface_velocity = (-world.robot.track_speed, 0.0)
+
+
+def contacts(world: PlanarWorld) -> int:
+    """Return the number of points at which the robot touches the ground."""
+    counts: list[int] = []
+    for body in world.space.bodies:
+        body.each_arbiter(lambda arbiter: counts.append(len(arbiter.contact_point_set.points)))
+    return sum(counts)
 
 
 @dataclass
@@ -41,11 +93,11 @@ class Recording:
     seed: int
     profile: Profile
     start: Start
+    snapshots: list[Snapshot]
+    """State of the world at the start and after each decision."""
     actions: list[int] = field(default_factory=list)
     targets: list[tuple[float, float]] = field(default_factory=list)
     """Angles commanded to the front and the rear flippers at each decision [rad]."""
-    snapshots: list[bare.Snapshot] = field(default_factory=list)
-    """State of the world at the start and after each decision."""
     transitions: list[Transition] = field(default_factory=list)
     contacts: list[int] = field(default_factory=list)
     """Contact points at the end of each decision."""
@@ -61,31 +113,21 @@ def record(config: EnvConfig, controller: str, seed: int) -> Recording:
     env = FlipperEnv(config=config)
     policy = PolicySource.of_plugin(controller, "bench.controller").build(config)
     env.reset(seed=seed)
-    state = env.state
-    start = Start(float(state.position[0]), state.front, state.rear)
-    recording = Recording(seed, env.profile, start)
-    recording.snapshots.append(bare.snapshot(_world(env)))
+    start = Start(float(env.state.position[0]), env.state.front, env.state.rear)
+    recording = Recording(seed, env.profile, start, [Snapshot.of(_world(env))])
     for decision in decisions(env, policy, seed):
-        world = _world(env)
         recording.actions.append(decision.action)
         recording.targets.append(env.drive.targets)
-        recording.snapshots.append(bare.snapshot(world))
-        recording.contacts.append(bare.contacts(world))
+        recording.snapshots.append(Snapshot.of(_world(env)))
+        recording.contacts.append(contacts(_world(env)))
         recording.transitions.append(decision.transition)
     return recording
 
 
 def _world(env: FlipperEnv) -> PlanarWorld:
-    """Return the environment's planar world.
-
-    Raises:
-        TypeError: the environment has another engine.
-    """
     world = env.drive.world
-    if isinstance(world, GuardedWorld):
-        world = world.unguarded
-    if not isinstance(world, PlanarWorld):
-        raise TypeError(f"bench physics needs a planar world; got {type(world).__name__}")
+    world = world.unguarded if isinstance(world, GuardedWorld) else world
+    assert isinstance(world, PlanarWorld)  # planar() has refused other engines
     return world
 
 
@@ -93,8 +135,7 @@ class Clocks:
     """Time each part of an episode's decisions; every public method returns a time [s]."""
 
     def __init__(self, config: EnvConfig) -> None:
-        self.config = config
-        self.env = FlipperEnv(config=config)
+        self.config, self.env = config, FlipperEnv(config=config)
         self.reward = RewardSum(config.rewards)
         self.bare_contacts: list[int] = []
 
@@ -115,25 +156,24 @@ class Clocks:
     def bare(self, r: Recording) -> float:
         """Time Chipmunk's step alone."""
         world, spent = self._world(r), 0.0
-        bare.strip(world)
-        substeps = round(SAMPLE_PERIOD / planar(self.config.sim).substep)
+        strip(world)
+        substeps = round(SAMPLE_PERIOD / world.sim.substep)
         self.bare_contacts = []
         for index in range(len(r.actions)):
-            bare.put(world, r.snapshots[index], r.snapshots[index + 1].phases)
-            count = substeps * r.samples(index)
+            r.snapshots[index].restore(world, r.snapshots[index + 1].phases)
             begun = time.perf_counter()
-            bare.step(world, count)
+            step_alone(world.space, world.sim.substep, substeps * r.samples(index))
             spent += time.perf_counter() - begun
-            self.bare_contacts.append(bare.contacts(world))
+            self.bare_contacts.append(contacts(world))
         return spent
 
     def world(self, r: Recording) -> float:
-        """Time the world with its belts, sampled as in the environment."""
+        """Time the world with its belts, commanded and sampled as in the environment."""
         world, spent = self._world(r), 0.0
         for index, target in enumerate(r.targets):
-            count = r.samples(index)
             begun = time.perf_counter()
-            run(world, target, count)
+            world.command(*target)
+            world.advance(r.samples(index))
             spent += time.perf_counter() - begun
         return spent
 
@@ -158,12 +198,6 @@ class Clocks:
         return PlanarWorld(r.profile, self.config.robot, planar(self.config.sim), r.start)
 
 
-def run(world: PlanarWorld, target: tuple[float, float], samples: int) -> None:
-    """Advance a world by one decision, as the environment does."""
-    world.command(*target)
-    world.advance(samples)
-
-
 def measure(bench: Benchmark) -> dict[str, Any]:
     """Measure rates [1/s], their ratio, and the time of each part of a decision [µs].
 
@@ -171,79 +205,67 @@ def measure(bench: Benchmark) -> dict[str, Any]:
     and samples), ``sensing``, ``reward`` and ``rest`` (the remainder of the environment's step).
     """
     s, config = bench.settings, bench.config.environment()
-    clocks = Clocks(config)
-    names = ("reset", "decision", "bare", "world", "sensing", "rewards")
-    recordings = []
+    substeps = round(SAMPLE_PERIOD / planar(config.sim).substep)
+    clocks, recordings = Clocks(config), []
     for seed in EvaluationSeeds.of(s.seed, config.terrain).first(s.episodes):
         bench.report_progress("recording episodes", 0.0)
         recordings.append(record(config, s.controller, seed))
-    rounds: list[dict[str, float]] = []
-    contacts: list[int] = []
+    rounds: list[Mapping[str, float]] = []
+    bare_contacts: list[int] = []
     for index in range(-1, s.repeats):  # the first round is the warm-up
         spent: Counter[str] = Counter()
         for r in recordings:
-            for name in names:
+            for name in _PARTS:
                 spent[name] += getattr(clocks, name)(r)
-            contacts += clocks.bare_contacts if index < 0 else []
-        if index >= 0:
-            rounds.append(dict(spent))
+            bare_contacts += clocks.bare_contacts if index < 0 else []
+        rounds += [spent] if index >= 0 else []
         bench.report_progress("episodes in turn", (index + 1) / s.repeats)
-    samples = sum(r.samples(i) for r in recordings for i in range(len(r.actions)))
-    work = Work(
-        sum(len(r.actions) for r in recordings),
-        samples * round(SAMPLE_PERIOD / planar(config.sim).substep),
-    )
+    made = sum(len(r.actions) for r in recordings)
+    steps = substeps * sum(r.samples(i) for r in recordings for i in range(len(r.actions)))
     return {
         "about": ABOUT,
-        **work.rates(rounds),
-        "decisions_a_round": work.decisions,
-        "substeps_a_round": work.substeps,
+        **rates(rounds, made, steps),
+        "decisions_a_round": made,
+        "substeps_a_round": steps,
         "contacts_at_decision_ends": {
             "unit": "-",
-            "environment": sum(sum(r.contacts) for r in recordings) / work.decisions,
-            "bare": sum(contacts) / work.decisions,
+            "environment": sum(sum(r.contacts) for r in recordings) / made,
+            "bare": sum(bare_contacts) / made,
         },
     }
 
 
-@dataclass(frozen=True)
-class Work:
-    """Numbers of decisions and of substeps in each round [-]."""
+def rates(rounds: list[Mapping[str, float]], made: int, substeps: int) -> dict[str, Any]:
+    """Return quantities and ratios from the times of each round's parts [s].
 
-    decisions: int
-    substeps: int
-
-    def rates(self, rounds: list[dict[str, float]]) -> dict[str, Any]:
-        """Return quantities and ratios from the times of each round's parts [s]."""
-        count, micro = self.decisions, 1e6 / self.decisions
-        bare_rate = [count / t["bare"] for t in rounds]
-        env_rate = [count / t["decision"] for t in rounds]
-        parts = {
-            "physics": [micro * t["bare"] for t in rounds],
-            "contacts": [micro * (t["world"] - t["bare"]) for t in rounds],
-            "sensing": [micro * t["sensing"] for t in rounds],
-            "reward": [micro * t["rewards"] for t in rounds],
-            "rest": [
-                micro * (t["decision"] - t["world"] - t["sensing"] - t["rewards"]) for t in rounds
-            ],
-            "whole": [micro * t["decision"] for t in rounds],
-        }
-        return {
-            "quantities": {
-                "bare_substeps": quantity([self.substeps / t["bare"] for t in rounds], "1/s"),
-                "bare_decisions": quantity(bare_rate, "1/s"),
-                "environment_decisions": quantity(env_rate, "1/s"),
-                "environment_decisions_with_reset": quantity(
-                    [count / (t["decision"] + t["reset"]) for t in rounds], "1/s"
-                ),
-                **{f"decision.{name}": quantity(v, "µs") for name, v in parts.items()},
+    ``made`` decisions and ``substeps`` are those of one round.
+    """
+    bare = [made / t["bare"] for t in rounds]
+    environment = [made / t["decision"] for t in rounds]
+    with_reset = [made / (t["decision"] + t["reset"]) for t in rounds]
+    seconds = {
+        "physics": [t["bare"] for t in rounds],
+        "contacts": [t["world"] - t["bare"] for t in rounds],
+        "sensing": [t["sensing"] for t in rounds],
+        "reward": [t["rewards"] for t in rounds],
+        "rest": [t["decision"] - t["world"] - t["sensing"] - t["rewards"] for t in rounds],
+        "whole": [t["decision"] for t in rounds],
+    }
+    parts = {name: [1e6 / made * value for value in part] for name, part in seconds.items()}
+    return {
+        "quantities": {
+            "bare_substeps": quantity([substeps / t["bare"] for t in rounds], "1/s"),
+            "bare_decisions": quantity(bare, "1/s"),
+            "environment_decisions": quantity(environment, "1/s"),
+            "environment_decisions_with_reset": quantity(with_reset, "1/s"),
+            **{f"decision.{name}": quantity(part, "µs") for name, part in parts.items()},
+        },
+        "ratios": {
+            "environment_decisions / bare_decisions": ratio(environment, bare),
+            **{
+                f"decision.{name} / decision.whole": ratio(part, parts["whole"])
+                for name, part in parts.items()
+                if name != "whole"
             },
-            "ratios": {
-                "environment_decisions / bare_decisions": ratio(env_rate, bare_rate),
-                **{
-                    f"decision.{name} / decision.whole": ratio(values, parts["whole"])
-                    for name, values in parts.items()
-                    if name != "whole"
-                },
-            },
-        }
+        },
+    }

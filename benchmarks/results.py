@@ -17,15 +17,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks import cells, shipped, tables
+from benchmarks import shipped, tables
 from flipperctl import __version__, entry
 from flipperctl.cli.main import main as flipperctl
 from flipperctl.errors import FlipperctlError
 from flipperctl.evaluation.views.markdown import rows_of
 from flipperctl.files import write_bytes
 
-FOLDER = Path(__file__).parents[1] / "docs" / "results"
-"""Folder of the kept results."""
 _NOISE = "perception.noise=0.01 perception.angle_noise=0.01 episode.start_angle_noise=0.05"
 _TEN = "step,stair,building_stair,ramp,uplift,gap,wave,rubble,pallet,plum"
 COMMANDS: Mapping[str, str] = {
@@ -58,7 +56,7 @@ def play(name: str, output: Path, jobs: int = 1) -> None:
     words = [*shlex.split(COMMANDS[name])[1:], "--jobs", str(jobs)]
     if name.startswith(tables.CELLS):
         _run([*words, "--output", str(output / name)])
-        rows = cells.rows(output / name)
+        rows = shipped.cells(output / name)
     else:
         rows = list(rows_of(json.loads(_run([*words, "--json"]))))
     _keep(name, {"command": COMMANDS[name], "version": __version__}, {"rows": rows})
@@ -92,12 +90,12 @@ def _run(words: Sequence[str]) -> str:
 
 def _keep(name: str, head: Mapping[str, Any], rows: Mapping[str, list[dict[str, Any]]]) -> None:
     """Write a file of results with a row on each line, for readable changes."""
-    FOLDER.mkdir(exist_ok=True)
+    tables.FOLDER.mkdir(exist_ok=True)
     parts = [json.dumps(head)[1:-1]]
     for key, each in rows.items():
         lines = ",\n".join(json.dumps(row) for row in each)
         parts.append(f'"{key}": [\n{lines}\n]')
-    write_bytes(FOLDER / f"{name}.json", f"{{{', '.join(parts)}}}\n".encode())
+    write_bytes(tables.FOLDER / f"{name}.json", f"{{{', '.join(parts)}}}\n".encode())
 
 
 def main() -> int:

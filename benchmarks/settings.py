@@ -7,25 +7,19 @@ from typing import Any, TypeAlias
 
 from pydantic import Field
 
+from flipperctl.api import Engine
 from flipperctl.bench.settings import COMMON_SMALL, Bench, CommonSettings, Suite
+from flipperctl.errors import ConfigError
+from flipperctl.sim.planar import Planar
 
-MEASURES = (
-    *("physics", "accuracy", "lookahead", "lidar", "updates"),
-    *("solve", "startup", "discovery"),
-)
+MEASURES = ("physics", "accuracy", "lookahead", "lidar", "updates", "solve", "startup")
 FAMILIES = (
-    "step",
-    "stair",
-    "building_stair",
-    "ramp",
-    "uplift",
-    "gap",
-    "wave",
-    "rubble",
-    "pallet",
-    "plum",
+    *("step", "stair", "building_stair", "ramp", "uplift"),
+    *("gap", "wave", "rubble", "pallet", "plum"),
 )
 """Terrains of the generalist's training, for benchmarks over all kinds of ground."""
+MISSING = "stable-baselines3 is not installed; install flipperctl[bench]"
+"""Why a comparison with another learner was not made."""
 
 SMALL: Mapping[str, Any] = {
     **COMMON_SMALL,
@@ -37,7 +31,6 @@ SMALL: Mapping[str, Any] = {
     "validate_every": 100,
     "validation_episodes": 2,
     "commands": 1,
-    "modules": 3,
 }
 """Values that replace the defaults with ``--small``, for a check that takes seconds."""
 
@@ -76,10 +69,20 @@ class BenchmarkSettings(CommonSettings):
     commands: int = Field(
         100, ge=1, le=100, description="startup: largest number of commands, in help order [-]"
     )
-    modules: int = Field(50, ge=1, le=1000, description="discovery: installed plugin modules [-]")
 
 
 Benchmark: TypeAlias = Bench[BenchmarkSettings]
 """Inputs of a benchmark."""
 
 SUITE = Suite("benchmarks", MEASURES, BenchmarkSettings, SMALL)
+
+
+def planar(chosen: Engine) -> Planar:
+    """Return the engine if it is the planar one.
+
+    Raises:
+        ConfigError: another engine was chosen.
+    """
+    if not isinstance(chosen, Planar):
+        raise ConfigError(f"sim: this is measured with sim=planar only; got {chosen.plugin_name}")
+    return chosen

@@ -1,8 +1,10 @@
-"""Everything that ships, on the suites ``paper``, ``families`` and ``held_out``.
+"""Rows for the files in ``docs/results/`` from folders that ``flipperctl eval`` wrote.
 
-In: a folder with the trainings of ``TRAININGS``, one sweep of training seeds each. Out: for each
-suite a file of results for ``docs/results/``: a row for each method and scene, and one for each
-method over all scenes.
+Everything that ships, on the suites ``paper``, ``families`` and ``held_out``, with a folder of the
+trainings of ``TRAININGS``, one sweep of training seeds each: for each suite a row for each method
+and scene, and one for each method over all scenes. One policy on each scene of a suite, beside
+rules (``cells``): a row for each scene and engine, with differences over the episodes that both
+reached.
 """
 
 from __future__ import annotations
@@ -11,7 +13,7 @@ import csv
 import json
 import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +21,9 @@ import numpy as np
 import yaml
 
 from flipperctl.errors import RequestError
+from flipperctl.evaluation.best_known import is_best_known
 from flipperctl.evaluation.seeds import PRICE, Method
+from flipperctl.evaluation.statistics import interval
 from flipperctl.evaluation.views.compare import difference, method_row
 
 SUITES = ("paper", "families", "held_out")
@@ -42,6 +46,8 @@ SEARCHES = ("mpc", "planner")
 AGAINST = "level"
 """The method whose score is subtracted in the rows over all scenes."""
 _SCORE, _DECISIONS, _TIME = "pitch_variation_100hz", "pitch_variation", "t_cost"
+_ROCKED = 5.0
+"""θ̂_R above which a failed episode counts as one that rocked [rad]."""
 
 
 @dataclass(frozen=True)
@@ -139,22 +145,33 @@ class _Scene:
         return int(self.reached.shape[1])
 
     def row(self) -> dict[str, Any]:
-        """Return plain data."""
-        found = method_row(_method([self]), PRICE)
+        """Return plain data; means are over the episodes that were reached."""
+        scores = method_row(_method([self]), PRICE)
+        reached = {name: self.values[name][self.reached] for name in (_SCORE, _DECISIONS, _TIME)}
         return {
             **{name: getattr(self, name) for name in ("case", "terrain", "hash", "engine")},
             "method": self.method,
             "seeds": len(self.reached),
             "episodes": self.episodes,
-            "success": _ends(found["success"]),
-            "score": _ends(found["score"]),
-            **{name: _rounded(self._mean(name)) for name in (_SCORE, _DECISIONS, _TIME)},
+            "success": _ends(scores["success"]),
+            "score": _ends(scores["score"]),
+            **{n: _rounded(float(v.mean()) if v.size else None) for n, v in reached.items()},
         }
 
-    def _mean(self, name: str) -> float | None:
-        """Return the mean of a measure over the episodes that were reached; None for none."""
-        found = self.values[name][self.reached]
-        return float(found.mean()) if found.size else None
+
+Line = Mapping[str, str]
+"""A line of ``episodes.csv``."""
+
+
+def _read(folder: Path) -> tuple[list[dict[str, Any]], dict[tuple[str, str], dict[int, Line]]]:
+    """Return a folder's scenes, and the lines of controller and conditions by episode."""
+    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    played: dict[tuple[str, str], dict[int, Line]] = {}
+    with (folder / "episodes.csv").open(newline="", encoding="utf-8") as file:
+        for line in csv.DictReader(file):
+            key = line["controller"], line["conditions_hash"]
+            played.setdefault(key, {})[int(line["episode"])] = line
+    return summary["scenes"], played
 
 
 def _name(method: str, runs: Path) -> str:
@@ -166,13 +183,9 @@ def _name(method: str, runs: Path) -> str:
 
 def _scenes(folder: Path, runs: Path) -> Iterator[_Scene]:
     """Yield the scenes of a folder, without those that repeat the episodes of another one."""
-    summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-    played: dict[tuple[str, str], list[dict[str, str]]] = {}
-    with (folder / "episodes.csv").open(newline="") as file:
-        for line in csv.DictReader(file):
-            played.setdefault((line["controller"], line["conditions_hash"]), []).append(line)
+    scenes, played = _read(folder)
     groups: dict[tuple[str, str, int, str], list[dict[str, Any]]] = {}
-    for scene in summary["scenes"]:
+    for scene in scenes:
         name = _name(scene["method"], runs)
         key = scene["suite_scene"], scene["conditions"]["hash"], scene["episodes"], name
         groups.setdefault(key, []).append(scene)
@@ -181,10 +194,7 @@ def _scenes(folder: Path, runs: Path) -> Iterator[_Scene]:
         if (digest, count, method) in seen:
             continue
         seen.add((digest, count, method))
-        each = []
-        for scene in seeds:
-            lines = {int(line["episode"]): line for line in played[scene["controller"], digest]}
-            each.append([lines[index] for index in range(count)])
+        each = [[played[one["controller"], digest][i] for i in range(count)] for one in seeds]
         yield _Scene(
             case,
             seeds[0]["terrain"],
@@ -199,13 +209,69 @@ def _scenes(folder: Path, runs: Path) -> Iterator[_Scene]:
         )
 
 
+def cells(folder: Path) -> list[dict[str, Any]]:
+    """Return a row for each scene and engine; the first method of the call is the policy.
+
+    ``passable`` counts the episodes that any method reached.
+    """
+    scenes, played = _read(folder)
+    rows: dict[tuple[str, str], dict[str, Any]] = {}
+    for scene in scenes:
+        digest = scene["conditions"]["hash"]
+        key = scene["suite_scene"], digest
+        if key not in rows:  # each method has an entry
+            methods = {who: lines for (who, hash_), lines in played.items() if hash_ == digest}
+            rows[key] = {
+                "scene": scene["suite_scene"],
+                "terrain": scene["terrain"],
+                "engine": scene["conditions"]["sim"]["name"],
+                "hash": digest,
+                **_compared({n: m for n, m in methods.items() if not is_best_known(n)}),
+            }
+    return list(rows.values())
+
+
+def _compared(methods: Mapping[str, Mapping[int, Line]]) -> dict[str, Any]:
+    swings = {
+        name: {i: float(line[_SCORE]) for i, line in lines.items() if line["outcome"] == "reached"}
+        for name, lines in methods.items()
+    }
+    policy, *others = swings
+    ours = swings[policy]
+    failed = [line for line in methods[policy].values() if line["outcome"] != "reached"]
+    return {
+        "episodes": len(methods[policy]),
+        "passable": len(set().union(*swings.values())),
+        "reached": {name: len(each) for name, each in swings.items()},
+        "swing": {name: _interval(list(each.values())) for name, each in swings.items()},
+        "difference": {
+            other: _interval(
+                [swing - swings[other][i] for i, swing in ours.items() if i in swings[other]]
+            )
+            for other in others
+        },
+        "rocked": sum(float(line[_SCORE]) > _ROCKED for line in failed),
+        "overturned": {
+            name: sum(line["outcome"] == "overturned" for line in lines.values())
+            for name, lines in methods.items()
+        },
+    }
+
+
+def _interval(values: Sequence[float]) -> list[float | None] | None:
+    if not values:
+        return None
+    ends = asdict(interval(values))
+    return [None if (end := ends[n]) is None else round(end, 6) for n in ("mean", "low", "high")]
+
+
 def _largest(scenes: Sequence[_Scene]) -> list[_Scene]:
     """Return a method's scenes, of equal conditions the one with the most episodes."""
-    found: dict[str, _Scene] = {}
+    largest: dict[str, _Scene] = {}
     for scene in scenes:
-        if scene.hash not in found or scene.episodes > found[scene.hash].episodes:
-            found[scene.hash] = scene
-    return list(found.values())
+        if scene.hash not in largest or scene.episodes > largest[scene.hash].episodes:
+            largest[scene.hash] = scene
+    return list(largest.values())
 
 
 def _method(scenes: Sequence[_Scene], like: Sequence[_Scene] = ()) -> Method:
@@ -223,8 +289,7 @@ def _overview(
     name: str, scenes: Sequence[_Scene], against: Sequence[_Scene] | None
 ) -> dict[str, Any]:
     """Return the row of a method over all scenes, with its difference on common episodes."""
-    method = _method(scenes)
-    found = method_row(method, PRICE)
+    found = method_row(_method(scenes), PRICE)
     row: dict[str, Any] = {
         "method": name,
         "seeds": found["seeds"],
@@ -242,8 +307,8 @@ def _overview(
     return row
 
 
-def _ends(interval: Mapping[str, float | None]) -> list[float | None]:
-    return [_rounded(interval[end]) for end in ("mean", "low", "high")]
+def _ends(found: Mapping[str, float | None]) -> list[float | None]:
+    return [_rounded(found[end]) for end in ("mean", "low", "high")]
 
 
 def _rounded(value: float | None) -> float | None:

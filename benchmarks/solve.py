@@ -14,13 +14,11 @@ from typing import Any
 
 import torch
 
-from benchmarks.extras import import_extra
-from benchmarks.settings import Benchmark, BenchmarkSettings
+from benchmarks.settings import MISSING, Benchmark, BenchmarkSettings
 from benchmarks.solve_run import SolveRun, ValidationRecorder
 from flipperctl import checkpoint
 from flipperctl.bench.settings import quantity, ratio
 from flipperctl.config import TrainConfig, with_overrides
-from flipperctl.errors import MissingExtraError
 from flipperctl.training.trainer import Trainer
 
 ABOUT = (
@@ -35,10 +33,11 @@ def measure(bench: Benchmark) -> dict[str, Any]:
     contestants, missing = {"flipperctl": solve}, []
     details: dict[str, Any] = {}
     try:
-        sb3 = import_extra("benchmarks.sb3", "stable-baselines3", "bench")
+        from benchmarks import sb3
+
         contestants["sb3"], details["sb3_settings"] = sb3.solve, sb3.SETTINGS
-    except MissingExtraError as error:
-        missing.append(str(error))
+    except ImportError:
+        missing.append(MISSING)
     s = bench.settings
     runs: dict[str, list[dict[str, Any]]] = {name: [] for name in contestants}
     threads = torch.get_num_threads()
@@ -54,13 +53,8 @@ def measure(bench: Benchmark) -> dict[str, Any]:
     finally:
         torch.set_num_threads(threads)
     unfinished = f"not within {s.limit:g} s"
-    return {
-        "about": ABOUT,
-        **summary(runs, s),
-        **details,
-        "unfinished": unfinished,
-        "missing": missing,
-    }
+    found = {**summary(runs, s), **details, "unfinished": unfinished, "missing": missing}
+    return {"about": ABOUT, **found}
 
 
 def summary(runs: Mapping[str, list[dict[str, Any]]], s: BenchmarkSettings) -> dict[str, Any]:

@@ -31,12 +31,8 @@ def measure(bench: Benchmark, commands: Sequence[Command] | None = None) -> dict
     s = bench.settings
     processes = {PYTHON: [sys.executable, "-c", "pass"]}
     for command in (short_commands() if commands is None else commands)[: s.commands]:
-        processes[" ".join(("flipperctl", *command))] = [
-            sys.executable,
-            "-m",
-            "flipperctl",
-            *command,
-        ]
+        name = " ".join(("flipperctl", *command))
+        processes[name] = [sys.executable, "-m", "flipperctl", *command]
     clocks = {name: _clock(name, process) for name, process in processes.items()}
     for index, clock in enumerate(clocks.values()):
         bench.report_progress("warm-up, to cache every file", 0.1 * index / len(clocks))

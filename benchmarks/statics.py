@@ -21,12 +21,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from flipperctl import entry, plugins
 from flipperctl.api import FloatArray, Robot
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.rollout.seeds import EvaluationSeeds
+from flipperctl.sim.jit import cached
+from flipperctl.sim.resting import inflated
 
 _SPACING = 0.005
 """Distance of the places at which the ground is known [m]."""
@@ -97,9 +100,6 @@ def standing(
     ``points`` is (V, 2) [m]; ``start`` and ``finish`` are world x of the chassis centre [m]. The
     pitches lie within ± ``overturn`` [rad].
     """
-    from benchmarks.standing import can_stand  # numba takes long to import
-    from flipperctl.sim.resting import inflated
-
     half, axle, radius = robot.hinge_offset, robot.flipper_axle, robot.track_radius
     margin = math.ceil((half + axle) / _SPACING) + 2  # to the farthest end of a flipper
     reach = margin * _SPACING + radius + _TOLERANCE
@@ -122,9 +122,92 @@ def standing(
         inner, outer = (
             inflated(line, origin, _SPACING, known, radius + sign * _TOLERANCE) for sign in (-1, 1)
         )
-        blocks.append(can_stand(inner, outer, size, _STRIDE, margin, steep, turns, sizes))
+        blocks.append(_can_stand(inner, outer, size, _STRIDE, margin, steep, turns, sizes))
     places = start + np.arange(count, dtype=np.float64) * (_STRIDE * _SPACING)
     return Standing(places, pitches, np.concatenate(blocks))
+
+
+@cached(njit)
+def _flipper(
+    heights: FloatArray, forward: int, steep: int, turns: int, sizes: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the lowest and the highest hinge at which a flipper touches, each (J, P) [m].
+
+    Axes: place of the hinge, pitch of the chassis. ``forward`` is 1 for the front flippers and -1
+    for the rear ones; ``heights`` are those of ``inflated``.
+    """
+    spacing, axle, step = sizes[0], sizes[2], sizes[5]
+    samples = math.ceil(axle / spacing)
+    angles = 2 * (steep + turns) + 1
+    least = np.full((len(heights), 2 * steep + 1), np.inf)
+    most = np.full((len(heights), 2 * steep + 1), -np.inf)
+    needed = np.empty(angles)
+    steps, rises = np.empty((angles, samples + 1), np.int64), np.empty((angles, samples + 1))
+    for k in range(angles):
+        angle = (k - steep - turns) * step
+        for s in range(samples + 1):
+            along = forward * axle * s / samples
+            steps[k, s] = round(along * math.cos(angle) / spacing)
+            rises[k, s] = along * math.sin(angle)
+    ends = math.ceil(axle / spacing) + 1
+    for j in range(ends, len(heights) - ends):
+        for k in range(angles):
+            height = -np.inf
+            for s in range(samples + 1):
+                height = max(height, heights[j + steps[k, s]] - rises[k, s])
+            needed[k] = height
+        for p in range(2 * steep + 1):
+            for k in range(p, p + 2 * turns + 1):
+                least[j, p] = min(least[j, p], needed[k])
+                most[j, p] = max(most[j, p], needed[k])
+    return least, most
+
+
+@cached(njit)
+def _can_stand(
+    inner: FloatArray,
+    outer: FloatArray,
+    places: int,
+    stride: int,
+    margin: int,
+    steep: int,
+    turns: int,
+    sizes: FloatArray,
+) -> NDArray[np.bool_]:
+    """Return whether the robot can stand at a place with a pitch, (places, 2·steep + 1).
+
+    ``inner`` and ``outer`` are the ``inflated`` heights for a radius that is a little smaller, for
+    what must not overlap, and a little larger, for what must touch. Places of the chassis centre
+    are ``margin`` and every ``stride`` past it; flippers turn by up to ``turns`` steps. ``sizes``:
+    spacing, half the chassis' axis, a flipper's axis, radius, shift of the centre of mass [m], and
+    the step of angles [rad].
+    """
+    spacing, half, radius, shift, step = sizes[0], sizes[1], sizes[3], sizes[4], sizes[5]
+    front_least, _ = _flipper(inner, 1, steep, turns, sizes)
+    _, front_most = _flipper(outer, 1, steep, turns, sizes)
+    rear_least, _ = _flipper(inner, -1, steep, turns, sizes)
+    _, rear_most = _flipper(outer, -1, steep, turns, sizes)
+    samples = math.ceil(2 * half / spacing)
+    found = np.zeros((places, 2 * steep + 1), np.bool_)
+    for p in range(2 * steep + 1):
+        cos, sin = math.cos((p - steep) * step), math.sin((p - steep) * step)
+        hinge = round(half * cos / spacing)
+        for i in range(places):
+            centre = margin + i * stride
+            front, rear = centre + hinge, centre - hinge
+            lowest = max(front_least[front, p] - half * sin, rear_least[rear, p] + half * sin)
+            ahead, behind = front_most[front, p] - half * sin, rear_most[rear, p] + half * sin
+            for s in range(samples + 1):
+                along = half * (2 * s / samples - 1)
+                at = centre + round(along * cos / spacing)
+                lowest = max(lowest, inner[at] - along * sin)
+                touched = along * cos + radius * sin  # x of the contact, from the centre
+                if touched >= -shift:
+                    ahead = max(ahead, outer[at] - along * sin)
+                if touched <= shift:
+                    behind = max(behind, outer[at] - along * sin)
+            found[i, p] = lowest <= min(ahead, behind)
+    return found
 
 
 def _widened(possible: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -165,10 +248,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Print the bound on each terrain."""
     from flipperctl.cli.scenes import scenes
 
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.statics",
-        description="Compute a lower bound of the pitch variation, from statics.",
-    )
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.statics")
     parser.add_argument("overrides", nargs="*", metavar="OVERRIDE", help="as in terrain=ramp,stair")
     parser.add_argument("--episodes", type=int, default=20, help="of each terrain [%(default)s]")
     parser.add_argument("--seed", type=int, default=0, help="seed of the episodes [0]")

@@ -3,11 +3,11 @@
     python -m benchmarks.tables [--check]
 
 A table stands between ``<!-- results: FILE COLUMN … -->`` and ``<!-- end -->``; its columns are
-those of ``flipperctl.evaluation.views.markdown``; files ``shipped_SUITE.json`` have the tables
-``overview`` and ``scenes`` instead (``benchmarks.shipped_table``), and files ``cells_NAME.json``
-the table ``cells`` (``benchmarks.cells``). ``--check`` writes nothing and
-exits with code 1 if a page disagrees with its results. ``python -m benchmarks.results`` makes the
-results.
+those of ``flipperctl.evaluation.views.markdown``. Files ``shipped_SUITE.json`` have the tables
+``overview``, a row for each method, ``scenes``, a row for each scene and a column for each method,
+and ``trainings``, the settings, instead; files ``cells_NAME.json`` the table ``cells``. ``--check``
+writes nothing and exits with code 1 if a page disagrees with its results. ``python -m
+benchmarks.results`` makes the results.
 """
 
 from __future__ import annotations
@@ -15,75 +15,148 @@ from __future__ import annotations
 import argparse
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from benchmarks import cells
-from benchmarks.shipped_table import markdown
 from flipperctl import entry
 from flipperctl.errors import RequestError
-from flipperctl.evaluation.views.markdown import StoredRow, markdown_table
+from flipperctl.evaluation.views.markdown import NONE, StoredRow, ends_text, markdown_table
 from flipperctl.files import write_bytes
+from flipperctl.messages import close_match
 
 ROOT = Path(__file__).parents[1]
-SHIPPED = "shipped_"
-"""Beginning of the names of files of ``benchmarks.shipped``; their tables are others."""
-CELLS = "cells_"
-"""Beginning of the names of files of ``benchmarks.cells``."""
 FOLDER = ROOT / "docs" / "results"
+"""Folder of the kept results."""
+SHIPPED, CELLS = "shipped_", "cells_"
+"""Beginnings of the names of files that have tables of their own."""
+_SWING = "pitch_variation_100hz"
 _TABLE = re.compile(
     r"(<!-- results: (\S+) ([^>]*?) -->\n).*?(^<!-- end -->$)", re.DOTALL | re.MULTILINE
 )
+Document = Mapping[str, Any]
+Ends = Sequence[float | None] | None
+"""A mean with the ends of its interval."""
 
 
 def pages() -> list[Path]:
     """Return the pages that may hold tables of results."""
-    return [
-        ROOT / "README.md",
-        *sorted((ROOT / "docs").glob("**/*.md")),
-        *sorted((ROOT / "flipperctl" / "policies").glob("*.md")),
-    ]
+    folders = ROOT / "docs", ROOT / "flipperctl" / "policies"
+    return [ROOT / "README.md", *(page for one in folders for page in sorted(one.glob("**/*.md")))]
 
 
 def rewritten(text: str, folder: Path = FOLDER) -> str:
     """Return the text of a page with each table made anew from its file in ``folder``.
 
     Raises:
-        RequestError: a file is missing or no stored results, or a column does not exist.
+        RequestError: a file is missing or no stored results, or a table or column does not exist.
     """
 
-    def table(found: re.Match[str]) -> str:
-        path, names = folder / found[2], found[3].split()
-        if found[2].startswith(SHIPPED):
-            lines = markdown(_document(path), names)
-        elif found[2].startswith(CELLS):
-            lines = list(cells.markdown(_document(path)))
-        else:
-            lines = markdown_table(stored(path), names)
-        return found[1] + "\n".join(["", *lines, "", ""]) + found[4]
+    def table(match: re.Match[str]) -> str:
+        lines = _lines_of(folder / match[2], match[3].split())
+        return match[1] + "\n".join(["", *lines, "", ""]) + match[4]
 
     return _TABLE.sub(table, text)
 
 
-def stored(path: Path) -> list[StoredRow]:
-    """Return the rows of a file that ``benchmarks.results`` wrote.
+def _lines_of(path: Path, names: Sequence[str]) -> list[str]:
+    try:
+        document: Document = json.loads(path.read_text(encoding="utf-8"))
+        if path.name.startswith(SHIPPED):
+            return shipped_table(document, names)
+        rows: list[StoredRow] = document["rows"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise RequestError(f"{path}: these are no stored results: {error}") from error
+    return cells_table(rows) if path.name.startswith(CELLS) else markdown_table(rows, names)
+
+
+def shipped_table(document: Document, names: Sequence[str]) -> list[str]:
+    """Return the lines of a table of ``benchmarks.shipped``.
 
     Raises:
-        RequestError: it is missing, or of another form.
+        RequestError: there is no such table.
     """
-    try:
-        return list(_document(path)["rows"])
-    except (KeyError, TypeError) as error:
-        raise RequestError(f"{path}: these are no stored results: {error}") from error
+    tables: Mapping[str, Callable[[Document], list[str]]]
+    tables = {"trainings": _trainings, "overview": _overview, "scenes": _scenes}
+    asked = " ".join(names)
+    if asked not in tables:
+        hint = close_match(asked, tables)
+        raise RequestError(f"{asked}: there is no such table{hint}; known: {', '.join(tables)}")
+    return tables[asked](document)
 
 
-def _document(path: Path) -> dict[str, Any]:
-    try:
-        found: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        return found
-    except (OSError, ValueError) as error:
-        raise RequestError(f"{path}: these are no stored results: {error}") from error
+def _trainings(document: Document) -> list[str]:
+    cells = [[f"`{row['method']}`", f"`{row['overrides']}`"] for row in document["trainings"]]
+    return _lines(["policy", "settings of `flipperctl train`"], cells)
+
+
+def _overview(document: Document) -> list[str]:
+    headings = ["policy", "training seeds", "scenes", "episodes of each", "success", "score [rad]"]
+    headings += ["θ̂_R where reached [rad]", "score minus `level`'s [rad]"]
+    cells = [
+        [
+            f"`{row['method']}`",
+            str(row["seeds"]) if row["seeds"] > 1 else NONE,
+            str(row["scenes"]),
+            " or ".join(map(str, row["episodes"])),
+            _ends(row["success"], 3),
+            _ends(row["score"]),
+            NONE if row[_SWING] is None else f"{row[_SWING]:.2f}",
+            _ends(row["difference"]),
+        ]
+        for row in document["overview"]
+    ]
+    return _lines(headings, cells)
+
+
+def _scenes(document: Document) -> list[str]:
+    methods = [row["method"] for row in document["overview"]]
+    scenes: dict[tuple[str, str], dict[str, str]] = {}
+    for row in document["scenes"]:
+        text = f"{row['score'][0]:.2f} ({row['success'][0] * 100:.0f} %)"
+        scenes.setdefault((row["case"], row["terrain"]), {})[row["method"]] = text
+    several = len({case for case, _ in scenes}) > 1
+    cells = [
+        [f"`{terrain}`" + (f", {case}" if several else ""), *(by.get(m, NONE) for m in methods)]
+        for (case, terrain), by in scenes.items()
+    ]
+    return _lines(["scene", *(f"`{method}`" for method in methods)], cells)
+
+
+def cells_table(rows: Sequence[Document]) -> list[str]:
+    """Return the lines of the table of a policy on each scene of a suite, beside rules.
+
+    Where its rows know who overturned, one column has the numbers of all, in their order.
+    """
+    methods = policy, *others = list(rows[0]["reached"])
+    overturned = "overturned" in rows[0]
+    headings = ["scene", "passable", "reached", *(f"`{name}` reached" for name in others)]
+    headings += ["overturned"] if overturned else []
+    headings += ["θ̂_R [rad]", *(f"minus `{name}`'s" for name in others)]
+    several = len({row["terrain"] for row in rows if row["scene"] == rows[0]["scene"]}) > 1
+    cells = [
+        [
+            f"{row['scene']}, `{row['terrain']}`" if several else row["scene"],
+            str(row["passable"]),
+            *(str(row["reached"][name]) for name in methods),
+            *([", ".join(str(row["overturned"][m]) for m in methods)] if overturned else []),
+            _ends(row["swing"][policy], interval=False),
+            *(_ends(row["difference"][name]) for name in others),
+        ]
+        for row in rows
+    ]
+    return _lines(headings, cells)
+
+
+def _ends(ends: Ends, digits: int = 2, *, interval: bool = True) -> str:
+    if ends is None or ends[0] is None:
+        return NONE
+    return ends_text((ends[0], ends[1], ends[2]), digits, interval=interval)
+
+
+def _lines(headings: Sequence[str], cells: Sequence[Sequence[str]]) -> list[str]:
+    head, *rest = (f"| {' | '.join(row)} |" for row in [headings, *cells])
+    return [head, "|" + "---|" * len(headings), *rest]
 
 
 def changes() -> Iterator[tuple[Path, str]]:

@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
+from importlib.util import find_spec
 from typing import Any
 
 import torch
 
-from benchmarks.extras import import_extra
-from benchmarks.settings import Benchmark
+from benchmarks.settings import MISSING, Benchmark
 from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.replay import Replay
@@ -25,7 +25,6 @@ from flipperctl.bench import learner
 from flipperctl.bench.learner import Contestant
 from flipperctl.bench.settings import ratio
 from flipperctl.config import TrainConfig
-from flipperctl.errors import MissingExtraError
 
 ABOUT = (
     "sample, gradient step and soft target update of our agent against Stable-Baselines3's DQN, "
@@ -35,25 +34,15 @@ ABOUT = (
 
 def measure(bench: Benchmark) -> dict[str, Any]:
     """Measure updates and transitions per second [1/s] for each batch size, and their ratios."""
-    missing: list[str] = []
-    try:
-        import_extra("stable_baselines3", "stable-baselines3", "bench")
-        found = learner.measure(bench, rivals)
-    except MissingExtraError as error:
-        missing.append(str(error))
-        found = learner.measure(bench)
-    names = [name for name in found["weights"] if name != "flipperctl"]
-    found["ratios"] = {
-        f"flipperctl / {name}, updates of {size}": ratio(
-            *(
-                found["quantities"][f"{one}.updates.{size}"]["values"]
-                for one in ("flipperctl", name)
-            )
-        )
-        for size in bench.settings.batch_sizes
-        for name in names
-    }
-    return {**found, "about": ABOUT, "missing": missing}
+    installed = find_spec("stable_baselines3") is not None
+    found = learner.measure(bench, rivals) if installed else learner.measure(bench)
+    quantities, ratios = found["quantities"], {}
+    for size in bench.settings.batch_sizes:
+        for name in [name for name in found["weights"] if name != "flipperctl"]:
+            both = (quantities[f"{one}.updates.{size}"]["values"] for one in ("flipperctl", name))
+            ratios[f"flipperctl / {name}, updates of {size}"] = ratio(*both)
+    missing = [] if installed else [MISSING]
+    return {**found, "ratios": ratios, "about": ABOUT, "missing": missing}
 
 
 def rivals(

@@ -18,7 +18,7 @@ from flipperctl.errors import RequestError
 from flipperctl.messages import close_match
 from flipperctl.results import json_result
 
-MOVED = ("physics", "accuracy", "lookahead", "solve", "startup", "discovery")
+MOVED = ("physics", "accuracy", "lookahead", "solve", "startup")
 """Measures of version 0.2 that now run only in a clone of the repository."""
 Progress = Callable[[str], AbstractContextManager[Callable[[str, float], None]]]
 """Returns a context that shows the progress of the measure with the given name."""

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.discovery import install
 from tests.cli.call import GROUPS, SUBCOMMANDS, call
 
 HEAVY = {"torch", "hydra", "ray", "pymunk", "numba", "gymnasium", "matplotlib", "onnxruntime"}
@@ -47,7 +46,14 @@ def test_listing_the_plugins_runs_none_of_their_libraries(form: list[str]) -> No
 def test_help_imports_no_plugin(
     command: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (module,) = install(tmp_path, 1)
+    module, info = "an_installed_plugin", tmp_path / "mine-1.0.dist-info"
+    (tmp_path / f"{module}.py").write_text(
+        "from flipperctl.api import Terrain, terrain\n\n"
+        "@terrain('mine')\nclass Mine(Terrain):\n    def generate(self, rng): ...\n"
+    )
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: mine\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(f"[flipperctl.plugins]\nmine = {module}\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     assert not run(*command, "--help") & {module, "flipperctl_plugins"}
     assert run("inspect", "plugins", "--json") >= {module, "flipperctl_plugins"}
