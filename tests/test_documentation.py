@@ -203,7 +203,7 @@ def subcommand(command: list[str]) -> str:
 def cases() -> Iterator[Any]:
     """Each command; those that play or learn are long, but the README's and the first of each."""
     first = commands((ROOT / "README.md").read_text())
-    seen = {"shadow"}  # tests/bags/test_shadowing.py runs it
+    seen = {"shadow"}  # tests/ros/test_shadowing.py runs it
     for command in commands():
         name = subcommand(command)
         long = command not in first and name in seen and name in PLAYING
@@ -311,7 +311,7 @@ def test_every_other_command_is_listed_here_for_a_reason() -> None:
         "building_stair,ramp,uplift,gap,wave,rubble,pallet,plum,paper_step,paper_stair",
         "python -m benchmarks.odometry",
         "python -m benchmarks.estimator_fuzz",
-        "python -m benchmarks.tables --check",  # tests/benchmarks/test_tables.py
+        "python -m benchmarks.tables --check",  # tests/benchmarks
         "pip install examples/flipperctl_trunk examples/flipperctl_postures",  # test_examples.py
     }
 

@@ -11,7 +11,6 @@ import pytest
 
 from benchmarks import __main__ as benchmarks
 from benchmarks import (
-    agreement,
     coverage,
     engine_agreement,
     estimator_fuzz,
@@ -70,6 +69,21 @@ def test_the_command_measures_with_settings_of_its_own(tmp_path, capsys) -> None
     assert set(MOVED) <= set(MEASURES)
     names = (*MEASURES, *BenchmarkSettings.model_fields)
     assert [name for name in names if name not in benchmarks.HELP] == []
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "words",
+    [
+        *("coverage --repetitions 2", "seed_coverage --repetitions 1 --mix seeds --shape normal"),
+        *("statics --episodes 1 terrain=flat", "engine_agreement --episodes 1 terrain=step"),
+        *("odometry --families flat --pose belts", "estimator_fuzz --count 50"),
+    ],
+)
+def test_a_command_prints_its_table(words, capsys) -> None:
+    name, *arguments = words.split()
+    assert import_module(f"benchmarks.{name}").main(arguments) == 0
+    assert capsys.readouterr().out
 
 
 def test_no_page_disagrees_with_its_results() -> None:
@@ -149,4 +163,3 @@ def test_the_errors_of_a_map_on_level_ground_are_found_again() -> None:
     errors = values.reshape(600, 15, 10).mean(axis=2)
     found = map_errors.fit([map_errors.Errors(errors, np.zeros_like(errors), 0.15)])
     assert (found.height, found.length) == pytest.approx((0.006, 0.25), rel=0.2)
-    assert agreement.SEED == 20260131  # of the stored examples of tests/evaluation
