@@ -26,8 +26,8 @@ from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import RequestError
 from flipperctl.policies.plugin import FunctionPolicy
-from flipperctl.rollout.collect import InProcessCollector
 from flipperctl.rollout.seeds import training_seed
+from flipperctl.rollout.steps import steps
 
 ABOUT = "sample, gradient step and soft target update of the agent, on one torch thread"
 
@@ -105,15 +105,12 @@ def fill(config: TrainConfig, count: int, seed: int) -> Replay:
     """Return a replay with ``count`` one-step transitions of a random policy."""
     size = input_size(config.network, config.perception)
     replay = Replay(count, size, 1, config.agent.gamma)
-    rng, numbers = np.random.default_rng(seed), itertools.count()
-    collector = InProcessCollector(
-        FlipperEnv(config=config.environment()),
-        FunctionPolicy(lambda _: int(rng.integers(len(ACTIONS)))),
-        lambda: training_seed(seed, next(numbers)),
-        frames=config.network.frames,
-    )
-    while True:
-        for step in collector.episode():
+    rng, number = np.random.default_rng(seed), itertools.count()
+    env = FlipperEnv(config=config.environment())
+    policy = FunctionPolicy(lambda _: int(rng.integers(len(ACTIONS))))
+    while replay.added < count:
+        seed_of_one = training_seed(seed, next(number))
+        for step in steps(env, policy, seed_of_one, frames=config.network.frames):
             replay.add(
                 step.observation,
                 step.action,
@@ -123,7 +120,8 @@ def fill(config: TrainConfig, count: int, seed: int) -> Replay:
                 bootstrap=False,
             )
             if replay.added == count:
-                return replay
+                break
+    return replay
 
 
 def contestant(config: TrainConfig, replay: Replay, batch_size: int, seed: int) -> Contestant:

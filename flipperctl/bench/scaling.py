@@ -25,11 +25,10 @@ from flipperctl.config import RayCollector, TrainConfig, to_dict
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
 from flipperctl.policies.exploring import ExploringPolicy
-from flipperctl.rollout import collect
-from flipperctl.rollout.collect import RolloutWorkers
-from flipperctl.rollout.processes import ProcessWorkers
+from flipperctl.rollout.cluster import LOCAL, QUIET, is_connected, join
+from flipperctl.rollout.collect import RayWorkers, RolloutWorkers
 from flipperctl.rollout.seeds import training_seed
-from flipperctl.rollout.values import RolloutRequest
+from flipperctl.rollout.steps import RolloutRequest, steps
 
 ABOUT = "decisions per second (ε-greedy on the network, no updates) by number of workers, in turn"
 EPSILON = 0.05
@@ -60,18 +59,12 @@ class InProcessCollector:
 
     def _play(self, config: TrainConfig) -> Iterator[None]:
         env, rng = FlipperEnv(config=config.environment()), np.random.default_rng(config.seed)
-        numbers = itertools.count()
         policy = ExploringPolicy(
             self._agent.online, config.network.frames, lambda: EPSILON, rng, self._agent.noise_rng
         )
-        collector = collect.InProcessCollector(
-            env,
-            policy,
-            lambda: training_seed(config.seed, next(numbers)),
-            frames=config.network.frames,
-        )
-        while True:
-            for _ in collector.episode():
+        for number in itertools.count():
+            seed = training_seed(config.seed, number)
+            for _ in steps(env, policy, seed, frames=config.network.frames):
                 yield
 
     def collect(self, decisions: int) -> int:
@@ -107,7 +100,7 @@ class WorkersCollector:
             while done < decisions and len(workers.outstanding()) < workers.capacity:
                 workers.send(self._request())
             _, played = workers.take(lambda: False) or (None, None)
-            done += 0 if played is None else len(played.actions)
+            done += 0 if played is None else len(played)
         return done
 
     def close(self) -> None:
@@ -118,16 +111,15 @@ class WorkersCollector:
 def process_collector(config: TrainConfig, workers: int) -> Collector:
     """Return a collector with the worker processes of ``train.workers``."""
     paths = plugins.configured_paths()
-    return WorkersCollector(config, ProcessWorkers(workers, to_dict(config), paths))
+    return WorkersCollector(config, RolloutWorkers(workers, to_dict(config), paths))
 
 
 def ray_collector(cpus: int) -> Factory:
     """Return the factory of ``collector=ray`` on one local cluster of ``cpus`` CPUs."""
 
     def create(config: TrainConfig, workers: int) -> Collector:
-        from flipperctl.rollout.ray_workers import RayWorkers, start_local
-
-        start_local(cpus)
+        if not is_connected():
+            join(LOCAL, "bench", num_cpus=cpus, include_dashboard=False, **QUIET)
         settings = RayCollector(workers=workers)
         paths = plugins.configured_paths()
         return WorkersCollector(config, RayWorkers(settings, to_dict(config), paths))

@@ -7,20 +7,24 @@ however many scenes, policies and views ask for it.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager
-from pathlib import Path
-from typing import Any
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import AbstractContextManager, closing, contextmanager
 
-from flipperctl import plugins
-from flipperctl.config import EvalConfig, to_dict
+from flipperctl.config import EvalConfig
 from flipperctl.errors import FlipperctlError, InterruptedRunError, OutputError, WriteError
 from flipperctl.evaluation.rows import Episodes, Row
 from flipperctl.evaluation.store import EpisodeStore, StoreKey, blocks
-from flipperctl.evaluation.workers import EpisodeWorkers, Task, play_block, require_unchanged
+from flipperctl.evaluation.workers import (
+    EpisodeWorkers,
+    Task,
+    play_block,
+    require_unchanged,
+    worker_pool,
+)
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource
-from flipperctl.rollout import ray_workers
-from flipperctl.rollout.values import POLL
+from flipperctl.rollout import cluster
+from flipperctl.rollout.pool import POLL
 
 Progress = Callable[[str, int], AbstractContextManager[Callable[[float], None]]]
 """Opens a progress display from a label and a number of episodes. Its context manager yields a
@@ -29,8 +33,6 @@ function of the number of finished episodes, in which a search counts as a fract
 NOT_A_POLICYS = (InterruptedRunError, OutputError, WriteError)
 """Errors that end an evaluation; any other one ends only the episodes of its policy on its scene.
 """
-LOCAL = "local"
-"""Address that stands for a cluster of this machine, started for the evaluation alone."""
 
 
 @contextmanager
@@ -201,33 +203,20 @@ class Player:
         wanted = list(self._blocks(requests))
         if not wanted:
             return
-        ray = ray_workers.import_ray()
-        joined = ray.is_initialized()
-        if not joined and address == LOCAL:
-            ray_workers.start_local(requests[0][0].eval.jobs)
-        elif not joined:
-            ray_workers.join(address, "eval.ray", **ray_workers.QUIET)
-        try:
-            remote = ray.remote(play_block)
-            cwd, paths = str(Path.cwd()), plugins.configured_paths()
-            running: dict[Any, tuple[StoreKey, int]] = {}
-            for key, config, source, block in wanted:
-                document = to_dict(config.environment())
-                task = Task(0, document, source, config.eval.seed, False, paths)
-                reference = remote.remote(key.text, key.policy.digest, task, block, cwd)
-                running[reference] = key, len(block)
-            total = sum(size for _, size in running.values())
-            with self.progress("blocks over Ray", total) as report:
-                self._collect(ray, running, report)
-            for reference in running:
-                ray.cancel(reference)
-        finally:
-            if not joined:
-                ray_workers.shut_down()
+        with cluster.connected(address, "eval.ray", requests[0][0].eval.jobs):
+            count = min(len(wanted), max(1, cluster.cpus()[1]))
+            with closing(worker_pool(count, cluster.Hosts(count).start)) as pool:
+                running = {
+                    pool.submit(play_block, task, block, key.policy.digest): (key, len(block))
+                    for key, task, block in wanted
+                }
+                total = sum(size for _, size in running.values())
+                with self.progress("blocks over Ray", total) as report:
+                    self._collect(running, report)
 
     def _blocks(
         self, requests: Sequence[tuple[EvalConfig, PolicySource]]
-    ) -> Iterator[tuple[StoreKey, EvalConfig, PolicySource, list[int]]]:
+    ) -> Iterator[tuple[StoreKey, Task, list[int]]]:
         """Yield the blocks that the store lacks, each once."""
         seen: set[tuple[str, int]] = set()
         for config, source in requests:
@@ -235,26 +224,23 @@ class Player:
                 key, missing = self.key(config, source), self.missing(config, source)
             except FlipperctlError:  # the evaluation names it
                 continue
+            task = Task.of(config, source)
             for block in missing:
                 if (key.text, block[0]) not in seen:
                     seen.add((key.text, block[0]))
-                    yield key, config, source, block
+                    yield key, task, block
 
     def _collect(
         self,
-        ray: Any,
-        running: dict[Any, tuple[StoreKey, int]],
+        running: dict[Future[list[Row]], tuple[StoreKey, int]],
         report: Callable[[float], None],
     ) -> None:
         """Store each block as it comes, until none is left or a stop is asked for."""
-        done = 0
+        played = 0
         while running and not self.workers.stop():
-            ready, _ = ray.wait(list(running), timeout=POLL)
-            for reference in ready:
-                key, size = running.pop(reference)
-                try:
-                    self.store.add(key, ray.get(reference))
-                except ray.exceptions.RayError:  # the evaluation plays it, and names its error
-                    continue
-                done += size
-                report(done)
+            for future in wait(running, POLL, FIRST_COMPLETED).done:
+                key, size = running.pop(future)
+                if future.exception() is None:  # else the evaluation plays it, and names its error
+                    self.store.add(key, future.result())
+                    played += size
+                    report(played)

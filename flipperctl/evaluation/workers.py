@@ -5,12 +5,10 @@ from __future__ import annotations
 import hashlib
 import itertools
 import logging
-import os
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,7 +24,7 @@ from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource
 from flipperctl.policies.teaching import DemonstratingPolicy
 from flipperctl.rollout.episode import Decision, EpisodeRecorder, decisions, play
-from flipperctl.rollout.pool import WorkerDiedError, WorkerPool
+from flipperctl.rollout.pool import Host, WorkerDiedError, WorkerPool
 from flipperctl.rollout.seeds import EvaluationSeeds
 
 
@@ -98,6 +96,7 @@ class EpisodeRunner:
 
 
 _log = logging.getLogger(__name__)
+_numbers = itertools.count()
 
 
 @dataclass(frozen=True)
@@ -112,6 +111,12 @@ class Task:
     record: bool
     plugin_paths: list[str]
 
+    @classmethod
+    def of(cls, config: EvalConfig, source: PolicySource, *, record: bool = False) -> Task:
+        """Return a new task."""
+        document, paths = to_dict(config.environment()), plugins.configured_paths()
+        return cls(next(_numbers), document, source, config.eval.seed, record, paths)
+
 
 class EpisodeWorkers:
     """``count`` processes, which start with the first episodes; a process that dies is replaced.
@@ -125,7 +130,6 @@ class EpisodeWorkers:
         self.interrupted = False
         """Whether episodes were left out because of ``stop``."""
         self._pool: WorkerPool | None = None
-        self._numbers = itertools.count()
 
     def __enter__(self) -> EpisodeWorkers:
         return self
@@ -179,12 +183,11 @@ class EpisodeWorkers:
         See ``play``. The rows of a request must be taken before those of the next one.
         """
         if self._pool is None:
-            self._pool = WorkerPool(self.count, _use_one_thread, ())
-        pool, paths = self._pool, plugins.configured_paths()
+            self._pool = worker_pool(self.count)
+        pool = self._pool
         waiting: deque[tuple[Task, int, Future[Row]]] = deque()
         for config, source, indices in requests:
-            document, seed = to_dict(config.environment()), config.eval.seed
-            task = Task(next(self._numbers), document, source, seed, record, paths)
+            task = Task.of(config, source, record=record)
             waiting += ((task, i, pool.submit(_play_in_worker, task, i)) for i in indices)
         try:
             for number, (_, _, indices) in enumerate(requests):
@@ -226,7 +229,12 @@ def _result(pool: WorkerPool, task: Task, index: int, job: Future[Row]) -> Row:
     raise FlipperctlError(f"episode {index} of the evaluation repeatedly killed its worker")
 
 
-_runner: tuple[object, EpisodeRunner] | None = None  # the newest task's, one per worker process
+def worker_pool(count: int, start: Callable[[], Host] | None = None) -> WorkerPool:
+    """Return a pool whose workers play episodes of tasks; ``start`` starts one elsewhere."""
+    return WorkerPool(count, _use_one_thread, (), start)
+
+
+_runner: tuple[int, EpisodeRunner] | None = None  # the newest task's, one per worker process
 
 
 def _use_one_thread() -> None:
@@ -236,32 +244,27 @@ def _use_one_thread() -> None:
 
 
 def _play_in_worker(task: Task, index: int) -> Row:
-    return _worker_runner(task.number, task).play(index)
+    return _worker_runner(task).play(index)
 
 
-def _worker_runner(key: object, task: Task) -> EpisodeRunner:
+def _worker_runner(task: Task) -> EpisodeRunner:
     """Return the runner of a task in a worker process, built with its first episode."""
     global _runner
-    if _runner is None or _runner[0] != key:
+    if _runner is None or _runner[0] != task.number:
         plugins.load(task.plugin_paths)
         config = parse(EnvConfig, task.config)
-        _runner = key, EpisodeRunner(config, task.source, task.seed, record=task.record)
+        runner = EpisodeRunner(config, task.source, task.seed, record=task.record)
+        _runner = task.number, runner
     return _runner[1]
 
 
-def play_block(key: str, digest: str, task: Task, block: Sequence[int], cwd: str) -> list[Row]:
-    """Play the episodes of a block in a process of a Ray cluster.
-
-    ``key``: store key; ``digest``: the policy's, another one is refused. ``cwd``: working directory
-    of the evaluation, if the machine has it.
+def play_block(task: Task, block: Sequence[int], digest: str) -> list[Row]:
+    """Play the episodes of a block in a worker on another machine.
 
     Raises:
-        CheckpointError: the policy is missing or another one there.
+        CheckpointError: the policy is missing there, or is another one than that of ``digest``.
     """
-    if Path(cwd).is_dir():
-        os.chdir(cwd)
-    _use_one_thread()
-    runner = _worker_runner(key, task)
+    runner = _worker_runner(task)
     require_unchanged(task.source, digest)
     return [runner.play(index) for index in block]
 

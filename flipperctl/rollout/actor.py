@@ -7,145 +7,102 @@ parameters, rounds otherwise.
 
 from __future__ import annotations
 
-import os
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
+from safetensors.numpy import load_file
 
 from flipperctl import plugins
-from flipperctl.agent.frames import input_size, stacked
+from flipperctl.agent.frames import input_size
 from flipperctl.agent.networks import build_network, naming_network
 from flipperctl.agent.risk import RiskNetwork, plain_risk, split_weights
-from flipperctl.api import ACTIONS
+from flipperctl.api import ACTIONS, Policy
 from flipperctl.config import TrainConfig, parse
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.env.privileged import PrivilegedStates
-from flipperctl.errors import FlipperctlError
-from flipperctl.policies.abilities import LabellingPolicy
-from flipperctl.policies.exploring import ExploringPolicy, SamplingPolicy
+from flipperctl.policies.exploring import SamplingPolicy, ExploringPolicy
 from flipperctl.policies.source import controller_policy
 from flipperctl.policies.teaching import DaggerPolicy
 from flipperctl.policies.trained import TrainedPolicy
-from flipperctl.rollout.episode import Row, decisions, play
+from flipperctl.rollout.episode import Row, play
 from flipperctl.rollout.seeds import exploration_rng
-from flipperctl.rollout.values import Rollout, RolloutRequest, Weights
+from flipperctl.rollout.steps import RolloutRequest, Step, Weights, steps
 
 
 class Actor:
     """Plays training episodes with the weights that come with each request."""
 
     def __init__(self, config: dict[str, Any], plugin_paths: list[str]) -> None:
-        """Build the environment and the network of ``config``, a ``TrainConfig`` as plain data.
-
-        Raises:
-            FlipperctlError: the configuration or a plugin is not valid here.
-        """
+        """Build the environment and the network of ``config``, a ``TrainConfig`` as plain data."""
         torch.set_num_threads(1)
         plugins.load(plugin_paths)
-        settings = parse(TrainConfig, config)
-        self._env = FlipperEnv(config=settings.environment())
-        self._greedy = GreedyPlayer(settings, self._env)
-        self._module, self._frames = self._greedy.module, settings.network.frames
-        self._seed, self._temperature_at = settings.seed, settings.temperature_at
-        self._teaching, self._agent = settings.teacher, settings.agent
-        self._privileged = settings.learns_privileged_value
-        teacher = settings.teacher.controller
-        self._teacher = None
-        if teacher is not None:
-            environment = settings.environment()
-            self._teacher = controller_policy(teacher, environment, "teacher.controller")
+        self._config = parse(TrainConfig, config)
+        self._env = FlipperEnv(config=self._config.environment())
+        self._greedy = GreedyPlayer(self._config, self._env)
+        self._teacher = teacher_of(self._config)
 
     def evaluate(self, weights: Weights, seed: int) -> Row:
         """Play the greedy episode of a seed; return its row."""
         self._greedy.load(weights)
         return self._greedy.play(seed)
 
-    def play(self, request: RolloutRequest, weights: Weights) -> Rollout:
+    def play(self, request: RolloutRequest, weights: Weights) -> list[Step]:
         """Play one episode to its end; equal requests give equal episodes.
 
         The weights are separate from the request, since many requests share them.
         """
         self._greedy.load(weights)
-        rng = exploration_rng(self._seed, request.episode)
-        policy = self._driver(request, rng)
-        if self._teacher is not None:
-            learns = request.decision >= self._agent.learning_starts
-            policy = DaggerPolicy(policy, self._teacher, self._teaching, lambda: learns, rng)
-        labelling = policy if isinstance(policy, LabellingPolicy) else None
-        episode, labels, explored = [], [], []
-        privileged = PrivilegedStates(self._env) if self._privileged else None
-        for decision in decisions(self._env, policy, request.seed, difficulty=request.difficulty):
-            episode.append(decision)
-            explored.append(policy.explored)
-            if privileged is not None:
-                privileged.add(decision.transition)
-            if labelling is not None:
-                labels.append(labelling.label)
-        observations = [stacked(episode[0].perception.recent, self._frames)]
-        observations += [stacked(d.next_perception.recent, self._frames) for d in episode]
-        ending = {**(episode[-1].ending or {}), "difficulty": request.difficulty}
-        actions = np.array([d.action for d in episode])
-        rewards = np.array([d.reward for d in episode])
-        labelled = np.array(labels) if labels else None
-        return Rollout(
-            observations=np.array(observations),
-            actions=actions,
-            rewards=rewards,
-            ending=ending,
-            labels=labelled,
-            groups=None if labelling is None else labelling.groups,
-            explored=np.array(explored),
-            privileged=None if privileged is None else np.array(privileged.rows),
+        config = self._config
+        rng = exploration_rng(config.seed, request.episode)
+        policy = training_policy(
+            *(config, self._greedy.module, self._teacher, lambda: request.epsilon),
+            temperature=lambda: config.temperature_at(request.decision),
+            learns=lambda: request.decision >= config.agent.learning_starts,
+            rngs=(rng, rng),
         )
-
-    def _driver(
-        self, request: RolloutRequest, rng: np.random.Generator
-    ) -> SamplingPolicy | ExploringPolicy | DaggerPolicy:
-        """Return the policy that plays a request, without a teacher."""
-        if self._agent.is_policy_gradient:
-            temperature = self._temperature_at(request.decision)
-            return SamplingPolicy(self._module, self._frames, lambda: temperature, rng)
-        return ExploringPolicy(
-            *(self._module, self._frames, lambda: request.epsilon, rng, rng),
-            share=self._agent.exploring_share,
+        made = steps(
+            *(self._env, policy, request.seed),
+            difficulty=request.difficulty,
+            frames=config.network.frames,
+            privileged=config.learns_privileged_value,
         )
+        return list(made)
 
 
-class StartedActor:
-    """An actor whose start-up errors are raised by its first call.
+def teacher_of(config: TrainConfig) -> Policy | None:
+    """Return the teacher's policy, if the training has one that acts."""
+    teacher = config.teacher.controller
+    if teacher is None:
+        return None
+    return controller_policy(teacher, config.environment(), "teacher.controller")
 
-    The start of a worker process cannot return an error to the main process; a call can.
+
+def training_policy(
+    config: TrainConfig,
+    module: torch.nn.Module,
+    teacher: Policy | None,
+    epsilon: Callable[[], float],
+    *,
+    temperature: Callable[[], float],
+    learns: Callable[[], bool],
+    rngs: tuple[np.random.Generator, np.random.Generator],
+) -> SamplingPolicy | ExploringPolicy | DaggerPolicy:
+    """Return the policy of training episodes, mixed with the teacher if there is one.
+
+    ``learns``: whether the student has begun to learn, before which a teacher drives. ``rngs`` draw
+    the actions and the network's noise.
     """
-
-    def __init__(
-        self, config: dict[str, Any], plugin_paths: list[str], folder: str | None = None
-    ) -> None:
-        """Build an ``Actor``; keep a ``FlipperctlError`` for the calls instead of raising it.
-
-        ``folder``: working directory of the learner, to which relative paths in ``config`` refer.
-        """
-        if folder is not None and Path(folder).is_dir():
-            os.chdir(folder)
-        self._actor: Actor | FlipperctlError
-        try:
-            self._actor = Actor(config, plugin_paths)
-        except FlipperctlError as error:
-            self._actor = error
-
-    def evaluate(self, weights: Weights, seed: int) -> Row:
-        """Call ``Actor.evaluate``, or raise the start-up error."""
-        return self._ready().evaluate(weights, seed)
-
-    def play(self, request: RolloutRequest, weights: Weights) -> Rollout:
-        """Call ``Actor.play``, or raise the start-up error."""
-        return self._ready().play(request, weights)
-
-    def _ready(self) -> Actor:
-        if isinstance(self._actor, FlipperctlError):
-            raise self._actor
-        return self._actor
+    frames, agent = config.network.frames, config.agent
+    student: SamplingPolicy | ExploringPolicy = (
+        SamplingPolicy(module, frames, temperature, rngs[0])
+        if agent.is_policy_gradient
+        else ExploringPolicy(module, frames, epsilon, *rngs, share=agent.exploring_share)
+    )
+    if teacher is None:
+        return student
+    return DaggerPolicy(student, teacher, config.teacher, learns, rngs[0])
 
 
 class GreedyPlayer:
@@ -173,3 +130,27 @@ class GreedyPlayer:
     def play(self, seed: int) -> Row:
         """Play the greedy episode of a seed; return its row."""
         return play(self._env, TrainedPolicy(self.module.eval(), self._frames, self._risk), seed)
+
+
+_actor: Actor
+"""The actor of this worker process."""
+
+
+def create_actor(config: dict[str, Any], plugin_paths: list[str]) -> None:
+    """Create the actor of this worker process."""
+    global _actor
+    _actor = Actor(config, plugin_paths)
+
+
+def play_request(request: RolloutRequest, weights: Weights | Path) -> list[Step]:
+    """Let this process's actor play an episode, with weights that may lie in a file."""
+    return _actor.play(request, _loaded(weights))
+
+
+def play_greedily(seed: int, weights: Weights | Path) -> Row:
+    """Let this process's actor play a greedy episode, with weights that may lie in a file."""
+    return _actor.evaluate(_loaded(weights), seed)
+
+
+def _loaded(weights: Weights | Path) -> Weights:
+    return load_file(weights) if isinstance(weights, Path) else weights

@@ -30,7 +30,7 @@ _PRELOAD = ("flipperctl.rollout.actor", "flipperctl.sim.planar.compiled")
 """What the fork server imports once for all its workers."""
 
 
-class ChildDiedError(Exception):
+class DiedError(Exception):
     """A child process ended before it answered."""
 
 
@@ -54,13 +54,13 @@ class Child:
         """Return ``function(*arguments)`` of the process, or raise what it raised there.
 
         Raises:
-            ChildDiedError: the process ended before it answered.
+            DiedError: the process ended before it answered.
         """
         self._send((function, arguments))
         try:
             answer = self._connection.recv_bytes()
         except (EOFError, OSError) as error:
-            raise ChildDiedError from error
+            raise DiedError from error
         done, value, text = pickle.loads(answer)  # noqa: S301 - from our own process
         if done:
             return value
@@ -103,7 +103,7 @@ def fork() -> Child:
 
     Raises:
         OSError: the system refuses a process, or the descriptors that it needs.
-        ChildDiedError: the server ended.
+        DiedError: the server ended.
     """
     server = _Server.of_this_process()
     ours, theirs = _pipe()
@@ -149,7 +149,7 @@ class _Server:
             except (EOFError, ConnectionError) as error:
                 if number:
                     return None
-                raise ChildDiedError(f"their server {_ending(self._process.wait())}") from error
+                raise DiedError(f"their server {_ending(self._process.wait())}") from error
         if isinstance(answer, OSError):
             raise answer
         return answer

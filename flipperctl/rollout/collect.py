@@ -7,26 +7,25 @@ episodes, so that acting and learning run in parallel (``train.mode=fast``).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, wait
-from typing import Protocol
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from contextlib import ExitStack
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Protocol
 
-from flipperctl.agent.frames import stacked
-from flipperctl.api import Policy
-from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.env.privileged import PrivilegedStates
-from flipperctl.policies.abilities import LabellingPolicy, TrainingPolicy
-from flipperctl.rollout.episode import Row, decisions
-from flipperctl.rollout.pool import WorkerDiedError
-from flipperctl.rollout.values import (
-    POLL,
-    PlayHere,
-    Rollout,
-    RolloutRequest,
-    Step,
-    Stop,
-    Weights,
-)
+from safetensors.numpy import save_file
+
+from flipperctl.config import RayCollector
+from flipperctl.rollout import cluster
+from flipperctl.rollout.actor import create_actor, play_greedily, play_request
+from flipperctl.rollout.episode import Row
+from flipperctl.rollout.pool import POLL, Stop, WorkerDiedError, WorkerPool
+from flipperctl.rollout.steps import RolloutRequest, Step, Weights
+
+PlayHere = Callable[[int], Row]
+"""Plays the greedy episode of a seed in this process."""
 
 
 class Collector(Protocol):
@@ -50,85 +49,12 @@ class Collector(Protocol):
         """Release worker processes."""
 
 
-class RolloutWorkers(Protocol):
-    """Workers that play requested episodes."""
-
-    @property
-    def capacity(self) -> int:
-        """Number of requests that keeps all workers busy."""
-
-    def send(self, request: RolloutRequest) -> None:
-        """Send a request without waiting."""
-
-    def take(self, stop: Stop) -> tuple[RolloutRequest, Rollout | None] | None:
-        """Wait for a rollout; return its request with it, or with None if the worker died.
-
-        Returns None alone, and keeps the request, if the run is to stop before a rollout arrives.
-        """
-
-    def evaluate(self, weights: Weights, seeds: Sequence[int]) -> list[Future[Row]]:
-        """Request one greedy episode for each seed from the free workers, without waiting.
-
-        The future of an episode that no worker has begun can be cancelled. If its worker died, it
-        raises ``WorkerDiedError``.
-        """
-
-    def outstanding(self) -> list[RolloutRequest]:
-        """Return the requests that were sent but not yet taken, oldest first."""
-
-    def close(self) -> None:
-        """Stop the workers."""
-
-
 class InProcessCollector:
     """Plays in this process; the policy acts with the newest weights."""
 
-    def __init__(
-        self,
-        env: FlipperEnv,
-        policy: Policy,
-        next_seed: Callable[[], int],
-        difficulty: Callable[[], float] = lambda: 1.0,
-        frames: int = 1,
-        stop: Stop = lambda: False,
-        *,
-        privileged: bool = False,
-    ) -> None:
-        """``next_seed`` and ``difficulty`` are called before each episode.
-
-        ``frames``: number of observations that the network takes as one input. ``stop`` can end an
-        evaluation between two episodes. ``privileged``: whether the steps have privileged states.
-        """
-        self._privileged = privileged
-        self._env, self._policy, self._frames, self._stop = env, policy, frames, stop
-        self._labelling = policy if isinstance(policy, LabellingPolicy) else None
-        self._exploring = policy if isinstance(policy, TrainingPolicy) else None
-        self._next_seed, self._difficulty = next_seed, difficulty
-
-    def episode(self) -> Iterator[Step]:
-        """Yield the steps of one episode; each is made on request of the iterator."""
-        seed, difficulty, frames = self._next_seed(), self._difficulty(), self._frames
-        states = PrivilegedStates(self._env) if self._privileged else None
-        for d in decisions(self._env, self._policy, seed, difficulty=difficulty):
-            ending = None if d.ending is None else {**d.ending, "difficulty": difficulty}
-            observation = stacked(d.perception.recent, frames)
-            next_observation = stacked(d.next_perception.recent, frames)
-            label = None if self._labelling is None else self._labelling.label
-            valued = self._labelling if ending is not None else None
-            if states is not None:
-                states.add(d.transition)
-            yield Step(
-                observation=observation,
-                action=d.action,
-                reward=d.reward,
-                next_observation=next_observation,
-                ending=ending,
-                label=label,
-                groups=None if valued is None else valued.groups,
-                explored=self._exploring is not None and self._exploring.explored,
-                privileged=None if states is None else states.rows[-2],
-                next_privileged=None if states is None else states.rows[-1],
-            )
+    def __init__(self, play: Callable[[], Iterator[Step]], stop: Stop = lambda: False) -> None:
+        """``play`` plays the next episode; ``stop`` can end an evaluation between two episodes."""
+        self.episode, self._stop = play, stop
 
     def evaluate(
         self, weights: Weights, seeds: Sequence[int], play_here: PlayHere
@@ -149,6 +75,125 @@ class InProcessCollector:
         """Do nothing: there are no worker processes."""
 
 
+class RolloutWorkers:
+    """Actors in processes of this machine; rollouts come in the order of the requests."""
+
+    def __init__(self, count: int, config: dict[str, Any], plugin_paths: list[str]) -> None:
+        """``config``: a ``TrainConfig`` as plain data."""
+        self._opened = ExitStack()
+        self._sent: dict[Future[list[Step]], RolloutRequest] = {}
+        self._shared: dict[int, Any] = {}
+        """Weights as they are given to calls, by their versions."""
+        self._pool = self._open(count, (config, plugin_paths))
+
+    def _open(self, count: int, arguments: tuple[Any, ...]) -> WorkerPool:
+        # Weights go through files: a process that dies while it receives a long message would block
+        # the interpreter's exit (CPython issue 94777, before Python 3.12).
+        temporary = TemporaryDirectory(prefix="flipperctl-", ignore_cleanup_errors=True)
+        self._folder = Path(self._opened.enter_context(temporary))
+        return WorkerPool(count, create_actor, arguments)
+
+    @property
+    def capacity(self) -> int:
+        """Number of requests that keeps all workers busy: each plays one while another waits."""
+        return 2 * self._pool.count
+
+    def send(self, request: RolloutRequest) -> None:
+        """Send a request without waiting."""
+        version = request.version
+        if version not in self._shared:
+            self._shared[version] = self._share(f"request{version}", request.weights)
+        light = replace(request, weights={})
+        self._sent[self._pool.submit(play_request, light, self._shared[version])] = request
+
+    def take(self, stop: Stop) -> tuple[RolloutRequest, list[Step] | None] | None:
+        """Wait for a rollout; return its request with it, or with None if the worker died.
+
+        Returns None alone, and keeps the request, if the run is to stop before a rollout arrives.
+        """
+        while not (done := wait(self._awaited(), POLL, FIRST_COMPLETED).done):
+            if stop():
+                return None
+        future = done.pop()
+        request = self._sent.pop(future)
+        try:
+            return request, future.result()
+        except WorkerDiedError:
+            return request, None
+        finally:
+            for version in self._shared.keys() - {one.version for one in self.outstanding()}:
+                self._forget(self._shared.pop(version))
+
+    def _awaited(self) -> Iterable[Future[list[Step]]]:
+        return [next(iter(self._sent))]
+
+    def _share(self, name: str, weights: Weights) -> Any:
+        path = self._folder / f"{name}.safetensors"
+        save_file(dict(weights), path)
+        return path
+
+    def _forget(self, shared: Any) -> None:
+        shared.unlink()
+
+    def evaluate(self, weights: Weights, seeds: Sequence[int]) -> list[Future[Row]]:
+        """Request one greedy episode for each seed, without waiting; they begin in this order.
+
+        The future of an episode that no worker has begun can be cancelled. If its worker died, it
+        raises ``WorkerDiedError``.
+        """
+        shared = self._share("evaluated", weights)
+        return [self._pool.submit(play_greedily, seed, shared) for seed in seeds]
+
+    def outstanding(self) -> list[RolloutRequest]:
+        """Return the requests that were sent but not yet taken, oldest first."""
+        return list(self._sent.values())
+
+    def close(self) -> None:
+        """Stop the workers and delete their files."""
+        self._pool.close()
+        self._opened.close()
+
+
+class RayWorkers(RolloutWorkers):
+    """Actors on a Ray cluster; rollouts come as soon as they are ready."""
+
+    def __init__(
+        self,
+        settings: RayCollector,
+        config: dict[str, Any],
+        plugin_paths: list[str],
+        report: Callable[[str], None] = lambda text: None,
+    ) -> None:
+        """Create the actors; do not wait until they have started.
+
+        ``report`` is called with sentences about the workers for the user.
+        """
+        self._settings, self._report = settings, report
+        super().__init__(settings.workers, config, plugin_paths)
+
+    def _open(self, count: int, arguments: tuple[Any, ...]) -> WorkerPool:
+        address = self._settings.address or cluster.LOCAL
+        self._opened.enter_context(cluster.connected(address, "collector.address", count))
+        self._hosts = cluster.Hosts(count, self._settings.patience)
+        return WorkerPool(count, create_actor, arguments, self._hosts.start)
+
+    @property
+    def capacity(self) -> int:
+        """Number of requests that keeps all started workers busy."""
+        return 2 * max(1, self._hosts.started)
+
+    def _awaited(self) -> Iterable[Future[list[Step]]]:
+        while not self._hosts.notes.empty():
+            self._report(self._hosts.notes.get())
+        return self._sent
+
+    def _share(self, name: str, weights: Weights) -> Any:
+        return cluster.import_ray().put(dict(weights))  # sent once to each machine
+
+    def _forget(self, shared: Any) -> None:
+        """Ray forgets what nothing refers to."""
+
+
 class AsyncCollector:
     """Requests episodes ahead of their use, and yields the steps that the workers played."""
 
@@ -167,11 +212,7 @@ class AsyncCollector:
         """
         self._workers, self._next_request = workers, next_request
         self._on_lost, self._accept, self._stop = on_lost, accept, stop
-
-    def resume(self, requests: Sequence[RolloutRequest]) -> None:
-        """Resend the requests that were outstanding when the run was saved."""
-        for request in requests:
-            self._workers.send(request)
+        self.outstanding, self.close = workers.outstanding, workers.close
 
     def episode(self) -> Iterator[Step]:
         """Yield the steps of the next episode that the workers return; none if the run stops."""
@@ -187,7 +228,7 @@ class AsyncCollector:
                 self._on_lost(request)
             elif self._accept(request):
                 break
-        yield from rollout.steps()
+        yield from rollout
 
     def evaluate(
         self, weights: Weights, seeds: Sequence[int], play_here: PlayHere
@@ -220,11 +261,3 @@ class AsyncCollector:
             return future.result()
         except WorkerDiedError:
             return play_here(seed)
-
-    def outstanding(self) -> list[RolloutRequest]:
-        """Return the requests that the workers have not played yet, oldest first."""
-        return self._workers.outstanding()
-
-    def close(self) -> None:
-        """Stop the workers."""
-        self._workers.close()

@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 import numpy as np
 
 from flipperctl import plugins
 from flipperctl.agent.learner import Learner, arrays
-from flipperctl.api import Policy
 from flipperctl.config import TrainConfig, to_dict
 from flipperctl.core.schedules import linear
 from flipperctl.env import ground
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.policies.exploring import ExploringPolicy, SamplingPolicy
-from flipperctl.policies.source import controller_notes, controller_policy
-from flipperctl.policies.teaching import DaggerPolicy
-from flipperctl.rollout.collect import AsyncCollector, Collector, InProcessCollector, RolloutWorkers
-from flipperctl.rollout.processes import ProcessWorkers
+from flipperctl.policies.source import controller_notes
+from flipperctl.rollout.actor import teacher_of, training_policy
+from flipperctl.rollout.collect import (
+    AsyncCollector,
+    Collector,
+    InProcessCollector,
+    RayWorkers,
+    RolloutWorkers,
+)
+from flipperctl.rollout.pool import Stop
 from flipperctl.rollout.seeds import training_seed
-from flipperctl.rollout.values import RolloutRequest, Stop, Weights
+from flipperctl.rollout.steps import RolloutRequest, Step, Weights, steps
 from flipperctl.training.saving import Progress
 
 
@@ -50,10 +54,6 @@ class EpisodeSource:
         s = self._config.agent
         return linear(s.epsilon_start, s.epsilon_end, self._progress.decision / s.epsilon_decisions)
 
-    @property
-    def _temperature(self) -> float:
-        return self._config.temperature_at(self._progress.decision)
-
     def start_collector(
         self, outstanding: Sequence[RolloutRequest], stop: Stop, recorded: int = 0
     ) -> Collector:
@@ -73,17 +73,15 @@ class EpisodeSource:
             return self._in_process_collector(stop, starts)
         begun = config.agent.model_copy(update={"learning_starts": starts})
         document = to_dict(config.model_copy(update={"agent": begun}))
-        paths = plugins.configured_paths()
-        workers: RolloutWorkers
-        if config.collector.name == "ray":
-            from flipperctl.rollout.ray_workers import RayWorkers
-
-            workers = RayWorkers(config.collector, document, paths, self._report)
-        else:
-            workers = ProcessWorkers(config.train.workers, document, paths)
-        collector = AsyncCollector(workers, self._next_request, self._on_lost, self._accept, stop)
-        collector.resume(list(outstanding))
-        return collector
+        paths, ray = plugins.configured_paths(), config.collector
+        workers = (
+            RayWorkers(ray, document, paths, self._report)
+            if ray.name == "ray"
+            else RolloutWorkers(config.train.workers, document, paths)
+        )
+        for request in outstanding:
+            workers.send(request)
+        return AsyncCollector(workers, self._next_request, self._on_lost, self._accept, stop)
 
     def update_difficulty(self, reached: bool) -> None:
         """Let the terrain choose the next difficulty after an episode.
@@ -95,32 +93,25 @@ class EpisodeSource:
         progress.difficulty = ground.next_difficulty(terrain, progress.difficulty, reached)
 
     def _in_process_collector(self, stop: Stop, starts: int) -> Collector:
-        env = FlipperEnv(config=self._config.environment())
-        frames, agent = self._config.network.frames, self._agent
-        settings = self._config.agent
-        policy: Policy = (
-            SamplingPolicy(agent.online, frames, lambda: self._temperature, self._rng)
-            if settings.is_policy_gradient
-            else ExploringPolicy(
-                *(agent.online, frames, lambda: self.epsilon, self._rng, agent.noise_rng),
-                share=settings.exploring_share,
-            )
+        config, agent, progress = self._config, self._agent, self._progress
+        env = FlipperEnv(config=config.environment())
+        policy = training_policy(
+            *(config, agent.online, teacher_of(config), lambda: self.epsilon),
+            temperature=lambda: config.temperature_at(progress.decision),
+            learns=lambda: progress.decision >= starts,
+            rngs=(self._rng, agent.noise_rng),
         )
-        teacher = self._config.teacher
-        if teacher.controller is not None:
-            policy = DaggerPolicy(
-                policy,
-                controller_policy(
-                    teacher.controller, self._config.environment(), "teacher.controller"
-                ),
-                teacher,
-                lambda: self._progress.decision >= starts,
-                self._rng,
+        frames, privileged = config.network.frames, config.learns_privileged_value
+
+        def play() -> Iterator[Step]:
+            return steps(
+                *(env, policy, self._next_seed()),
+                difficulty=progress.difficulty,
+                frames=frames,
+                privileged=privileged,
             )
-        return InProcessCollector(
-            *(env, policy, self._next_seed, lambda: self._progress.difficulty, frames, stop),
-            privileged=self._config.learns_privileged_value,
-        )
+
+        return InProcessCollector(play, stop)
 
     def _next_seed(self) -> int:
         self._progress.started += 1

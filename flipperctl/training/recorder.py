@@ -14,7 +14,7 @@ from flipperctl.checkpoint.recording import RecordedEpisode
 from flipperctl.config import TrainConfig
 from flipperctl.files import make_folder
 from flipperctl.rollout.episode import EpisodeRecorder
-from flipperctl.rollout.values import Step
+from flipperctl.rollout.steps import Step
 
 EPISODES = Path("episodes.safetensors")
 """File of a run directory with all episodes of the training, written when the run ends."""

@@ -29,7 +29,7 @@ from flipperctl.config import Teacher, TrainConfig
 from flipperctl.config.identity import all_files_read, content_digest
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.guard import refusal
-from flipperctl.rollout.values import RolloutRequest, Step
+from flipperctl.rollout.steps import RolloutRequest, Step
 from flipperctl.training.relearning import Relearning
 from flipperctl.training.validation import Validator
 

@@ -34,7 +34,7 @@ from flipperctl.errors import ConfigError
 from flipperctl.files import write_json
 from flipperctl.rollout.collect import Collector
 from flipperctl.rollout.episode import Row
-from flipperctl.rollout.values import RolloutRequest
+from flipperctl.rollout.steps import RolloutRequest
 from flipperctl.training.episodes import EpisodeSource
 from flipperctl.training.listeners import Stopwatch
 from flipperctl.training.recorded import add_recorded

@@ -21,6 +21,7 @@ from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import play
 from flipperctl.rollout.pool import WorkerPool
 from flipperctl.rollout.seeds import EvaluationSeeds
+from tests.rollout.notes import process_ids
 
 LEVEL = PolicySource(settings={"name": "level"})
 OKADA = PolicySource(settings={"name": "okada"})
@@ -80,7 +81,7 @@ def test_an_evaluation_survives_its_workers_and_keeps_its_numbers(
     with EpisodeWorkers(2) as workers:
         results = play_episodes(config, OKADA, episodes=30, seed=3, workers=workers)
         first = next(results)
-        for pid in started[0].process_ids():
+        for pid in process_ids(started[0]):
             os.kill(pid, signal.SIGKILL)
         found = [first, *results]
     assert found == list(play_episodes(config, OKADA, episodes=30, seed=3))

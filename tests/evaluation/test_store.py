@@ -6,8 +6,9 @@ import os
 import signal
 import warnings
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from contextlib import nullcontext
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
@@ -16,6 +17,7 @@ from flipperctl.api import Policy
 from flipperctl.checkpoint import shipped_policies
 from flipperctl.config import EvalConfig, with_overrides
 from flipperctl.errors import PluginFailedError, WriteError
+from flipperctl.evaluation import play as playing
 from flipperctl.evaluation.evaluate import Result
 from flipperctl.evaluation.evaluate import evaluate as play_plan
 from flipperctl.evaluation.plan import Entry, Plan
@@ -34,7 +36,8 @@ from flipperctl.evaluation.views import evaluation
 from flipperctl.evaluation.workers import EpisodeRunner
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource
-from flipperctl.rollout import ray_workers as ray_cluster
+from flipperctl.rollout import cluster
+from flipperctl.rollout.pool import WorkerDiedError
 
 LEVEL, OKADA = (PolicySource.of_plugin(name, "here") for name in ("level", "okada"))
 
@@ -122,31 +125,23 @@ def test_a_file_is_its_content_wherever_it_lies(tmp_path: Path) -> None:
     assert not {"seed", "device"} & set(one.training)
 
 
-class FakeRay:
-    """Ray's calls, answered in this process, the newest task first."""
+class FakePool:
+    """Plays blocks in this process, the newest first; the first one's worker is lost."""
 
-    exceptions = SimpleNamespace(RayError=RuntimeError)
+    def __init__(self, *arguments: object) -> None:
+        self.calls: list[Future[object]] = []
 
-    def __init__(self) -> None:
-        self.tasks: list[Callable[[], object]] = []
+    def submit(self, function: Callable[..., object], *arguments: object) -> Future[object]:
+        future: Future[object] = Future()
+        self.calls.insert(0, future)
+        if len(self.calls) == 1:
+            future.set_exception(WorkerDiedError("lost"))
+        else:
+            future.set_result(function(*arguments))
+        return future
 
-    def is_initialized(self) -> bool:
-        return True
-
-    def remote(self, function: Callable[..., object]) -> SimpleNamespace:
-        def send(*arguments: object, **more: object) -> int:
-            self.tasks.append(lambda: function(*arguments, **more))
-            return len(self.tasks) - 1
-
-        return SimpleNamespace(remote=send)
-
-    def wait(self, references: list[int], timeout: float) -> tuple[list[int], list[int]]:
-        return [references[-1]], references[:-1]
-
-    def get(self, reference: int) -> object:
-        if reference == 0:  # its worker is lost
-            raise RuntimeError
-        return self.tasks[reference]()
+    def close(self) -> None:
+        """Nothing runs."""
 
 
 def test_neither_the_order_of_cells_nor_ray_shows_in_the_files(
@@ -155,11 +150,13 @@ def test_neither_the_order_of_cells_nor_ray_shows_in_the_files(
     scenes = [(OKADA, "flat"), (LEVEL, "flat")]
     plain = [(config(5, name), who) for who, name in scenes]
     expected = evaluate(plain, store=FolderStore(tmp_path / "here"))
-    fake = FakeRay()
-    monkeypatch.setattr(ray_cluster, "import_ray", lambda: fake)
+    fake = FakePool()
+    monkeypatch.setattr(playing, "worker_pool", lambda *_: fake)
+    monkeypatch.setattr(cluster, "connected", lambda *_: nullcontext())
+    monkeypatch.setattr(cluster, "cpus", lambda: (2, 2))
     over = [(config(5, name, ray="any"), who) for who, name in scenes]
     found = evaluate(over, store=FolderStore(tmp_path / "ray"))
-    assert len(fake.tasks) == 6
+    assert len(fake.calls) == 6
     assert [s.episodes for s in found.rows] == [s.episodes for s in expected.rows]
     assert contents(tmp_path / "ray") == contents(tmp_path / "here")
 

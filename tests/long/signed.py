@@ -19,7 +19,7 @@ from flipperctl.config import with_overrides
 from flipperctl.export.policy import export
 from flipperctl.policies.exported import exported_config
 from flipperctl.policies.trained import policy_module
-from flipperctl.rollout.values import RolloutRequest
+from flipperctl.rollout.steps import RolloutRequest
 from flipperctl.runtime import OnnxPolicy
 from flipperctl.runtime.session import CHECKSUM, PLACEHOLDER, add_checksum
 from flipperctl.terminal.checkpoint import print_checkpoint as show

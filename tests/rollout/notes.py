@@ -1,4 +1,7 @@
-"""What tests of trainings listen with."""
+"""What tests of trainings listen with, and the processes of a pool."""
+
+from flipperctl.rollout.children import Child
+from flipperctl.rollout.pool import WorkerPool
 
 
 class Notes:
@@ -18,3 +21,9 @@ class Notes:
 
     def close(self) -> None:
         pass
+
+
+def process_ids(pool: WorkerPool) -> list[int]:
+    """Return the process identifiers of the workers that run on this machine."""
+    hosts = [worker._host for worker in pool._workers]
+    return [host.pid for host in hosts if isinstance(host, Child)]

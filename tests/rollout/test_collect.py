@@ -5,19 +5,18 @@ from concurrent.futures import Future
 from itertools import islice
 from typing import Any
 
-import numpy as np
-
 from flipperctl.api import Perception, Simulator, action_index
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.rollout.collect import AsyncCollector, InProcessCollector
+from flipperctl.rollout.collect import AsyncCollector
 from flipperctl.rollout.pool import WorkerDiedError
-from flipperctl.rollout.values import Rollout
+from flipperctl.rollout.steps import steps
 
 
 class Workers:
     """Workers whose first ``begun`` episodes are under way."""
 
     capacity = 1
+    outstanding = close = None
 
     def __init__(self, begun: int) -> None:
         self.begun = begun
@@ -84,14 +83,5 @@ class Alternating:
 
 
 def test_steps_say_which_actions_were_random() -> None:
-    collector = InProcessCollector(FlipperEnv("flat"), Alternating(), lambda: 1)
-    steps = list(islice(collector.episode(), 4))
-    assert [step.explored for step in steps] == [False, True, False, True]
-    rollout = Rollout(
-        observations=np.zeros((3, 18), np.float32),
-        actions=np.zeros(2, np.int64),
-        rewards=np.zeros(2),
-        ending={},
-        explored=np.array([True, False]),
-    )
-    assert [step.explored for step in rollout.steps()] == [True, False]
+    made = islice(steps(FlipperEnv("flat"), Alternating(), 1), 4)
+    assert [step.explored for step in made] == [False, True, False, True]

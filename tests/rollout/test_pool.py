@@ -1,26 +1,59 @@
-"""The worker pool: it replaces a process that dies and runs the remaining calls."""
+"""The worker pool: it replaces a process that dies, runs the remaining calls, imports nothing here.
 
+Worker processes import what this process has imported, and leave it as it was.
+"""
+
+import errno
+import importlib
 import itertools
 import os
+import random
+import resource
 import signal
 import sys
 import time
+from collections.abc import Iterator
 from concurrent.futures import Future
+from contextlib import closing
+from multiprocessing import Pipe
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
 
+import flipperctl
 from flipperctl.errors import FlipperctlError
+from flipperctl.rollout import children
 from flipperctl.rollout.pool import WorkerDiedError, WorkerPool
 from flipperctl.training.trainer import Trainer
-from tests.rollout.notes import Notes
+from tests.rollout.notes import Notes, process_ids
 from tests.short import short_config, trainer
 
+HOSTILE = ("random", "signal", "queue", "numbers", "numpy", "torch", "pickle", "socket", "struct")
+both = pytest.mark.parametrize("count", [1, 2])  # spawned, and forked from a server
 
-def initialize() -> None:
-    """Prepare nothing."""
+
+@pytest.fixture
+def hostile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working directory: it holds files named like modules, and a folder ``flipperctl``."""
+    (tmp_path / "flipperctl").mkdir()
+    for name in HOSTILE:
+        (tmp_path / f"{name}.py").write_text("raise SystemExit('imported')")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(children._Server, "_current", None)  # or it was started elsewhere
+    return tmp_path
+
+
+@pytest.fixture
+def workers() -> Iterator[WorkerPool]:
+    """Two workers."""
+    with closing(WorkerPool(2, initialize, ())) as pool:
+        yield pool
+
+
+def initialize(module: str = "torch") -> None:
+    importlib.import_module(module)
 
 
 def double(number: int) -> int:
@@ -31,8 +64,8 @@ def die() -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def fail() -> None:
-    raise FlipperctlError("on purpose")
+def fail(error: BaseException) -> None:
+    raise error
 
 
 def value(name: str) -> str | None:
@@ -50,75 +83,72 @@ def touch(path: Path) -> None:
     path.touch()
 
 
-@pytest.fixture
-def script(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A script that this process seems to run, and that would end a worker."""
-    file = tmp_path / "script.py"
+def places(names: tuple[str, ...]) -> list[str | None]:
+    return [getattr(importlib.import_module(name), "__file__", None) for name in names]
+
+
+def mask() -> set[int]:
+    return {int(number) for number in signal.pthread_sigmask(signal.SIG_BLOCK, ())}
+
+
+def asked(count: int, function: Any, *arguments: Any, first: Any = ()) -> Any:
+    with closing(WorkerPool(count, initialize, first)) as pool:
+        return pool.submit(function, *arguments).result()
+
+
+def test_a_dead_worker_is_replaced_and_runs_the_calls_after_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "script.py"  # this process seems to run it; it would end a worker
     file.write_text("raise SystemExit(1)")
     module = ModuleType("__main__")
     module.__file__ = str(file)
     monkeypatch.setitem(sys.modules, "__main__", module)
-
-
-@pytest.mark.usefixtures("script")
-def test_a_dead_worker_is_replaced_and_runs_the_calls_after_it() -> None:
-    workers = WorkerPool(2, initialize, ())
-    try:
+    with closing(WorkerPool(2, initialize, ())) as workers:
         assert workers.submit(double, 1).result() == 2
         dead, after = workers.submit(die), [workers.submit(double, n) for n in range(4)]
         with pytest.raises(WorkerDiedError, match=r"worker process [01] died"):
             dead.result()
         assert [call.result() for call in after] == [0, 2, 4, 6]
-        for pid in workers.process_ids():  # while they wait for calls
+        for pid in process_ids(workers):  # while they wait for calls
             os.kill(pid, signal.SIGKILL)
-        while any(worker._child is not None and worker._child.idle for worker in workers._workers):
+        while any(worker._host is not None and worker._host.idle for worker in workers._workers):
             time.sleep(0.001)
         assert workers.submit(double, 2).result() == 4
-    finally:
-        workers.close()
 
 
-def test_a_worker_that_always_dies_ends_its_calls_with_a_reason() -> None:
-    workers = WorkerPool(2, initialize, ())
-    try:
-        for _ in range(2):
-            with pytest.raises(WorkerDiedError):
-                workers.submit(die).result()
-        with pytest.raises(FlipperctlError, match="3 times in a row"):
+def test_a_worker_that_always_dies_ends_its_calls_with_a_reason(workers: WorkerPool) -> None:
+    for _ in range(2):
+        with pytest.raises(WorkerDiedError):
             workers.submit(die).result()
-    finally:
-        workers.close()
+    with pytest.raises(FlipperctlError, match="3 times in a row"):
+        workers.submit(die).result()
 
 
-def test_an_error_in_a_worker_is_raised_unchanged() -> None:
-    workers = WorkerPool(2, initialize, ())
-    try:
-        with pytest.raises(FlipperctlError, match="on purpose"):
-            workers.submit(fail).result()
-        assert workers.submit(double, 3).result() == 6
-    finally:
-        workers.close()
+@pytest.mark.parametrize("error", [FlipperctlError("on purpose"), EOFError("on purpose")])
+def test_an_error_in_a_worker_is_raised_unchanged(
+    error: BaseException, workers: WorkerPool
+) -> None:
+    with pytest.raises(type(error), match="on purpose"):
+        workers.submit(fail, error).result()
+    assert workers.submit(double, 3).result() == 6
 
 
-def test_a_long_call_holds_up_no_other(tmp_path: Path) -> None:
+def test_a_long_call_holds_up_no_other(tmp_path: Path, workers: WorkerPool) -> None:
     """The first call waits for the last one, which any fixed division puts behind it or not."""
-    workers = WorkerPool(2, initialize, ())
-    try:
-        long = workers.submit(wait_for, tmp_path / "last")
-        others = [workers.submit(double, number) for number in range(9)]
-        last = workers.submit(touch, tmp_path / "last")
-        assert long.result(timeout=30) is True
-        assert last.result() is None
-        assert [call.result() for call in others] == [2 * number for number in range(9)]
-    finally:
-        workers.close()
+    long = workers.submit(wait_for, tmp_path / "last")
+    others = [workers.submit(double, number) for number in range(9)]
+    last = workers.submit(touch, tmp_path / "last")
+    assert long.result(timeout=30) is True
+    assert last.result() is None
+    assert [call.result() for call in others] == [2 * number for number in range(9)]
 
 
 def test_closing_ends_a_call_that_is_under_way(tmp_path: Path) -> None:
     workers = WorkerPool(2, initialize, ())
     call = workers.submit(wait_for, tmp_path / "never", 60.0)
     queued = [workers.submit(wait_for, tmp_path / "never", 60.0) for _ in range(3)]
-    while not call.running() or not workers.process_ids():
+    while not call.running() or not process_ids(workers):
         time.sleep(0.01)
     begun = time.monotonic()
     workers.close()
@@ -128,37 +158,28 @@ def test_closing_ends_a_call_that_is_under_way(tmp_path: Path) -> None:
     assert queued[-1].cancelled()
 
 
-@pytest.mark.parametrize("count", [1, 2])  # spawned, and forked from a server
+@both
 def test_workers_have_the_environment_of_now(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The server, which lives as long as this process, has that of its start."""
-    found = []
     for text in ("first", "second"):
         monkeypatch.setenv("WORKER_SHALL_KNOW", text)
-        workers = WorkerPool(count, initialize, ())
-        try:
-            found.append(workers.submit(value, "WORKER_SHALL_KNOW").result())
-        finally:
-            workers.close()
-    assert found == ["first", "second"]
+        assert asked(count, value, "WORKER_SHALL_KNOW") == text
 
 
-@pytest.mark.parametrize("count", [1, 2])  # spawned, and forked from a server
+@both
 def test_what_stops_a_whole_group_of_processes_leaves_the_workers_at_work(count: int) -> None:
     """Ctrl-C and a scheduler's SIGTERM reach every process; the learner stops its workers."""
-    workers = WorkerPool(count, initialize, ())
-    try:
+    with closing(WorkerPool(count, initialize, ())) as workers:
         call = workers.submit(double, 1)
-        while not workers.process_ids():
+        while not process_ids(workers):
             time.sleep(0.001)
         for number in (signal.SIGINT, signal.SIGTERM):  # while it is starting
-            os.kill(workers.process_ids()[0], number)
+            os.kill(process_ids(workers)[0], number)
         assert call.result() == 2
         for number in (signal.SIGINT, signal.SIGTERM):
-            os.kill(workers.process_ids()[0], number)
+            os.kill(process_ids(workers)[0], number)
         assert workers.submit(double, 2).result() == 4
-        assert signal.pthread_sigmask(signal.SIG_BLOCK, ()) == set()
-    finally:
-        workers.close()
+        assert workers.submit(mask).result() == mask() == set()
 
 
 def test_a_training_run_continues_when_a_worker_is_killed(
@@ -168,7 +189,7 @@ def test_a_training_run_continues_when_a_worker_is_killed(
     submit = WorkerPool.submit
 
     def killing(self: WorkerPool, *call: Any) -> Future[Any]:
-        pids = self.process_ids() if next(calls) == 8 else []
+        pids = process_ids(self) if next(calls) == 8 else []
         for pid in pids:
             os.kill(pid, signal.SIGSTOP)  # the episode of this call cannot end
         future = submit(self, *call)
@@ -180,11 +201,78 @@ def test_a_training_run_continues_when_a_worker_is_killed(
         return future
 
     monkeypatch.setattr(WorkerPool, "submit", killing)
-    learner: Trainer = trainer(short_config(**{"train.mode": "fast", "train.workers": 2}), tmp_path)
+    few = {"train.decisions": 300, "train.validate_every": 300, "train.validation_episodes": 1}
+    learner: Trainer = trainer(
+        short_config(**few, **{"train.mode": "fast", "train.workers": 2}), tmp_path
+    )
     listener = Notes()
     learner.listeners.append(listener)
     summary = learner.run()
-    assert summary["finished"] is True
-    assert summary["decisions"] == 600
+    assert (summary["finished"], summary["decisions"]) == (True, 300)
     assert summary["lost_episodes"] == len(listener.notes) >= 1
     assert "a worker died and is replaced; its episode" in listener.notes[0]
+
+
+@both
+@pytest.mark.usefixtures("hostile")
+def test_nothing_is_imported_from_the_working_directory(count: int) -> None:
+    names = ("flipperctl", "flipperctl.rollout.worker", *HOSTILE)
+    assert asked(count, places, names) == places(names)
+
+
+def test_what_was_imported_is_found_where_it_was_though_the_path_has_changed(
+    hostile: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A script may import the package first, and look into another folder later."""
+    (hostile / "helper_of_a_script.py").write_text("")
+    monkeypatch.syspath_prepend(str(hostile))
+    names = ("flipperctl", "random", "numpy", "helper_of_a_script")
+    found = [flipperctl.__file__, random.__file__, sys.modules["numpy"].__file__]
+    assert asked(1, places, names) == [*found, str(hostile / "helper_of_a_script.py")]
+
+
+def test_a_worker_that_cannot_start_says_why() -> None:
+    with pytest.raises(
+        FlipperctlError, match=r"^worker process 0 cannot start: ModuleNotFound.*x_y"
+    ):
+        asked(2, mask, first=("x_y",))
+
+
+@both
+def test_a_system_that_refuses_a_process_is_named_with_what_works(
+    count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse() -> Any:
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    asked(2, mask)  # the server runs
+    monkeypatch.setattr(children, "Pipe", refuse)
+    with pytest.raises(
+        FlipperctlError, match=r"Too many open files; .*--jobs 1 .*train.mode=exact"
+    ):
+        asked(count, mask)
+
+
+def test_a_worker_needs_few_descriptors() -> None:
+    """A limit of 64 open files, of which a test may have many, bears two workers."""
+    ours, theirs = Pipe()
+    lowest = ours.fileno()
+    ours.close()
+    theirs.close()
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    asked(2, mask)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(64, lowest + 16), hard))
+    try:
+        assert asked(2, mask) == set()
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+
+
+def test_a_server_that_died_is_replaced() -> None:
+    asked(2, mask)
+    server = children._Server._current
+    assert server is not None
+    os.kill(server._process.pid, signal.SIGKILL)
+    server._process.wait()
+    assert asked(2, mask) == set()
+    assert children._Server._current is not server

@@ -2,18 +2,15 @@
 
 import time
 import warnings
-from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from flipperctl.config import with_overrides
 from flipperctl.errors import ConfigError, FlipperctlError
-from flipperctl.rollout import ray_workers
-from flipperctl.rollout.values import RolloutRequest
+from flipperctl.rollout import cluster as ray_cluster
 from flipperctl.training.run import resume
 from tests.rollout.notes import Notes
 from tests.short import short_config, trainer
@@ -65,7 +62,7 @@ def test_a_run_goes_on_with_the_workers_that_have_a_cpu(
     cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Four workers want the two CPUs; the validations ask those that have one, and a stop ends."""
-    monkeypatch.setattr(ray_workers, "_REPORT_AFTER", 1.0)
+    monkeypatch.setattr(ray_cluster, "_REPORT_AFTER", 1.0)
     collector = {"name": "ray", "address": cluster.address, "workers": 4}
     settings = {"train.mode": "fast", "collector": collector, "train.decisions": 10**6}
     learner = trainer(short_config(**settings, **{"train.validate_every": 200}), tmp_path)
@@ -82,34 +79,6 @@ def test_a_run_goes_on_with_the_workers_that_have_a_cpu(
     changes = {"collector": "local", "train.decisions": more, "train.validate_every": more}
     resumed = resume(tmp_path, changes)  # without the cluster
     assert (resumed.summary["decisions"], resumed.summary["lost_episodes"]) == (more, 0)
-
-
-class Started:
-    """An actor that only counts its requests."""
-
-    def __init__(self) -> None:
-        self.played: list[int] = []
-        self.play = SimpleNamespace(remote=self._play)
-
-    def _play(self, request: RolloutRequest, _: Any) -> int:
-        self.played.append(request.episode)
-        return request.episode
-
-
-def test_requests_of_a_resumed_run_wait_for_workers_that_start_later(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    workers = ray_workers.RayWorkers.__new__(ray_workers.RayWorkers)
-    one, other = Started(), Started()
-    requests = [RolloutRequest(n, n, 0.0, 0, 0, {}) for n in range(8)]
-    fields = {"_ray": SimpleNamespace(put=dict), "_started": [one], "_shared": (None, None)}
-    for name, value in {**fields, "_queue": deque(requests), "_sent": {}}.items():
-        monkeypatch.setattr(workers, name, value, raising=False)
-    workers._dispatch()
-    assert len(one.played) == 2
-    workers._started.append(other)
-    workers._dispatch()
-    assert [len(one.played), len(other.played), len(workers.outstanding())] == [2, 2, 8]
 
 
 def test_searched_values_come_with_the_episodes(cluster: Any, tmp_path: Path) -> None:

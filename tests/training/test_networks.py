@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-import numpy as np
 import onnxruntime
 import pytest
 import torch
@@ -90,7 +89,7 @@ def test_workers_use_several_frames_and_repeatable_noise(tmp_path: Path) -> None
     from flipperctl.agent.learner import arrays
     from flipperctl.config import to_dict
     from flipperctl.rollout.actor import Actor
-    from flipperctl.rollout.values import RolloutRequest
+    from flipperctl.rollout.steps import RolloutRequest
 
     for name in ("noisy", "stacked"):
         settings = config(name)
@@ -107,8 +106,9 @@ def test_workers_use_several_frames_and_repeatable_noise(tmp_path: Path) -> None
                 [*actors, actors[0]], [*requests[:1] * 2, requests[1]], strict=True
             )
         )
-        assert one.observations.shape[1] == network.frames * layout.size
-        assert np.array_equal(one.actions, again.actions)
+        assert one[0].observation.shape == (network.frames * layout.size,)
+        assert [step.action for step in one] == [step.action for step in again]
         # Without random actions, only noise makes two episodes of equal terrain differ; dropout
         # is of the updates alone.
-        assert np.array_equal(one.actions, other.actions) == (name == "stacked")
+        same = [step.action for step in one] == [step.action for step in other]
+        assert same == (name == "stacked")

@@ -11,7 +11,8 @@ from flipperctl.config import EnvConfig
 from flipperctl.evaluation.rows import RECORDED
 from flipperctl.policies.source import PolicySource
 from flipperctl.policies.teaching import DaggerPolicy
-from flipperctl.rollout.processes import ProcessWorkers
+from flipperctl.rollout import actor
+from flipperctl.rollout.collect import RolloutWorkers
 from flipperctl.training import episodes
 from tests.played import play_episodes
 from tests.short import short_config, trainer
@@ -39,12 +40,12 @@ def test_recorded_decisions_count_before_the_student_drives(
 
     made: list[dict[str, Any]] = []
 
-    class Workers(ProcessWorkers):
+    class Workers(RolloutWorkers):
         def __init__(self, count: int, config: dict[str, Any], plugin_paths: list[str]) -> None:
             made.append(config)
             super().__init__(count, config, plugin_paths)
 
-    monkeypatch.setattr(episodes, "ProcessWorkers", Workers)
+    monkeypatch.setattr(episodes, "RolloutWorkers", Workers)
     fast = trainer(short_config(**settings, **{"train.mode": "fast"}), tmp_path / "fast")
     fast.run(lambda: True)
     assert [config["agent"]["learning_starts"] for config in made] == [begins]
@@ -55,7 +56,7 @@ def test_recorded_decisions_count_before_the_student_drives(
         learns.append(arguments[3])
         return DaggerPolicy(*arguments)
 
-    monkeypatch.setattr(episodes, "DaggerPolicy", taught)
+    monkeypatch.setattr(actor, "DaggerPolicy", taught)
     exact = trainer(short_config(**settings), tmp_path / "exact")
     exact.run(lambda: True)
     for decision, student in ((begins - 1, False), (begins, True)):

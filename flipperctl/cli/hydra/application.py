@@ -30,7 +30,7 @@ from flipperctl.cli.hydra.overrides import SEARCH_PATH, Overrides
 from flipperctl.cli.hydra.sweeps import named_by_time
 from flipperctl.errors import ConfigError, InterruptedRunError
 from flipperctl.files import failure
-from flipperctl.rollout.ray_workers import shut_down
+from flipperctl.rollout.cluster import shut_down
 from flipperctl.session import CommandProcess, interrupts
 from flipperctl.terminal.notices import print_notices
 from flipperctl.terminal.streams import print_note

@@ -23,7 +23,7 @@ from omegaconf import DictConfig, OmegaConf, read_write
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config.words import literal_override
 from flipperctl.errors import InterruptedRunError
-from flipperctl.rollout.ray_workers import is_connected, join
+from flipperctl.rollout.cluster import is_connected, join
 from flipperctl.session import sweep_command
 from flipperctl.terminal.streams import print_note
 from flipperctl.terminal.sweep import print_comparison
