@@ -51,7 +51,7 @@ def rivals(
     """Return Stable-Baselines3's DQN, unchanged and with torch's fused Adam."""
     from benchmarks import sb3
 
-    agent = D3qn(config.network, config.perception, len(ACTIONS), config.agent, seed=seed)
+    agent = D3qn(config.network, config.perception, config.agent, seed=seed)
     wanted = sum(p.numel() for p in agent.online.parameters())
     layers = hidden_layers(agent.online, input_size(config.network, config.perception))
     width = equal_width(wanted, config.perception.size, len(ACTIONS), layers)

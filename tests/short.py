@@ -22,6 +22,19 @@ def short_config(**more: object) -> TrainConfig:
     return with_overrides(base, {**SHORT, **more})
 
 
+def few(**more: object) -> TrainConfig:
+    """300 decisions on steps, with two short validations."""
+    less = {
+        "train.decisions": 300,
+        "train.validate_every": 150,
+        "train.validation_episodes": 2,
+        "agent.learning_starts": 50,
+        "agent.epsilon_decisions": 200,
+        "agent.batch_size": 32,
+    }
+    return short_config(**{**less, **more})
+
+
 def trainer(config: TrainConfig, folder: Path) -> Trainer:
     """A trainer whose run directory is ready."""
     (folder / checkpoint.BEST.parent).mkdir(parents=True, exist_ok=True)

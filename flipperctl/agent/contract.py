@@ -44,9 +44,6 @@ def check_demand(
 
     ``decisions``: the run's budget, which also limits the transitions in the replay; they have
     labels if the run is ``labelled``, and ``privileged`` numbers of a privileged state.
-
-    Raises:
-        ConfigError: they do not fit; the message says how much memory is needed and free.
     """
     with torch.random.fork_rng(devices=[]):
         module = build_network(network, layout, n_actions, copies=TRAINING_COPIES)
@@ -102,12 +99,7 @@ def observations(network: Network, layout: ObservationLayout, rows: int) -> torc
 
 @torch.no_grad()
 def check_contract(network: Network, layout: ObservationLayout) -> None:
-    """Build a network and check it.
-
-    Raises:
-        ConfigError: it cannot be built, its Q-values depend on something else than its input and
-            its weights, or it changes its input.
-    """
+    """Build a network and check it."""
     with torch.random.fork_rng(devices=[]):
         module = build_network(network, layout, len(ACTIONS))
     rows = observations(network, layout, 4)

@@ -9,19 +9,16 @@ import torch
 
 from flipperctl.agent.baseline import Baselines
 from flipperctl.agent.descent import part
-from flipperctl.agent.frames import input_size
-from flipperctl.agent.learner import Learner, Pair
+from flipperctl.agent.learner import Learner
 from flipperctl.agent.losses import (
     mean_value_penalty,
     searched_values,
     teacher_cross_entropy,
     teacher_large_margin,
 )
-from flipperctl.agent.networks import choose_head, naming_network
+from flipperctl.agent.networks import difference_loss, difference_targets, naming_network
 from flipperctl.agent.noise import seeded
 from flipperctl.agent.replay import Batch, GroupBatch
-from flipperctl.api import Network, ObservationLayout
-from flipperctl.config import Agent, Teacher
 from flipperctl.core.schedules import linear
 from flipperctl.errors import NonFiniteError
 
@@ -29,39 +26,15 @@ from flipperctl.errors import NonFiniteError
 class D3qn(Learner):
     """A learner with the update from a batch of the replay."""
 
-    def __init__(
-        self,
-        network: Network,
-        layout: ObservationLayout,
-        n_actions: int,
-        settings: Agent,
-        *,
-        seed: int,
-        device: str = "cpu",
-        teacher: Teacher | None = None,
-        privileged: int = 0,
-    ) -> None:
-        """``teacher``: settings of the imitation of the batches' labels; None without labels.
+    baselines: Baselines | None = None
 
-        ``privileged``: length of the batches' privileged states, 0 without them.
-        """
-        self._teacher = teacher
-        self.baselines: Baselines | None = None
-
-        def baselines() -> Pair | None:
-            if not privileged:
-                return None
-            found = Baselines(input_size(network, layout), privileged).to(device)
-            self.baselines = found
-            return found.online, found.target
-
-        super().__init__(
-            *(network, layout, n_actions, settings),
-            seed=seed,
-            device=device,
-            beside=baselines,
-        )
-        self._head = choose_head(self.online)
+    def _build_beside(
+        self, inputs: int, privileged: int
+    ) -> list[tuple[torch.nn.Module, torch.nn.Module]]:
+        if not privileged:
+            return []
+        self.baselines = Baselines(inputs, privileged).to(self.device)
+        return [(self.baselines.online, self.baselines.target)]
 
     def update(self, batch: Batch, fraction: float, groups: Sequence[GroupBatch] = ()) -> float:
         """Take gradient steps of ``batch_size`` transitions each; return the last loss [-].
@@ -69,10 +42,6 @@ class D3qn(Learner):
         ``batch`` holds the transitions of one or more steps; their targets are all computed before
         the first step. ``fraction``: completed part of the run, 0 to 1, which sets the learning
         rate and the weight of the labels. ``groups``: valued states for each step.
-
-        Raises:
-            NonFiniteError: a loss is not finite.
-            PluginFailedError: the network's code failed.
         """
         count = self.optimiser.steps  # equal in a resumed run
         random = seeded(self.device, self._seed, count)
@@ -88,39 +57,29 @@ class D3qn(Learner):
         with torch.no_grad():
             reward = batch.reward * s.reward_scale
             targets = (
-                self._head.targets(reward, batch, self.online, self.target)
+                difference_targets(reward, batch, self.online, self.target)
                 if self._uses_targets()
                 else reward
             )
             if self.baselines is not None:
                 targets = self.baselines.with_next(targets, batch)
         self.online.train()
-        value = self._steps(batch, targets, rate, fraction, groups)
-        self._noise.acts()
-        return value
-
-    def _steps(
-        self,
-        batch: Batch,
-        targets: torch.Tensor,
-        rate: float,
-        fraction: float,
-        groups: Sequence[GroupBatch],
-    ) -> float:
-        """Take all gradient steps of a batch; return the last loss."""
-        s, value = self.settings, 0.0
+        value = 0.0
         for start in range(0, len(targets), s.batch_size):
             part = slice(start, start + s.batch_size)
             valued = groups[start // s.batch_size].to(self.device) if groups else None
             step = batch.rows(part)
-            value = self._step(step, targets[part], rate, fraction, valued)
-            if self.risk is not None:
-                self.risk.step(step, rate)
-            if not math.isfinite(value):
+            self._noise.draw(self.noise_rng)
+            loss = self._loss(step, targets[part], fraction, valued)
+            if not math.isfinite(value := float(loss.detach())):
                 raise NonFiniteError(
                     f"the learner's loss is {value}; the largest reward of the batch "
                     f"is {float(batch.reward.abs().max()):g}"
                 )
+            self._descend(loss, rate)
+            if self.risk is not None:
+                self.risk.step(step, rate)
+        self._noise.acts()
         return value
 
     def _uses_targets(self) -> bool:
@@ -131,9 +90,9 @@ class D3qn(Learner):
     def _difference_loss(self, batch: Batch, target: torch.Tensor) -> torch.Tensor:
         """Return the loss of the temporal difference."""
         if self.baselines is None:
-            return self._head.loss(self.online, batch.observation, batch.action, target)
+            return difference_loss(self.online, batch, target)
         left, pull = self.baselines.without_present(target, batch)
-        return self._head.loss(self.online, batch.observation, batch.action, left) + pull
+        return difference_loss(self.online, batch, left) + pull
 
     def _loss(
         self, batch: Batch, target: torch.Tensor, fraction: float, groups: GroupBatch | None
@@ -162,22 +121,6 @@ class D3qn(Learner):
         if not s.td_weight:
             return loss + mean_value_penalty(values)
         return s.td_weight * self._difference_loss(batch, target) + loss
-
-    def _step(
-        self,
-        batch: Batch,
-        target: torch.Tensor,
-        rate: float,
-        fraction: float,
-        groups: GroupBatch | None,
-    ) -> float:
-        self._noise.draw(self.noise_rng)
-        loss = self._loss(batch, target, fraction, groups)
-        value = float(loss.detach())
-        if not math.isfinite(value):
-            return value  # the caller raises; the weights are not changed
-        self._descend(loss, rate)
-        return value
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """Return the learner's state: its networks and the optimisers' moments."""

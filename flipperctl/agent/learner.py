@@ -7,7 +7,7 @@ computes.
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 
 import numpy as np
 import torch
@@ -18,25 +18,16 @@ from flipperctl.agent.frames import input_size
 from flipperctl.agent.networks import TRAINING_COPIES, build_network, record_plugin
 from flipperctl.agent.noise import Noise
 from flipperctl.agent.risk import RiskLearner
-from flipperctl.api import Network, ObservationLayout
-from flipperctl.config import Agent
+from flipperctl.api import ACTIONS, Network, ObservationLayout
+from flipperctl.config import Agent, Teacher
 from flipperctl.errors import ConfigError
 from flipperctl.guard import naming, refusal
-
-Pair = tuple[torch.nn.Module, torch.nn.Module]
-"""A network that learns, and the one that follows it slowly."""
 
 
 def arrays(module: torch.nn.Module) -> dict[str, NDArray[np.generic]]:
     """Return a copy of a network's weights, for policies in other processes."""
     state = module.state_dict()
     return {name: tensor.cpu().numpy().copy() for name, tensor in state.items()}
-
-
-def _persistent_buffers(module: torch.nn.Module) -> list[str]:
-    """Return the names of the buffers that checkpoints hold: statistics, but no noise."""
-    saved = module.state_dict().keys()
-    return [name for name, _ in module.named_buffers() if name in saved]
 
 
 class Learner:
@@ -46,25 +37,25 @@ class Learner:
         self,
         network: Network,
         layout: ObservationLayout,
-        n_actions: int,
         settings: Agent,
         *,
         seed: int,
         device: str = "cpu",
-        beside: Callable[[], Pair | None] = lambda: None,
+        teacher: Teacher | None = None,
+        privileged: int = 0,
     ) -> None:
-        """``beside`` builds networks that learn from the same loss, after those of the policy."""
-        self.settings, self._seed = settings, seed
+        """``teacher``: settings of the imitation of the batches' labels; None without labels.
+
+        ``privileged``: length of the batches' privileged states, 0 without them.
+        """
+        self.settings, self._seed, self._teacher = settings, seed, teacher
         self.device = torch.device(device)
+        inputs = input_size(network, layout)
         with torch.random.fork_rng():
             torch.manual_seed(seed)
-            built = build_network(network, layout, n_actions, copies=TRAINING_COPIES)
-            others = beside()
-        self.risk = (
-            RiskLearner(input_size(network, layout), seed=seed, device=self.device)
-            if settings.risk
-            else None
-        )
+            built = build_network(network, layout, len(ACTIONS), copies=TRAINING_COPIES)
+            beside = self._build_beside(inputs, privileged)
+        self.risk = RiskLearner(inputs, seed=seed, device=self.device) if settings.risk else None
         """The learner of the risk, if there is one."""
         if not any(p.requires_grad for p in built.parameters()):
             raise refusal(
@@ -75,12 +66,11 @@ class Learner:
             self.target = copy.deepcopy(self.online).requires_grad_(False)
             # Each network's parameters lie in one vector, so that the optimiser, the clipping and
             # the soft update are one operation each instead of one per layer.
-            online, target = [self.online], [self.target]
-            if others is not None:
-                online.append(others[0])
-                target.append(others[1])
+            pairs = [(self.online, self.target), *beside]
+            online, target = map(list, zip(*pairs, strict=True))
             self._online, self._target = flatten_parameters(online), flatten_parameters(target)
-            self._buffers = _persistent_buffers(self.online)
+            saved = self.online.state_dict().keys()  # of buffers: statistics, but no noise
+            self._buffers = [name for name, _ in self.online.named_buffers() if name in saved]
         for module in (self.online, self.target):
             record_plugin(module, network)
         self._parameters = [p for module in online for p in module.parameters()]
@@ -90,6 +80,12 @@ class Learner:
         self._target_noise.acts()
         self.noise_rng = np.random.default_rng(seed)
         """Generator of the networks' exploration noise, if they have any."""
+
+    def _build_beside(
+        self, inputs: int, privileged: int
+    ) -> list[tuple[torch.nn.Module, torch.nn.Module]]:
+        """Build networks that learn from the same loss, each with one that follows it slowly."""
+        return []
 
     @property
     def policy(self) -> torch.nn.Module:

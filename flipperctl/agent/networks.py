@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from typing import Any, Protocol, cast, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -33,73 +33,30 @@ class Distributional(Protocol):
         """Return K equally likely values of each action's return, (B, A, K)."""
 
 
-class Head(Protocol):
-    """The target and the loss from which the online network learns."""
+def difference_targets(
+    reward: torch.Tensor, batch: Batch, online: torch.nn.Module, target: torch.nn.Module
+) -> torch.Tensor:
+    """Return the double Q-learning targets of a batch with the scaled rewards ``reward``, (B,).
 
-    def targets(
-        self, reward: torch.Tensor, batch: Batch, online: torch.nn.Module, target: torch.nn.Module
-    ) -> torch.Tensor:
-        """Return the targets of a batch, (B, …), with the scaled rewards ``reward``, (B,)."""
-
-    def loss(
-        self,
-        online: torch.nn.Module,
-        observation: torch.Tensor,
-        action: torch.Tensor,
-        targets: torch.Tensor,
-    ) -> torch.Tensor:
-        """Return the loss between the network's outputs for ``action``, (B,), and ``targets``."""
-
-
-class Scalar:
-    """One Q-value for each action, learnt with the Huber loss."""
-
-    def targets(
-        self, reward: torch.Tensor, batch: Batch, online: torch.nn.Module, target: torch.nn.Module
-    ) -> torch.Tensor:
-        """Return the double Q-learning targets, (B,)."""
-        next_ = batch.next_observation
-        return double_q_target(reward, batch.discount, online(next_), target(next_))
-
-    def loss(
-        self,
-        online: torch.nn.Module,
-        observation: torch.Tensor,
-        action: torch.Tensor,
-        targets: torch.Tensor,
-    ) -> torch.Tensor:
-        """Return the Huber loss of the Q-values."""
-        predicted = online(observation).gather(1, action.unsqueeze(1)).squeeze(1)
-        return huber(predicted, targets)
-
-
-class Quantile:
-    """K quantiles for each action, learnt by quantile regression (Dabney et al. 2018)."""
-
-    def targets(
-        self, reward: torch.Tensor, batch: Batch, online: torch.nn.Module, target: torch.nn.Module
-    ) -> torch.Tensor:
-        """Return the target distributions as K equally likely values, (B, K)."""
-        values = online(batch.next_observation)
-        quantiles = cast("Distributional", target).quantiles(batch.next_observation)
+    Those of a network with quantiles are K equally likely values, (B, K).
+    """
+    values = online(batch.next_observation)
+    if isinstance(target, Distributional):
+        quantiles = target.quantiles(batch.next_observation)
         return double_quantile_target(reward, batch.discount, values, quantiles)
-
-    def loss(
-        self,
-        online: torch.nn.Module,
-        observation: torch.Tensor,
-        action: torch.Tensor,
-        targets: torch.Tensor,
-    ) -> torch.Tensor:
-        """Return the quantile Huber loss of the quantiles."""
-        quantiles = cast("Distributional", online).quantiles(observation)
-        rows = torch.arange(len(action), device=action.device)
-        return quantile_huber(quantiles[rows, action], targets)
+    return double_q_target(reward, batch.discount, values, target(batch.next_observation))
 
 
-def choose_head(module: torch.nn.Module) -> Head:
-    """Return the quantile head for a module with ``quantiles``, else the scalar head."""
-    return Quantile() if isinstance(module, Distributional) else Scalar()
+def difference_loss(online: torch.nn.Module, batch: Batch, targets: torch.Tensor) -> torch.Tensor:
+    """Return the Huber loss between the outputs for the batch's actions and their targets.
+
+    Quantiles learn by quantile regression (Dabney et al. 2018).
+    """
+    if isinstance(online, Distributional):
+        rows = torch.arange(len(batch.action), device=batch.action.device)
+        return quantile_huber(online.quantiles(batch.observation)[rows, batch.action], targets)
+    predicted = online(batch.observation).gather(1, batch.action.unsqueeze(1)).squeeze(1)
+    return huber(predicted, targets)
 
 
 TRAINING_COPIES = 6
@@ -111,12 +68,7 @@ _plugins: WeakKeyDictionary[torch.nn.Module, Network] = WeakKeyDictionary()
 def build_network(
     network: Network, layout: ObservationLayout, n_actions: int, *, copies: int = 1
 ) -> torch.nn.Module:
-    """Build a network and check it; ``copies`` of its parameters must fit into memory.
-
-    Raises:
-        ConfigError: the network does not map (B, frames · (N + 3)) to (B, n_actions) finite
-            float32 numbers, raises an exception, or does not fit into memory.
-    """
+    """Build a network and check it; ``copies`` of its parameters must fit into memory."""
     frames: object = network.frames
     if not isinstance(frames, int) or not 1 <= frames <= MAX_HISTORY:
         text = f"is {short_repr(frames)}; 1 to {MAX_HISTORY} is allowed"
@@ -289,10 +241,6 @@ def q_values(
 
     ``module`` is on ``device``. ``observation``: input row of the network, (frames · (N + 3),) in
     SI units.
-
-    Raises:
-        NonFiniteError: a Q-value is not a finite number.
-        PluginFailedError: the network's code failed, or returned a wrong number of Q-values.
     """
     with naming_network(module, "forward"):
         with torch.inference_mode():

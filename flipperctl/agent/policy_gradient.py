@@ -14,7 +14,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import torch
@@ -70,30 +70,23 @@ def _scaled(advantage: torch.Tensor) -> torch.Tensor:
     return (advantage - advantage.mean()) / (advantage.std(unbiased=False) + 1e-8)
 
 
-def build_values(network: Network, layout: ObservationLayout, privileged: int) -> Baseline:
-    """Return the values of states with ``privileged`` numbers that only they see."""
-    return Baseline(input_size(network, layout), privileged, _WIDTH)
+def build_values(inputs: int, privileged: int) -> Baseline:
+    """Return the values of input rows with ``privileged`` numbers that only they see."""
+    return Baseline(inputs, privileged, _WIDTH)
 
 
 class PolicyGradient(Learner):
     """A learner with the update from the episodes that its own policy drove."""
 
     def __init__(
-        self,
-        network: Network,
-        layout: ObservationLayout,
-        n_actions: int,
-        settings: Agent,
-        *,
-        seed: int,
-        device: str = "cpu",
-        privileged: int,
+        self, network: Network, layout: ObservationLayout, settings: Agent, **further: Any
     ) -> None:
-        """``privileged``: length of the batches' privileged states, which only the values see."""
-        super().__init__(network, layout, n_actions, settings, seed=seed, device=device)
+        """See ``Learner``; only the values see the privileged states."""
+        super().__init__(network, layout, settings, **further)
         with torch.random.fork_rng():
-            torch.manual_seed(seed)
-            self.values = build_values(network, layout, privileged).to(self.device)
+            torch.manual_seed(self._seed)
+            values = build_values(input_size(network, layout), further["privileged"])
+        self.values = values.to(self.device)
         self._value_optimiser = Adam(flatten_parameters([self.values]))
         self._value_parameters = list(self.values.parameters())
         self.anchor = copy.deepcopy(self.online).requires_grad_(False)
@@ -109,10 +102,6 @@ class PolicyGradient(Learner):
         The labels of ``batch`` are the probabilities by which its actions were drawn. ``fraction``:
         completed part of the run, 0 to 1, which sets the learning rate and the temperature;
         ``rng`` shuffles. Returns the mean squared error of the values in the last step [-].
-
-        Raises:
-            NonFiniteError: a loss is not finite.
-            PluginFailedError: the network's code failed.
         """
         random = seeded(self.device, self._seed, self.rounds)
         with naming_network(self.online, "forward"), random:  # only its own code can fail here

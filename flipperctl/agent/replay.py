@@ -40,9 +40,6 @@ def require(size: int, what: str, advice: str) -> None:
     """Check that ``size`` [B] fits into the free memory.
 
     The error reads ``what``, then the needed and the free memory, then ``advice``.
-
-    Raises:
-        ConfigError: the size does not fit.
     """
     free = available()
     if free is not None and size > free:
@@ -168,9 +165,6 @@ class Replay:
         decisions before a failure that ``failing`` marks, 0 without it; ``newest``: length of the
         newest observation in a row, N + 3, which it needs. ``cut_at_random``: whether a sum of
         rewards ends before the next random action.
-
-        Raises:
-            ConfigError: there is not enough memory.
         """
         self.capacity = capacity
         try:
@@ -306,11 +300,7 @@ class Replay:
         return Batch(**{n: torch.from_numpy(array[rows]) for n, array in self.arrays.items()})
 
     def keep(self) -> None:
-        """Protect all transitions added so far from being overwritten.
-
-        Raises:
-            RuntimeError: they leave no room for more.
-        """
+        """Protect all transitions added so far from being overwritten."""
         if self.added >= self.capacity:
             raise RuntimeError(f"{self.added} kept transitions fill the replay")
         self.kept = self.added
@@ -326,11 +316,7 @@ class Replay:
         self._episode = 0
 
     def filled(self) -> dict[str, NDArray[np.generic]]:
-        """Return the used part of each array.
-
-        Raises:
-            RuntimeError: an episode is running, so the arrays lack its last decisions.
-        """
+        """Return the used part of each array."""
         if self._pending:
             raise RuntimeError("the replay can be saved only between episodes")
         return {name: array[: len(self)] for name, array in self.arrays.items()}
@@ -412,9 +398,6 @@ class GroupMemory:
         """Restore the arrays that ``filled`` returned after ``added`` groups.
 
         ``size``: length of an observation.
-
-        Raises:
-            ValueError: the arrays are not those of so many groups.
         """
         self.added = 0
         if not added:

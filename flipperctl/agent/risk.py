@@ -77,11 +77,7 @@ class Risk(torch.nn.Module):
         return torch.sigmoid(self.slope * alone + self.shift), self.slope * coefficients
 
     def of_one(self, observation: NDArray[np.float32], resembles: NDArray[np.float32]) -> float:
-        """Return the risk of one input row, (frames · (N + 3),), with its resemblances, (lags,).
-
-        Raises:
-            NonFiniteError: it is not a finite number.
-        """
+        """Return the risk of one input row, (frames · (N + 3),), with its resemblances, (lags,)."""
         device = next(self.network.parameters()).device
         row = torch.from_numpy(observation).to(device).unsqueeze(0)
         with torch.inference_mode():
@@ -138,11 +134,7 @@ class RiskLearner:
         self.optimiser = Adam(flatten_parameters([self.network]))
 
     def step(self, batch: Batch, rate: float) -> float:
-        """Take a gradient step with the learning rate ``rate``; return the loss [-].
-
-        Raises:
-            NonFiniteError: the loss is not finite.
-        """
+        """Take a gradient step with the learning rate ``rate``; return the loss [-]."""
         assert batch.failing is not None  # as in every batch of such a training
         assert batch.resembles is not None
         loss = risk_loss(self.network.log_odds(batch.observation, batch.resembles), batch.failing)

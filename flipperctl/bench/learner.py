@@ -128,7 +128,7 @@ def contestant(config: TrainConfig, replay: Replay, batch_size: int, seed: int) 
     """Return flipperctl's learner on the configuration's device."""
     settings = config.agent.model_copy(update={"batch_size": batch_size})
     agent = D3qn(
-        *(config.network, config.perception, len(ACTIONS), settings),
+        *(config.network, config.perception, settings),
         seed=seed,
         device=config.device,
     )

@@ -19,7 +19,6 @@ import torch
 from flipperctl import plugins
 from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.learner import arrays
-from flipperctl.api import ACTIONS
 from flipperctl.bench.settings import Bench, BenchSettings, measure_in_turn, quantity, ratio
 from flipperctl.config import RayCollector, TrainConfig, to_dict
 from flipperctl.env.flipper_env import FlipperEnv
@@ -54,7 +53,7 @@ class InProcessCollector:
     def __init__(self, config: TrainConfig, workers: int) -> None:
         """``workers`` must be 1; it is not used."""
         layout = config.perception
-        self._agent = D3qn(config.network, layout, len(ACTIONS), config.agent, seed=config.seed)
+        self._agent = D3qn(config.network, layout, config.agent, seed=config.seed)
         self._decisions = self._play(config)
 
     def _play(self, config: TrainConfig) -> Iterator[None]:
@@ -82,7 +81,7 @@ class WorkersCollector:
 
     def __init__(self, config: TrainConfig, workers: RolloutWorkers) -> None:
         layout = config.perception
-        agent = D3qn(config.network, layout, len(ACTIONS), config.agent, seed=config.seed)
+        agent = D3qn(config.network, layout, config.agent, seed=config.seed)
         self._weights = arrays(agent.online)
         self._seed = config.seed
         self._workers = workers

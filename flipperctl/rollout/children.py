@@ -51,11 +51,7 @@ class Child:
         self._send(_state())
 
     def call(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-        """Return ``function(*arguments)`` of the process, or raise what it raised there.
-
-        Raises:
-            DiedError: the process ended before it answered.
-        """
+        """Return ``function(*arguments)`` of the process, or raise what it raised there."""
         self._send((function, arguments))
         try:
             answer = self._connection.recv_bytes()
@@ -89,22 +85,13 @@ class Child:
 
 
 def spawn() -> Child:
-    """Start a process.
-
-    Raises:
-        OSError: the system refuses a process, or the descriptors that it needs.
-    """
+    """Start a process."""
     connection, process = _start()
     return Child(process.pid, connection, process.wait)
 
 
 def fork() -> Child:
-    """Start a process that has the learner's modules from a server, which imports them once.
-
-    Raises:
-        OSError: the system refuses a process, or the descriptors that it needs.
-        DiedError: the server ended.
-    """
+    """Start a process that has the learner's modules from a server, which imports them once."""
     server = _Server.of_this_process()
     ours, theirs = _pipe()
     with theirs:

@@ -33,11 +33,7 @@ _PATIENCE = 10.0
 
 
 def import_ray() -> Any:
-    """Return the module ``ray``.
-
-    Raises:
-        MissingExtraError: Ray is not installed.
-    """
+    """Return the module ``ray``."""
     try:
         import ray
     except ImportError as error:
@@ -70,10 +66,6 @@ def join(address: str | None, key: str, **settings: Any) -> None:
 
     ``key``: configuration path of the address, for the errors. Without an address, Ray joins a
     cluster on this machine, or starts one.
-
-    Raises:
-        MissingExtraError: Ray is not installed.
-        ConfigError: no cluster answers, it asks for a token, or it refuses a setting.
     """
     ray = import_ray()
     if "runtime_env" not in settings:  # which may have an import path of its own
@@ -248,12 +240,7 @@ class RayHost:
         self._ending = ""
 
     def call(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-        """Return ``function(*arguments)`` of the actor, or raise what it raised there.
-
-        Raises:
-            DiedError: the actor or its result was lost.
-            FlipperctlError: no call of any actor has ended for ``patience``.
-        """
+        """Return ``function(*arguments)`` of the actor, or raise what it raised there."""
         ray, hosts = import_ray(), self._hosts
         errors = ray.exceptions
         reference = self._handle.call.remote(function, *arguments)

@@ -112,11 +112,7 @@ class EpisodeRisks:
 
     @classmethod
     def pop(cls, row: dict[str, Any]) -> Self | None:
-        """Take the entries out of a flat row; None if it has none.
-
-        Raises:
-            ValueError: they are not those of ``to_row``.
-        """
+        """Take the entries out of a flat row; None if it has none."""
         if _TOLD not in row:
             return None
         told = tuple(map(float, row.pop(_TOLD).split()))
@@ -170,9 +166,6 @@ def decisions(
     the time since the start of the episode [s], and may wait. ``report_progress`` is called with
     the completed fraction of the search by a policy that searches before it acts. ``observers`` see
     the episode's samples, measurements and decisions.
-
-    Raises:
-        FlipperctlError: the policy returned an action that does not exist.
     """
     env.observers = tuple(observers)
     env.reset(seed=seed, options={"difficulty": difficulty})

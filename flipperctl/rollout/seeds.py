@@ -45,11 +45,7 @@ class EvaluationSeeds:
 
     @classmethod
     def of(cls, seed: int, terrain: Terrain) -> EvaluationSeeds:
-        """Return the seeds of an evaluation on a terrain.
-
-        Raises:
-            PluginError: the terrain's own code failed.
-        """
+        """Return the seeds of an evaluation on a terrain."""
         text = json.dumps(identity(terrain), sort_keys=True, separators=(",", ":"))
         digest = hashlib.sha256(text.encode()).digest()
         return cls(seed, tuple(np.frombuffer(digest[:16], "<u4").tolist()))

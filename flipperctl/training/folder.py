@@ -34,11 +34,7 @@ _WRITTEN = (
 
 
 def check_free(directory: Path) -> None:
-    """Check that a new run would replace no file of something else, such as an evaluation.
-
-    Raises:
-        OutputError: it would.
-    """
+    """Check that a new run would replace no file of something else, such as an evaluation."""
     for file in (directory / METRICS, directory / SUMMARY):
         if file.exists():
             raise OutputError(
@@ -48,11 +44,7 @@ def check_free(directory: Path) -> None:
 
 
 def find(run: Path) -> Path:
-    """Return the run directory of ``run``, a directory or the path of its last checkpoint.
-
-    Raises:
-        CheckpointError: there is no such run, or a run cannot be resumed from the checkpoint.
-    """
+    """Return the run directory of ``run``, a directory or the path of its last checkpoint."""
     if run.is_dir():
         if holds_run(run):
             return run
@@ -85,11 +77,7 @@ def sweep_hint(folder: Path) -> str:
 
 
 def read(directory: Path) -> tuple[checkpoint.Checkpoint | None, TrainConfig]:
-    """Return the checkpoint to resume from (None if the run begins again), and the configuration.
-
-    Raises:
-        CheckpointError: a file of the run is damaged, or is not valid in this version.
-    """
+    """Return the checkpoint to resume from, None if the run begins again, and the configuration."""
     if (directory / checkpoint.LAST).is_file():
         saved = checkpoint.read(directory / checkpoint.LAST)
         return saved, saved.config()
@@ -119,9 +107,6 @@ def keep_plugins(directory: Path) -> None:
     """Copy the plugin files of this process into the run, with their SHA-256.
 
     Files of several folders lie together unless two of them have one name.
-
-    Raises:
-        OutputError: other files lie there.
     """
     files = plugins.loaded_files()
     if not files:
@@ -216,11 +201,7 @@ class RunRows:
 
     @classmethod
     def read(cls, run: Path) -> RunRows:
-        """Read the rows of a run directory.
-
-        Raises:
-            RequestError: it holds no ``metrics.csv``.
-        """
+        """Read the rows of a run directory."""
         metrics = run / METRICS
         if not metrics.is_file():
             hint = sweep_hint(run) or "is it a run directory?"

@@ -91,11 +91,7 @@ def _complete_rows(path: Path) -> list[dict[str, str]]:
 
 
 def read_rows(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a ``metrics.csv`` as text by column name.
-
-    Raises:
-        CheckpointError: the file is damaged.
-    """
+    """Return the rows of a ``metrics.csv`` as text by column name."""
     try:
         with path.open(encoding="utf-8", newline="") as file:
             return list(csv.DictReader(file))
@@ -126,11 +122,7 @@ class GuardedLogger:
     """Forwards all events to a logger's listener until the listener fails."""
 
     def __init__(self, logger: Logger, run: RunInfo) -> None:
-        """Open the logger.
-
-        Raises:
-            MissingExtraError: a package that the logger needs is not installed.
-        """
+        """Open the logger."""
         self._logger = logger
         self._listener: Listener | None = None
         try:

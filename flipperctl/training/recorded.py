@@ -33,10 +33,6 @@ def check_fit(config: TrainConfig, found: Recording) -> None:
 
     The observation layout and the robot must be the training's: the robot determines the turn of
     each action and the duration of a decision. So must the rewards, if the training uses them.
-
-    Raises:
-        ConfigError: they differ; the message has each differing setting with both values. Or
-            nothing could be learnt from them.
     """
     _check_labels(config, found)
     for environment in found.document.environments:
@@ -160,12 +156,7 @@ def _text(value: object) -> str:
 
 
 def read_teacher(config: TrainConfig) -> Recording | None:
-    """Return the recorded episodes that a training learns from, or None without any.
-
-    Raises:
-        CheckpointError: the file is missing, damaged or of another kind.
-        ConfigError: the episodes do not fit the training.
-    """
+    """Return the recorded episodes that a training learns from, or None without any."""
     name = config.teacher.episodes
     if name is None:
         return None
@@ -184,10 +175,6 @@ def add_recorded(replay: Replay, config: TrainConfig, report: Callable[[str], No
 
     ``report`` receives notes on the conditions in which they differ from the training, and on the
     settings that have no effect on them.
-
-    Raises:
-        CheckpointError: their file is missing or damaged.
-        ConfigError: they do not fit the training.
     """
     if (found := read_teacher(config)) is not None:
         for text in notes(config, found):

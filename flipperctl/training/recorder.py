@@ -57,25 +57,14 @@ class TrainingRecorder:
         self._running.drop()
 
     def save(self) -> None:
-        """Write the episodes that have ended since the last call, completely or not at all.
-
-        Raises:
-            OutputError: the file cannot be written.
-            WriteError: writing failed half way.
-        """
+        """Write the episodes that have ended since the last call, completely or not at all."""
         if self._new:
             folder = make_folder(self._directory / PARTS)
             self._write(folder / f"{self._new[0].number:08}.safetensors", self._new)
             self._new = []
 
     def finish(self) -> None:
-        """Write all episodes into one file and remove the files of the checkpoints.
-
-        Raises:
-            CheckpointError: a file of a checkpoint is damaged.
-            OutputError: the file cannot be written.
-            WriteError: writing failed half way; the files of the checkpoints are kept.
-        """
+        """Write all episodes into one file and remove the files of the checkpoints."""
         if not self._on:
             return
         self.save()
@@ -85,11 +74,7 @@ class TrainingRecorder:
         self._remove(parts)
 
     def restore(self, episodes: int) -> None:
-        """Continue after the first ``episodes``; drop later ones, which are played again.
-
-        Raises:
-            CheckpointError: a file of the episodes is damaged.
-        """
+        """Continue after the first ``episodes``; drop later ones, which are played again."""
         if not self._on:
             return
         whole = self._directory / EPISODES

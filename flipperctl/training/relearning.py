@@ -60,11 +60,7 @@ class Relearning:
         return {f"{_PART}.{name}": tensor for name, tensor in weights.items()}
 
     def restore(self, saved: Checkpoint) -> None:
-        """Restore the weights to begin with.
-
-        Raises:
-            CheckpointError: they are not those of this network.
-        """
+        """Restore the weights to begin with."""
         if not (self._relearns and self._config.agent.start_from):
             return
         weights = saved.part(_PART)
@@ -83,10 +79,6 @@ class Relearning:
 
         ``stop`` is called between updates. Return False, without a change, if it returns True; the
         next call begins anew and finds the same weights for the same labels.
-
-        Raises:
-            NonFiniteError: a loss is not finite.
-            PluginFailedError: the network's code failed.
         """
         count = self._config.teacher.final_updates
         if not self._relearns:
@@ -115,7 +107,7 @@ class Relearning:
         """Return a learner, without a risk, with the weights that the training began with."""
         config = self._config
         learner = D3qn(
-            *(config.network, self._layout, len(ACTIONS)),
+            *(config.network, self._layout),
             config.agent.model_copy(update={"risk": False}),
             seed=self._seeds[0],
             device=config.device,

@@ -69,11 +69,7 @@ def check(config: TrainConfig) -> None:
 
 
 def check_resumable(words: Iterable[str]) -> None:
-    """Refuse overrides of a resumed run that would make it another run.
-
-    Raises:
-        ConfigError: an override sets anything but ``train``, device, collector or loggers.
-    """
+    """Refuse overrides of a resumed run that would make it another run."""
     for word in words:
         if "=" not in word or not word.startswith(_RESUMABLE):
             raise ConfigError(
@@ -83,11 +79,7 @@ def check_resumable(words: Iterable[str]) -> None:
 
 
 def require_kept(before: Train, after: Train, state: State) -> None:
-    """Refuse changes of a run in this state that would mix ways of judging or collecting.
-
-    Raises:
-        ConfigError: one of these settings differs.
-    """
+    """Refuse changes of a run in this state that would mix ways of judging or collecting."""
 
     def word(value: object) -> str:
         return str(value).lower() if isinstance(value, bool) else f"{value}"
@@ -105,11 +97,7 @@ def require_kept(before: Train, after: Train, state: State) -> None:
 
 
 def check_device(config: TrainConfig) -> None:
-    """Refuse a device that torch cannot use.
-
-    Raises:
-        ConfigError: it cannot be used.
-    """
+    """Refuse a device that torch cannot use."""
     import torch
 
     try:

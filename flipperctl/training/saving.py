@@ -62,11 +62,7 @@ class Progress:
 
 
 def new_replay(config: TrainConfig, layout: ObservationLayout, privileged: int) -> Replay:
-    """Return an empty replay; ``privileged`` is the length of a privileged state, 0 without them.
-
-    Raises:
-        ConfigError: there is not enough memory.
-    """
+    """Return an empty replay; ``privileged``: length of a privileged state, 0 without them."""
     agent = config.agent
     return Replay(
         *(agent.replay_size, input_size(config.network, layout), agent.n_step, agent.gamma),
@@ -104,12 +100,7 @@ class ValuedStates:
         self.memory = GroupMemory(teacher.kept_groups)
 
     def add(self, step: Step) -> None:
-        """Store what the last step of an episode brings.
-
-        Raises:
-            ConfigError: the teacher's loss needs values, and the teacher gives none.
-            PluginFailedError: its groups have another size than observations, or than earlier ones.
-        """
+        """Store what the last step of an episode brings."""
         if self._teacher.loss != "values" or step.ending is None:
             return
         controller = self._teacher.controller
@@ -145,9 +136,6 @@ def run_arrays(
     """Check all tensors; return the replay's arrays and the weights of the outstanding requests.
 
     The weights are keyed by their version.
-
-    Raises:
-        CheckpointError: a tensor is missing or unknown, or has another shape, type or range.
     """
     if state.replay_kept >= replay.capacity:
         raise CheckpointError(
@@ -237,12 +225,7 @@ class RunSaver:
         checkpoint.write(self._directory / checkpoint.BEST, document, tensors)
 
     def restore(self, saved: checkpoint.Checkpoint) -> list[RolloutRequest]:
-        """Restore the run from a checkpoint; return the requests that were outstanding.
-
-        Raises:
-            CheckpointError: it is no checkpoint of a run, its tensors are not those of this run, or
-                a file that a plugin reads has changed.
-        """
+        """Restore the run from a checkpoint; return the requests that were outstanding."""
         state = saved.document.state
         if state is None:
             raise CheckpointError(f"{saved.path} holds a policy alone, not a run")

@@ -40,11 +40,6 @@ def read_start(config: TrainConfig) -> Start | None:
 
     The second is None if the training learns no risk or the policy has none; the result is None if
     the training starts with random weights.
-
-    Raises:
-        CheckpointError: the file is missing, damaged or an exported one, or takes other
-            observations than the training.
-        ConfigError: it has another network than the training.
     """
     name = config.agent.start_from
     if name is None:
@@ -64,13 +59,7 @@ def read_start(config: TrainConfig) -> Start | None:
 
 
 def read_values(config: TrainConfig) -> dict[str, torch.Tensor] | None:
-    """Return the weights of the values that a training starts with; None: random ones.
-
-    Raises:
-        CheckpointError: the run is missing or damaged.
-        ConfigError: it has no values, or values of other states or other returns than those of the
-            training.
-    """
+    """Return the weights of the values that a training starts with; None: random ones."""
     name = config.agent.start_from
     if not (config.agent.is_policy_gradient and config.agent.policy_gradient.start_values and name):
         return None
@@ -96,7 +85,7 @@ def read_values(config: TrainConfig) -> dict[str, torch.Tensor] | None:
             f"{_VALUES}: the values of {name} are of other returns, by {', '.join(differing)}; "
             "train with the settings of that run, or leave it at false"
         )
-    built = build_values(config.network, config.perception.layout, SIZE)
+    built = build_values(input_size(config.network, config.perception.layout), SIZE)
     try:
         require_equal_layout(found, built.state_dict())
     except ValueError as error:
@@ -115,11 +104,6 @@ def start(config: TrainConfig, agent: Learner) -> Start | None:
     """Give the networks of a new training the weights that it starts with, and return them.
 
     Returns None if it names none.
-
-    Raises:
-        CheckpointError: the file is missing, damaged or an exported one, or takes other
-            observations than the training.
-        ConfigError: it has another network than the training, or no values to start with.
     """
     found, values = read_start(config), read_values(config)
     if found is not None:
@@ -144,9 +128,6 @@ def _same_network(config: TrainConfig, name: str, module: torch.nn.Module) -> to
 
     Settings that only change how it learns, such as a dropout, may differ, and with them the names
     of the weights.
-
-    Raises:
-        ConfigError: it is another function of the same weights, or has others.
     """
     layout, network = config.perception.layout, config.network
     built = build_network(network, layout, len(ACTIONS)).eval()

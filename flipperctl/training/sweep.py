@@ -239,11 +239,7 @@ class Sweep:
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:
-        """Lock the sweep's folder, stop jobs after Ctrl-C, and compare the runs at the end.
-
-        Raises:
-            RunHeldError: another process works in the folder.
-        """
+        """Lock the sweep's folder, stop jobs after Ctrl-C, and compare the runs at the end."""
         with contextlib.ExitStack() as stack:
             for place in names(self.folder, numbered=self._numbered):
                 try:

@@ -18,9 +18,7 @@ import torch
 
 from flipperctl.agent.contract import check_demand
 from flipperctl.agent.d3qn import D3qn
-from flipperctl.agent.learner import Learner
 from flipperctl.agent.policy_gradient import PolicyGradient
-from flipperctl.agent.replay import Replay
 from flipperctl.api import ACTIONS, Listener, Outcome
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.checkpoint.document import Validation
@@ -79,96 +77,6 @@ def open_all(makers: Iterable[Callable[[], ClosableT]]) -> list[ClosableT]:
     return opened
 
 
-class Updates(Protocol):
-    """Updates of a learner."""
-
-    def after_decision(self) -> None:
-        """Update the learner if an update is due at this decision."""
-
-    def after_episode(self) -> None:
-        """Update the learner if an update is due after an episode that has ended."""
-
-    def after_cut(self) -> None:
-        """Forget what must not be learnt from an episode that the end of the budget has cut."""
-
-
-class ReplayUpdates:
-    """Updates from random transitions, every few decisions."""
-
-    def __init__(
-        self,
-        config: TrainConfig,
-        agent: D3qn,
-        replay: Replay,
-        valued: ValuedStates,
-        progress: Progress,
-        rng: np.random.Generator,
-    ) -> None:
-        """``rng`` draws the transitions."""
-        self._config, self._agent, self._replay = config, agent, replay
-        self._valued, self._progress, self._rng = valued, progress, rng
-
-    def after_decision(self) -> None:
-        """Update the agent if an update is due at this decision.
-
-        No update is due before the first transition, complete after ``n_step`` decisions.
-        """
-        agent, progress = self._config.agent, self._progress
-        together = agent.updates_together
-        due = progress.decision % (agent.update_every * together) == 0
-        begun = progress.decision + self._replay.kept >= agent.learning_starts
-        if due and begun and len(self._replay):
-            batch = self._replay.sample(together * agent.batch_size, self._rng)
-            valued = self._valued.batches(together, self._rng)
-            fraction = progress.decision / self._config.train.decisions
-            progress.loss = self._agent.update(batch, fraction, valued)
-            progress.updates += together
-
-    def after_episode(self) -> None:
-        """Do nothing."""
-
-    def after_cut(self) -> None:
-        """Do nothing: its complete transitions are as good as others."""
-
-
-class EpisodeUpdates:
-    """Updates from the newest whole episodes, each of which is used once."""
-
-    def __init__(
-        self,
-        config: TrainConfig,
-        agent: PolicyGradient,
-        replay: Replay,
-        progress: Progress,
-        rng: np.random.Generator,
-    ) -> None:
-        """``rng`` shuffles the transitions."""
-        self._config, self._agent, self._replay = config, agent, replay
-        self._progress, self._rng = progress, rng
-
-    def after_decision(self) -> None:
-        """Do nothing: an episode must have ended."""
-
-    def after_episode(self) -> None:
-        """Update the agent if enough decisions are new."""
-        agent, replay, progress = self._agent, self._replay, self._progress
-        new = replay.added - agent.learnt
-        if new > replay.capacity:  # one episode is longer than a whole round
-            raise ConfigError(
-                f"agent.replay_size: {replay.capacity:,} decisions are fewer than the {new:,} of "
-                "whole episodes that the policy gradient learns from at once; raise it"
-            )
-        if new >= self._config.agent.policy_gradient.decisions:
-            fraction = progress.decision / self._config.train.decisions
-            progress.loss = agent.update(replay.newest(new), fraction, self._rng)
-            agent.learnt = replay.added
-            progress.updates += 1
-
-    def after_cut(self) -> None:
-        """Remove the part of the episode: another one would follow as if it were its rest."""
-        self._replay.take_back()
-
-
 class Trainer:
     """One training run."""
 
@@ -180,7 +88,6 @@ class Trainer:
         self.listeners = list(listeners)
         env = FlipperEnv(config=config.environment())
         layout, agent = env.layout, config.agent
-        taught = config.teacher.teaches
         privileged = SIZE if config.learns_privileged_value else 0
         check_demand(
             *(config.network, layout, len(ACTIONS), agent, config.train.decisions),
@@ -189,20 +96,13 @@ class Trainer:
         )
         init, explore, sample, again = np.random.SeedSequence(config.seed).spawn(4)
         seed = int(init.generate_state(1)[0])
-        shape = config.network, layout, len(ACTIONS), agent
-        self.agent: Learner
-        if agent.is_policy_gradient:
-            self.agent = drawing = PolicyGradient(
-                *shape, seed=seed, device=config.device, privileged=privileged
-            )
-        else:
-            self.agent = imitating = D3qn(
-                *shape,
-                seed=seed,
-                device=config.device,
-                teacher=config.teacher if taught else None,
-                privileged=privileged,
-            )
+        self.agent: D3qn | PolicyGradient = (PolicyGradient if agent.is_policy_gradient else D3qn)(
+            *(config.network, layout, agent),
+            seed=seed,
+            device=config.device,
+            teacher=config.teacher if config.teacher.teaches else None,
+            privileged=privileged,
+        )
         self.replay = new_replay(config, layout, privileged)
         seeds = seed, again
         self._relearning = Relearning(config, layout, self.replay, seeds, self._report)
@@ -213,12 +113,7 @@ class Trainer:
             "noise": self.agent.noise_rng,
         }
         self.progress = Progress(ground.first_difficulty(config.terrain))
-        rest = self.progress, generators["sample"]
-        self._updates: Updates = (
-            EpisodeUpdates(config, drawing, self.replay, *rest)
-            if agent.is_policy_gradient
-            else ReplayUpdates(config, imitating, self.replay, self.valued, *rest)
-        )
+        self._sample_rng = generators["sample"]
         self.episodes = EpisodeSource(
             config, self.agent, self.progress, generators["explore"], self._report
         )
@@ -309,16 +204,50 @@ class Trainer:
             self.valued.add(step)
             self._recorder.add(step, self.progress.episode)
             self.progress.decision += 1
-            self._updates.after_decision()
+            self._learn_from_replay()
             if self.progress.decision >= self.config.train.decisions:
                 break
         if ending is None:  # the budget ended first, or the run is to stop
-            self._updates.after_cut()
+            if self.config.agent.is_policy_gradient:  # another episode would follow as if it were its rest
+                self.replay.take_back()
             self.replay.drop_pending()
             self._recorder.drop()
         else:
             self._end_episode(ending)
-            self._updates.after_episode()
+            self._learn_from_episodes()
+
+    def _learn_from_replay(self) -> None:
+        """Update from random transitions, every few decisions.
+
+        No update is due before the first transition, complete after ``n_step`` decisions.
+        """
+        agent, progress, rng = self.config.agent, self.progress, self._sample_rng
+        together = agent.updates_together
+        due = progress.decision % (agent.update_every * together) == 0
+        begun = progress.decision + self.replay.kept >= agent.learning_starts
+        if isinstance(self.agent, D3qn) and due and begun and len(self.replay):
+            batch = self.replay.sample(together * agent.batch_size, rng)
+            valued = self.valued.batches(together, rng)
+            fraction = progress.decision / self.config.train.decisions
+            progress.loss = self.agent.update(batch, fraction, valued)
+            progress.updates += together
+
+    def _learn_from_episodes(self) -> None:
+        """Update from the newest whole episodes, each used once, if enough decisions are new."""
+        agent, replay, progress = self.agent, self.replay, self.progress
+        if not isinstance(agent, PolicyGradient):
+            return
+        new = replay.added - agent.learnt
+        if new > replay.capacity:  # one episode is longer than a whole round
+            raise ConfigError(
+                f"agent.replay_size: {replay.capacity:,} decisions are fewer than the {new:,} of "
+                "whole episodes that the policy gradient learns from at once; raise it"
+            )
+        if new >= self.config.agent.policy_gradient.decisions:
+            fraction = progress.decision / self.config.train.decisions
+            progress.loss = agent.update(replay.newest(new), fraction, self._sample_rng)
+            agent.learnt = replay.added
+            progress.updates += 1
 
     def _end_episode(self, ending: Row) -> None:
         reached = ending["outcome"] == Outcome.REACHED
@@ -376,11 +305,7 @@ class Trainer:
             self._saver.save_best(best)
 
     def restore(self, saved: Checkpoint) -> None:
-        """Restore the run from a checkpoint that ``save`` wrote.
-
-        Raises:
-            CheckpointError: see ``RunSaver.restore``.
-        """
+        """Restore the run from a checkpoint that ``save`` wrote."""
         self._outstanding = self._saver.restore(saved)
         self._restored = True
         self._recorder.restore(self.progress.episode)

@@ -47,7 +47,7 @@ def learner(
 ) -> D3qn:
     built = resolver.create("network", network, "network")
     assert isinstance(built, Network)
-    return D3qn(built, LAYOUT, ACTIONS, Agent(**settings), seed=seed, teacher=teacher)
+    return D3qn(built, LAYOUT, Agent(**settings), seed=seed, teacher=teacher)
 
 
 def fixed_batch(size: int = 64, frames: int = 1) -> Batch:

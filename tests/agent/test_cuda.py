@@ -56,7 +56,7 @@ def batch() -> Batch:
 def values(device: str) -> D3qn:
     """A learner of values with a teacher and a risk."""
     agent, teacher = Agent(risk=True, batch_size=ROWS), Teacher(controller={"name": "okada"})
-    return D3qn(network(), LAYOUT, ACTIONS, agent, seed=0, device=device, teacher=teacher)
+    return D3qn(network(), LAYOUT, agent, seed=0, device=device, teacher=teacher)
 
 
 def gradient(device: str) -> PolicyGradient:
@@ -65,7 +65,7 @@ def gradient(device: str) -> PolicyGradient:
     agent = Agent(
         learner="policy_gradient", n_step=1, risk=True, batch_size=ROWS, policy_gradient=own
     )
-    return PolicyGradient(network(), LAYOUT, ACTIONS, agent, seed=0, device=device, privileged=2)
+    return PolicyGradient(network(), LAYOUT, agent, seed=0, device=device, privileged=2)
 
 
 @pytest.mark.parametrize("create", [values, gradient])

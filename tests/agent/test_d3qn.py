@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from flipperctl.agent.d3qn import D3qn
-from flipperctl.agent.losses import teacher_large_margin
-from flipperctl.agent.replay import Batch, Replay
+from flipperctl.agent.losses import searched_values, teacher_large_margin
+from flipperctl.agent.replay import Batch, GroupBatch, Replay
 from flipperctl.api import Network, Perception, RobotGeometry
 from flipperctl.api.plugin import registered_names
 from flipperctl.config import Agent, Teacher, resolver
@@ -25,31 +25,42 @@ def explored(agent: D3qn, epsilon: float, count: int) -> list[int]:
     """Return actions of the exploring policy, all for the same observation."""
     rng = np.random.default_rng(0)
     policy = ExploringPolicy(agent.online, 1, lambda: epsilon, rng, agent.noise_rng)
-    zeros = np.zeros(LAYOUT.size, np.float32)
+    return [action for action, _ in actions(policy, count)]
+
+
+def actions(explorer: ExploringPolicy, count: int) -> list[tuple[int, bool]]:
+    """Return actions for one observation, and whether each was random."""
+    rng, zeros = np.random.default_rng(0), np.zeros(LAYOUT.size, np.float32)
     p = Perception(
         zeros, np.empty((0, 2)), 0.0, 0.0, 0.0, RobotGeometry(), LAYOUT, rng, recent=(zeros,)
     )
-    return [policy.act(p) for _ in range(count)]
+    return [(explorer.act(p), explorer.explored) for _ in range(count)]
 
 
 def test_acts_greedily_without_epsilon_and_uniformly_with_all_of_it() -> None:
-    agent = D3qn(Ramp(), LAYOUT, ACTIONS, Agent(), seed=0)
+    agent = D3qn(Ramp(), LAYOUT, Agent(), seed=0)
     assert set(explored(agent, 0.0, 20)) == {ACTIONS - 1}
     drawn = np.bincount(explored(agent, 1.0, 900))
     # Each of nine 100 times, ± √(900 · 1/9 · 8/9) = 9
     assert drawn.tolist() == pytest.approx([100] * 9, abs=36)
 
 
-def test_learning_lowers_the_loss_of_a_fixed_batch() -> None:
-    agent, batch = learner(reward_scale=1.0, target_rate=1e-6), fixed_batch()
-    first = agent.update(batch, 0.0)
-    for _ in range(150):
-        last = agent.update(batch, 0.0)
-    assert last < first / 5
+def test_random_actions_are_reported_and_a_share_of_the_episodes_has_some() -> None:
+    agent, rng = D3qn(Ramp(), LAYOUT, Agent(), seed=0), np.random.default_rng(0)
+    taken = actions(ExploringPolicy(agent.online, 1, lambda: 0.5, rng, rng), 200)
+    assert {random for _, random in taken} == {True, False}
+    assert all(random for action, random in taken if action != ACTIONS - 1)
+    explorer, exploring = ExploringPolicy(agent.online, 1, lambda: 0.8, rng, rng, 0.25), 0
+    for _ in range(200):
+        explorer.reset(None)  # type: ignore[arg-type]  # it needs no simulator
+        random = [random for _, random in actions(explorer, 8)]
+        assert not any(random) or sum(random) > 1  # at most one of 8: 8e-5 of them
+        exploring += any(random)
+    assert exploring == pytest.approx(50, abs=20)  # ± √(200 · 1/4 · 3/4) = 6
 
 
 def test_the_loss_of_one_decision_by_hand() -> None:
-    agent = D3qn(Ramp(), LAYOUT, ACTIONS, Agent(reward_scale=1.0), seed=0)
+    agent = D3qn(Ramp(), LAYOUT, Agent(reward_scale=1.0), seed=0)
     rising = torch.arange(ACTIONS, dtype=torch.float32)
     for network, slopes in ((agent.online, rising), (agent.target, 10 - rising)):
         assert isinstance(network, torch.nn.Linear)
@@ -128,8 +139,9 @@ def test_updates_together_equal_single_ones_where_no_target_depends_on_the_netwo
     assert together.optimiser.steps == alone.optimiser.steps == 2
 
 
-@pytest.mark.parametrize("loss", ["cross_entropy", "margin"])
-@pytest.mark.parametrize("network", ["at_d3qn", "quantile", "stacked"])
+@pytest.mark.parametrize(
+    ("network", "loss"), [("quantile", "cross_entropy"), ("stacked", "margin")]
+)
 def test_a_label_raises_the_teachers_action_beside_the_temporal_difference(
     network: str, loss: str
 ) -> None:
@@ -208,3 +220,129 @@ def test_each_update_draws_new_noise_from_the_learner_s_seed() -> None:
     assert losses[0] == losses[1]
     agents[0].noise_rng.random()
     assert agents[0].update(fixed_batch(), 0.0) != agents[1].update(fixed_batch(), 0.0)
+
+
+# Searched values
+
+
+def searched(**settings: float) -> Teacher:
+    return Teacher(controller="value_iteration", loss="values", **settings)
+
+
+def valued() -> GroupBatch:
+    """Return groups of random observations, in each of which action 6 is best by 1."""
+    generator = torch.Generator().manual_seed(1)
+    observation = torch.randn(16, 4, LAYOUT.size, generator=generator)
+    values = 10 * observation[:, :, :1].repeat(1, 1, ACTIONS)
+    values[:, :, 6] += 1.0
+    return GroupBatch(observation, values)
+
+
+def test_the_searched_values_are_weighted_scaled_and_added_to_the_temporal_difference() -> None:
+    batch, groups = fixed_batch(), valued()
+    plain = learner(reward_scale=0.2)
+    with torch.no_grad():
+        found = plain.online(groups.observation.flatten(0, 1)).unflatten(0, (16, 4))
+        loss = float(searched_values(found, 0.2 * groups.values, 5.0))
+    td = plain.update(batch, 0.0)
+    joined = learner(reward_scale=0.2, teacher=searched(td_weight=2.0, weight=4.0, weight_end=0.0))
+    assert joined.update(batch, 0.25, [groups]) == pytest.approx(2 * td + 3 * loss)  # 4 · (1 - ¼)
+    alone = learner(reward_scale=0.2, teacher=searched(td_weight=2.0))
+    assert alone.update(batch, 0.25) == pytest.approx(2 * td)  # no groups yet
+
+
+def test_each_step_of_an_update_has_groups_of_its_own() -> None:
+    teacher, batch, groups = searched(), fixed_batch(16), valued()
+    batch = dataclasses.replace(batch, discount=torch.zeros(16))
+    other = dataclasses.replace(groups, values=-groups.values)
+    together, alone = (learner(batch_size=8, teacher=teacher) for _ in range(2))
+    last = together.update(batch, 0.0, [groups, other])
+    for start, part in ((0, groups), (8, other)):
+        found = alone.update(batch.rows(slice(start, start + 8)), 0.0, [part])
+    assert last == found
+
+
+def test_it_learns_which_action_is_best() -> None:
+    agent, groups = learner(teacher=searched(), learning_rate=1e-3), valued()
+    for _ in range(60):
+        agent.update(fixed_batch(), 0.0, [groups])
+    with torch.no_grad():
+        found = agent.online(groups.observation.flatten(0, 1))
+    assert (found.argmax(dim=1) == 6).float().mean() > 0.9
+
+
+# The privileged baseline: it takes from the values what only the simulation can tell.
+
+UNSEEN = 2.0
+"""Size of what moves all values of a state alike and is not in its observation."""
+
+
+def privileged_agent(network: str = "dueling_mlp", privileged: int = 1) -> D3qn:
+    built = resolver.create("network", network, "network")
+    assert isinstance(built, Network)
+    return D3qn(built, LAYOUT, Agent(reward_scale=1.0), seed=0, privileged=privileged)
+
+
+def unseen_batch(size: int = 256) -> Batch:
+    """Return decisions whose reward is the unseen number plus a tenth of the action's index."""
+    made = fixed_batch(size)
+    unseen = torch.randn(size, 1, generator=torch.Generator().manual_seed(1))
+    return dataclasses.replace(
+        made,
+        observation=torch.zeros_like(made.observation),
+        reward=UNSEEN * unseen[:, 0] + 0.1 * made.action,
+        discount=torch.zeros(size),
+        privileged=unseen,
+        next_privileged=unseen,
+    )
+
+
+def differences(learner: D3qn) -> torch.Tensor:
+    """Return the values of the acting network minus that of action 0, (9,)."""
+    with torch.no_grad():
+        values = learner.online(torch.zeros(1, LAYOUT.size))[0]
+    return values - values[0]
+
+
+def test_small_differences_are_learnt_beneath_a_large_unseen_change() -> None:
+    true = 0.1 * torch.arange(ACTIONS)
+    errors, made = {}, unseen_batch()
+    for privileged in (0, 1):
+        learner = privileged_agent(privileged=privileged)
+        for step in range(200):
+            learner.update(made, step / 200)
+        errors[privileged] = float((differences(learner) - true).abs().max())
+    assert errors[1] < 0.1 < errors[0], errors
+
+
+def test_the_next_state_s_baseline_is_discounted_into_the_target() -> None:
+    learner = privileged_agent()
+    assert learner.baselines is not None
+    target = learner.baselines.target.layers[-1]
+    assert isinstance(target, torch.nn.Linear)
+    target.weight.data.zero_()
+    target.bias.data.fill_(3.0)
+    made = dataclasses.replace(unseen_batch(2), discount=torch.tensor([0.5, 0.0]))
+    targets = torch.tensor([1.0, 1.0])
+    assert learner.baselines.with_next(targets, made).tolist() == pytest.approx([2.5, 1.0])
+    quantiles = learner.baselines.with_next(torch.ones(2, 4), made)
+    assert quantiles.tolist() == [[2.5] * 4, [1.0] * 4]
+
+
+@pytest.mark.parametrize("network", ["at_d3qn", "quantile"])
+def test_an_update_moves_the_baseline_and_its_target_follows(network: str) -> None:
+    learner = privileged_agent(network)
+    assert learner.baselines is not None
+    before = [p.detach().clone() for p in learner.baselines.parameters()]
+    learner.update(unseen_batch(), 0.0)
+    now = list(learner.baselines.parameters())
+    assert not any(torch.equal(a, b) for a, b in zip(before, now, strict=True))
+
+
+def test_the_policy_holds_no_part_of_the_baseline() -> None:
+    learner = privileged_agent()
+    assert (
+        learner.policy.state_dict().keys()
+        == privileged_agent(privileged=0).policy.state_dict().keys()
+    )
+    assert any(name.startswith("baselines.") for name in learner.tensors())

@@ -34,7 +34,7 @@ def learner(**settings: Any) -> PolicyGradient:
         policy_gradient=own,
         **settings,
     )
-    return PolicyGradient(built, LAYOUT, ACTIONS, agent, seed=0, privileged=2)
+    return PolicyGradient(built, LAYOUT, agent, seed=0, privileged=2)
 
 
 def probabilities(agent: PolicyGradient, observation: torch.Tensor) -> torch.Tensor:

@@ -1,9 +1,12 @@
-"""The n-step replay against sums worked by hand."""
+"""The n-step replay against sums worked by hand, and the ring of valued groups."""
 
 import numpy as np
 import pytest
+import torch
 
-from flipperctl.agent.replay import Replay
+from flipperctl.agent.replay import GroupMemory, Replay
+from flipperctl.api import StateGroups
+from tests.agent.learners import ACTIONS, LAYOUT
 
 
 def observation(number: float) -> np.ndarray:
@@ -45,12 +48,6 @@ def test_a_running_episode_can_be_taken_back() -> None:
     assert rows(replay) == before
     feed(replay, [6.0])
     assert rows(replay) == [*before, (0, 0, 6.0, 1, 0.0)]
-
-
-def test_one_step_transitions_are_kept_as_they_come() -> None:
-    replay = Replay(10, size=2, n_step=1, gamma=0.5)
-    feed(replay, [1.0, 2.0])
-    assert rows(replay) == [(0, 0, 1.0, 1, 0.5), (1, 1, 2.0, 2, 0.0)]
 
 
 def test_n_steps_are_summed_and_the_rest_is_flushed_at_the_end() -> None:
@@ -98,13 +95,6 @@ def test_a_decision_waits_until_its_n_th_reward_is_known() -> None:
         replay.filled()
 
 
-def test_episodes_do_not_mix() -> None:
-    replay = Replay(10, size=2, n_step=3, gamma=0.5)
-    feed(replay, [1.0])
-    feed(replay, [16.0])
-    assert [row[2] for row in rows(replay)] == [1.0, 16.0]
-
-
 def test_the_ring_forgets_the_oldest() -> None:
     replay = Replay(3, size=2, n_step=1, gamma=0.5)
     feed(replay, [0.0, 1.0, 2.0, 3.0, 4.0])
@@ -139,15 +129,6 @@ def test_a_restored_ring_continues_as_the_saved_one() -> None:
     assert [row[2] for row in rows(saved)] == [6.5, 5.0, 20.0, 20.0]  # 4 + 5/2, 5; 10 + 20/2, 20
 
 
-def test_a_ring_that_is_not_full_yet_is_restored() -> None:
-    saved, other = (Replay(5, size=2, n_step=1, gamma=0.5) for _ in range(2))
-    feed(saved, [1.0, 2.0])
-    assert all(len(array) == 2 for array in saved.filled().values())
-    other.restore(saved.filled(), saved.added)
-    feed(other, [3.0])
-    assert [row[2] for row in rows(other)] == [1.0, 2.0, 3.0]
-
-
 def test_a_label_belongs_to_the_first_decision_of_its_transition() -> None:
     replay = Replay(10, size=2, n_step=2, gamma=0.5, labels=3)
     here = np.zeros(2, np.float32)
@@ -180,3 +161,86 @@ def test_kept_transitions_must_leave_room() -> None:
     feed(replay, [1.0, 2.0])
     with pytest.raises(RuntimeError, match="2 kept transitions fill the replay"):
         replay.keep()
+
+
+# Groups of valued states
+
+STATES = 4
+"""Number of states of a group [-]."""
+
+
+def groups(*numbers: float) -> StateGroups:
+    """Return groups whose observations and values are all equal to a number."""
+    column = np.array(numbers, np.float32)[:, None, None]
+    return StateGroups(
+        observations=np.broadcast_to(column, (len(numbers), STATES, LAYOUT.size)).copy(),
+        values=np.broadcast_to(10 * column, (len(numbers), STATES, ACTIONS)).copy(),
+    )
+
+
+def held(memory: GroupMemory) -> list[float]:
+    """Return the numbers of the groups in the order of the ring."""
+    arrays = memory.filled()
+    assert np.array_equal(arrays["values"][:, 0, 0], 10 * arrays["observations"][:, 0, 0])
+    return arrays["observations"][:, 0, 0].tolist()
+
+
+def test_the_ring_of_groups_forgets_the_oldest() -> None:
+    memory = GroupMemory(3)
+    assert (len(memory), memory.filled()) == (0, {})
+    memory.add(groups(1.0, 2.0))
+    assert held(memory) == [1.0, 2.0]
+    memory.add(groups(3.0, 4.0))
+    assert held(memory) == [4.0, 2.0, 3.0]
+    assert (len(memory), memory.added) == (3, 4)
+    memory.add(groups(5.0, 6.0, 7.0, 8.0, 9.0))  # more than fit
+    assert sorted(held(memory)) == [7.0, 8.0, 9.0]
+
+
+def test_samples_are_whole_groups_drawn_by_the_generator_handed_in() -> None:
+    memory = GroupMemory(100)
+    memory.add(groups(1.0, 2.0, 3.0))
+    batch, again = (memory.sample(300, np.random.default_rng(0)) for _ in range(2))
+    assert batch.observation.shape == (300, STATES, LAYOUT.size)
+    assert batch.values.shape == (300, STATES, ACTIONS)
+    assert torch.equal(batch.values, again.values)
+    assert torch.equal(batch.values[:, 0, 0], 10 * batch.observation[:, 0, 0])
+    # Each of the three 100 times, ± √(300 · 1/3 · 2/3) = 8
+    counts = torch.bincount(batch.observation[:, 0, 0].long())[1:]
+    assert counts.tolist() == pytest.approx([100] * 3, abs=33)
+
+
+@pytest.mark.parametrize("numbers", [(), (1.0, 2.0), (1.0, 2.0, 3.0, 4.0)])
+def test_a_restored_ring_of_groups_continues_as_the_saved_one(numbers: tuple[float, ...]) -> None:
+    saved, other = GroupMemory(3), GroupMemory(3)
+    for number in numbers:
+        saved.add(groups(number))
+    other.restore({n: a.copy() for n, a in saved.filled().items()}, saved.added, LAYOUT.size)
+    assert other.added == saved.added
+    for memory in (saved, other):
+        memory.add(groups(8.0))
+    assert held(other) == held(saved)
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"values": None}, r"there are \['observations'\]"),
+        ({"added": 3}, "for 3 groups"),
+        ({"added": 0}, "none were added"),
+        ({"observations": np.zeros((2, STATES, LAYOUT.size + 1), np.float32)}, "shapes are"),
+        ({"observations": np.zeros((2, STATES, LAYOUT.size))}, "shapes are"),  # float64
+        ({"observations": np.zeros(2, np.float32)}, "shapes are"),
+        ({"values": np.zeros((2, STATES + 1, ACTIONS), np.float32)}, "shapes are"),
+        ({"values": np.full((2, STATES, ACTIONS), np.inf, np.float32)}, "not finite"),
+        ({"extra": np.zeros(2, np.float32)}, "observations and values are allowed"),
+    ],
+)
+def test_damaged_arrays_are_refused(change: dict[str, object], text: str) -> None:
+    saved = GroupMemory(5)
+    saved.add(groups(1.0, 2.0))
+    given = {"added": 2, **saved.filled(), **change}
+    added = given.pop("added")
+    arrays = {name: array for name, array in given.items() if array is not None}
+    with pytest.raises(ValueError, match=text):
+        GroupMemory(5).restore(arrays, added, LAYOUT.size)

@@ -1,6 +1,9 @@
 """Trainings that learn from recorded episodes, and trainings that record their own."""
 
+import itertools
 import math
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,21 +14,27 @@ from flipperctl import checkpoint
 from flipperctl.agent.replay import Replay
 from flipperctl.checkpoint import recording
 from flipperctl.checkpoint.recording import Recording
-from flipperctl.config import EnvConfig, Teacher, TrainConfig
-from flipperctl.errors import ConfigError
+from flipperctl.config import EnvConfig, Teacher
+from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.evaluation.rows import RECORDED
 from flipperctl.policies.source import PolicySource
-from flipperctl.training.listeners import MetricsCsv
+from flipperctl.policies.teaching import DaggerPolicy
+from flipperctl.rollout import actor
+from flipperctl.rollout.collect import RolloutWorkers
+from flipperctl.training import episodes
+from flipperctl.training.folder import clear_leftovers
 from flipperctl.training.recorded import differing_conditions, fill, notes, read_teacher
-from flipperctl.training.recorder import EPISODES
+from flipperctl.training.recorder import EPISODES, PARTS
+from flipperctl.training.saving import RunSaver
 from tests.cli.call import EXACT, call
 from tests.played import play_episodes
-from tests.short import short_config, trainer
+from tests.rollout.notes import Notes
+from tests.short import few, short_config, trainer
+from tests.training.conftest import require_resumes
 
 pytestmark = pytest.mark.slow
 
 OKADA = PolicySource(settings={"name": "okada"})
-MPC = {"teacher.controller": {"name": "mpc", "value": "", "beam": 2, "horizon": 2}}
 
 
 @pytest.fixture(scope="module")
@@ -70,32 +79,15 @@ def test_any_network_stacks_the_recorded_observations(file: Path) -> None:
     assert np.array_equal(rows[5], np.concatenate(seen[3:6]))
 
 
-def run_whole_and_in_parts(config: TrainConfig, tmp_path: Path) -> Path:
-    """Run twice, once with a stop; require equal files; return the folder of the whole run."""
-    trainer(config, tmp_path / "whole").run()
-    first = trainer(config, tmp_path / "parts")
-    first.run(stop=lambda: first.progress.decision >= 150)
-    stopped = checkpoint.read(tmp_path / "parts" / checkpoint.LAST)
-    second = trainer(stopped.config(), tmp_path / "parts")
-    second.restore(stopped)
-    second.run()
-    for name in (checkpoint.BEST, checkpoint.LAST, EPISODES):
-        parts, at_once = tmp_path / "parts" / name, tmp_path / "whole" / name
-        assert parts.is_file() == at_once.is_file()
-        if at_once.is_file():
-            assert parts.read_bytes() == at_once.read_bytes(), name
-    return tmp_path / "whole"
-
-
 def test_a_run_with_a_recorded_teacher_resumes_bit_for_bit_without_the_file(
     file: Path, tmp_path: Path
 ) -> None:
     copy = tmp_path / "copy.safetensors"
     copy.write_bytes(file.read_bytes())
-    settings = {"teacher.episodes": str(copy), "teacher.loss": "margin"}
-    config = short_config(**{"train.decisions": 400, **settings})
-    folder = run_whole_and_in_parts(config, tmp_path)
-    saved = checkpoint.read(folder / checkpoint.LAST)
+    config = few(**{"teacher.episodes": str(copy), "teacher.loss": "margin"})
+    trainer(config, tmp_path / "whole").run()
+    require_resumes(config, tmp_path / "whole", tmp_path / "parts", 120)
+    saved = checkpoint.read(tmp_path / "whole" / checkpoint.LAST)
     state = saved.document.state
     assert state is not None
     decisions = recording.read(file).decisions
@@ -109,39 +101,24 @@ def test_a_run_with_a_recorded_teacher_resumes_bit_for_bit_without_the_file(
     resumed.run()
 
 
-def test_recorded_decisions_count_as_decisions_before_learning(file: Path, tmp_path: Path) -> None:
-    settings = {"teacher.episodes": str(file), "agent.learning_starts": 300, "train.decisions": 80}
-    run = trainer(short_config(**settings), tmp_path)
-    run.run()
-    assert run.progress.updates == 80 // 2
-
-
 def test_a_student_learns_what_a_recorded_rule_does(file: Path, tmp_path: Path) -> None:
     settings = {"teacher.episodes": str(file), "teacher.td_weight": 0.0, "agent.epsilon_start": 0.1}
     config = short_config(**settings, **{"train.validation_episodes": 10})
     assert trainer(config, tmp_path).run()["best"]["success_rate"] >= 0.8
 
 
-@pytest.mark.parametrize("mode", ["exact", pytest.param("fast", marks=pytest.mark.long)])
-def test_a_training_records_its_episodes_and_repeats_them_when_it_resumes(
-    file: Path, tmp_path: Path, mode: str
-) -> None:
-    settings = {"train.record": True, "train.mode": mode, "train.decisions": 300, **MPC}
-    if mode == "fast":  # whose workers label beside the file
-        settings |= {"teacher.episodes": str(file), "train.workers": 2}
-    stacking = {"network": {"name": "stacked", "window": 2}, "agent.n_step": 2}
-    folder = run_whole_and_in_parts(short_config(**settings, **stacking), tmp_path)
+def test_a_replay_that_learns_from_a_run_is_that_of_the_run(runs: Callable[[str], Path]) -> None:
+    folder = runs("taught")
     found = recording.read(folder / EPISODES)
     state = checkpoint.read(folder / checkpoint.LAST).document.state
     assert state is not None
     assert [episode.number for episode in found.episodes] == list(range(state.episode))
     assert all(np.allclose(episode.labels.sum(axis=1), 1) for episode in found.episodes)
-    # The replay of a run that learns from them is that of the run that recorded them.
+    stacking = {"network": {"name": "stacked", "window": 2}, "agent.n_step": 2}
     replay, _ = filled(folder / EPISODES, **stacking)
     own = checkpoint.read(folder / checkpoint.LAST).part("replay")
     for name, array in replay.filled().items():
-        begin = state.replay_kept
-        assert np.array_equal(array, own[name].numpy()[begin : begin + len(array)]), name
+        assert np.array_equal(array, own[name].numpy()[: len(array)]), name
 
 
 def test_recorded_episodes_have_no_privileged_states(file: Path) -> None:
@@ -156,14 +133,8 @@ def test_recorded_episodes_have_no_privileged_states(file: Path) -> None:
 def unlabelled(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """What a training without a teacher records."""
     folder = tmp_path_factory.mktemp("unlabelled")
-    trainer(short_config(**{"train.record": True, "train.decisions": 200}), folder).run()
+    trainer(few(**{"train.record": True, "train.decisions": 100}), folder).run()
     return folder / EPISODES
-
-
-def test_without_a_teacher_the_recorded_decisions_have_no_labels(unlabelled: Path) -> None:
-    found = recording.read(unlabelled)
-    assert found.decisions > 100
-    assert not any(episode.labels.any() for episode in found.episodes)
 
 
 @pytest.mark.parametrize(
@@ -231,27 +202,18 @@ def test_other_conditions_of_recorded_episodes_are_stated(elsewhere: Path, file:
     assert differing_conditions(short_config(), recording.read(file)) == ""
 
 
-class HeardNotes(MetricsCsv):
-    def __init__(self, path: Path) -> None:
-        super().__init__(path, ["flipper", "pitch", "end"])
-        self.heard: list[str] = []
-
-    def note(self, text: str) -> None:
-        self.heard.append(text)
-
-
 def test_that_sums_over_recorded_decisions_are_not_cut_is_stated(
     file: Path, tmp_path: Path
 ) -> None:
     settings = {"teacher.episodes": str(file), "agent.cut_at_random": True, "train.decisions": 40}
-    run = trainer(short_config(**settings), tmp_path)
-    listener = HeardNotes(tmp_path / "metrics.csv")
-    run.listeners.append(listener)
+    run = trainer(few(**settings, **{"agent.learning_starts": 300}), tmp_path)
+    run.listeners.append(listener := Notes())
     run.run()
-    assert listener.heard == [
+    assert listener.notes == [
         f"teacher.episodes: {file} does not say which actions were random: sums of rewards over "
         "its decisions are not cut, whatever agent.cut_at_random"
     ]
+    assert run.progress.updates == 40 // 2  # the recorded decisions count before learning
 
 
 @pytest.mark.parametrize(
@@ -266,6 +228,9 @@ def test_nothing_is_stated_where_there_is_no_sum_to_cut(
 
 
 def test_episodes_without_labels_teach_nothing_by_labels_alone(unlabelled: Path) -> None:
+    found = recording.read(unlabelled)
+    assert found.decisions > 50
+    assert not any(episode.labels.any() for episode in found.episodes)
     settings = {"teacher.episodes": str(unlabelled), "teacher.td_weight": 0.0}
     with pytest.raises(
         ConfigError, match=r"holds no labels, so that nothing is learnt with teacher"
@@ -319,3 +284,85 @@ def test_eval_records_what_train_learns_from(tmp_path: Path) -> None:
     done = call("train", *words, cwd=tmp_path)
     assert done.code == 2
     assert "teacher.episodes: the name of a file is needed" in done.err
+
+
+# When the student drives: as soon as it learns.
+
+
+@pytest.mark.parametrize("starts", [30, 1000])
+def test_recorded_decisions_count_before_the_student_drives(
+    starts: int, file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    settings: dict[str, Any] = {
+        "agent.learning_starts": starts,
+        "teacher.controller": {"name": "okada"},
+        "teacher.episodes": str(file),
+    }
+    begins = max(1, starts - recording.read(file).decisions)
+    made: list[dict[str, Any]] = []
+
+    class Workers(RolloutWorkers):
+        def __init__(self, count: int, config: dict[str, Any], plugin_paths: list[str]) -> None:
+            made.append(config)
+            super().__init__(count, config, plugin_paths)
+
+    monkeypatch.setattr(episodes, "RolloutWorkers", Workers)
+    fast = trainer(few(**settings, **{"train.mode": "fast"}), tmp_path / "fast")
+    fast.run(lambda: True)
+    assert [config["agent"]["learning_starts"] for config in made] == [begins]
+
+    learns: list[Callable[[], bool]] = []
+
+    def taught(*arguments: Any) -> DaggerPolicy:
+        learns.append(arguments[3])
+        return DaggerPolicy(*arguments)
+
+    monkeypatch.setattr(actor, "DaggerPolicy", taught)
+    exact = trainer(few(**settings), tmp_path / "exact")
+    exact.run(lambda: True)
+    for decision, student in ((begins - 1, False), (begins, True)):
+        exact.progress.decision = decision
+        assert [check() for check in learns] == [student]
+
+
+# The files in which a training keeps its episodes while it runs.
+
+
+def test_each_checkpoint_writes_its_new_episodes_alone_and_a_kill_loses_none(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The folders are copied where a kill would leave them: before and after a checkpoint."""
+    config = few(**{"train.record": True, "train.checkpoint_every": 40})
+    whole, save, count = tmp_path / "whole", RunSaver.save, itertools.count()
+
+    def copying(self: RunSaver, outstanding: Any = ()) -> None:
+        number = next(count)
+        if number == 5:
+            shutil.copytree(whole, tmp_path / "before")
+        save(self, outstanding)
+        if number == 5:
+            shutil.copytree(whole, tmp_path / "after")
+
+    monkeypatch.setattr(RunSaver, "save", copying)
+    trainer(config, whole).run()
+    monkeypatch.undo()
+    for folder in (tmp_path / "before", tmp_path / "after"):
+        parts = [recording.read(path).episodes for path in sorted((folder / PARTS).iterdir())]
+        assert len(parts) >= 3
+        saved = checkpoint.read(folder / checkpoint.LAST)
+        assert saved.document.state is not None
+        written = [episode.number for part in parts for episode in part]
+        assert written == list(range(len(written)))
+        late = len(written) - saved.document.state.episode
+        assert late == (len(parts[-1]) if folder.name == "before" else 0)
+        (folder / PARTS / f".{99:08}.safetensors.1-ab.part").touch()
+        clear_leftovers(folder)
+        resumed = trainer(saved.config(), folder)
+        resumed.restore(saved)
+        resumed.run()
+        for name in (checkpoint.LAST, EPISODES):
+            assert (folder / name).read_bytes() == (whole / name).read_bytes()
+        assert not (folder / PARTS).exists()
+    (whole / EPISODES).write_bytes(b"x" * 100)
+    with pytest.raises(CheckpointError, match="damaged"):
+        trainer(config, whole).restore(checkpoint.read(whole / checkpoint.LAST))

@@ -1,101 +1,153 @@
-"""A training with a risk: what it learns, how it is calibrated, and that it reaches every file."""
+"""A training with a risk: how it is calibrated, and that it and its escapes reach every file."""
 
 import math
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import onnxruntime
 import pytest
-import torch
 
 from flipperctl import checkpoint
 from flipperctl.api import Outcome
 from flipperctl.config import Agent, EnvConfig
-from flipperctl.core.risk import RiskSign
+from flipperctl.core.risk import EscapeRule, RiskSign
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.errors import CheckpointError
+from flipperctl.errors import CheckpointError, ConfigError, PolicyError
 from flipperctl.evaluation.workers import EpisodeRunner
 from flipperctl.export import policy
 from flipperctl.policies.abilities import RiskPolicy
 from flipperctl.policies.source import PolicySource
 from flipperctl.policies.trained import policy_risk
-from flipperctl.rollout.episode import EpisodeRisks, Row, play
+from flipperctl.rollout.episode import Decision, EpisodeRisks, Row, play
+from flipperctl.runtime import OnnxPolicy
+from flipperctl.runtime.interface import read_interface
 from flipperctl.training.validation import calibrated, fit
-from tests.short import short_config, trainer
+from tests.short import few
 
 pytestmark = pytest.mark.slow
 
+STEP = EnvConfig(terrain="step")
+
 
 @pytest.fixture(scope="module")
-def risky_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("risky_run")
-    trainer(short_config(**{"agent.risk": True, "agent.risk_horizon": 8}), folder).run()
-    return folder
+def risky(runs: Callable[[str], Path]) -> Path:
+    return runs("noisy")
 
 
-def test_the_policy_of_a_training_is_the_same_with_a_risk(short_run: Path, risky_run: Path) -> None:
-    plain, risky = (checkpoint.read(run / checkpoint.LAST) for run in (short_run, risky_run))
-    for name, tensor in plain.tensors.items():
-        assert torch.equal(risky.tensors[name], tensor), name
-    further = {name.partition(".")[0] for name in risky.tensors.keys() - plain.tensors.keys()}
-    assert further == {"risk", "risk_optimiser", "replay"}
+@pytest.fixture(scope="module")
+def escaping(risky: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The best policy of the run, which warns of anything."""
+    folder = tmp_path_factory.mktemp("escaping")
+    shutil.copytree(risky, folder, dirs_exist_ok=True)
+    best = checkpoint.read(folder / checkpoint.BEST)
+    assert best.document.validation is not None
+    best.document.validation.__pydantic_extra__["risk_threshold"] = 1e-6
+    checkpoint.write(folder / checkpoint.BEST, best.document, best.tensors)
+    return folder / checkpoint.BEST
+
+
+@pytest.fixture(scope="module")
+def exported(escaping: Path) -> Path:
+    file = escaping.parent / "p.onnx"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(policy, "OBSERVATIONS", 20)  # enough here
+        found = policy.export(checkpoint.read(escaping), "onnx", file)
+    assert found["largest_risk_difference"] < 1e-4
+    return file
 
 
 def test_each_validation_calibrates_the_risk_and_the_checkpoint_has_the_numbers(
-    risky_run: Path,
+    risky: Path,
 ) -> None:
-    best = checkpoint.read(risky_run / checkpoint.BEST)
+    best = checkpoint.read(risky / checkpoint.BEST)
     assert best.document.validation is not None
     found = best.document.validation.__pydantic_extra__
-    assert found["risk_reached"] + found["risk_failures"] == 3
+    assert found["risk_reached"] + found["risk_failures"] == 2
     assert found["risk_announced"] <= found["risk_failures"]
-    risk = policy_risk(best)
+    risk, last = policy_risk(best), policy_risk(checkpoint.read(risky / checkpoint.LAST))
     assert risk is not None
-    assert risk.sign == RiskSign(8, found["risk_threshold"])
-    last = policy_risk(checkpoint.read(risky_run / checkpoint.LAST))
     assert last is not None
+    assert risk.sign == RiskSign(8, found["risk_threshold"])
     assert last.sign.horizon == 8
 
 
-def test_a_checkpoint_without_the_weights_of_its_risk_is_refused(risky_run: Path) -> None:
-    best = checkpoint.read(risky_run / checkpoint.BEST)
+def test_a_checkpoint_without_the_weights_of_its_risk_is_refused(risky: Path) -> None:
+    best = checkpoint.read(risky / checkpoint.BEST)
     del best.tensors["risk.layers.0.weight"]
     with pytest.raises(CheckpointError, match=r"its risk is not valid: layers\.0\.weight is miss"):
         policy_risk(best)
 
 
-def test_the_exported_file_tells_the_risk_of_the_checkpoint(
-    risky_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def driven(source: PolicySource) -> tuple[list[int], Row]:
+    """Return the actions and the row of an episode."""
+    made, found = source.build(STEP), list[Decision]()
+    assert isinstance(made, RiskPolicy) or source.settings is not None
+    row = play(FlipperEnv(config=STEP), made, 3, watch=found.append)
+    return [decision.action for decision in found], row
+
+
+def test_the_exported_file_draws_and_tells_what_the_checkpoint_does(
+    escaping: Path, exported: Path
 ) -> None:
-    monkeypatch.setattr(policy, "OBSERVATIONS", 20)  # enough here
-    best, file = checkpoint.read(risky_run / checkpoint.BEST), tmp_path / "p.onnx"
-    found = policy.export(best, "onnx", file)
-    assert found["largest_risk_difference"] < 1e-4
-    outputs = onnxruntime.InferenceSession(file, providers=["CPUExecutionProvider"]).get_outputs()
-    assert [one.name for one in outputs] == ["q_values", "risk", "risk_recurrence"]
-    config = EnvConfig(terrain="step")
-    env = FlipperEnv(config=config)
-    rows = []
-    for path in (risky_run / checkpoint.BEST, file):
-        made = PolicySource(checkpoint=path).build(config)
-        assert isinstance(made, RiskPolicy)
-        rows.append(play(env, made, 3))
-    ours, theirs = (EpisodeRisks.pop(row) for row in rows)
-    assert ours is not None
-    assert theirs is not None
-    assert ours.sign == theirs.sign
-    assert np.array(ours.told) == pytest.approx(np.array(theirs.told), abs=1e-4)
-    assert len(ours.told) == rows[0]["decisions"]
+    session = onnxruntime.InferenceSession(exported, providers=["CPUExecutionProvider"])
+    outputs = [one.name for one in session.get_outputs()]
+    assert outputs == ["q_values", "risk", "risk_recurrence"]
+    assert OnnxPolicy(exported).interface.escape == EscapeRule(0.5, 3)
+    (ours, row), (theirs, other) = (driven(PolicySource(f)) for f in (escaping, exported))
+    assert ours == theirs
+    risks, told = EpisodeRisks.pop(row), EpisodeRisks.pop(other)
+    assert risks is not None
+    assert told is not None
+    assert risks.sign == told.sign
+    assert np.array(risks.told) == pytest.approx(np.array(told.told), abs=1e-4)
+    assert len(risks.told) == row["decisions"]
+    greedy = [
+        driven(PolicySource(settings={"name": "greedy", "policy": str(file)}))[0]
+        for file in (escaping, exported)
+    ]
+    assert greedy[0] == greedy[1] != ours  # by the same values, but nothing is drawn
 
 
 @pytest.mark.parametrize("record", [False, True])
-def test_an_evaluation_records_the_risk_of_each_decision(risky_run: Path, record: bool) -> None:
-    source = PolicySource(checkpoint=risky_run / checkpoint.BEST)
-    found = EpisodeRunner(EnvConfig(terrain="step"), source, 0, record=record).play(0)
+def test_an_evaluation_records_the_risk_of_each_decision(risky: Path, record: bool) -> None:
+    source = PolicySource(checkpoint=risky / checkpoint.BEST)
+    found = EpisodeRunner(STEP, source, 0, record=record).play(0)
     risks = EpisodeRisks.pop(dict(found))
     assert risks is not None
     assert len(risks.told) == found["decisions"]
     assert risks.to_row().items() <= found.items()
+
+
+@pytest.mark.parametrize(
+    ("entry", "text"),
+    [
+        ('{"temperature": 0, "decisions": 3}', "temperature"),
+        ('{"temperature": 1}', "temperature"),
+        ('{"temperature": 1, "decisions": 0}', "temperature"),
+        (None, r"beside flipperctl\.risk"),
+    ],
+)
+def test_an_escape_that_is_not_possible_is_refused(
+    exported: Path, entry: str | None, text: str
+) -> None:
+    metadata = dict(OnnxPolicy(exported)._session.get_modelmeta().custom_metadata_map)
+    if entry is None:
+        del metadata["flipperctl.risk"]
+    else:
+        metadata["flipperctl.escape"] = entry
+    with pytest.raises(PolicyError, match=rf"p\.onnx: flipperctl\.escape is .*{text}"):
+        read_interface(metadata, "p.onnx")
+
+
+def test_an_escape_needs_a_risk_and_greedy_a_policy_of_a_file() -> None:
+    with pytest.raises(ConfigError, match=r"agent\.escape_temperature: 0\.1 needs warnings"):
+        few(**{"agent.escape_temperature": 0.1})
+    with pytest.raises(ConfigError, match="policy: '' is no policy of a file"):
+        PolicySource(settings={"name": "greedy", "policy": ""}).build(STEP)
+    with pytest.raises(CheckpointError, match=r"controller\.policy: okada"):
+        PolicySource(settings={"name": "greedy", "policy": "okada"}).build(STEP)
 
 
 def row(outcome: Outcome, told: list[float]) -> Row:
@@ -112,9 +164,6 @@ def test_the_threshold_allows_the_share_of_false_alarms() -> None:
     assert (metrics["risk_false_alarms"], metrics["risk_announced"]) == (2, 1)
     assert metrics["risk_false_warnings"] == pytest.approx(2 / 30)
     assert not any("risks" in one for one in rows)  # so that no mean is taken over them
-
-
-def test_rows_without_risks_have_no_calibration() -> None:
     assert calibrated([{"outcome": "reached"}], Agent()) is None
 
 

@@ -1,5 +1,7 @@
-"""A training that starts with the weights of another one."""
+"""A training that starts with the weights of another one, or that learns its labels anew."""
 
+import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -7,83 +9,63 @@ import pytest
 import torch
 
 from flipperctl import checkpoint
-from flipperctl.agent.learner import Learner
 from flipperctl.agent.policy_gradient import PolicyGradient
-from flipperctl.config import to_dict
+from flipperctl.checkpoint import Checkpoint
+from flipperctl.config import Teacher, TrainConfig, to_dict
 from flipperctl.errors import CheckpointError, ConfigError, RequestError
+from flipperctl.policies.trained import policy_module
 from flipperctl.training import run as preflight
-from tests.short import short_config, trainer
+from flipperctl.training.trainer import Trainer
+from tests.rollout.notes import Notes
+from tests.short import few, short_config, trainer
+from tests.training.conftest import GRADIENT
+
+pytestmark = pytest.mark.slow
 
 VALUES = "agent.policy_gradient.start_values"
 
 
-def test_the_networks_start_with_the_weights_of_the_run(short_run: Path, tmp_path: Path) -> None:
-    new = trainer(
-        short_config(**{"agent.start_from": str(short_run), "train.decisions": 1}), tmp_path
-    )
+def begun(folder: Path, **settings: object) -> Trainer:
+    """Return a training after its first decision."""
+    new = trainer(few(**{"train.decisions": 1, **settings}), folder)
     new.run()
-    theirs = checkpoint.read(checkpoint.find(short_run)).part("policy")
+    return new
+
+
+def test_the_networks_start_with_the_weights_of_the_run(
+    runs: Callable[[str], Path], tmp_path: Path
+) -> None:
+    start = {"agent.start_from": str(runs("stacked"))}
+    new = begun(tmp_path, network={"name": "stacked"}, **start)  # its dropout may differ
+    theirs = list(checkpoint.read(runs("stacked") / checkpoint.BEST).part("policy").values())
     for network in (new.agent.online, new.agent.target):
-        assert all(torch.equal(network.state_dict()[name], theirs[name]) for name in theirs)
+        ours = list(network.state_dict().values())
+        assert all(torch.equal(a, b) for a, b in zip(ours, theirs, strict=True))
 
 
 def test_the_values_of_a_policy_gradient_go_on_if_asked_for(tmp_path: Path) -> None:
-    def begun(folder: Path, **settings: object) -> PolicyGradient:
-        own = {"agent.learner": "policy_gradient", "agent.n_step": 1, "train.decisions": 1}
-        own["agent.policy_gradient.decisions"] = 100
-        new = trainer(short_config(**{**own, **settings}), folder)
-        new.run()
-        assert isinstance(new.agent, PolicyGradient)
-        return new.agent
+    def values(folder: str, **settings: object) -> list[torch.Tensor]:
+        agent = begun(tmp_path / folder, **{**GRADIENT, **settings}).agent
+        assert isinstance(agent, PolicyGradient)
+        return list(agent.values.state_dict().values())
 
-    first = begun(tmp_path / "first").values.state_dict()
+    first = values("first")
     later = {"agent.start_from": str(tmp_path / "first"), "seed": 8}
-    kept = begun(tmp_path / "kept", **later, **{VALUES: True}).values.state_dict()
-    assert all(torch.equal(kept[name], first[name]) for name in first)
-    fresh = begun(tmp_path / "fresh", **later).values.state_dict()
-    assert not all(torch.equal(fresh[name], first[name]) for name in first)
+    kept, fresh = values("kept", **later, **{VALUES: True}), values("fresh", **later)
+    assert all(torch.equal(a, b) for a, b in zip(kept, first, strict=True))
+    assert not all(torch.equal(a, b) for a, b in zip(fresh, first, strict=True))
     other = {"agent.gamma": 0.9, "rewards.end.weight": 2.0}
     with pytest.raises(
         ConfigError, match=r"of other returns, by agent\.gamma, rewards\.end; train"
     ):
-        begun(tmp_path / "other", **later, **{VALUES: True}, **other)
-
-
-def test_the_values_of_another_decision_than_the_policy_are_refused(tmp_path: Path) -> None:
-    settings: dict[str, object] = {"agent.learner": "policy_gradient", "agent.n_step": 1}
-    settings |= {"agent.policy_gradient.decisions": 100, "train.decisions": 1}
-    trainer(short_config(**settings), tmp_path).run()
-    best = checkpoint.read(tmp_path / checkpoint.BEST)
+        values("other", **later, **{VALUES: True}, **other)
+    best = checkpoint.read(tmp_path / "first" / checkpoint.BEST)
     older = best.document.model_copy(update={"decision": 0})
-    checkpoint.write(tmp_path / checkpoint.BEST, older, best.tensors)
+    checkpoint.write(tmp_path / "first" / checkpoint.BEST, older, best.tensors)
     with pytest.raises(ConfigError, match=r"decision 0, its values are those of decision 1; give"):
-        preflight.check(
-            short_config(**settings, **{"agent.start_from": str(tmp_path), VALUES: True})
-        )
-    last = str(tmp_path / checkpoint.LAST)
-    preflight.check(short_config(**settings, **{"agent.start_from": last, VALUES: True}))
-
-
-def test_a_run_without_values_is_refused_before_the_training_begins(short_run: Path) -> None:
-    settings = {"agent.learner": "policy_gradient", "agent.n_step": 1, VALUES: True}
-    settings["agent.policy_gradient.decisions"] = 100
-    config = short_config(**{"agent.start_from": str(short_run), **settings})
-    text = rf"^{VALUES}: .*short_run\S* has no values; name in agent\.start_from the run of"
-    with pytest.raises(ConfigError, match=text):
-        preflight.check(config)
-
-
-def test_a_dropout_may_differ(tmp_path: Path) -> None:
-    def begun(folder: Path, **settings: object) -> Learner:
-        new = trainer(short_config(**{"train.decisions": 1, **settings}), folder)
-        new.run()
-        return new.agent
-
-    first = begun(tmp_path / "first", network={"name": "stacked", "dropout": 0.1})
-    later = {"network": {"name": "stacked"}, "agent.start_from": str(tmp_path / "first")}
-    second = begun(tmp_path / "second", **later)
-    inputs = torch.rand(4, first.online.state_dict()["0.scale"].numel())
-    assert torch.equal(first.online.eval()(inputs), second.online.eval()(inputs))
+        preflight.check(few(**{**GRADIENT, **later, VALUES: True}))
+    last = {"agent.start_from": str(tmp_path / "first" / checkpoint.LAST)}
+    preflight.check(few(**{**GRADIENT, **last, VALUES: True}))
 
 
 @pytest.mark.parametrize(
@@ -91,21 +73,19 @@ def test_a_dropout_may_differ(tmp_path: Path) -> None:
     [
         ({"network": {"name": "mlp"}}, "has another network than this training"),
         ({"perception.bins": 12}, "the policy was trained on 15 bins of"),
+        ({"agent.start_from": "nothing"}, r"^agent\.start_from: .*nothing: there is no such run"),
+        (
+            {**GRADIENT, VALUES: True},
+            rf"^{VALUES}: .* has no values; name in agent\.start_from the run of",
+        ),
     ],
 )
-def test_another_network_or_observation_is_refused(
-    short_run: Path, settings: dict[str, object], text: str
+def test_another_start_is_refused_before_the_training_begins(
+    runs: Callable[[str], Path], settings: dict[str, object], text: str
 ) -> None:
-    config = short_config(**{"agent.start_from": str(short_run), **settings})
-    with pytest.raises(RequestError, match=text):
-        preflight.check(config)
-
-
-def test_a_missing_file_is_refused_by_the_name_of_the_setting() -> None:
-    with pytest.raises(
-        CheckpointError, match=r"^agent\.start_from: .*nothing: there is no such run"
-    ):
-        preflight.check(short_config(**{"agent.start_from": "nothing"}))
+    start = {"agent.start_from": str(runs("conv")), "network": "conv"}
+    with pytest.raises((RequestError, CheckpointError), match=text):
+        preflight.check(short_config(**{**start, **settings}))
 
 
 def test_the_same_weights_in_another_arrangement_are_refused() -> None:
@@ -117,3 +97,86 @@ def test_the_same_weights_in_another_arrangement_are_refused() -> None:
     network["earlier"] = [4, *network["earlier"][1:]]
     with pytest.raises(ConfigError, match=r"network and settings of the network$"):
         preflight.check(short_config(**config))
+
+
+# ``teacher.final_updates``: at its end, a training learns all labels anew.
+
+
+class Deleting(Notes):
+    """A listener that deletes a file after the first episode."""
+
+    def __init__(self, file: Path) -> None:
+        super().__init__()
+        self._file = file
+
+    def episode(self, row: dict) -> None:
+        self._file.unlink(missing_ok=True)
+
+
+def config(updates: int, **more: object) -> TrainConfig:
+    """A training that only imitates a rule, which drives all of its episodes."""
+    settings = {"controller": {"name": "okada"}, "td_weight": 0.0, "student_share": 0.0}
+    teacher = {f"teacher.{name}": value for name, value in settings.items()}
+    return few(**{**teacher, "teacher.final_updates": updates, **more})
+
+
+def trained(folder: Path, settings: TrainConfig) -> Checkpoint:
+    """Train, and return the last checkpoint."""
+    trainer(settings, folder).run()
+    return checkpoint.read(folder / checkpoint.LAST)
+
+
+def cross_entropy(last: Checkpoint) -> float:
+    """Return that of the policy on the labels of its training."""
+    replay = last.part("replay")
+    values = policy_module(last)(replay["observation"].flatten(1)) / 0.1
+    return float(-(replay["label"] * torch.log_softmax(values, dim=1)).sum(dim=1).mean())
+
+
+def test_the_policy_is_that_of_the_labels_whatever_drove_before(tmp_path: Path) -> None:
+    often = trained(tmp_path / "often", config(200))
+    seldom = trained(tmp_path / "seldom", config(200, **{"agent.update_every": 100}))
+    without = trained(tmp_path / "without", config(0, **{"agent.update_every": 100}))
+    for key, tensor in seldom.part("target").items():
+        assert torch.equal(tensor, often.part("target")[key]), key
+    assert cross_entropy(seldom) < 0.8 * cross_entropy(without)
+
+
+def test_a_stop_in_it_changes_nothing_and_it_begins_with_the_weights_of_the_start(
+    runs: Callable[[str], Path], tmp_path: Path
+) -> None:
+    """The file that it started from may change, or go, while it trains."""
+    copy = tmp_path / "start.safetensors"
+    shutil.copy(runs("conv") / checkpoint.BEST, copy)
+    settings = config(100, network="conv", **{"agent.start_from": str(copy)})
+    trained(tmp_path / "whole", settings)
+    first = trainer(settings, tmp_path / "parts")
+    first.listeners.append(notes := Deleting(copy))
+    assert not first.run(stop=lambda: first.progress.decision >= 300)["finished"]
+    assert not copy.exists()
+    assert notes.notes == ["learns the 298 labels anew in 100 updates"]
+    stopped = checkpoint.read(tmp_path / "parts" / checkpoint.LAST)
+    second = trainer(stopped.config(), tmp_path / "parts")
+    second.listeners.append(notes)
+    second.restore(stopped)
+    assert second.run()["finished"]
+    for name in (checkpoint.BEST, checkpoint.LAST):
+        parts, at_once = tmp_path / "parts" / name, tmp_path / "whole" / name
+        assert parts.read_bytes() == at_once.read_bytes(), name
+    told = [text.split(" updates, ")[0] for text in notes.notes[2:]]
+    assert told == ["28 of 100", "52 of 100", "76 of 100"]
+
+
+def test_without_labels_it_keeps_what_was_learnt(tmp_path: Path) -> None:
+    new = trainer(config(3), tmp_path)
+    new.listeners.append(notes := Notes())
+    before = {name: tensor.clone() for name, tensor in new.agent.online.state_dict().items()}
+    assert new._relearning.run(new.agent, lambda: False)
+    assert notes.notes == ["keeps what it has learnt: there are no labels to learn anew"]
+    assert all(torch.equal(t, before[n]) for n, t in new.agent.online.state_dict().items())
+
+
+@pytest.mark.parametrize("more", [{}, {"td_weight": 0, "loss": "values"}])
+def test_it_is_refused_where_there_is_more_than_labels(more: dict[str, object]) -> None:
+    with pytest.raises(ConfigError, match=r"teacher\.final_updates: 5 updates learn from labels"):
+        Teacher(controller="okada", final_updates=5, **more)

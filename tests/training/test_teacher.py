@@ -1,5 +1,6 @@
 """Training with a teacher: its labels, who drives, and runs that repeat and resume bit for bit."""
 
+from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from flipperctl import checkpoint
 from flipperctl.api import ACTIONS, Perception, Simulator
-from flipperctl.config import EnvConfig, Teacher, TrainConfig, resolver, with_overrides
+from flipperctl.config import EnvConfig, Teacher, resolver, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 from flipperctl.policies.plugin import plugin_policy
@@ -22,7 +23,6 @@ from tests.short import short_config, trainer
 pytestmark = pytest.mark.slow
 
 OKADA = {"teacher.controller": {"name": "okada"}}
-LOOKAHEAD = {"teacher.controller": {"name": "mpc", "value": "", "beam": 1, "horizon": 2}}
 
 
 class _Student:
@@ -176,35 +176,14 @@ def test_something_must_be_learnt_from() -> None:
         Teacher(controller="okada", td_weight=0, weight_end=0)
 
 
-def test_no_teacher_is_the_default() -> None:
-    assert TrainConfig(terrain="stair", network="at_d3qn").teacher == Teacher()
-    assert Teacher().controller is None
-
-
-def test_without_a_teacher_there_are_no_labels(short_run: Path) -> None:
-    assert "replay.label" not in checkpoint.read(short_run / checkpoint.LAST).tensors
-
-
-@pytest.mark.parametrize("mode", ["exact", pytest.param("fast", marks=pytest.mark.long)])
-def test_a_taught_run_resumes_bit_for_bit_with_its_labels(tmp_path: Path, mode: str) -> None:
-    settings = {"train.mode": mode, "train.workers": 2, "train.decisions": 300}
-    config = short_config(**settings, **LOOKAHEAD)
-    trainer(config, tmp_path / "whole").run()
-    whole = checkpoint.read(tmp_path / "whole" / checkpoint.LAST)
-    first = trainer(config, tmp_path / "parts")
-    first.run(stop=lambda: first.progress.decision >= 150)
-    stopped = checkpoint.read(tmp_path / "parts" / checkpoint.LAST)
-    second = trainer(stopped.config(), tmp_path / "parts")
-    second.restore(stopped)
-    second.run()
-    for name in (checkpoint.BEST, checkpoint.LAST):  # as sha256sum sees it
-        parts, at_once = tmp_path / "parts" / name, tmp_path / "whole" / name
-        assert parts.read_bytes() == at_once.read_bytes(), name
+def test_a_taught_run_keeps_its_labels_and_names_its_teacher(runs: Callable[[str], Path]) -> None:
+    whole = checkpoint.read(runs("taught") / checkpoint.LAST)
     labels = whole.part("replay")["label"]
+    assert whole.document.state is not None
     assert labels.shape == (whole.document.state.replay_added, len(ACTIONS))
     assert torch.allclose(labels.sum(dim=1), torch.ones(len(labels)), atol=1e-5)
-    kinds = {(p.kind, p.name) for p in whole.document.plugins}
-    assert ("controller", config.teacher.controller.plugin_name) in kinds
+    assert ("controller", "mpc") in {(p.kind, p.name) for p in whole.document.plugins}
+    assert "replay.label" not in checkpoint.read(runs("conv") / checkpoint.LAST).tensors
 
 
 @pytest.mark.parametrize("loss", ["cross_entropy", "margin"])

@@ -1,27 +1,32 @@
-"""Training: it learns, it resumes bit for bit, and its records are complete."""
+"""Training: it learns, chooses its best policy, and its records and listeners are complete."""
 
 import csv
-import json
 import math
-import multiprocessing
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, cast
 
 import pytest
-import torch
 
 from flipperctl import checkpoint
-from flipperctl.api import RewardTerm, Transition, registry, reward
+from flipperctl.api import Listener, Logger, RewardTerm, RunInfo, Transition, registry, reward
 from flipperctl.checkpoint.document import Validation
-from flipperctl.config import TrainConfig, resolver, with_overrides
-from flipperctl.errors import NonFiniteError, WriteError
-from flipperctl.training.listeners import MetricsCsv, read_rows
+from flipperctl.config import TrainConfig, to_dict, with_overrides
+from flipperctl.config.guarded import guard_class
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import MissingExtraError, NonFiniteError, WriteError
+from flipperctl.training import run as training
+from flipperctl.training.listeners import GuardedLogger, MetricsCsv, read_rows
+from flipperctl.training.trainer import Trainer, closer, open_all
 from flipperctl.training.validation import Validator
-from tests.short import short_config, trainer
+from tests.cli.call import RUN
+from tests.short import few, short_config, trainer
 
-pytestmark = pytest.mark.slow
+slow = pytest.mark.slow
 
 
+@slow
 def test_a_short_training_learns_to_climb_steps(tmp_path: Path) -> None:
     learner = trainer(
         short_config(**{"train.decisions": 3000, "agent.epsilon_decisions": 2000}), tmp_path
@@ -36,152 +41,66 @@ def test_a_short_training_learns_to_climb_steps(tmp_path: Path) -> None:
 def test_updates_wait_for_the_first_complete_transition(tmp_path: Path) -> None:
     # The first transition of 10 steps is complete after 10 decisions, of which each has an update.
     eager = {"agent.learning_starts": 1, "agent.update_every": 1, "agent.updates_together": 1}
-    config = short_config(**eager, **{"agent.n_step": 10, "train.decisions": 30})
-    learner = trainer(config, tmp_path)
-    learner.run()
+    learner = trainer(few(**eager, **{"agent.n_step": 10, "train.decisions": 30}), tmp_path)
+    summary = learner.run()
     assert learner.progress.updates == 21
-
-
-def test_a_resumed_run_equals_the_uninterrupted_one_bit_for_bit(
-    tmp_path: Path, short_run: Path
-) -> None:
-    first = trainer(short_config(), tmp_path)
-    first.run(stop=lambda: first.progress.decision >= 250)
-    stopped = checkpoint.read(tmp_path / checkpoint.LAST)
-    assert 250 <= stopped.document.state.decision < 600
-
-    second = trainer(stopped.config(), tmp_path)
-    second.restore(stopped)
-    second.run()
-
-    resumed = checkpoint.read(tmp_path / checkpoint.LAST)
-    whole = checkpoint.read(short_run / checkpoint.LAST)
-    assert resumed.tensors.keys() == whole.tensors.keys()
-    for name, tensor in whole.tensors.items():
-        assert torch.equal(resumed.tensors[name], tensor), name
-    ours, theirs = resumed.document.state, whole.document.state
-    assert ours == theirs
-    for name in (checkpoint.BEST, checkpoint.LAST):  # as sha256sum sees it
-        assert (tmp_path / name).read_bytes() == (short_run / name).read_bytes(), name
-
-
-@pytest.mark.parametrize("workers", [2, pytest.param(1, marks=pytest.mark.long)])
-def test_a_fast_run_is_repeatable_and_resumes_bit_for_bit_with_its_requests(
-    workers: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # The server of the two forks the lone worker, which would import torch for each training.
-    server = multiprocessing.get_context("forkserver")
-    monkeypatch.setattr(multiprocessing, "get_context", lambda method: server)
-    config = short_config(
-        **{
-            "train.mode": "fast",
-            "train.workers": workers,
-            "agent.risk": workers == 1,
-            # A request holds the difficulty of its episode.
-            "terrain": {"name": "curriculum", "start": 0.5, "up": 0.2, "down": 0.1},
-        }
+    assert (summary["finished"], summary["decisions"], summary["last"]["decision"]) == (
+        True,
+        30,
+        30,
     )
-    trainer(config, tmp_path / "whole").run()
-    whole = checkpoint.read(tmp_path / "whole" / checkpoint.LAST)
-
-    first = trainer(config, tmp_path / "parts")
-    first.run(stop=lambda: first.progress.decision >= 250)
-    stopped = checkpoint.read(tmp_path / "parts" / checkpoint.LAST)
-    assert len(stopped.document.state.orders) == 2 * workers - 1
-    second = trainer(stopped.config(), tmp_path / "parts")
-    second.restore(stopped)
-    second.run()
-
-    resumed = checkpoint.read(tmp_path / "parts" / checkpoint.LAST)
-    assert resumed.tensors.keys() == whole.tensors.keys()
-    for name, tensor in whole.tensors.items():
-        assert torch.equal(resumed.tensors[name], tensor), name
-    assert resumed.document.state == whole.document.state
-    for name in (checkpoint.BEST, checkpoint.LAST):  # as sha256sum sees it
-        parts, at_once = tmp_path / "parts" / name, tmp_path / "whole" / name
-        assert parts.read_bytes() == at_once.read_bytes(), name
 
 
-def test_equal_seeds_give_equal_runs_and_others_do_not(tmp_path: Path, short_run: Path) -> None:
-    whole = checkpoint.read(short_run / checkpoint.LAST).part("online")
-    trainer(short_config(seed=8), tmp_path / "other").run()
-    other = checkpoint.read(tmp_path / "other" / checkpoint.LAST).part("online")
-    assert any(not torch.equal(whole[name], other[name]) for name in whole)
-
-
-def test_the_budget_is_met_exactly(short_run: Path) -> None:
-    summary = json.loads((short_run / "summary.json").read_text())
-    assert summary["finished"] is True
-    assert summary["decisions"] == 600
-    assert summary["last"]["decision"] == 600
-
-
+@slow
 def test_metrics_have_a_row_per_episode_and_drop_rows_after_a_resumed_checkpoint(
     tmp_path: Path,
 ) -> None:
-    path = tmp_path / "metrics.csv"
-    first = trainer(short_config(), tmp_path)
-    first.listeners.append(MetricsCsv(path, ["flipper", "pitch", "end"]))
+    """On a mix, whose parts draw different numbers."""
+    path, terms = tmp_path / "metrics.csv", ["flipper", "pitch", "end"]
+    first = trainer(few(terrain={"name": "mix", "parts": ["gap", "step"]}), tmp_path)
+    first.listeners += [MetricsCsv(path, terms), listener := Faulty()]
     first.run()
     rows = read_rows(path)
     episodes = [row for row in rows if row["kind"] == "episode"]
     assert [int(row["episode"]) for row in episodes] == list(range(1, first.progress.episode + 1))
-    parts = [
-        sum(float(row[f"reward_{t}"]) for t in ("flipper", "pitch", "end")) for row in episodes
-    ]
+    parts = [sum(float(row[f"reward_{term}"]) for term in terms) for row in episodes]
     assert parts == pytest.approx([float(row["return"]) for row in episodes])
+    assert len({row["terrain"] for row in episodes}) > 1
+    assert sum(row["kind"] == "validation" for row in rows) == 2
+    assert not [name for row in listener.rows for name in row if name.startswith("drawn_")]
 
-    MetricsCsv(path, ["flipper", "pitch", "end"], resume_at=300).close()
+    MetricsCsv(path, terms, resume_at=150).close()
     kept = read_rows(path)
-    assert kept == [row for row in rows if int(row["decision"]) <= 300]
+    assert kept == [row for row in rows if int(row["decision"]) <= 150]
     assert 0 < len(kept) < len(rows)
     with path.open() as file:
         assert next(csv.reader(file))[0] == "kind"
 
 
-def validation(success: float, at_decisions: float, at_100_hz: float | None) -> Validation:
-    return Validation(
-        decision=1,
-        success_rate=success,
-        t_cost=10.0,
-        pitch_variation=at_decisions,
-        pitch_variation_100hz=at_100_hz,
-    )
-
-
-def test_best_is_chosen_by_success_then_by_pitch_variation_at_100_hz() -> None:
-    validator = Validator.__new__(Validator)
-    rocking, calm = validation(1.0, 1.0, 1.5), validation(1.0, 1.2, 1.3)
-    validator.best_by, validator.history = (
-        "pitch_variation_100hz",
-        [validation(0.9, 0.1, 0.2), rocking, calm],
-    )
-    assert validator.best == calm
-
-
-def test_the_best_policy_by_return_is_the_one_that_its_rewards_pay_most(tmp_path: Path) -> None:
-    validator = trainer(short_config(**{"train.best_by": "return"}), tmp_path).validator
-    calm, paid = validation(1.0, 1.0, 1.0), validation(0.9, 2.0, 2.0)
+@pytest.mark.parametrize(
+    ("best_by", "histories", "best"),
+    [
+        # (decision, success, return, pitch variation at decisions, at 100 Hz)
+        ("success", [(1, 0.9, 0, 0.1, 0.2), (2, 1.0, 0, 1.0, 1.5), (3, 1.0, 0, 1.2, 1.3)], 3),
+        ("return", [(1, 1.0, 1.0, 1, 1), (2, 0.9, 2.0, 2, 2)], 2),
+        ("last", [(300, 1.0, 0, 1, 1), (600, 0.9, 0, 2, 2)], 600),
+    ],
+)
+def test_the_best_policy_is_chosen_as_asked(
+    best_by: str, histories: list[tuple[float, ...]], best: int, tmp_path: Path
+) -> None:
+    validator: Validator = trainer(few(**{"train.best_by": best_by}), tmp_path).validator
+    names = ("decision", "success_rate", "mean_return", "pitch_variation", "pitch_variation_100hz")
     validator.history[:] = [
-        calm.model_copy(update={"mean_return": 1.0}),
-        paid.model_copy(update={"mean_return": 2.0}),
+        Validation(t_cost=10.0, **dict(zip(names, one, strict=True))) for one in histories
     ]
-    assert validator.best is validator.history[1]
-
-
-def test_the_last_policy_may_be_the_best(tmp_path: Path) -> None:
-    validator = trainer(short_config(**{"train.best_by": "last"}), tmp_path).validator
-    early, late = validation(1.0, 1.0, 1.0), validation(0.9, 2.0, 2.0)
-    validator.history[:] = [
-        early.model_copy(update={"decision": 300}),
-        late.model_copy(update={"decision": 600}),
-    ]
-    assert validator.best is validator.history[1]
+    assert validator.best is not None
+    assert validator.best.decision == best
 
 
 def test_a_validation_s_return_counts_every_episode_and_no_shaping(tmp_path: Path) -> None:
     shaped = {"rewards": {"shaped_progress": {"name": "shaped_progress"}}}  # beside the paper's
-    run = trainer(short_config(**{"train.validation_episodes": 6, **shaped}), tmp_path)
+    run = trainer(short_config(**{"train.validation_episodes": 4, **shaped}), tmp_path)
     rows = list[dict[str, Any]]()
 
     class Kept:
@@ -206,23 +125,19 @@ def test_a_reward_that_is_not_finite_stops_the_run_and_is_named(tmp_path: Path) 
             return 0.0 if t.outcome is None else math.nan
 
     try:
-        rewards = {**plugins_of(short_config()), "odd": {"name": "sometimes_nan"}}
-        config = with_overrides(short_config(), {"rewards": rewards})
+        rewards = {name: to_dict(term) for name, term in few().rewards.items()}
+        config = few(rewards={**rewards, "odd": {"name": "sometimes_nan"}})
         with pytest.raises(NonFiniteError, match=r"rewards\.odd.*SometimesNan.*nan"):
             trainer(config, tmp_path).run()
     finally:
         del registry["reward", "sometimes_nan"]
 
 
-def plugins_of(config: TrainConfig) -> dict[str, dict[str, object]]:
-    return {name: resolver.to_dict(term) for name, term in config.rewards.items()}
-
-
 def test_a_failing_write_keeps_the_checkpoint_before(
-    short_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    runs: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     target = tmp_path / "last.safetensors"
-    saved = checkpoint.read(short_run / checkpoint.LAST)
+    saved = checkpoint.read(runs("conv") / checkpoint.LAST)
     checkpoint.write(target, saved.document, saved.tensors)
     before = target.read_bytes()
 
@@ -236,3 +151,164 @@ def test_a_failing_write_keeps_the_checkpoint_before(
     assert [p.name for p in tmp_path.iterdir()] == ["last.safetensors"]
     with pytest.raises(WriteError, match=r"No space left on device\)$"):
         checkpoint.write(tmp_path / "new.safetensors", saved.document, {})  # there is no old one
+
+
+def test_only_training_uses_the_easy_terrain_of_a_curriculum() -> None:
+    flat = {"name": "flat", "length": 0.1}
+    terrain = {"name": "curriculum", "easy": flat, "hard": {**flat, "length": 1.1}}
+    env = FlipperEnv(config=few(terrain=terrain, **{"episode.run_out": 0.0}).environment())
+    env.reset(seed=0, options={"difficulty": 0.5})
+    assert env.profile.end == pytest.approx(0.6)
+    env.reset(seed=0)
+    assert env.profile.end == pytest.approx(1.1)
+    with pytest.raises(ValueError, match="no difficulty 2; 0 to 1 is allowed"):
+        env.reset(seed=0, options={"difficulty": 2})
+    with pytest.raises(ValueError, match="difficulty 2 is not within 0 and 1"):
+        env.config.terrain.at(2)
+
+
+# Listeners
+
+
+class Faulty:
+    """A listener that keeps its rows and fails in the methods that are named."""
+
+    def __init__(self, *methods: str) -> None:
+        self.methods = methods
+        self.closed = 0
+        self.rows: list[Mapping[str, Any]] = []
+
+    def _fail(self, method: str) -> None:
+        if method in self.methods:
+            raise WriteError(f"{method} failed")
+
+    def episode(self, row: Mapping[str, Any]) -> None:
+        self.rows.append(row)
+        self._fail("episode")
+
+    def validation(self, row: Mapping[str, Any]) -> None:
+        self.rows.append(row)
+        self._fail("validation")
+
+    def note(self, text: str) -> None:
+        self._fail("note")
+
+    def close(self) -> None:
+        self.closed += 1
+        self._fail("close")
+
+
+@pytest.fixture
+def flat(tmp_path: Path) -> Trainer:
+    """A training of few decisions on level ground."""
+    short = {**RUN, "train.mode": "exact", "episode.run_out": 0.2}
+    return trainer(with_overrides(TrainConfig(terrain="flat", network="mlp"), short), tmp_path)
+
+
+@pytest.mark.parametrize("method", ["episode", "validation", "close"])
+def test_all_listeners_are_closed_though_one_fails(method: str, flat: Trainer) -> None:
+    listeners = [Faulty(), Faulty(method), Faulty()]
+    flat.listeners += listeners
+    with pytest.raises(WriteError, match=f"{method} failed"):
+        flat.run()
+    assert [listener.closed for listener in listeners] == [1, 1, 1]
+
+
+@pytest.mark.parametrize("step", ["Trainer.save", "add_recorded"])
+def test_listeners_are_closed_when_a_run_does_not_start(
+    step: str, flat: Trainer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listener = Faulty("close")
+    flat.listeners.append(listener)
+    monkeypatch.setattr(f"flipperctl.training.trainer.{step}", no_space)
+    with pytest.raises(WriteError, match="no space"):  # not that of the closing
+        flat.run()
+    assert listener.closed == 1
+
+
+def no_space(*given: object) -> None:
+    raise WriteError("no space")
+
+
+def test_a_listener_that_cannot_be_made_closes_those_before(
+    flat: Trainer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made: list[training.MetricsCsv] = []
+
+    class Kept(training.MetricsCsv):
+        def __init__(self, *given: Any) -> None:
+            super().__init__(*given)
+            made.append(self)
+
+    monkeypatch.setattr(training, "MetricsCsv", Kept)
+    monkeypatch.setattr(training, "openers", lambda *given: [no_space])
+    with pytest.raises(WriteError, match="no space"):
+        training._train(flat, None, training.Reports(), lambda: False)
+    assert made[0]._file.closed
+
+
+def test_the_newest_is_closed_first_and_the_first_error_is_raised() -> None:
+    order: list[int] = []
+
+    class Numbered:
+        def __init__(self, number: int) -> None:
+            self.number = number
+
+        def close(self) -> None:
+            order.append(self.number)
+            if self.number in (1, 2):
+                raise WriteError(str(self.number))
+
+    opened = open_all([lambda: Numbered(0), lambda: Numbered(1)])
+    stack = ExitStack()
+    for one in (*opened, Numbered(2), Numbered(3)):
+        stack.push(closer(one))
+    with pytest.raises(WriteError, match="2"):
+        stack.close()
+    assert order == [3, 2, 1, 0]
+
+
+class Broken(Logger):
+    """Opens a listener that fails."""
+
+    plugin_name = "broken"
+    listener: Any = None
+
+    def open(self, run: RunInfo) -> Listener:
+        if isinstance(self.listener, BaseException):
+            raise self.listener
+        found: Listener = self.listener
+        return found
+
+
+def guarded(listener: Any, folder: Path) -> GuardedLogger:
+    """Open the logger as a training does, whose plugins are guarded when they are created."""
+    guard_class(Broken)
+    return GuardedLogger(Broken(listener=listener), RunInfo(folder, folder / "broken", {}, None))
+
+
+@pytest.mark.parametrize("method", ["open", "episode", "validation", "note", "close"])
+def test_a_logger_that_fails_is_dropped_with_one_warning(
+    method: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    listener = Faulty(method)
+    logger = guarded(ValueError("no disk") if method == "open" else listener, tmp_path)
+    for _ in range(2):
+        logger.episode({})
+        logger.validation({})
+        logger.note("a note")
+    logger.close()
+    (line,) = capfd.readouterr().err.splitlines()
+    assert line.startswith(f"warning: logger 'broken': {method} raised ")
+    assert "PluginFailedError" not in line
+    assert line.endswith("the training continues without it")
+    assert listener.closed == (method != "open")
+
+
+def test_a_missing_package_refuses_the_training_and_an_interrupt_is_the_user_s(
+    tmp_path: Path,
+) -> None:
+    with pytest.raises(MissingExtraError, match=r"logger=broken: install flipperctl\[broken\]"):
+        guarded(ImportError("install flipperctl[broken]"), tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        guarded(KeyboardInterrupt(), tmp_path)
