@@ -22,7 +22,7 @@ from flipperctl.agent.risk import RiskNetwork, plain_risk, split_weights
 from flipperctl.api import ACTIONS, Policy
 from flipperctl.config import TrainConfig, parse
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.policies.exploring import SamplingPolicy, ExploringPolicy
+from flipperctl.policies.exploring import ExploringPolicy, SamplingPolicy
 from flipperctl.policies.source import controller_policy
 from flipperctl.policies.teaching import DaggerPolicy
 from flipperctl.policies.trained import TrainedPolicy

@@ -208,7 +208,7 @@ class Trainer:
             if self.progress.decision >= self.config.train.decisions:
                 break
         if ending is None:  # the budget ended first, or the run is to stop
-            if self.config.agent.is_policy_gradient:  # another episode would follow as if it were its rest
+            if self.config.agent.is_policy_gradient:  # the next one would seem to be its rest
                 self.replay.take_back()
             self.replay.drop_pending()
             self._recorder.drop()
