@@ -116,12 +116,12 @@ class WorkerPool:
 
     def close(self) -> None:
         """Stop all processes at once; calls that have not ended are lost."""
-        for worker in self._workers:
-            worker.close()
         with suppress(Empty):
             while True:
                 if (call := self._calls.get_nowait()) is not None:
                     call[0].cancel()
+        for worker in self._workers:
+            worker.close()
         for _ in self._threads:
             self._calls.put(None)
         for thread in self._threads:

@@ -277,8 +277,9 @@ UNSEEN = 2.0
 """Size of what moves all values of a state alike and is not in its observation."""
 
 
-def privileged_agent(network: str = "dueling_mlp", privileged: int = 1) -> D3qn:
-    built = resolver.create("network", network, "network")
+def privileged_agent(network: str = "mlp", privileged: int = 1) -> D3qn:
+    small = {"name": "mlp", "hidden": [32]} if network == "mlp" else network
+    built = resolver.create("network", small, "network")
     assert isinstance(built, Network)
     return D3qn(built, LAYOUT, Agent(reward_scale=1.0), seed=0, privileged=privileged)
 

@@ -37,7 +37,8 @@ def test_the_networks_start_with_the_weights_of_the_run(
 ) -> None:
     start = {"agent.start_from": str(runs("stacked"))}
     new = begun(tmp_path, network={"name": "stacked"}, **start)  # its dropout may differ
-    theirs = list(checkpoint.read(runs("stacked") / checkpoint.BEST).part("policy").values())
+    best = checkpoint.read(runs("stacked") / checkpoint.BEST)
+    theirs = list(policy_module(best).state_dict().values())
     for network in (new.agent.online, new.agent.target):
         ours = list(network.state_dict().values())
         assert all(torch.equal(a, b) for a, b in zip(ours, theirs, strict=True))
