@@ -5,15 +5,10 @@ Try it: ``flipperctl eval --controller okada terrain=step --plugins examples/hig
 
 from collections.abc import Sequence
 
-from flipperctl.api import Measure, Transition, measure
+from flipperctl.api import Transition, measure
 
 
-@measure("highest")
-class Highest(Measure):
+@measure("highest", unit="m", digits=3)
+def highest(episode: Sequence[Transition]) -> float:
     """Largest height of the chassis centre in the world [m]."""
-
-    unit = "m"
-    digits = 3
-
-    def __call__(self, episode: Sequence[Transition]) -> float:
-        return max(float(t.path[:, 1].max()) for t in episode)
+    return max(float(t.path[:, 1].max()) for t in episode)

@@ -19,11 +19,8 @@ class Low(api.RewardTerm):
     """
 
     bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
+    elementwise: ClassVar[bool] = True
 
     def __call__(self, t: api.Transition) -> float:
-        raised = max(0.0, np.sin(t.after.front)) + max(0.0, np.sin(t.after.rear))
-        return -min(1.0, float(raised / (2 * np.sin(t.robot.angle_limit))))
-
-    def array(self, ts: api.Transitions) -> api.FloatArray:
-        raised = np.maximum(0.0, np.sin(ts.after.front)) + np.maximum(0.0, np.sin(ts.after.rear))
-        return -np.minimum(1.0, raised / (2 * np.sin(ts.robot.angle_limit)))
+        raised = np.maximum(0.0, np.sin(t.after.front)) + np.maximum(0.0, np.sin(t.after.rear))
+        return -api.limited(raised / (2 * np.sin(t.robot.angle_limit)), 0.0, 1.0)

@@ -6,7 +6,6 @@ Try it: ``flipperctl train terrain=plum experiment=searched ~rewards.flipper ~re
 
 from typing import ClassVar
 
-import numpy as np
 from pydantic import Field
 
 from flipperctl import api
@@ -21,14 +20,10 @@ class Swift(api.RewardTerm):
     """
 
     bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
+    elementwise: ClassVar[bool] = True
     speed: float = Field(0.2, ge=0.01, le=5, description="speed that costs nothing [m/s]")
 
     def __call__(self, t: api.Transition) -> float:
-        way = float(t.after.position[0] - t.before.position[0])
+        way = t.after.position[..., 0] - t.before.position[..., 0]
         full = self.speed * (t.after.time - t.before.time)
-        return -min(1.0, max(0.0, 0.5 - 0.5 * way / full))
-
-    def array(self, ts: api.Transitions) -> api.FloatArray:
-        way = ts.after.position[:, 0] - ts.before.position[:, 0]
-        full = self.speed * (ts.after.time - ts.before.time)
-        return -np.clip(0.5 - 0.5 * way / full, 0.0, 1.0)
+        return -api.limited(0.5 - 0.5 * way / full, 0.0, 1.0)

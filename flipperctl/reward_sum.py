@@ -5,16 +5,15 @@ In: a ``Transition``, or ``Transitions``. Out: the weighted values, checked.
 
 from __future__ import annotations
 
-import inspect
 import math
 from collections.abc import Mapping
-from functools import cached_property
 from numbers import Real
 from typing import NamedTuple
 
 import numpy as np
 
 from flipperctl.api import FloatArray, RewardTerm, Shaping, Transition, Transitions
+from flipperctl.api.rewards import writes
 from flipperctl.errors import (
     ConfigError,
     FlipperctlError,
@@ -40,8 +39,12 @@ class _Term(NamedTuple):
     """Declared lower bound, less a tolerance for rounding [-]."""
     high: float
     """Declared upper bound, plus a tolerance for rounding [-]."""
-    has_array: bool
-    """Whether the term computes many decisions at once itself."""
+    many: bool
+    """Whether the term computes many decisions at once."""
+
+    def allows(self, value: float) -> bool:
+        """Return whether the value and its weighted value are allowed; NaN is not."""
+        return self.low <= value <= self.high and abs(self.weight * value) <= _LARGEST
 
 
 class RewardSum:
@@ -63,19 +66,7 @@ class RewardSum:
             NonFiniteError: a term is not finite; the text names it.
             PluginFailedError: a term raised an error, or returned no number within its bounds.
         """
-        parts = {}
-        for name, term, weight, low, high, _ in self._terms:
-            try:
-                value = term(t)
-            except PluginFailedError as error:
-                raise with_path(error, term, f"rewards.{name}") from error.__cause__
-            if type(value) is not float:
-                value = _to_float(name, term, value, t)
-            part = weight * value
-            if not (low <= value <= high and -_LARGEST <= part <= _LARGEST):  # false for NaN
-                raise _value_error(name, term, value, part, t)
-            parts[name] = part
-        return parts
+        return {entry.name: entry.weight * _value(entry, t) for entry in self._terms}
 
     def array(self, ts: Transitions) -> FloatArray:
         """Return the weighted sum of all terms for each of M decisions, (M,) [-].
@@ -86,13 +77,11 @@ class RewardSum:
                 bounds.
         """
         total = np.zeros(len(ts))
-        if not len(ts):
-            return total
-        for entry in self._terms:
-            if entry.has_array:
-                total += _array_of(entry, ts)
-        if (rest := self._without_array).terms:
-            total += [sum(rest(t).values()) for t in ts]
+        if len(ts):
+            for entry in (e for e in self._terms if e.many):
+                total += entry.weight * _values(entry, ts)
+            if single := [e for e in self._terms if not e.many]:
+                total += [sum(e.weight * _value(e, t) for e in single) for t in ts]
         return total
 
     def require_predictable(self, path: str) -> None:
@@ -124,11 +113,6 @@ class RewardSum:
                 )
         return {name: text for name, text in found.items() if text}
 
-    @cached_property
-    def _without_array(self) -> RewardSum:
-        """The terms that compute one decision at a time."""
-        return RewardSum({entry.name: entry.term for entry in self._terms if not entry.has_array})
-
 
 def _prepare(name: str, term: RewardTerm) -> _Term:
     try:
@@ -149,26 +133,37 @@ def _prepare(name: str, term: RewardTerm) -> _Term:
         )
     low, high = map(float, bounds)
     room = _ROUNDING * max(1.0, *(abs(b) for b in (low, high) if math.isfinite(b)), 0.0)
-    has_array = inspect.unwrap(type(term).array) is not RewardTerm.array  # without its guard
-    return _Term(name, term, float(weight), low - room, high + room, has_array)
+    many = term.elementwise or writes(type(term), RewardTerm, "array")
+    return _Term(name, term, float(weight), low - room, high + room, many)
 
 
-def _array_of(entry: _Term, ts: Transitions) -> FloatArray:
-    """Return the weighted values of a term with an array form, (M,) [-]."""
-    name, term, weight, low, high, _ = entry
+def _value(entry: _Term, t: Transition) -> float:
+    """Return the value of one decision by a term's form for one [-]."""
     try:
-        found: object = term.array(ts)
+        value = entry.term(t)
     except PluginFailedError as error:
-        raise with_path(error, term, f"rewards.{name}") from error.__cause__
-    values = _checked_array(name, term, found, len(ts))
-    least, largest = float(values.min()), float(values.max())  # NaN if one of them is
-    weighted = abs(weight) * max(abs(least), abs(largest))
-    if not (low <= least and largest <= high and weighted <= _LARGEST):
-        for value, t in zip(values.tolist(), ts, strict=True):
-            part = weight * value
-            if not (low <= value <= high and -_LARGEST <= part <= _LARGEST):
-                raise _value_error(name, term, value, part, t, "array")
-    return weight * values
+        raise with_path(error, entry.term, f"rewards.{entry.name}") from error.__cause__
+    if isinstance(value, np.float64):
+        value = value.item()
+    elif type(value) is not float:
+        value = _to_float(entry.name, entry.term, value, t)
+    if not entry.allows(value):
+        raise _value_error(entry, value, t, "__call__")
+    return value
+
+
+def _values(entry: _Term, ts: Transitions) -> FloatArray:
+    """Return the values of M decisions by a term's form for many, (M,) [-]."""
+    try:
+        found: object = entry.term.array(ts)
+    except PluginFailedError as error:
+        raise with_path(error, entry.term, f"rewards.{entry.name}") from error.__cause__
+    values = _checked_array(entry.name, entry.term, found, len(ts))
+    # The extremes are NaN if one of the values is.
+    if not (entry.allows(float(values.min())) and entry.allows(float(values.max()))):
+        index = next(i for i, value in enumerate(values.tolist()) if not entry.allows(value))
+        raise _value_error(entry, float(values[index]), ts[index], "array")
+    return values
 
 
 def _checked_array(name: str, term: RewardTerm, values: object, count: int) -> FloatArray:
@@ -200,15 +195,9 @@ def _to_float(name: str, term: RewardTerm, value: object, t: Transition) -> floa
     )
 
 
-def _value_error(
-    name: str,
-    term: RewardTerm,
-    value: float,
-    part: float,
-    t: Transition,
-    method: str = "__call__",
-) -> FlipperctlError:
+def _value_error(entry: _Term, value: float, t: Transition, method: str) -> FlipperctlError:
     """Return the exception for a value that is not finite, too large or out of its bounds."""
+    name, term, part = entry.name, entry.term, entry.weight * value
     module, qualname = type(term).__module__, type(term).__qualname__
     where = f"rewards.{name}: the term {term.plugin_name!r} ({module}.{qualname}): {method}"
     at = f"at time {t.after.time:.2f} s"

@@ -38,7 +38,7 @@ from flipperctl.api.measures import Measure, measure
 from flipperctl.api.networks import Network, network
 from flipperctl.api.plugin import NAME_RULE, Plugin, is_plugin_name, registry
 from flipperctl.api.profile import Profile
-from flipperctl.api.rewards import RewardTerm, Shaping, reward
+from flipperctl.api.rewards import RewardTerm, Shaping, limited, reward
 from flipperctl.api.robot import Robot
 from flipperctl.api.sensors import (
     GroundSensor,
@@ -128,6 +128,7 @@ __all__ = [
     "controller",
     "engine",
     "is_plugin_name",
+    "limited",
     "logger",
     "measure",
     "network",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -27,42 +28,37 @@ def candidate_angle(
     hinge, measured along the chassis, count, since a point under the hinge would outweigh all
     others. The angle is clipped to the range of the flippers; without points it is 0.
     """
-    cos, sin = math.cos(pitch), math.sin(pitch)
-    along = cos * points[:, 0] + sin * points[:, 1]
-    up = cos * points[:, 1] - sin * points[:, 0]
-    u = (-along if rear else along) - robot.hinge_offset
-    chosen = (u >= near) & (u <= far)
-    u, up = u[chosen], up[chosen]
-    if not u.size:
-        return 0.0
-    inflation = np.arcsin(np.minimum(1.0, robot.track_radius / np.hypot(u, up)))
-    return robot.clip(float(np.maximum.reduce(np.arctan2(up, u) + inflation)))
+    x, z = points.T
+    return float(candidate_angles(x, z, pitch, robot, near=near, far=far, rear=rear))
 
 
 def candidate_angles(
     x: FloatArray,
     z: FloatArray,
-    pitch: FloatArray,
+    pitch: Any,
     robot: RobotGeometry,
     *,
     near: float = 0.1,
     far: float = 0.45,
     rear: bool = False,
-) -> FloatArray:
+) -> Any:
     """Return ``candidate_angle`` of M poses of these pitches (M,) [rad], (M,) [rad].
 
     ``x`` and ``z`` are the points of each pose in its frame L, (M, P) [m]; NaN stands for no point.
+    Of a single pose, ``pitch`` is a float, the points are (P,), and the angle is a float.
     """
+    one = isinstance(pitch, float)
     # numpy's cosine may differ in the last bit, which would decide whether a point counts.
-    listed = pitch.tolist()
-    cos, sin = np.array([[math.cos(a) for a in listed], [math.sin(a) for a in listed]])
-    along = cos[:, None] * x + sin[:, None] * z
+    turns = [(math.cos(a), math.sin(a)) for a in ((pitch,) if one else pitch.tolist())]
+    cos, sin = turns[0] if one else np.array(turns).reshape(-1, 2).T[:, :, None]
+    along, up = cos * x + sin * z, cos * z - sin * x
     u = (-along if rear else along) - robot.hinge_offset
-    chosen = np.flatnonzero((u >= near) & (u <= far))
-    row = chosen // max(1, x.shape[1])
-    u, up = u.take(chosen), cos[row] * z.take(chosen) - sin[row] * x.take(chosen)
-    inflation = np.arcsin(np.minimum(1.0, robot.track_radius / np.hypot(u, up)))
-    largest = np.full(len(pitch), -math.inf)
-    np.maximum.at(largest, row, np.arctan2(up, u) + inflation)
+    chosen = (u >= near) & (u <= far)
+    u, up = u[chosen], up[chosen]
+    angles = np.arctan2(up, u) + np.arcsin(np.minimum(1.0, robot.track_radius / np.hypot(u, up)))
+    if one:
+        return robot.clip(float(np.maximum.reduce(angles))) if angles.size else 0.0
+    largest = np.full(len(x), -math.inf)
+    np.maximum.at(largest, chosen.nonzero()[0], angles)
     clipped = np.clip(largest, -robot.angle_limit, robot.angle_limit)
     return np.where(largest == -math.inf, 0.0, clipped)

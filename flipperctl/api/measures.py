@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import functools
+import types
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import ClassVar, Literal, TypeVar
+from typing import Any, ClassVar, Literal, Protocol, TypeVar, overload
 
 from flipperctl.api.plugin import Plugin, register
 from flipperctl.api.values import Transition
@@ -38,18 +40,49 @@ class Measure(Plugin, ABC):
 
 
 MeasureT = TypeVar("MeasureT", bound=Measure)
+Function = Callable[[Sequence[Transition]], float]
+"""A measure as a function of a whole episode; its docstring describes it."""
 
 
-def measure(name: str) -> Callable[[type[MeasureT]], type[MeasureT]]:
-    """Register a ``Measure``; ``name`` is its column in files and its key in JSON.
+class _Decorator(Protocol):
+    @overload
+    def __call__(self, written: type[MeasureT], /) -> type[MeasureT]: ...
+
+    @overload
+    def __call__(self, written: Function, /) -> type[Measure]: ...
+
+
+def measure(
+    name: str,
+    *,
+    unit: str = "-",
+    digits: int = 2,
+    reached_only: bool = False,
+    mapped_only: bool = False,
+    better: Literal["lower", "higher"] | None = None,
+    in_tables: bool = True,
+) -> _Decorator:
+    """Register a function of an episode as a ``Measure``, or a class of its own.
+
+    ``name`` is its column in files and its key in JSON. The other arguments describe a function's
+    values as the attributes of ``Measure`` by their names do; a class has these attributes itself.
 
     Raises:
         ValueError: the name is not valid or is already taken.
         TypeError: the class is not a ``Measure``, or has settings.
     """
     registered = register(Measure, name)
+    described = {
+        "unit": unit,
+        "digits": digits,
+        "reached_only": reached_only,
+        "mapped_only": mapped_only,
+        "better": better,
+        "in_tables": in_tables,
+    }
 
-    def decorate(cls: type[MeasureT]) -> type[MeasureT]:
+    def decorate(written: Any, /) -> Any:
+        cls = written if isinstance(written, type) else _class_of(written, described)
         if fields := list(getattr(cls, "model_fields", ())):
             raise TypeError(
                 f"@measure({name!r}): {cls.__name__} has the settings {', '.join(fields)}; every "
@@ -58,3 +91,13 @@ def measure(name: str) -> Callable[[type[MeasureT]], type[MeasureT]]:
         return registered(cls)
 
     return decorate
+
+
+def _class_of(function: Function, described: dict[str, object]) -> type[Measure]:
+    @functools.wraps(function)
+    def call(self: Measure, episode: Sequence[Transition]) -> float:
+        return function(episode)
+
+    named = {key: getattr(function, key) for key in ("__doc__", "__module__", "__qualname__")}
+    body = {**named, **described, "__call__": call}
+    return types.new_class(function.__name__, (Measure,), exec_body=lambda ns: ns.update(body))

@@ -160,12 +160,16 @@ class Profile:
         return cloud[bisect_left(along, x - reach) : bisect_left(along, x + reach)]
 
     def around_each(
-        self, x: FloatArray, reach: FloatArray | float, *, far: bool = False
+        self, x: FloatArray | float, reach: FloatArray | float, *, far: bool = False
     ) -> tuple[FloatArray, FloatArray]:
         """Return x and z of ``around`` of each of M positions, twice (M, P) in world [m].
 
-        ``x`` is (M,) and ``reach`` (M,) or one number [m]. Rows of fewer points end in NaN.
+        ``x`` is (M,) and ``reach`` (M,) or one number [m]. Rows of fewer points end in NaN. If
+        ``x`` is a number, the points are (P,).
         """
+        if not np.ndim(x):
+            points = self.around(float(x), float(reach), far=far)
+            return points[:, 0], points[:, 1]
         cloud = self._far_cloud if far else self.cloud
         columns = self._far_columns if far else self._columns
         first = np.searchsorted(cloud[:, 0], x - reach)

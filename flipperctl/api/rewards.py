@@ -1,12 +1,14 @@
 """Reward terms, and potential-based shaping, which preserves every optimal policy.
 
-A term is a function of one decision; an array form, for speed, computes many at once.
+A term is written once: as ``__call__`` of one decision, or as ``array`` of many. The other form is
+derived.
 """
 
 from __future__ import annotations
 
+import inspect
 import math
-from abc import ABC, abstractmethod
+from abc import ABC
 from collections.abc import Callable
 from typing import Any, ClassVar, TypeVar
 
@@ -20,10 +22,11 @@ from flipperctl.api.values import RobotGeometry, RobotState, Transition
 from flipperctl.core.arrays import FloatArray
 
 
-def _renew(cls: type, one: str, many: str, default: Callable[..., object]) -> None:
-    """Replace an inherited array form, which may differ from the method that a class overrides."""
-    if one in vars(cls) and many not in vars(cls):
-        setattr(cls, many, default)
+def _renew(cls: type, forms: dict[str, Callable[..., object]]) -> None:
+    """Derive the form that a class does not write, lest an inherited one differs from its own."""
+    if written := forms.keys() & vars(cls):
+        for name in forms.keys() - written:
+            setattr(cls, name, forms[name])
 
 
 class RewardTerm(Plugin, ABC):
@@ -40,23 +43,26 @@ class RewardTerm(Plugin, ABC):
     the outcome there, but neither the ground beyond, hence not the last edge (``profile.end``) or
     the finish, nor forces. Potential-based shaping then takes the last perceived edge for the last.
     """
+    elementwise: ClassVar[bool] = False
+    """Whether ``__call__`` takes ``Transitions`` as well and returns (M,), as formulas do that
+    index arrays from their last axis: ``t.after.position[..., 0]``. Searches are then many times
+    faster.
+    """
     weight: float = Field(1.0, ge=-1e6, le=1e6, description="factor of the term in the sum [-]")
 
-    @abstractmethod
+    def __init_subclass__(cls, **given: Any) -> None:
+        """Derive the form of the term that the class does not write."""
+        super().__init_subclass__(**given)
+        _renew(cls, {"__call__": RewardTerm.__call__, "array": RewardTerm.array})
+
     def __call__(self, t: Transition) -> float:
         """Return the unweighted reward of one decision [-]."""
-
-    def __init_subclass__(cls, **given: Any) -> None:
-        """Give a class that computes one decision anew the array form that calls it."""
-        super().__init_subclass__(**given)
-        _renew(cls, "__call__", "array", RewardTerm.array)
+        return float(self.array(Transitions.of([t]))[0])
 
     def array(self, ts: Transitions) -> FloatArray:
-        """Return the unweighted rewards of M decisions, (M,) [-].
-
-        This calls the term for each decision. A term may override it for speed, with equal values.
-        """
-        return np.array([self(t) for t in ts], dtype=np.float64)
+        """Return the unweighted rewards of M decisions, (M,) [-]."""
+        each: Any = self
+        return each(ts) if self.elementwise else np.array([self(t) for t in ts], np.float64)
 
 
 class Shaping(RewardTerm):
@@ -65,16 +71,19 @@ class Shaping(RewardTerm):
     It leaves every optimal policy optimal (Ng, Harada and Russell 1999): over a whole episode the
     discounted terms add up to −Φ(start), whichever actions were taken. This holds only for the
     discount ``gamma``, and only if no outcome is bootstrapped; training checks both conditions. A
-    subclass implements ``potential``, and ``bounds`` if Φ is bounded.
+    subclass implements ``potential`` or, of many, ``potentials``, and ``bounds`` if Φ is bounded.
     """
 
     gamma: float = Field(
         0.99, ge=0, lt=1, description="discount per decision, equal to agent.gamma [-]"
     )
 
-    @abstractmethod
     def potential(self, state: RobotState, profile: Profile, robot: RobotGeometry) -> float:
-        """Return the potential Φ of a state, a function of the state alone [-]."""
+        """Return the potential Φ of a state, a function of the state alone [-].
+
+        An ``elementwise`` one takes ``RobotStates`` as well and returns (M,).
+        """
+        return float(self.potentials(RobotStates.of([state]), profile, robot)[0])
 
     def __call__(self, t: Transition) -> float:
         """Return the unweighted shaping of one decision [-]."""
@@ -82,13 +91,17 @@ class Shaping(RewardTerm):
         return self.gamma * after - self.potential(t.before, t.profile, t.robot)
 
     def __init_subclass__(cls, **given: Any) -> None:
-        """Give a class that computes one potential anew the array form that calls it."""
+        """Derive the form of the potential that the class does not write."""
         super().__init_subclass__(**given)
-        _renew(cls, "potential", "potentials", Shaping.potentials)
+        _renew(cls, {"potential": Shaping.potential, "potentials": Shaping.potentials})
 
     def potentials(self, states: RobotStates, profile: Profile, robot: RobotGeometry) -> FloatArray:
-        """Return the potentials Φ of M states, (M,) [-]; may be overridden for speed."""
-        return np.array([self.potential(s, profile, robot) for s in states], dtype=np.float64)
+        """Return the potentials Φ of M states, (M,) [-]."""
+        of: Any = self.potential
+        if self.elementwise:
+            found: FloatArray = of(states, profile, robot)
+            return found
+        return np.array([of(s, profile, robot) for s in states], np.float64)
 
     def array(self, ts: Transitions) -> FloatArray:
         """Return the unweighted shaping of M decisions, (M,) [-]."""
@@ -100,5 +113,34 @@ RewardT = TypeVar("RewardT", bound=RewardTerm)
 
 
 def reward(name: str) -> Callable[[type[RewardT]], type[RewardT]]:
-    """Register a ``RewardTerm``; add it with ``+reward@rewards.<term>=<name>``."""
-    return register(RewardTerm, name)
+    """Register a ``RewardTerm``; add it with ``+reward@rewards.<term>=<name>``.
+
+    Raises:
+        ValueError: the name is not valid or is already taken.
+        TypeError: the class is not a ``RewardTerm``, or writes no form of the reward.
+    """
+    registered = register(RewardTerm, name)
+
+    def decorate(cls: type[RewardT]) -> type[RewardT]:
+        base: type[RewardTerm] = Shaping if issubclass(cls, Shaping) else RewardTerm
+        forms = ("potential", "potentials") if base is Shaping else ("__call__", "array")
+        if issubclass(cls, base) and not any(writes(cls, base, form) for form in forms):
+            raise TypeError(
+                f"@reward({name!r}): {cls.__name__} needs a method {forms[0]} of one decision, or "
+                f"{forms[1]} of many"
+            )
+        return registered(cls)
+
+    return decorate
+
+
+def limited(value: Any, low: float, high: float) -> float:
+    """Return a number within ``low`` and ``high``, or an array (M,) likewise; NaN is kept."""
+    is_one = isinstance(value, float)
+    found: float = min(max(value, low), high) if is_one else np.clip(value, low, high)
+    return found
+
+
+def writes(cls: type[RewardTerm], base: type[RewardTerm], form: str) -> bool:
+    """Return whether the class has a form of its own, which the core may have guarded."""
+    return inspect.unwrap(getattr(cls, form)) is not inspect.unwrap(getattr(base, form))

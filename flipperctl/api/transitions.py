@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from operator import attrgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,16 +49,19 @@ class RobotStates:
 
     def __post_init__(self) -> None:
         for name in ("roll", "yaw", "side"):
-            value = np.broadcast_to(getattr(self, name), self.pitch.shape)
-            object.__setattr__(self, name, value)
+            if (value := getattr(self, name)).shape != self.pitch.shape:
+                object.__setattr__(self, name, np.broadcast_to(value, self.pitch.shape))
         for name, width in _STATE.items():
             _require_shape(name, getattr(self, name), (len(self), *width))
 
     @classmethod
     def of(cls, states: Sequence[RobotState]) -> RobotStates:
         """Return the states in arrays."""
+        numbers = np.array([_numbers(s) for s in states], np.float64).T.copy()
         return cls(
-            **{name: np.array([getattr(s, name) for s in states], np.float64) for name in _STATE}
+            position=np.array([s.position for s in states], np.float64),
+            velocity=np.array([s.velocity for s in states], np.float64),
+            **dict(zip(_NUMBERS, numbers, strict=True)),
         )
 
     def take(self, rows: NDArray[np.intp]) -> RobotStates:
@@ -235,6 +239,8 @@ _STATE: dict[str, tuple[int, ...]] = {
     "side": (),
 }
 """Field of ``RobotState`` → shape of its value."""
+_NUMBERS = tuple(name for name, shape in _STATE.items() if not shape)
+_numbers = attrgetter(*_NUMBERS)
 
 
 def _require_shape(name: str, array: FloatArray | NDArray[np.intp], shape: tuple[int, ...]) -> None:

@@ -302,3 +302,13 @@ class Transition:
 
     None in predictions, and in an engine that does not measure it. Measures may use it.
     """
+
+    @property
+    def ended(self) -> bool:
+        """Whether the decision ended the episode."""
+        return self.outcome is not None
+
+    @property
+    def reached(self) -> bool:
+        """Whether the decision reached the finish."""
+        return self.outcome is Outcome.REACHED

@@ -30,7 +30,7 @@ from flipperctl.config.identity import foreign_plugins
 from flipperctl.env import ground, repeating, start
 from flipperctl.env.drive import Drive
 from flipperctl.env.guarded_sensor import exact as exact_sensor
-from flipperctl.env.metrics import DRAWN, EpisodeMetrics, measures
+from flipperctl.env.metrics import DRAWN, EpisodeMetrics, Pitches, measures
 from flipperctl.env.perceiving import Perceiver, initial_copy
 from flipperctl.env.pictures import (
     MODES,
@@ -162,7 +162,8 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self._perceiver.attach(self.drive, *(o.measured for o in self.observers))
         self._sampled_values = {**starts, **sampled}
         self._last_move, self._outcome = None, None
-        self._pitches = [self.state.pitch]
+        self._pitches = Pitches()
+        self._pitches.append(self.state.pitch)
         self._metrics = EpisodeMetrics(self._measures)
         self.perception = self._perceiver.perceive(self.drive.delayed_state)
         self._replayed = repeating.Replayed(spawned, difficulty)
@@ -268,9 +269,8 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         move, before = ACTIONS[index], self.state
         outcome = self.drive.decide(index)
         after = self.state
-        self._pitches.append(after.pitch)
         previous, self._last_move, self._outcome = self._last_move or (0, 0), move, outcome
-        pitches, poses = np.array(self._pitches), self.drive.poses
+        pitches, poses = self._pitches.append(after.pitch), self.drive.poses
         self.transition = Transition(
             before=before,
             after=after,

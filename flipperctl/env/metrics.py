@@ -92,15 +92,11 @@ class EpisodeMetrics:
     def __init__(self, measures: Mapping[str, Measure]) -> None:
         self._measures = measures
         self._episode: list[Transition] = []
-        self._pitches = _Pitches()
         self._parts: dict[str, float] = {}
 
     def add(self, t: Transition, parts: Mapping[str, float]) -> None:
         """Add one decision with the weighted values of its reward terms."""
-        if not self._episode:
-            self._pitches.append(t.before.pitch)
-        pitches = self._pitches.append(t.after.pitch)
-        self._episode.append(_with_pitches(t, pitches))
+        self._episode.append(t)
         for name, value in parts.items():
             self._parts[name] = self._parts.get(name, 0.0) + value
 
@@ -128,14 +124,7 @@ def applies(measure: Measure, episode: Sequence[Transition]) -> bool:
     return not measure.mapped_only or (perceived is not None and perceived.seen is not None)
 
 
-def _with_pitches(t: Transition, pitches: FloatArray) -> Transition:
-    """Return the transition with other pitches; ``dataclasses.replace`` takes ten times as long."""
-    copy = object.__new__(Transition)
-    copy.__dict__.update(t.__dict__, pitches=pitches)
-    return copy
-
-
-class _Pitches:
+class Pitches:
     """The pitches of an episode so far, which its transitions share.
 
     With a copy in each, memory would grow with the square of the episode's length: 2 GB on 1 km.

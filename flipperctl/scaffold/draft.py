@@ -86,7 +86,10 @@ class Draft:
 
     @property
     def cls(self) -> str:
-        """Name of the plugin's class."""
+        """Name of the plugin's class, or of the function of a measure."""
+        if self.kind == "measure":
+            taken = keyword.iskeyword(self.name) or self.name in (*api.__all__, "Sequence")
+            return f"{self.name}_measure" if taken else self.name
         joined = "".join(word.capitalize() for word in self.name.split("_"))
         clashes = joined in (*api.__all__, "ClassVar", "Field", "Self") or keyword.iskeyword(joined)
         return joined + self.kind.capitalize() if clashes else joined

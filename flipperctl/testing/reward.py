@@ -38,17 +38,15 @@ def bounded(reward: RewardTerm) -> None:
 
 
 def pure(reward: RewardTerm) -> None:
-    """Check that the reward depends only on the transition and does not change it."""
-    pitches = [t.pitches.tobytes() for t in transitions()]
+    """Check that the reward depends only on the transition."""
     first = [reward(t) for t in transitions()]
     again = [reward(t) for t in reversed(transitions())][::-1]
-    for t, one, other, before in zip(transitions(), first, again, pitches, strict=True):
+    for t, one, other in zip(transitions(), first, again, strict=True):
         require(
             one == other,
             f"{_at(t)} it returns {one!r} and, called again, {other!r}; "
             "it may depend only on the transition",
         )
-        require(t.pitches.tobytes() == before, f"{_at(t)} it changes the transition's pitches")
 
 
 def same_in_arrays(reward: RewardTerm) -> None:

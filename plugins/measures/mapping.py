@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from flipperctl.api import FloatArray, Measure, Perception, Transition, measure
+from flipperctl.api import FloatArray, Perception, Transition, measure
 from flipperctl.core.observation import mean_heights
 
 _SPACING = 0.02
@@ -26,69 +26,44 @@ def height_errors(episode: Sequence[Transition]) -> FloatArray:
     return errors
 
 
-@measure("map_error")
-class MapError(Measure):
-    """Mean absolute error of the heights H of the observation, over bins and decisions [m]."""
+@measure("map_error", unit="m", digits=4, mapped_only=True)
+def map_error(episode: Sequence[Transition]) -> float:
+    """Mean absolute error of the heights H of the observation, over bins and decisions [m].
 
-    unit = "m"
-    digits = 4
-    mapped_only = True
-
-    def __call__(self, episode: Sequence[Transition]) -> float:
-        """Return the mean, which counts ground that was filled as well [m]."""
-        return float(np.abs(height_errors(episode)).mean())
+    Ground that was filled counts as well.
+    """
+    return float(np.abs(height_errors(episode)).mean())
 
 
-@measure("map_error_below")
-class MapErrorBelow(Measure):
-    """Mean absolute error of the heights H in the bins below the chassis [m]."""
-
-    unit = "m"
-    digits = 4
-    mapped_only = True
-
-    def __call__(self, episode: Sequence[Transition]) -> float:
-        """Return the mean over decisions and the bins whose centre is below the chassis [m]."""
-        layout = _perceived(episode[0]).layout
-        centres = (np.arange(layout.bins) - (layout.bins - 1) / 2) * layout.bin_width
-        below = np.abs(centres) <= episode[0].robot.chassis_length / 2
-        if not below.any():  # one wide bin beside the centre
-            below = np.abs(centres) == np.abs(centres).min()
-        return float(np.abs(height_errors(episode)[:, below]).mean())
+@measure("map_error_below", unit="m", digits=4, mapped_only=True)
+def map_error_below(episode: Sequence[Transition]) -> float:
+    """Mean absolute error of the heights H in the bins whose centre is below the chassis [m]."""
+    layout = _perceived(episode[0]).layout
+    centres = (np.arange(layout.bins) - (layout.bins - 1) / 2) * layout.bin_width
+    below = np.abs(centres) <= episode[0].robot.chassis_length / 2
+    if not below.any():  # one wide bin beside the centre
+        below = np.abs(centres) == np.abs(centres).min()
+    return float(np.abs(height_errors(episode)[:, below]).mean())
 
 
-@measure("drift")
-class Drift(Measure):
+@measure("drift", unit="m", digits=3, mapped_only=True)
+def drift(episode: Sequence[Transition]) -> float:
     """Distance between the motion by odometry and the true one at the last decision [m].
 
-    It is 0 for a sensor without odometry.
+    It is taken in the side plane, and 0 for a sensor without odometry.
     """
-
-    unit = "m"
-    digits = 3
-    mapped_only = True
-
-    def __call__(self, episode: Sequence[Transition]) -> float:
-        """Return the distance in the side plane [m]."""
-        first, last = (_perceived(episode[i]).position for i in (0, -1))
-        if first is None or last is None:
-            return 0.0
-        true = episode[-1].before.position - episode[0].before.position
-        return float(np.linalg.norm(last - first - true))
+    first, last = (_perceived(episode[i]).position for i in (0, -1))
+    if first is None or last is None:
+        return 0.0
+    true = episode[-1].before.position - episode[0].before.position
+    return float(np.linalg.norm(last - first - true))
 
 
-@measure("unseen")
-class Unseen(Measure):
-    """Mean fraction of the bins that were never seen [-]."""
-
-    unit = "-"
-    digits = 3
-    mapped_only = True
-
-    def __call__(self, episode: Sequence[Transition]) -> float:
-        """Return the mean over decisions [-]."""
-        seen = [_perceived(t).seen for t in episode]
-        return float(np.mean([0.0 if found is None else 1 - found.mean() for found in seen]))
+@measure("unseen", digits=3, mapped_only=True)
+def unseen(episode: Sequence[Transition]) -> float:
+    """Mean fraction of the bins that were never seen, over decisions [-]."""
+    seen = [_perceived(t).seen for t in episode]
+    return float(np.mean([0.0 if found is None else 1 - found.mean() for found in seen]))
 
 
 def _perceived(t: Transition) -> Perception:

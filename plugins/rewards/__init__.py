@@ -1,29 +1,5 @@
 """Built-in reward terms: the paper's three, and further ones to compose rewards from."""
 
-from . import (
-    clearance,
-    end,
-    flipper,
-    impact,
-    pitch,
-    progress,
-    shaped_progress,
-    smoothness,
-    stability,
-    swing,
-    travel,
-)
+from . import contact, motion, paper
 
-__all__ = [
-    "clearance",
-    "end",
-    "flipper",
-    "impact",
-    "pitch",
-    "progress",
-    "shaped_progress",
-    "smoothness",
-    "stability",
-    "swing",
-    "travel",
-]
+__all__ = ["contact", "motion", "paper"]

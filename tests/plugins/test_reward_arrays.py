@@ -1,4 +1,4 @@
-"""The array form of each built-in reward term equals its other form at poses of every kind."""
+"""A built-in reward term computes many decisions at once as it computes one, bit for bit."""
 
 from dataclasses import replace
 from typing import Any
@@ -11,14 +11,13 @@ from flipperctl.api import (
     Profile,
     RewardTerm,
     Robot,
-    RobotGeometry,
     RobotStates,
     Transitions,
     registry,
 )
 from flipperctl.config import resolver
 
-COUNT, PITCHES, POSES = 400, 8, 20
+COUNT, PITCHES, POSES = 200, 8, 20
 BUILT_IN = [
     name
     for (kind, name), cls in registry.items()
@@ -55,52 +54,18 @@ def ts() -> Transitions:
         path=np.cumsum(steps, axis=1),
         flippers=np.zeros((COUNT, POSES, 2)),
         profile=STAIR,
-        robot=RobotGeometry(),
+        robot=Robot(payload=60, payload_x=0.2, payload_z=0.4),
         outcome=tuple(rng.choice(np.array([None, *Outcome], dtype=object), COUNT)),
     )
 
 
 @pytest.mark.parametrize("spec", [*BUILT_IN, {"name": "swing", "at_decisions": True}], ids=str)
-def test_both_forms_are_equal(spec: str | dict[str, Any], ts: Transitions) -> None:
+def test_many_decisions_are_as_one(spec: str | dict[str, Any], ts: Transitions) -> None:
     term = resolver.create("reward", spec, "rewards")
     assert isinstance(term, RewardTerm)
-    expected = np.array([term(t) for t in ts])
-    assert term.array(ts) == pytest.approx(expected, abs=1e-12)
-    assert len(set(expected.tolist())) > 2  # the poses tell terms apart
-
-
-def test_stability_is_equal_in_both_forms_with_a_load(ts: Transitions) -> None:
-    term = resolver.create("reward", "stability", "rewards")
-    assert isinstance(term, RewardTerm)
-    loaded = replace(ts, robot=Robot(payload=60, payload_x=0.2, payload_z=0.4))
-    assert term.array(loaded) == pytest.approx(np.array([term(t) for t in loaded]), abs=1e-12)
-    bare = term.array(replace(ts, robot=Robot()))
-    assert np.array_equal(bare, term.array(ts))  # bit for bit
-    assert (term.array(loaded) != bare).any()
-
-
-# Limits at which rounding decides, and a robot that lies upon its limit
-@pytest.mark.parametrize(
-    ("name", "settings"),
-    [("clearance", {"bump": 0.0}), ("stability", {"touch": 1e-300}), ("flipper", {"near": 0.0})],
-)
-@pytest.mark.parametrize("pitch", [0.0, 0.3])
-def test_a_limit_counts_in_both_forms(
-    name: str, settings: dict[str, float], pitch: float, ts: Transitions
-) -> None:
-    term = resolver.create("reward", {"name": name, **settings}, "rewards")
-    assert isinstance(term, RewardTerm)
-    slope = Profile([(-5.0, -5 * np.tan(pitch)), (5.0, 5 * np.tan(pitch))])
-    x = np.round(np.linspace(-2, 2, COUNT), 2)
-    after = RobotStates(
-        **{
-            **{key: getattr(ts.after, key) for key in ("velocity", "pitch_rate", "time")},
-            "position": np.column_stack([x, x * np.tan(pitch) + 0.1 / np.cos(pitch)]),
-            "pitch": np.full(COUNT, pitch),
-            "front": np.zeros(COUNT),
-            "rear": np.zeros(COUNT),
-        }
-    )
-    fields = {field: getattr(ts, field) for field in Transitions.__dataclass_fields__}
-    resting = Transitions(**{**fields, "after": after, "profile": slope})
-    assert term.array(resting) == pytest.approx(np.array([term(t) for t in resting]), abs=1e-9)
+    each = [term(t) for t in ts]
+    assert all(isinstance(value, float) for value in each)
+    assert term.array(ts).tolist() == each
+    assert len(set(each)) > 2  # the poses tell terms apart
+    no_path = replace(ts, path=ts.path[:, :0], flippers=ts.flippers[:, :0])
+    assert term.array(no_path).tolist() == [term(t) for t in no_path]

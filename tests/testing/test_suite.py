@@ -97,7 +97,7 @@ calls: list[int] = []
         ("finite", lambda t: 0, ["(running)", "returns 0", "finite float"]),
         ("bounded", lambda t: -2.0 if t.outcome is Outcome.OVERTURNED else 0.0, ["-2", "-1 to 0"]),
         ("pure", lambda t: calls.append(1) or -float(len(calls)), ["called again"]),
-        ("pure", lambda t: t.pitches.fill(7.0) or 0.0, ["changes the transition's pitches"]),
+        ("pure", lambda t: t.pitches.fill(7.0) or 0.0, ["read-only"]),
     ],
 )
 @pytest.mark.usefixtures("registry")

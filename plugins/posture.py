@@ -1,0 +1,78 @@
+"""The robot's masses, its outline and what it touches, for rewards and measures.
+
+A robot that is geometry alone carries no load and has nubot's masses and speed.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flipperctl.api import FloatArray, Profile, Robot, RobotGeometry
+
+
+def with_masses(robot: RobotGeometry) -> Robot:
+    """Return the robot with masses and speeds."""
+    return robot if isinstance(robot, Robot) else Robot()
+
+
+def load_share(robot: RobotGeometry) -> float:
+    """Return the load's mass as a fraction of the robot's with the load [-]."""
+    masses = with_masses(robot)
+    return (masses.payload or 0.0) / masses.mass
+
+
+def load_offset(robot: RobotGeometry) -> tuple[float, float]:
+    """Return what the load adds to the robot's centre of mass, (x, z) in frame R [m]."""
+    masses, share = with_masses(robot), load_share(robot)
+    return share * (masses.payload_x or 0.0), share * (masses.payload_z or 0.0)
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """Where robots touch the ground in M poses, in each frame L."""
+
+    front: FloatArray
+    """Ends of the front flippers' axles, (M, 2) [m]."""
+    rear: FloatArray
+    """Ends of the rear flippers' axles, (M, 2) [m]."""
+    x: FloatArray
+    """Points of the ground near the robot, (M, P) [m]; NaN stands for no point."""
+    z: FloatArray
+    """(M, P) [m]"""
+    touching: NDArray[np.bool_]
+    """Whether the robot touches the point, (M, P)."""
+
+
+def contacts(
+    profile: Profile,
+    robot: RobotGeometry,
+    position: FloatArray,
+    directions: tuple[FloatArray, FloatArray, FloatArray],
+    touch: float,
+) -> Contacts:
+    """Return what M robots at ``position``, (M, 2) [m], touch: ground nearer than ``touch`` [m].
+
+    ``directions``: unit vectors in frame L that point forward along the chassis, outward along the
+    front flippers and forward along the rear ones, each (M, 2). The robot's outline is three
+    capsules: the chassis and both flipper pairs.
+    """
+    chassis, front, rear = directions
+    ahead = robot.hinge_offset * chassis
+    front, rear = ahead + robot.flipper_axle * front, -ahead - robot.flipper_axle * rear
+    reach = robot.hinge_offset + robot.flipper_axle + robot.track_radius + touch
+    x, z = profile.around_each(position[:, 0], reach, far=True)
+    x, z = x - position[:, :1], z - position[:, 1:]
+    axles = ((-ahead, ahead), (ahead, front), (rear, -ahead))
+    gap = np.min([_distances(a, b, x, z) for a, b in axles], axis=0) - robot.track_radius
+    return Contacts(front, rear, x, z, gap <= touch)  # never for NaN
+
+
+def _distances(begin: FloatArray, end: FloatArray, x: FloatArray, z: FloatArray) -> FloatArray:
+    """Return the distances (M, P) [m] of points from the segment of each row, ends (M, 2)."""
+    along = end - begin
+    x, z = x - begin[:, :1], z - begin[:, 1:]
+    unit = along / (along * along).sum(axis=1, keepdims=True)
+    fraction = np.clip(x * unit[:, :1] + z * unit[:, 1:], 0.0, 1.0)
+    distances: FloatArray = np.hypot(x - fraction * along[:, :1], z - fraction * along[:, 1:])
+    return distances

@@ -1,0 +1,161 @@
+"""Reward terms of the robot's motion: progress, pitch variation, flippers and impact."""
+
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from flipperctl.api import (
+    Profile,
+    RewardTerm,
+    RobotGeometry,
+    RobotState,
+    Shaping,
+    Transition,
+    limited,
+    reward,
+)
+
+
+@reward("progress")
+class Progress(RewardTerm):
+    """Reward the distance that the chassis moves forward; penalise moving back equally.
+
+    Below the cap, the sum over a crossing is proportional to its length and does not depend on the
+    speed: up to 0.33 m/s with decisions of 0.6 s. This term changes which policy is optimal;
+    ``shaped_progress`` does not.
+    """
+
+    bounds: ClassVar[tuple[float, float]] = (-1.0, 1.0)
+    elementwise: ClassVar[bool] = True
+    distance: float = Field(
+        0.2,
+        gt=0.01,
+        le=10,
+        description="distance per decision at which the reward reaches its maximum, 1 [m]",
+    )
+
+    def __call__(self, t: Transition) -> float:
+        """Return the reward in [-1, 1]."""
+        moved = t.after.position[..., 0] - t.before.position[..., 0]  # [m]
+        return limited(moved / self.distance, -1.0, 1.0)
+
+
+@reward("shaped_progress")
+class ShapedProgress(Shaping):
+    """Potential-based shaping by the distance to the last edge; changes no optimal policy."""
+
+    bounds: ClassVar[tuple[float, float]] = (-1.0, 1.0)
+    elementwise: ClassVar[bool] = True
+    distance: float = Field(
+        10.0,
+        gt=0.1,
+        le=1000,
+        description="distance to the last edge at and beyond which Φ = -1 [m]",
+    )
+
+    def potential(self, state: RobotState, profile: Profile, robot: RobotGeometry) -> float:
+        """Return Φ in [-1, 0]: 0 past the last edge, falling linearly with the distance to it."""
+        left = profile.end - state.position[..., 0]  # [m]
+        return -limited(left / self.distance, 0.0, 1.0)
+
+
+@reward("swing")
+class Swing(RewardTerm):
+    """Penalise the sum of the absolute pitch changes within the decision, from poses at 100 Hz.
+
+    Below the cap, the sum over an episode is proportional to its θ̂_R at 100 Hz (the measure
+    ``pitch_variation_100hz``). Unlike ``pitch``, the term sees a chassis that rocks and returns
+    within a decision. With ``at_decisions`` it does not, and its sum is proportional to the paper's
+    θ̂_R, that at decisions (``pitch_variation``). It is 0 without a path.
+    """
+
+    bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
+    elementwise: ClassVar[bool] = True
+    slope: float = Field(
+        1.0,
+        gt=0,
+        le=1000,
+        description="slope of the penalty; the cap of 1 is reached at 1/slope rad in a decision "
+        "[1/rad]",
+    )
+    at_decisions: bool = Field(
+        False,
+        description="whether only the pitch change from one decision to the next counts [-]",
+    )
+
+    def __call__(self, t: Transition) -> float:
+        """Return the reward in [-1, 0]."""
+        pitch = t.path[..., 2]  # (…, S + 1) [rad]
+        if self.at_decisions:
+            pitch = pitch[..., :: max(1, pitch.shape[-1] - 1)]
+        variation = np.add.reduce(np.abs(pitch[..., 1:] - pitch[..., :-1]), axis=-1)
+        return -limited(self.slope * variation, 0.0, 1.0)
+
+
+@reward("travel")
+class Travel(RewardTerm):
+    """Penalise the angle by which both flipper pairs turn, since turning costs wear and energy.
+
+    It is -1 if the pairs turned by two whole steps in total. The term measures the motion, not the
+    command: a command beyond the angle limit costs nothing, while a flipper that the ground pushes
+    away does.
+    """
+
+    bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
+    elementwise: ClassVar[bool] = True
+
+    def __call__(self, t: Transition) -> float:
+        """Return the reward in [-1, 0]."""
+        front, rear = t.after.front - t.before.front, t.after.rear - t.before.rear
+        return -limited((abs(front) + abs(rear)) / (2 * t.robot.angle_step), 0.0, 1.0)
+
+
+@reward("smoothness")
+class Smoothness(RewardTerm):
+    """Penalise the change from the previous action; stopping costs half as much as reversing.
+
+    It is -1 if both pairs reverse. This is the first-order temporal smoothness of Mysore et al.
+    2021 ("Regularizing Action Policies for Smooth Control with Reinforcement Learning").
+    """
+
+    bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
+    elementwise: ClassVar[bool] = True
+
+    def __call__(self, t: Transition) -> float:
+        """Return the reward in [-1, 0]."""
+        change = np.subtract(t.action, t.previous_action)
+        penalty: float = -np.add.reduce(np.abs(change), axis=-1) / 4
+        return penalty
+
+
+@reward("impact")
+class Impact(RewardTerm):
+    """Penalise the largest vertical acceleration of the chassis' centre during the decision.
+
+    The acceleration is the change of the vertical velocity at 100 Hz: the velocity before the
+    decision, its mean over each sample period, and the velocity after the decision. Thus impacts
+    between two decisions are seen too. It is 0 without a path.
+    """
+
+    bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
+    elementwise: ClassVar[bool] = True
+    tolerance: float = Field(
+        5.0, ge=0, le=1000, description="largest acceleration without a penalty [m/s²]"
+    )
+    worst: float = Field(
+        30.0,
+        gt=0,
+        le=10_000,
+        description="excess over the tolerance at which the reward is -1 [m/s²]",
+    )
+
+    def __call__(self, t: Transition) -> float:
+        """Return the reward in [-1, 0]."""
+        if t.path.shape[-2] < 2:
+            return 0.0 * t.before.pitch
+        rise = np.diff(t.path[..., 1]) / t.sample_period  # (…, S) [m/s]
+        ends = t.before.velocity[..., 1:], t.after.velocity[..., 1:]
+        velocity = np.concatenate([ends[0], rise, ends[1]], axis=-1)
+        peak = np.abs(np.diff(velocity)).max(axis=-1) / t.sample_period
+        return -limited(peak - self.tolerance, 0.0, self.worst) / self.worst
