@@ -15,7 +15,6 @@ FOLDERS = ("agent", "checkpoint", "config", "core", "env", "runtime", "sim")
 FILES = (
     "test_api.py",
     "test_habits.py",
-    "test_packages.py",
     "test_reward_sum.py",
     "test_shaping.py",
     "test_transitions.py",

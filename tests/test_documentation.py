@@ -20,7 +20,7 @@ from flipperctl.env import flipper_env
 from flipperctl.lookahead import planner_policy as best_known
 from flipperctl.lookahead.controllers import Mpc, Planner
 from flipperctl.testing import checks
-from tests.cli.call import EXACT, RUN, call
+from tests.cli.call import EXACT, GROUPS, RUN, call
 from tests.cli.test_compare import write
 from tests.cli.test_sweeps import JOBLIB, RAY
 
@@ -33,8 +33,8 @@ TEXT = "\n".join(page.read_text() for page in PAGES)
 SHOWN = "runs/stair/2026-01-31_12-00-00"
 FIRST = "runs/first"  # the first run of the README, which is shown where it trains
 SWEPT = "runs/multirun/2026-01-31_12-00-00/0_network=at_d3qn,seed=1"
-RIDGE = "runs/ridge/first"
-ROVER = "hydra.run.dir=runs/rover"  # whose later commands are run on it
+KEPT = {"hydra.run.dir=runs/ridge/first", "hydra.run.dir=runs/rover"}
+"""Runs on which later commands are run."""
 _BLOCK = re.DOTALL | re.MULTILINE
 _LOOP = re.compile(r"for run in [^;]+; do (flipperctl .+); done")
 LAUNCHED = [["flipperctl", "train", "-m", "seed=1,2", *words] for words in (JOBLIB, RAY)]
@@ -48,9 +48,10 @@ SEARCH = {
     "mpc": ["controller.beam=4", "controller.horizon=4"],
 }
 """Smaller searches of the controllers that look ahead."""
-PLAYING = {"train", "eval", "map", "bench", "shadow", "export mcap", "export onnx"}
-PLAYING |= {f"inspect {view}" for view in ("reward", "perception", "conventions")}
-"""Subcommands whose further commands run in ``make long`` alone."""
+ELSEWHERE = {"robot shadow", "bench"}
+"""Subcommands that tests of their own run (tests/ros, tests/bench)."""
+AT_ONCE = {"compare", "inspect config"}
+"""Subcommands of which each command runs in ``make test``, as it takes no time."""
 SPARSE = ["perception.azimuths=60", "episode.run_up=0.8", "episode.run_out=0.5"]
 """A LiDAR of fewer rays, and a shorter way to the ground."""
 
@@ -76,12 +77,9 @@ def commands(text: str = TEXT) -> list[list[str]]:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder as a reader has it.
 
-    It holds runs on stair and ridge, exports, recorded episodes, the examples, the saved files.
+    It holds a run on stair, its export, the examples and the saved files.
     """
     folder = tmp_path_factory.mktemp("documentation")
-    driven = ("--controller", "okada", "terrain=ramp", "--record", "driven.safetensors")
-    done = call("eval", *driven, "--episodes", "1", cwd=folder)
-    assert done.code == 0, done.err
     done = call("train", "terrain=stair", f"hydra.run.dir={SHOWN}", *QUICK, cwd=folder)
     assert done.code == 0, done.err
     done = call("export", "onnx", "--checkpoint", SHOWN, "--output", "stair.onnx", cwd=folder)
@@ -96,9 +94,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (folder / name).write_text(text)
     with contextlib.chdir(folder):
         exec(example("mound.npy"), {})
-    learn = ["terrain=ridge", f"hydra.run.dir={RIDGE}", "--plugins", "ridge.py"]
-    done = call("train", *learn, *WORKERS, cwd=folder)
-    assert done.code == 0, done.err
     return folder
 
 
@@ -106,13 +101,6 @@ def example(word: str) -> str:
     """Return the only Python example with this word."""
     (found,) = [block for block in blocks("python") if word in block]
     return found
-
-
-def fewer(command: list[str]) -> list[str]:
-    """The same sweep of two combinations: two values of its first key, one of each other."""
-    swept = [word for word in command if re.fullmatch(r"\w+=\w+(,\w+)+", word)]
-    kept = {word: ",".join(word.split(",")[: 1 if i else 2]) for i, word in enumerate(swept)}
-    return [kept.get(word, word) for word in command]
 
 
 def smaller(command: list[str]) -> list[str]:
@@ -128,7 +116,10 @@ def smaller(command: list[str]) -> list[str]:
 def with_budget(command: list[str]) -> list[str]:
     """The same command with a budget for a test behind it."""
     if command[0] == "train" and "--cfg" not in command:
-        command, few = fewer(command), list[str]()
+        # Of a sweep two combinations: two values of its first key, one of each other.
+        swept = [word for word in command if re.fullmatch(r"\w+=\w+(,\w+)+", word)]
+        kept = {word: ",".join(word.split(",")[: 1 if i else 2]) for i, word in enumerate(swept)}
+        command, few = [kept.get(word, word) for word in command], list[str]()
         if {"experiment=taught", "experiment=generalist"} & set(command):
             command = [*command, "teacher.controller.beam=2", "teacher.controller.horizon=2"]
         if {"experiment=generalist", "experiment=distilled"} & set(command):
@@ -142,11 +133,9 @@ def with_budget(command: list[str]) -> list[str]:
         trials = ["hydra.sweeper.n_trials=2"] if "hydra/sweeper=optuna" in command else []
         alone = not resumed and "-m" not in command  # two of one second would share a folder
         if "--output" in command:  # the folder has that run already
-            command = [
-                *command[: command.index("--output")],
-                *command[command.index("--output") + 2 :],
-            ]
-        own = [f"hydra.run.dir=runs/{uuid4()}"] if alone and ROVER not in command else []
+            at = command.index("--output")
+            command = [*command[:at], *command[at + 2 :]]
+        own = [f"hydra.run.dir=runs/{uuid4()}"] if alone and not KEPT & {*command} else []
         asked = any(word.startswith(("train.workers=", "collector=")) for word in command)
         default = command == ["train", "terrain=stair"]
         quick = ["train.decisions=160"] if resumed else WORKERS if asked or default else QUICK
@@ -187,26 +176,26 @@ def small_searches(monkeypatch: pytest.MonkeyPatch) -> None:
 MAKERS = {
     name: command
     for command in reversed(commands())
-    if command[1] in ("train", "export", "robot")
     for option, word in pairwise(["", *command])
     for name in [word.removeprefix("hydra.run.dir=")]
-    if name != FIRST and (option == "--output" or name != word)
+    if command[1] in ("train", "export", "robot") or option == "--record"
+    if name != FIRST and (option in ("--output", "--record") or name != word)
 }
 """What a command writes → the first that writes it."""
 
 
 def subcommand(command: list[str]) -> str:
     """Return the words of a command before its options and settings, as ``inspect run``."""
-    return " ".join(command[1 : 3 if command[1] in ("inspect", "export", "new") else 2])
+    return " ".join(command[1 : 3 if command[1] in (*GROUPS, "export", "new") else 2])
 
 
 def cases() -> Iterator[Any]:
-    """Each command; those that play or learn are long, but the README's and the first of each."""
+    """Each command; all but the README's and the first of each subcommand are long."""
     first = commands((ROOT / "README.md").read_text())
-    seen = {"shadow"}  # tests/ros/test_shadowing.py runs it
+    seen = set(ELSEWHERE)
     for command in commands():
         name = subcommand(command)
-        long = command not in first and name in seen and name in PLAYING
+        long = command not in first and name in seen and name not in AT_ONCE
         seen.add(name)
         if command not in LAUNCHED:
             yield pytest.param(command, id=" ".join(command), marks=[pytest.mark.long] * long)
@@ -232,56 +221,35 @@ def run(command: list[str], folder: Path) -> None:
             assert (folder / name).exists()
 
 
-def test_the_launchers_that_have_tests_of_their_own_are_shown() -> None:
-    assert [command for command in LAUNCHED if command not in commands()] == []
+def test_the_python_examples_run(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    def ran(word: str) -> dict[str, Any]:
+        names: dict[str, Any] = {}
+        with contextlib.chdir(folder):
+            exec(example(word), names)
+        return names
 
-
-def test_the_environment_example_runs() -> None:
-    names: dict[str, object] = {}
-    exec(example("rgb_array"), names)
+    names = ran("rgb_array")
     assert isinstance(names["env"].unwrapped, flipper_env.FlipperEnv)
     assert names["picture"].shape[2] == 3
-
-
-def test_the_robots_example_runs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    names: dict[str, object] = {}
-    with contextlib.chdir(folder):
-        exec(example('OnnxPolicy("stair.onnx")'), names)
+    names = ran('OnnxPolicy("stair.onnx")')
     turned = [i * math.pi / 12 for i in ACTIONS[names["action"]]]
     assert names["targets"] == pytest.approx(turned)
     assert names["period"] == pytest.approx(0.6)
-    assert "theta_R rad L pitch, nose up positive" in capsys.readouterr().out
-
-
-def test_the_robots_loop_runs(folder: Path) -> None:
-    names: dict[str, object] = {}
-    with contextlib.chdir(folder):
-        exec(example("class StandIn"), names)
+    names = ran("class StandIn")
     assert names["robot"].decisions == 2
     assert all(abs(angle) <= math.pi / 6 + 1e-9 for angle in names["targets"])
-
-
-def test_the_controllers_example_runs(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    names: dict[str, object] = {}
-    with contextlib.chdir(folder):
-        exec(example("RobotSetup("), names)
-    answer = names["answer"]
-    assert answer.state == "driving"
-    assert answer.action is not None
-    assert "driving" in capsys.readouterr().out
+    answer = ran("RobotSetup(")["answer"]
+    assert (answer.state, answer.action is None) == ("driving", False)
+    out = capsys.readouterr().out
+    assert "theta_R rad L pitch, nose up positive" in out
+    assert "driving" in out
 
 
 def test_every_python_example_is_tried() -> None:
+    assert [command for command in LAUNCHED if command not in commands()] == []
     library = ("flipperctl.train", "flipperctl.load")  # tests/scripting/test_interface.py
-    tried = (
-        *library,
-        "mound.npy",
-        "rgb_array",
-        'OnnxPolicy("stair.onnx")',
-        "class StandIn",
-        "Conformance",
-        "RobotSetup(",
-    )
+    tried = *library, "mound.npy", "rgb_array", 'OnnxPolicy("stair.onnx")', "class StandIn"
+    tried += "Conformance", "RobotSetup("
     others = set(blocks("python")) - set(saved().values()) - {example(word) for word in tried}
     assert others == set()
 
@@ -327,17 +295,14 @@ def test_the_conformance_example_keeps_the_contract(
     assert {"extent", "start", "picture"} <= done
 
 
-def test_the_example_plugin_is_the_one_shown(tmp_path: Path) -> None:
-    example = Path(__file__).parents[1] / "examples" / "ridge.py"
-    done = call("inspect", "terrain", "ridge", "--plugins", str(example), cwd=tmp_path)
+def test_the_examples_are_those_shown(tmp_path: Path) -> None:
+    ridge = ROOT / "examples" / "ridge.py"
+    done = call("inspect", "terrain", "ridge", "--plugins", str(ridge), cwd=tmp_path)
     assert done.code == 0, done.err
-    assert saved()["ridge.py"].split("@terrain")[1].split("def")[0] in example.read_text()
-
-
-@pytest.mark.parametrize("name", ["kinematic.py", "ruler.py", "inertial.py"])
-def test_the_examples_of_the_tutorials_are_those_shown(name: str) -> None:
-    documented = (Path(__file__).parents[1] / "examples" / name).read_text()
-    assert documented.partition('"""\n\n')[2] == saved()[name]
+    assert saved()["ridge.py"].split("@terrain")[1].split("def")[0] in ridge.read_text()
+    for name in ("kinematic.py", "ruler.py", "inertial.py"):
+        documented = (ROOT / "examples" / name).read_text()
+        assert documented.partition('"""\n\n')[2] == saved()[name]
 
 
 def test_the_readme_introduces_and_its_links_lead_somewhere() -> None:

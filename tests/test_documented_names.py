@@ -58,26 +58,15 @@ def test_a_command_within_a_sentence_has_these_options(text: str) -> None:
 
 def test_every_target_of_make_exists() -> None:
     targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
-    code = [span for _, span in spans()]
-    code += [
-        line
-        for text in TEXTS.values()
-        for block in _BLOCK.findall(text)
-        for line in block.splitlines()
-    ]
+    blocks = [block for text in TEXTS.values() for block in _BLOCK.findall(text)]
+    code = [span for _, span in spans()] + [line for one in blocks for line in one.splitlines()]
     named = {word for line in code for word in re.findall(r"^make ([a-z-]+)", line)}
     assert {"setup", "check", "test", "docs", "train"} <= named <= targets
 
 
 def test_every_file_that_is_named_exists() -> None:
-    paths = [
-        span
-        for _, span in spans()
-        if re.fullmatch(
-            r"(\.ci|\.github|benchmarks|configs|docs|examples|flipperctl|plugins|tests)/[\w./]*",
-            span,
-        )
-    ]
+    folders = r"\.ci|\.github|benchmarks|configs|docs|examples|flipperctl|plugins|tests"
+    paths = [span for _, span in spans() if re.fullmatch(rf"({folders})/[\w./]*", span)]
     assert len(paths) > 10
     assert [path for path in paths if "NAME" not in path and not (ROOT / path).exists()] == []
 
@@ -101,18 +90,13 @@ def test_every_setting_that_is_named_exists() -> None:
     assert missing == set()
 
 
-def long_checks() -> list[str]:
+def words_after(pattern: str) -> list[str]:
+    """Return what follows ``python -m``, in blocks and within sentences."""
     text = "\n".join([*TEXTS.values(), *(span for _, span in spans())])
-    return list(dict.fromkeys(re.findall(r"^python -m (tests\.long\..*)$", text, re.MULTILINE)))
+    return list(dict.fromkeys(re.findall(rf"^python -m {pattern}$", text, re.MULTILINE)))
 
 
-def measures() -> list[str]:
-    """Return the words of each ``python -m benchmarks`` in blocks and within sentences."""
-    text = "\n".join([*TEXTS.values(), *(span for _, span in spans())])
-    return list(dict.fromkeys(re.findall(r"^python -m benchmarks (.*)$", text, re.MULTILINE)))
-
-
-@pytest.mark.parametrize("words", measures())
+@pytest.mark.parametrize("words", words_after("benchmarks (.*)"))
 def test_the_words_of_a_benchmark_are_read(words: str, monkeypatch: pytest.MonkeyPatch) -> None:
     called: list[str] = []
     monkeypatch.setattr(measures_run, "run_measures", lambda *_, **__: called.append(words) or {})
@@ -124,7 +108,7 @@ class _ParsedError(Exception):
     pass
 
 
-@pytest.mark.parametrize("command", long_checks())
+@pytest.mark.parametrize("command", words_after(r"(tests\.long\..*)"))
 def test_the_options_of_a_long_check_are_read(
     command: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

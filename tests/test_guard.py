@@ -32,7 +32,7 @@ from flipperctl.policies.source import PolicySource
 from flipperctl.sim.versions import engine_versions
 from tests.cli.call import RUN, call
 from tests.long.misbehaving import unnamed
-from tests.long.misbehaviour import BEFORE, RAISED, RETURNED, SPOTS, Misbehaviour
+from tests.long.odd_plugins import BEFORE, RAISED, RETURNED, SPOTS, Misbehaviour
 from tests.played import play_episodes
 
 pytestmark = pytest.mark.usefixtures("registry")

@@ -1,4 +1,8 @@
-"""Makefile, pre-commit and the forge's workflow run the same checks on every supported Python."""
+"""What the project's files say of each other.
+
+Makefile, pre-commit and the forge's workflow run the same checks on every supported Python; the
+packages that pyproject.toml lists are those in the folders.
+"""
 
 import re
 import tomllib
@@ -8,6 +12,11 @@ from typing import Any
 import yaml
 
 ROOT = Path(__file__).parents[1]
+FOLDERS = {
+    "flipperctl": "flipperctl",
+    "flipperctl.configs": "configs",
+    "flipperctl_plugins": "plugins",
+}
 
 
 def read(name: str) -> Any:
@@ -48,3 +57,20 @@ def test_the_workflow_runs_the_same_script_on_every_supported_python() -> None:
     named = [c.rpartition(" ")[2] for c in project["classifiers"] if "Python :: 3." in c]
     assert job["strategy"]["matrix"]["python"] == named
     assert project["requires-python"] == f">={named[0]}"
+
+
+def test_every_package_is_listed() -> None:
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        listed = tomllib.load(file)["tool"]["setuptools"]["packages"]
+    found = {"hydra_plugins"}  # a namespace package, which has no __init__.py
+    for package, folder in FOLDERS.items():
+        for init in (ROOT / folder).rglob("__init__.py"):
+            inner = init.parent.relative_to(ROOT / folder).parts
+            found.add(".".join([package, *inner]))
+    assert sorted(listed) == sorted(found)
+
+
+def test_the_citation_has_the_version_of_the_package() -> None:
+    with (ROOT / "pyproject.toml").open("rb") as file:
+        version = tomllib.load(file)["project"]["version"]
+    assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()

@@ -14,7 +14,8 @@ from rosbags.rosbag2 import Reader
 
 from flipperctl.config import EvalConfig
 from flipperctl.policies.source import PolicySource
-from flipperctl.ros.episode import export_bag, typestore
+from flipperctl.ros.episode import export_bag
+from flipperctl.ros.messages import typestore
 from tests.runtime.linear import RISK, ROBOT, RULE, write
 
 FILE = Path(__file__).parents[1] / "examples" / "ros2" / "flipperctl_node.py"

@@ -59,18 +59,13 @@ def test_the_wheel_holds_every_module_and_configuration(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         held = set(archive.namelist())
     sweepers = "flipperctl/cli/hydra/plugins"
-    folders = {"flipperctl": "flipperctl", "plugins": "flipperctl_plugins"}
-    wanted = {
+    homes = (("flipperctl", "flipperctl"), ("plugins", "flipperctl_plugins"))
+    homes += (("configs", "flipperctl/configs"), (sweepers, "hydra_plugins"))
+    wanted = {"flipperctl/py.typed", "flipperctl_plugins/py.typed"} | {
         f"{package}/{path.relative_to(ROOT / folder)}"
-        for folder, package in folders.items()
-        for path in (ROOT / folder).rglob("*.py")
-        if not path.is_relative_to(ROOT / sweepers)
-    }
-    wanted |= {f"hydra_plugins/{path.name}" for path in (ROOT / sweepers).glob("*.py")}
-    wanted |= {"flipperctl/py.typed", "flipperctl_plugins/py.typed"}
-    wanted |= {
-        f"flipperctl/configs/{path.relative_to(ROOT / 'configs')}"
-        for path in (ROOT / "configs").rglob("*.yaml")
+        for folder, package in homes
+        for path in (ROOT / folder).rglob("*.yaml" if folder == "configs" else "*.py")
+        if folder == sweepers or not path.is_relative_to(ROOT / sweepers)
     }
     templates = (ROOT / "flipperctl" / "scaffold" / "templates").iterdir()
     wanted |= {str(path.relative_to(ROOT)) for path in templates}

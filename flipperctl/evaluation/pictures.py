@@ -11,7 +11,8 @@ from flipperctl.evaluation.play import Progress, no_progress
 from flipperctl.evaluation.workers import EpisodeRunner
 from flipperctl.figures.episode import episode_figure, mapped
 from flipperctl.figures.figure import save
-from flipperctl.figures.film import film_episode, samples, save_film
+from flipperctl.figures.film import film, samples, save_film
+from flipperctl.rollout.seeds import EvaluationSeeds
 
 
 def draw_scenes(
@@ -64,7 +65,7 @@ def film_scene(path: Path, entry: Entry, progress: Progress = no_progress) -> No
     """
     config, source, terrain = entry.config, entry.source, entry.terrain
     if config.sim.films_itself:
-        film_episode(config, source, 0, path)
+        film(config, source, EvaluationSeeds.of(config.eval.seed, config.terrain)(0), path)
         return
     with progress(f"{terrain}, film", 2) as report:
         made, profile = EpisodeRunner(config, source, config.eval.seed, report).transitions(0)

@@ -295,11 +295,11 @@ def _rows_of(scene: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str, int, st
 
 
 def _check_film(path: Path, scenes: int) -> None:
-    from flipperctl.figures.film import check_film
+    from flipperctl.figures.film import FILM
 
     if scenes != 1:
         raise RequestError(f"--film shows one scene; {scenes} are evaluated")
-    check_film(path)
+    check_output(path, FILM)
 
 
 def _attempt(steps: Sequence[Callable[[], None]]) -> None:

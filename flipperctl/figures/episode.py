@@ -23,7 +23,6 @@ from flipperctl.figures.figure import (
     legend_above,
     scaled,
     style_axes,
-    z_label,
 )
 from flipperctl.figures.render import CHASSIS, FAINT, FRONT, HEIGHTS, INK, REAR, RobotArtist
 from flipperctl.sim.outline import outlines
@@ -45,25 +44,11 @@ def map_points(perception: Perception, position: FloatArray) -> FloatArray:
     ``position``: the true chassis centre (x, z) [m], so that only errors of the map itself show,
     and none of the odometry's drift, which policies do not feel.
     """
-    points = perception.points if perception.filled is None else _seen(perception)
-    return points + position
+    points, filled = perception.points, perception.filled
+    return position + (points if filled is None else points[~filled])
 
 
-def _seen(perception: Perception) -> FloatArray:
-    assert perception.filled is not None
-    return np.asarray(perception.points[~perception.filled])
-
-
-def draw_points(axes: Axes, perceived: Sequence[tuple[Perception, FloatArray]]) -> None:
-    """Draw the map at several decisions, each with the true position of the chassis centre."""
-    points = np.concatenate([map_points(p, position) for p, position in perceived])
-    axes.plot(
-        points[:, 0], points[:, 1], ".", color=HEIGHTS, markersize=2.4, zorder=4,
-        label="map",
-    )  # fmt: skip
-
-
-def draw_heights(
+def _draw_heights(
     figure: Figure, axes: Axes, perceived: Sequence[Perception], times: Sequence[float]
 ) -> None:
     """Draw the perceived heights H over time; bins that were never seen are left white.
@@ -129,7 +114,8 @@ def episode_figure(
     above.plot(path[:, 0], path[:, 1], color=INK, linewidth=0.9, label="chassis centre")
     if perceived:
         latest = [min(i, len(perceived) - 1) for i in poses]
-        draw_points(above, [(perceived[i], path[i]) for i in latest])
+        points = np.concatenate([map_points(perceived[i], path[i]) for i in latest])
+        above.plot(*points.T, ".", color=HEIGHTS, markersize=2.4, zorder=4, label="map")
     lines = above.get_lines()[1:]  # without the ground, and before the robots
     for i, (state, top) in enumerate(zip(shown, tops, strict=True)):
         RobotArtist(above, zorder=5.0 + i).show(state, robot)
@@ -137,12 +123,15 @@ def episode_figure(
             f"{state.time:.1f} s", (state.position[0], top), xytext=(0, 4), ha="center",
             textcoords="offset points", fontsize=8, color=INK, zorder=5.0 + len(shown),
         )  # fmt: skip
-    frame(above, low, high, scale)
-    style_axes(above, title, "x [m]", z_label(scale))
+    frame(above, low, high, scale, title)
     legend_above(above, lines)
-    _draw_angles(below, samples or trace, shown, robot)
+    for state in shown:
+        below.axvline(state.time, color=FAINT, linewidth=0.8, linestyle=":")
+    limit, _ = draw_angles(below, samples or trace, robot, "time [s]; dotted: the poses above")
+    below.margins(x=0.02)
+    below.yaxis.set_major_locator(MultipleLocator(15 if limit < 75 else 30))
     for axes in lowest:
-        draw_heights(figure, axes, perceived, [state.time for state in trace])
+        _draw_heights(figure, axes, perceived, [state.time for state in trace])
         axes.set_xlim(below.get_xlim())
     return figure
 
@@ -167,29 +156,21 @@ def window(
     return np.array([left, min(ground) - 0.2]), np.array([right, top + 0.25])
 
 
-def angle_range(states: Sequence[RobotState], robot: RobotGeometry) -> float:
-    """Return the largest angle that a picture of these states shows [°]."""
-    return math.degrees(max(robot.angle_limit, *(abs(state.pitch) for state in states)))
-
-
-def _draw_angles(
-    axes: Axes, trace: Sequence[RobotState], shown: Sequence[RobotState], robot: RobotGeometry
-) -> None:
-    time = [state.time for state in trace]
-    lines: list[Line2D] = []
-    for state in shown:
-        axes.axvline(state.time, color=FAINT, linewidth=0.8, linestyle=":")
+def draw_angles(
+    axes: Axes, states: Sequence[RobotState], robot: RobotGeometry, x_label: str
+) -> tuple[float, list[Line2D]]:
+    """Draw pitch and flippers over time; return the largest angle shown [°], and the lines."""
+    time, lines = [state.time for state in states], list[Line2D]()
     for name, colour, style in (
         ("pitch", CHASSIS, "-"),
         ("front", FRONT, "--"),
         ("rear", REAR, "-."),
     ):
-        angles = [math.degrees(getattr(state, name)) for state in trace]
+        angles = [math.degrees(getattr(state, name)) for state in states]
         label = name if name == "pitch" else f"{name} flippers"
         lines += axes.plot(time, angles, style, color=colour, linewidth=1.6, label=label)
-    limit = angle_range(trace, robot)
+    limit = math.degrees(max(robot.angle_limit, *(abs(state.pitch) for state in states)))
     axes.set_ylim(-1.1 * limit, 1.1 * limit)
-    axes.margins(x=0.02)
-    axes.yaxis.set_major_locator(MultipleLocator(15 if limit < 75 else 30))
     legend_above(axes, lines)
-    style_axes(axes, "", "time [s]; dotted: the poses above", "angle [°]")
+    style_axes(axes, "", x_label, "angle [°]")
+    return limit, lines

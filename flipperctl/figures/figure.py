@@ -27,8 +27,6 @@ PICTURE = OutputKind("a picture", (".pdf", ".png", ".svg"), re.compile(_MARKS))
 
 WIDTH = 9.6
 """Width of every figure [in]."""
-
-
 _TITLE = 88
 """Largest number of characters of a line of a title [-]."""
 _LEGEND = 18.0
@@ -63,21 +61,18 @@ def scaled(low: FloatArray, high: FloatArray, most: float) -> tuple[int, float]:
     return scale, min(max(natural, 1.0), most)
 
 
-def frame(axes: Axes, low: FloatArray, high: FloatArray, scale: int = 1) -> None:
+def frame(axes: Axes, low: FloatArray, high: FloatArray, scale: int, title: str = "") -> None:
     """Show the box from ``low`` to ``high``, (x, z) in world [m], with the given scale of z."""
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
     axes.set_aspect(scale, adjustable="box")
-
-
-def z_label(scale: int) -> str:
-    """Return the label of the z axis."""
-    return "z [m]" if scale == 1 else f"z [m], × {scale}"
+    style_axes(axes, title, "x [m]", "z [m]" if scale == 1 else f"z [m], × {scale}")
 
 
 def style_axes(axes: Axes, title: str, x_label: str, y_label: str) -> None:
     """Set title and labels, draw a light grid and remove the upper and the right spine."""
-    _set_title(axes, "\n".join(textwrap.fill(line, _TITLE) for line in title.splitlines()))
+    lines = "\n".join(textwrap.fill(line, _TITLE) for line in title.splitlines())
+    axes.set_title(lines, loc="left", fontsize=11, color=INK, pad=6.0)
     axes.set_xlabel(x_label, fontsize=9, color=INK)
     axes.set_ylabel(y_label, fontsize=9, color=INK)
     axes.tick_params(labelsize=8, colors=INK)
@@ -92,16 +87,11 @@ def legend_above(axes: Axes, lines: Sequence[Line2D] | None = None) -> None:
     It covers no curve; the title has its final text.
     """
     if title := axes.get_title("left"):
-        _set_title(axes, title, _LEGEND)
+        axes.set_title(title, loc="left", fontsize=11, color=INK, pad=_LEGEND)
     axes.legend(
         handles=lines or axes.get_lines(), loc="lower right", bbox_to_anchor=(1.0, 1.0),
         fontsize=8, frameon=False, ncols=4, borderaxespad=0.0,
     )  # fmt: skip
-
-
-def _set_title(axes: Axes, title: str, pad: float = 6.0) -> None:
-    """Set a title ``pad`` [pt] above the axes."""
-    axes.set_title(title, loc="left", fontsize=11, color=INK, pad=pad)
 
 
 def save(figure: Figure, path: Path) -> None:

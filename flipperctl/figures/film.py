@@ -8,15 +8,13 @@ is asked for them between samples, so that the episode equals that of an evaluat
 from __future__ import annotations
 
 import io
-import math
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
@@ -35,21 +33,12 @@ from flipperctl.config import EvalConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.pictures import Observer
 from flipperctl.errors import RequestError
-from flipperctl.figures.episode import angle_range, map_points, mapped, window
-from flipperctl.figures.figure import (
-    WIDTH,
-    draw_ground,
-    frame,
-    legend_above,
-    scaled,
-    style_axes,
-    z_label,
-)
-from flipperctl.figures.render import CHASSIS, FAINT, FRONT, HEIGHTS, INK, REAR, RobotArtist
+from flipperctl.figures.episode import draw_angles, map_points, mapped, window
+from flipperctl.figures.figure import WIDTH, draw_ground, frame, scaled
+from flipperctl.figures.render import FAINT, HEIGHTS, INK, RobotArtist
 from flipperctl.files import OutputKind, check_output, write_bytes
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import play
-from flipperctl.rollout.seeds import EvaluationSeeds
 from flipperctl.sim.outline import outlines
 
 if TYPE_CHECKING:
@@ -88,12 +77,9 @@ def samples(transitions: Sequence[Transition]) -> list[RobotState]:
     return list(instants(transitions, transitions[0].sample_period))
 
 
-SUFFIX = ".gif"
-"""Suffix of a film's file."""
 _MARK = b"film by flipperctl"
 """Comment in each film, by which an earlier one is recognised."""
-FILM = OutputKind("a film", (SUFFIX,), re.compile(_MARK))
-
+FILM = OutputKind("a film", (".gif",), re.compile(_MARK))
 _PERIOD = 0.12
 """Simulated time between two frames [s]."""
 _SHOWN = 0.04
@@ -103,15 +89,10 @@ _LAST = 1.5
 _COLOURS = 63
 """Number of colours, without the one that marks unchanged pixels [-]."""
 _DPI = 100
-
-
-def check_film(path: Path) -> None:
-    """Check, before the episodes are played, that a film can be written to ``path``.
-
-    Raises:
-        OutputError: see ``check_output``.
-    """
-    check_output(path, FILM)
+SIZE = 640, 480
+"""Width and height of the pictures of an engine that draws itself [pixels]."""
+_EVERY = 20
+"""Samples between two of these: 5 per second [-]."""
 
 
 def save_film(
@@ -132,11 +113,11 @@ def save_film(
     belts in the film [m/s].
 
     Raises:
-        OutputError: ``path`` cannot be the path of a film, see ``check_film``.
+        OutputError: ``path`` cannot be the path of a film, see ``check_output``.
         ValueError: there are no transitions.
         WriteError: writing failed half way.
     """
-    check_film(path)
+    check_output(path, FILM)
     states = list(instants(transitions, _PERIOD))
     picture = _Picture(states, profile, robot, title, speed, _maps(transitions, states))
     frames: list[Image] = []
@@ -188,10 +169,9 @@ class _Picture:
         robot: RobotGeometry,
         title: str,
         speed: float,
-        maps: Sequence[FloatArray] = (),
+        maps: Sequence[FloatArray],
     ) -> None:
         self._robot, self._speed, self._maps = robot, speed, maps
-        self._times = [state.time for state in states]
         reach = robot.hinge_offset + robot.flipper_axle + robot.track_radius
         top = max(float(outlines(state, robot)[:, :, 1].max()) for state in states)
         path = np.array([state.position for state in states])  # (T, 2) [m]
@@ -204,68 +184,37 @@ class _Picture:
         (self._points,) = above.plot(
             [], [], ".", color=HEIGHTS, markersize=2.4, zorder=4, scalex=False, scaley=False
         )
-        frame(above, low, high, scale)
         rate = round(_PERIOD / _SHOWN)
-        style_axes(above, f"{title}, {rate} × real time".lstrip(", "), "x [m]", z_label(scale))
+        frame(above, low, high, scale, f"{title}, {rate} × real time".lstrip(", "))
         self._clock = above.annotate(
-            _clock(0.0), (1.0, 1.0), xycoords="axes fraction", xytext=(0, 5), ha="right",
+            " 0.0 s", (1.0, 1.0), xycoords="axes fraction", xytext=(0, 5), ha="right",
             textcoords="offset points", fontsize=11, color=INK, family="DejaVu Sans Mono",
         )  # fmt: skip
-        self._build_angles(below, states)
-        self._moving = [self._points, *self._artist.artists, self._clock, self._now]
-        self._moving += [line for line, _ in self._lines]
+        limit, lines = draw_angles(below, states, robot, "time [s]")
+        below.set_xlim(states[0].time, states[-1].time)
+        below.set_yticks([-round(limit), 0, round(limit)])
+        self._lines = [(line, np.array(line.get_data())) for line in lines]
+        self._now = below.axvline(0.0, color=FAINT, linewidth=0.8)
+        self._moving = [self._points, *self._artist.artists, self._clock, self._now, *lines]
         for artist in self._moving:
             artist.set_animated(True)  # excludes it from the background
-        self._canvas: Any = FigureCanvasAgg(figure)
-        self._background = self._draw_background(figure)
+        self._canvas = cast("Any", FigureCanvasAgg(figure))
+        self._canvas.draw()
+        self._background = self._canvas.copy_from_bbox(figure.bbox)
 
     def draw(self, index: int, state: RobotState, colours: Image | None) -> Image:
         """Return the frame of ``state``, with the palette of ``colours`` or else its own."""
         self._artist.show(state, self._robot, self._speed * state.time)
         if self._maps:
             self._points.set_data(*self._maps[index].T)
-        self._clock.set_text(_clock(state.time))
+        self._clock.set_text(f"{state.time:4.1f} s")
         self._now.set_xdata([state.time, state.time])
-        for line, angles in self._lines:
-            line.set_data(self._times[: index + 1], angles[: index + 1])
+        for line, angles in self._lines:  # (2, T)
+            line.set_data(*angles[:, : index + 1])
         self._canvas.restore_region(self._background)
         for artist in self._moving:
             artist.draw(self._canvas.get_renderer())
         return quantized(self._canvas, colours)
-
-    def _draw_background(self, figure: Figure) -> Any:
-        self._canvas.draw()
-        return self._canvas.copy_from_bbox(figure.bbox)
-
-    def _build_angles(self, axes: Axes, states: Sequence[RobotState]) -> None:
-        self._lines = []
-        for name, colour, style in (
-            ("pitch", CHASSIS, "-"),
-            ("front", FRONT, "--"),
-            ("rear", REAR, "-."),
-        ):
-            angles = [math.degrees(getattr(state, name)) for state in states]
-            label = name if name == "pitch" else f"{name} flippers"
-            (line,) = axes.plot([], [], style, color=colour, linewidth=1.6, label=label)
-            self._lines.append((line, angles))
-        self._now = axes.axvline(0.0, color=FAINT, linewidth=0.8)
-        limit = angle_range(states, self._robot)
-        axes.set_xlim(self._times[0], self._times[-1])
-        axes.set_ylim(-1.1 * limit, 1.1 * limit)
-        axes.set_yticks([-round(limit), 0, round(limit)])
-        legend_above(axes, [line for line, _ in self._lines])
-        style_axes(axes, "", "time [s]", "angle [°]")
-
-
-def _clock(time: float) -> str:
-    return f"{time:4.1f} s"
-
-
-SIZE = 640, 480
-"""Width and height [pixels]."""
-
-_EVERY = 20
-"""Samples between two pictures: 5 per second [-]."""
 
 
 def film(config: EvalConfig, source: PolicySource, seed: int, path: Path) -> None:
@@ -276,18 +225,13 @@ def film(config: EvalConfig, source: PolicySource, seed: int, path: Path) -> Non
         RequestError: the engine draws no pictures, or the machine cannot.
         FlipperctlError: the policy failed, or the file cannot be written.
     """
-    check_film(path)
+    check_output(path, FILM)
     shots = Shots(config.sim.plugin_name)
     play(FlipperEnv(config=config), source.build(config), seed, observers=[shots])
     from PIL.Image import fromarray
 
-    pictures = [fromarray(frame) for frame in shots.frames]
+    pictures = [fromarray(picture) for picture in shots.pictures]
     write_frames(path, pictures, [_EVERY * SAMPLE_PERIOD] * len(pictures))
-
-
-def film_episode(config: EvalConfig, source: PolicySource, episode: int, path: Path) -> None:
-    """Film the episode with this index of an evaluation; see ``film``."""
-    film(config, source, EvaluationSeeds.of(config.eval.seed, config.terrain)(episode), path)
 
 
 class Shots(Observer):
@@ -298,8 +242,8 @@ class Shots(Observer):
     def __init__(self, engine: str) -> None:
         """``engine``: its registered name, for errors."""
         self._engine = engine
-        self.frames: list[NDArray[np.uint8]] = []
-        """The pictures, (H, W, 3) each."""
+        self.pictures: list[NDArray[np.uint8]] = []
+        """(H, W, 3) each."""
 
     def stopped(self, world: World) -> None:
         """Take a picture.
@@ -309,4 +253,4 @@ class Shots(Observer):
         """
         if not isinstance(world, DrawingWorld):
             raise RequestError(f"sim={self._engine} draws no pictures for a film")
-        self.frames.append(world.draw(*SIZE))
+        self.pictures.append(world.draw(*SIZE))

@@ -34,9 +34,6 @@ def learning_figure(rows_episode: Rows, rows_validation: Rows, title: str) -> Fi
     last 100 episodes, drawn thin where there are fewer; a dot is one episode. The panel of θ̂_R
     shows it at 100 Hz and, for validations, also at decisions, as in the paper; its curves ignore
     episodes that did not reach the finish, and validations none of whose episodes did.
-
-    Raises:
-        ValueError: a cell is neither empty nor a number; the text names the cell.
     """
     figure = Figure(figsize=(WIDTH, 9.0), layout="constrained")
     success, pitch, returns, loss = figure.subplots(4, 1, sharex=True)
@@ -101,9 +98,10 @@ def running_mean(values: FloatArray, window: int) -> FloatArray:
 
 def _curve(axes: Axes, at: FloatArray, values: FloatArray, colour: str, dots: bool = False) -> None:
     if dots:
+        size = float(np.clip(60.0 / math.sqrt(max(len(at), 1)), 1.6, 5.0))  # fewer for many [pt]
         axes.plot(
-            at, values, "o", color=DOTS, markersize=_dot_size(len(at)), markeredgewidth=0,
-            rasterized=True, label="episode",
+            at, values, "o", color=DOTS, markersize=size, markeredgewidth=0, rasterized=True,
+            label="episode",
         )  # fmt: skip
     mean = running_mean(values, WINDOW)
     fewer = f"mean of all episodes so far, fewer than {WINDOW}"
@@ -117,11 +115,6 @@ def _curve(axes: Axes, at: FloatArray, values: FloatArray, colour: str, dots: bo
             at[WINDOW - 1 :], mean[WINDOW - 1 :], color=colour, linewidth=1.8,
             label=f"mean of the last {WINDOW}",
         )  # fmt: skip
-
-
-def _dot_size(episodes: int) -> float:
-    """Return a dot's diameter [pt], which decreases with the number of episodes."""
-    return float(np.clip(60.0 / math.sqrt(max(episodes, 1)), 1.6, 5.0))
 
 
 def _validation(axes: Axes, at: FloatArray, values: FloatArray) -> None:

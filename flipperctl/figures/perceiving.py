@@ -7,7 +7,7 @@ ground that the estimator made of it; below, how certain each height is.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -71,8 +71,11 @@ def draw(
         WriteError: writing failed half way.
     """
     check_output(path, at)
-    if at is not None:
-        _check_instant(at, replay)
+    times = [one.time for one in replay.instants]
+    apart = max(np.diff(times).tolist(), default=0.0)
+    if at is not None and not times[0] - apart <= at <= times[-1] + apart:
+        allowed = f"{times[0]:g} to {times[-1]:g} s of the recording are allowed"
+        raise RequestError(f"--at {at:g}: {allowed}")
     picture = _Picture(replay, robot, f", {_SPEED:g} × real time" if at is None else "")
     if at is not None:
         picture.show(min(replay.instants, key=lambda one: abs(one.time - at)))
@@ -83,18 +86,8 @@ def draw(
         picture.show(instant)
         frames.append(picture.pixels(frames[0] if frames else None))
         report_progress((index + 1) / len(replay.instants))
-    times = [one.time for one in replay.instants]
     shown = [pause / _SPEED for pause in np.diff(times).tolist()]
     write_frames(path, frames, [*shown, _LAST])
-
-
-def _check_instant(at: float, replay: Replay) -> None:
-    """Refuse a time ``at`` [s] at which nothing was perceived."""
-    times = [one.time for one in replay.instants]
-    first, last = min(times), max(times)
-    apart = max(np.diff(times).tolist(), default=0.0)
-    if not first - apart <= at <= last + apart:
-        raise RequestError(f"--at {at:g}: {first:g} to {last:g} s of the recording are allowed")
 
 
 def faces(points: FloatArray, filled: NDArray[np.bool_]) -> list[FloatArray]:
@@ -120,7 +113,9 @@ class _Picture:
         self._edges = (np.arange(count) - count / 2) * replay.bin_width
         reach = count * replay.bin_width / 2
         tip = robot.hinge_offset + robot.flipper_axle + robot.track_radius
-        low, high = _heights(replay.instants)
+        points = np.concatenate([one.ground.points[:, 1] for one in replay.instants])
+        low = min(_DEEP, max(float(points.min()), -1.5)) - 0.05
+        high = max(_HIGH, min(float(points.max()), 1.5)) + 0.05
         half = max(reach, tip) + 0.15
         tall = (WIDTH - 1.0) * (high - low) / (2 * half)
         whole = 2 * tall + 3.0  # [in]
@@ -135,9 +130,16 @@ class _Picture:
 
         bars = place(0.5, 0.7)
         ground, scan = place(1.6, tall), place(2.4 + tall, tall)
-        self._scan(scan, rate)
+        (self._beside,) = scan.plot([], [], ".", color="#BBBBBB", markersize=1.5)
+        (self._cloud,) = scan.plot([], [], ".", color=INK, markersize=2)
+        style_axes(scan, f"scan{rate}; grey: beside the robot's strip", "", "z [m]")
         self._ground(ground)
-        self._bars(bars)
+        self._sigmas = bars.bar(
+            self._edges, 0.0, self._width * 0.9, align="edge", color=HEIGHTS, linewidth=0
+        )
+        bars.set_ylim(0, _WORST)
+        x_label = f"ahead of the chassis centre [m]; red: σ above {_WORST:g} mm"
+        style_axes(bars, "", x_label, "σ [mm]")
         for axes in (scan, ground):
             axes.set_ylim(low, high)
         self._robots = [RobotArtist(axes) for axes in (scan, ground)]
@@ -145,11 +147,6 @@ class _Picture:
             1.0, 1.02, "", transform=scan.transAxes, ha="right", fontsize=10, color=INK
         )
         self._canvas: Any = FigureCanvasAgg(self.figure)
-
-    def _scan(self, axes: Axes, rate: str) -> None:
-        (self._beside,) = axes.plot([], [], ".", color="#BBBBBB", markersize=1.5)
-        (self._cloud,) = axes.plot([], [], ".", color=INK, markersize=2)
-        style_axes(axes, f"scan{rate}; grey: beside the robot's strip", "", "z [m]")
 
     def _ground(self, axes: Axes) -> None:
         self._bins = [
@@ -175,15 +172,6 @@ class _Picture:
             handles=lines, loc="lower right", bbox_to_anchor=(1.0, 1.0), fontsize=8, frameon=False,
             ncols=len(lines), borderaxespad=0.0,
         )  # fmt: skip
-
-    def _bars(self, axes: Axes) -> None:
-        self._sigmas = axes.bar(
-            self._edges, 0.0, self._width * 0.9, align="edge", color=HEIGHTS, linewidth=0
-        )
-        axes.set_ylim(0, _WORST)
-        style_axes(
-            axes, "", f"ahead of the chassis centre [m]; red: σ above {_WORST:g} mm", "σ [mm]"
-        )
 
     def show(self, instant: Instant) -> None:
         """Draw an instant."""
@@ -224,10 +212,3 @@ class _Picture:
         """Return the figure as an image, with the palette of ``colours`` or else its own."""
         self._canvas.draw()
         return quantized(self._canvas, colours)
-
-
-def _heights(instants: Sequence[Instant]) -> tuple[float, float]:
-    """Return the lowest and the highest ground that is shown [m]."""
-    points = np.concatenate([one.ground.points for one in instants])
-    low, high = float(points[:, 1].min()), float(points[:, 1].max())
-    return min(_DEEP, max(low, -1.5)) - 0.05, max(_HIGH, min(high, 1.5)) + 0.05

@@ -186,14 +186,15 @@ class Renderer:
 
     def _write(self, scene: Scene) -> None:
         state, action, outcome = scene.state, scene.action, scene.outcome
+        degrees = {
+            name: round(math.degrees(getattr(state, name))) for name in ("pitch", "front", "rear")
+        }
         doing = [] if action is None else [", ".join(_TURNS[turn] for turn in action)]
         doing += [] if outcome is None else [outcome.value]
         texts = {
             "time": f"{state.time:.1f} s",
             "x": f"{state.position[0]:.2f} m",
-            "pitch": _degrees(state.pitch),
-            "front": _degrees(state.front),
-            "rear": _degrees(state.rear),
+            **{name: f"{angle:+d}°" if angle else "0°" for name, angle in degrees.items()},
             "action front, rear": " → ".join(doing) or "–",
             "terrain": scene.terrain,
         }
@@ -214,8 +215,3 @@ def _bins(p: Perceived) -> FloatArray:
     x[:, 0], x[:, 1] = left + gap, left + p.bin_width - gap
     z[:, :2] = p.heights[:, None]
     return np.column_stack([x.ravel(), z.ravel()])
-
-
-def _degrees(angle: float) -> str:
-    degrees = round(math.degrees(angle))
-    return f"{degrees:+d}°" if degrees else "0°"

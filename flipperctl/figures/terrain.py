@@ -6,7 +6,7 @@ state, and plain data.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -17,15 +17,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from flipperctl.api import FloatArray, Profile, RobotGeometry, RobotState
 from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.figures.figure import (
-    WIDTH,
-    draw_ground,
-    frame,
-    legend_above,
-    style_axes,
-    z_label,
-    z_scale,
-)
+from flipperctl.figures.figure import WIDTH, draw_ground, frame, legend_above, z_scale
 from flipperctl.figures.render import FAINT, INK, RobotArtist
 
 
@@ -36,16 +28,15 @@ def sample(config: EnvConfig, seeds: Iterable[int]) -> list[tuple[Profile, dict[
         TerrainError: a profile is one that no robot can start on.
     """
     env = FlipperEnv(config=config)
-    found = []
+    sampled = []
     for seed in seeds:
         env.reset(seed=seed)  # as in an episode, so that invalid profiles are found here
-        description = {**describe(env.profile), "drawn": dict(env.profile.drawn)}
-        description["points_drawn"] = env.points_drawn
-        found.append((env.profile, {"seed": seed, **description}))
-    return found
+        row = {"seed": seed, **_describe(env.profile), "drawn": dict(env.profile.drawn)}
+        sampled.append((env.profile, {**row, "points_drawn": env.points_drawn}))
+    return sampled
 
 
-def describe(profile: Profile) -> dict[str, Any]:
+def _describe(profile: Profile) -> dict[str, Any]:
     """Return the extent, heights and steepness of a profile, and its points in world [m]."""
     points = profile.points
     steps = np.diff(points, axis=0)  # (V - 1, 2) [m]
@@ -112,19 +103,10 @@ def terrain_figure(
     return figure
 
 
-def sample_figure(name: str, profiles: Mapping[int, Profile], robot: RobotGeometry) -> Figure:
-    """Draw profiles of the terrain ``name`` by the seeds with which they were sampled."""
-    labels = [f"seed {seed}" for seed in profiles]
-    return terrain_figure(list(profiles.values()), f"{name}, {labels[0]}", robot, labels)
-
-
 def _draw_large(axes: Axes, profile: Profile, robot: RobotGeometry, title: str, scale: int) -> None:
     draw_ground(axes, profile)
     stand = np.array([profile.start - _run_up(robot), profile.points[0, 1] + robot.track_radius])
-    state = RobotState(
-        stand, pitch=0.0, front=0.0, rear=0.0, velocity=np.zeros(2), pitch_rate=0.0, time=0.0
-    )
-    RobotArtist(axes).show(state, robot)
+    RobotArtist(axes).show(RobotState(stand, 0.0, 0.0, 0.0, np.zeros(2), 0.0, 0.0), robot)
     _mark_ends(axes, profile)
     marks = [line for line in axes.get_lines() if line.get_label() in ("start", "finish")]
     (left, bottom), (right, top) = profile.points.min(axis=0), profile.points.max(axis=0)
@@ -136,8 +118,7 @@ def _draw_large(axes: Axes, profile: Profile, robot: RobotGeometry, title: str, 
     if top > bottom:
         beside = right + 0.65 * _margin(profile)
         _dimension(axes, (beside, bottom), (beside, top), f"height {top - bottom:.2f} m")
-    frame(axes, *_window(profile, robot), scale)
-    style_axes(axes, title, "x [m]", z_label(scale))
+    frame(axes, *_window(profile, robot), scale, title)
     if marks:
         legend_above(axes, marks)
 

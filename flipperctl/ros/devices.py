@@ -18,13 +18,11 @@ import numpy as np
 from flipperctl.core.lidar.body import mounting
 from flipperctl.errors import RequestError
 from flipperctl.ros.reading import (
-    FRAMES,
-    ODOMETRY,
-    add_odometry,
-    add_transforms,
     chosen_topic,
+    messages,
     opened,
     read_points,
+    read_transforms,
     seconds,
     times_of,
 )
@@ -111,9 +109,8 @@ class Recording:
     def mounts(self) -> Iterator[Pose]:
         """Yield the place of the sensor on the chassis for each cloud for which it is known."""
         with opened(self.path) as reader:
-            chosen = [c for c in reader.connections if c.topic == self.clouds]
-            for connection, _, data in reader.messages(connections=chosen):
-                header = reader.deserialize(data, connection.msgtype).header
+            for *_, message in messages(reader, [self.clouds]):
+                header = message.header
                 mount = _placed(self, header.frame_id.lstrip("/"), seconds(header.stamp))
                 if mount is not None:
                     yield mount
@@ -133,12 +130,10 @@ class Recording:
         joints = NewestJoints(self.names.front, self.names.rear)
         waiting: Step | None = None
         with opened(self.path) as reader:
-            chosen = [c for c in reader.connections if c.topic in devices]
-            for connection, stamp, data in reader.messages(connections=chosen):
-                message = reader.deserialize(data, connection.msgtype)
-                now, device = stamp * 1e-9, devices[connection.topic]
+            for topic, now, message in messages(reader, devices):
+                device = devices[topic]
                 told = (
-                    self._joints(joints, connection.topic, message)
+                    self._joints(joints, topic, message)
                     if device == "joints"
                     else self._told(device, message, now)
                 )
@@ -208,17 +203,10 @@ def read_recording(path: Path, names: Names) -> Recording:
         MissingExtraError: rosbags is not installed.
         RequestError: the file is no bag, has no clouds, or a topic or frame is unknown.
     """
-    transforms, odometry, remarks = Transforms(), [], list[str]()
+    remarks: list[str] = []
     with opened(path) as reader:
         clouds = chosen_topic(path, reader, names.clouds)
-        frames = [c for c in reader.connections if c.msgtype in (*FRAMES, ODOMETRY)]
-        for connection, _, data in reader.messages(connections=frames) if frames else ():
-            message = reader.deserialize(data, connection.msgtype)
-            if connection.msgtype == ODOMETRY:
-                odometry.append((connection.topic, message))
-            else:
-                add_transforms(transforms, connection.topic, message)
-        add_odometry(path, transforms, odometry)
+        transforms = read_transforms(path, reader)
         times = times_of(path, reader, clouds)
         devices = found_devices(path, reader, names, transforms, remarks)
     remarks += transforms.remarks(names.fixed, names.base)

@@ -34,13 +34,14 @@ from flipperctl.ros.messages import (
     joint_angles,
     nanoseconds,
     require_rosbags,
+    typestore,
 )
 
 CLOUD, IMU, JOINT_STATES, ODOMETRY = "/points", "/imu/data", "/joint_states", "/odom"
-TRANSFORMS, STATIC = "/tf", "/tf_static"
+TRANSFORMS, STATIC, BELTS = "/tf", "/tf_static", "/belt_speed"
+OBSERVATION, ACTION = "/flipperctl/observation", "/flipperctl/action"
 TARGETS = "/flipper_controller/commands"
 """Topic of ``forward_command_controller`` for a controller of that name."""
-BELTS, OBSERVATION, ACTION = "/belt_speed", "/flipperctl/observation", "/flipperctl/action"
 TYPES = {
     CLOUD: "sensor_msgs/msg/PointCloud2",
     IMU: "sensor_msgs/msg/Imu",
@@ -105,7 +106,10 @@ def export_bag(config: EvalConfig, source: PolicySource, folder: Path) -> dict[s
         OutputError: the folder exists or cannot be written.
     """
     require_rosbags("export mcap")
-    check_new(folder)
+    if folder.exists():
+        raise OutputError(f"{folder} cannot be written: a bag is a new folder, and this one exists")
+    if not folder.parent.is_dir():
+        raise OutputError(f"{folder} cannot be written: there is no folder {folder.parent}")
     watch, env = Watch(), FlipperEnv(config=config)
     seed = EvaluationSeeds.of(config.eval.seed, config.terrain)(0)
     decided, sensed, ending = [], 0.0, None
@@ -115,7 +119,7 @@ def export_bag(config: EvalConfig, source: PolicySource, folder: Path) -> dict[s
         decided.append(_Decided(at, sensed, decision.perception, decision.action, targets))
         sensed, ending = env.drive.delayed_state.time, decision.ending
     assert ending is not None  # decisions() yields until there is one
-    messages = _messages(watch, decided, config.perception)
+    messages = list(_messages(watch, decided, config.perception))
     write_bag(folder, messages)
     return {
         "format": "mcap",
@@ -128,18 +132,6 @@ def export_bag(config: EvalConfig, source: PolicySource, folder: Path) -> dict[s
     }
 
 
-def check_new(folder: Path) -> None:
-    """Check, before long work, that a bag can be written to ``folder``.
-
-    Raises:
-        OutputError: it exists already, or there is no folder that could hold it.
-    """
-    if folder.exists():
-        raise OutputError(f"{folder} cannot be written: a bag is a new folder, and this one exists")
-    if not folder.parent.is_dir():
-        raise OutputError(f"{folder} cannot be written: there is no folder {folder.parent}")
-
-
 def write_bag(folder: Path, messages: Sequence[Stamped]) -> None:
     """Write messages of the topics in ``TYPES`` to a new bag, in the order of their times.
 
@@ -148,84 +140,74 @@ def write_bag(folder: Path, messages: Sequence[Stamped]) -> None:
         OutputError: the folder cannot be written.
     """
     ros = require_rosbags("a bag")
-    types = typestore()
-    bag = ros.rosbag2
+    types, bag = typestore(), ros.rosbag2
     with (
         new_folder(folder) as inside,
         bag.Writer(inside, version=8, storage_plugin=bag.StoragePlugin.MCAP) as writer,
     ):
-        topics = {
-            topic: writer.add_connection(
-                topic, TYPES[topic], typestore=types, offered_qos_profiles=_qos(topic)
-            )
-            for topic in dict.fromkeys(found.topic for found in messages)
-        }
-        for found in sorted(messages, key=lambda one: one.time):
-            data = types.serialize_cdr(found.message, TYPES[found.topic])
-            writer.write(topics[found.topic], nanoseconds(found.time), data)
-
-
-def typestore() -> Any:
-    """Return the types of messages of ROS 2 Jazzy; those used here are the same since Humble."""
-    types = require_rosbags("a bag").typesys
-    return types.get_typestore(types.Stores.ROS2_JAZZY)
+        topics = {}
+        for topic in dict.fromkeys(stamped.topic for stamped in messages):
+            more = {"typestore": types, "offered_qos_profiles": _qos(topic)}
+            topics[topic] = writer.add_connection(topic, TYPES[topic], **more)
+        for time, topic, message in sorted(messages, key=lambda one: one.time):
+            data = types.serialize_cdr(message, TYPES[topic])
+            writer.write(topics[topic], nanoseconds(time), data)
 
 
 def _qos(topic: str) -> Sequence[Any]:
     """Return the profile with which players repeat the static frames for late subscribers."""
     if topic != STATIC:
         return ()
-    from rosbags.interfaces import (
-        Qos,
-        QosDurability,
-        QosHistory,
-        QosLiveliness,
-        QosReliability,
-        QosTime,
-    )
+    from rosbags import interfaces as ros
 
-    forever = QosTime(2**31 - 1, 0)
-    reliable = QosHistory.KEEP_LAST, 1, QosReliability.RELIABLE, QosDurability.TRANSIENT_LOCAL
-    timing = forever, forever, QosLiveliness.AUTOMATIC, forever
-    return [Qos(*reliable, *timing, avoid_ros_namespace_conventions=False)]
+    forever, liveliness = ros.QosTime(2**31 - 1, 0), ros.QosLiveliness.AUTOMATIC
+    kept, reliable = ros.QosHistory.KEEP_LAST, ros.QosReliability.RELIABLE
+    local = ros.QosDurability.TRANSIENT_LOCAL
+    timing = forever, forever, liveliness, forever
+    return [ros.Qos(kept, 1, reliable, local, *timing, avoid_ros_namespace_conventions=False)]
 
 
-def _messages(watch: Watch, decided: Sequence[_Decided], sensor: Sensor) -> list[Stamped]:
-    make = Messages(typestore())
-    found = [*_of_states(make, watch.states), *_of_decisions(make, decided)]
-    inertial = [m for m in watch.measurements if isinstance(m.value, Inertial)]
-    scans = [m for m in watch.measurements if isinstance(m.value, Scan)]
-    found += _of_measurements(make, watch.measurements)
-    if not inertial:
-        found += _of_true_attitude(make, watch.states)
-    if not scans:
-        found += _of_perceived_ground(make, decided)
-    elif all(hasattr(sensor, name) for name in _MOUNT):
-        place = [getattr(sensor, name) for name in _MOUNT]
-        found.insert(0, Stamped(0.0, STATIC, make.mount(*place)))
-    else:
-        raise RequestError(
-            f"perception: {sensor.plugin_name} does not say where its scans are measured; "
-            f"the settings {', '.join(_MOUNT)} do"
-        )
-    return found
+def _messages(watch: Watch, decided: Sequence[_Decided], sensor: Sensor) -> Iterator[Stamped]:
+    """Yield all messages; what no instrument measures is that of the truth."""
+    make, kinds = Messages(), {type(m.value) for m in watch.measurements}
+    if Scan in kinds:
+        if not all(hasattr(sensor, name) for name in _MOUNT):
+            raise RequestError(
+                f"perception: {sensor.plugin_name} does not say where its scans are measured; "
+                f"the settings {', '.join(_MOUNT)} do"
+            )
+        yield Stamped(0.0, STATIC, make.mount(*(getattr(sensor, name) for name in _MOUNT)))
+    for state in watch.states:
+        time = state.time
+        yield Stamped(time, TRANSFORMS, make.transforms(state))
+        yield Stamped(time, ODOMETRY, make.odometry(state))
+        yield Stamped(time, JOINT_STATES, make.joint_state(time, state.front, state.rear))
+    for one in decided:
+        numbers = one.perception.observation.astype(np.float64)
+        yield Stamped(one.time, OBSERVATION, make.numbers(numbers))
+        yield Stamped(one.time, ACTION, make.number(one.action))
+        yield Stamped(one.time, TARGETS, make.numbers(one.targets))
+    yield from _of_measurements(make, watch.measurements)
+    if Inertial not in kinds:
+        yield from (Stamped(s.time, IMU, _true_attitude(make, s)) for s in watch.states)
+    if Scan not in kinds:
+        yield from (Stamped(one.sensed, CLOUD, _perceived_ground(make, one)) for one in decided)
 
 
-def _of_states(make: Messages, states: Sequence[RobotState]) -> Iterator[Stamped]:
-    for state in states:
-        yield Stamped(state.time, TRANSFORMS, make.transforms(state))
-        yield Stamped(state.time, ODOMETRY, make.odometry(state))
-        joints = make.joint_state(state.time, state.front, state.rear)
-        yield Stamped(state.time, JOINT_STATES, joints)
+def _true_attitude(make: Messages, state: RobotState) -> Any:
+    angles = state.roll, state.pitch, state.yaw
+    rises = attitude(*angles)[2]  # of the axes
+    lean = math.atan2(rises[1], rises[2])  # about which the y axis is turned from the level
+    rates = 0.0, -state.pitch_rate * math.cos(lean), state.pitch_rate * math.sin(lean)
+    return make.imu(state.time, angles, rates)
 
 
-def _of_true_attitude(make: Messages, states: Sequence[RobotState]) -> Iterator[Stamped]:
-    for state in states:
-        angles = state.roll, state.pitch, state.yaw
-        rises = attitude(*angles)[2]  # of the axes
-        lean = math.atan2(rises[1], rises[2])  # about which the y axis is turned from the level
-        rates = 0.0, -state.pitch_rate * math.cos(lean), state.pitch_rate * math.sin(lean)
-        yield Stamped(state.time, IMU, make.imu(state.time, angles, rates))
+def _perceived_ground(make: Messages, one: _Decided) -> Any:
+    """Return the points that a sensor of the side plane saw, without those that fill gaps."""
+    points, filled = one.perception.points, one.perception.filled
+    points = points if filled is None else points[~filled]
+    cloud = np.column_stack([points[:, 0], np.zeros(len(points)), points[:, 1]])
+    return make.cloud(one.sensed, LEVEL, cloud)
 
 
 def _of_measurements(make: Messages, measurements: Sequence[Measured]) -> Iterator[Stamped]:
@@ -238,21 +220,3 @@ def _of_measurements(make: Messages, measurements: Sequence[Measured]) -> Iterat
             yield Stamped(time, IMU, make.imu(time, (value.roll, value.pitch, 0.0), (x, y, z)))
         elif isinstance(value, Belts):
             yield Stamped(time, BELTS, make.number(value.speed))
-
-
-def _of_perceived_ground(make: Messages, decided: Sequence[_Decided]) -> Iterator[Stamped]:
-    """Yield the points that a sensor of the side plane saw, without those that fill gaps."""
-    for one in decided:
-        points = one.perception.points
-        if one.perception.filled is not None:
-            points = points[~one.perception.filled]
-        cloud = np.column_stack([points[:, 0], np.zeros(len(points)), points[:, 1]])
-        yield Stamped(one.sensed, CLOUD, make.cloud(one.sensed, LEVEL, cloud))
-
-
-def _of_decisions(make: Messages, decided: Sequence[_Decided]) -> Iterator[Stamped]:
-    for one in decided:
-        numbers = one.perception.observation.astype(np.float64)
-        yield Stamped(one.time, OBSERVATION, make.numbers(numbers))
-        yield Stamped(one.time, ACTION, make.integer(one.action))
-        yield Stamped(one.time, TARGETS, make.numbers(one.targets))

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +18,19 @@ import numpy as np
 from flipperctl.api import FloatArray, Robot
 from flipperctl.errors import RequestError
 from flipperctl.files import OutputKind, check_output, write_bytes
-from flipperctl.ros.reading import POSES, read_bag, read_folder
+from flipperctl.ros.reading import (
+    POSES,
+    Points,
+    Scans,
+    chosen_topic,
+    messages,
+    opened,
+    read_folder,
+    read_points,
+    read_transforms,
+    times_of,
+)
 from flipperctl.ros.topics import Names
-from flipperctl.ros.transforms import Pose
 
 _HEADER = "# ground by flipperctl: x y z [m]\n"
 """First line of each file, by which an earlier one is recognised."""
@@ -37,8 +47,8 @@ _INSET = 0.02
 
 
 _USUAL = Names()
-_Scan = tuple[FloatArray, Pose]
-"""Points in the frame of the chassis, (P, 3) [m], and the chassis in the fixed frame."""
+_PART = 0.01
+"""Points of a turning LiDAR are taken for simultaneous within this time [s]."""
 
 
 def convert(
@@ -61,13 +71,14 @@ def convert(
     """
     check_output(output, GROUND)
     if source.is_dir() and (source / POSES).exists():
-        scans = list(read_folder(source, output))
+        scans, _ = read_folder(source, output)
         sizes, skipped, remarks = [len(points) for points, _ in scans], 0, list[str]()
     else:
         scans, sizes, skipped, remarks = _scans(source, names)
     points = thinned(_seen(scans, robot, reach, cell), cell)
     start, end = _known_line(source, points, scans, _half_length(robot))
-    write_bytes(output, _text(points).encode())
+    rows = (f"{x:.4f} {y:.4f} {z:.4f}\n" for x, y, z in points.tolist())
+    write_bytes(output, (_HEADER + "".join(rows)).encode())
     return {
         "source": str(source),
         "output": str(output),
@@ -87,7 +98,7 @@ def convert(
 
 
 def _known_line(
-    source: Path, points: FloatArray, scans: list[_Scan], ahead: float
+    source: Path, points: FloatArray, scans: Scans, ahead: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return the ends, (2,) each [m], of the longest part of the robot's way whose ground was seen.
 
@@ -116,32 +127,48 @@ def _known_line(
     return first + direction * (longest[0] + _INSET), first + direction * (longest[-1] - _INSET)
 
 
-def _scans(source: Path, names: Names) -> tuple[list[_Scan], list[int], int, list[str]]:
+def _scans(source: Path, names: Names) -> tuple[Scans, list[int], int, list[str]]:
     """Return the clouds of a bag in the frame of the chassis, and what became of its messages.
 
     That is the number of points of each that is used, the number of those without a pose, and what
     a reader of the result should know.
     """
-    bag = read_bag(source, names.clouds)
-    found, sizes = [], Counter[int]()
-    for cloud in bag.clouds:
-        try:
-            pose = bag.transforms.pose(names.fixed, names.base, cloud.time)
-            mount = bag.transforms.pose(names.base, cloud.frame, cloud.time)
-        except RequestError as error:
-            raise RequestError(f"{source}: {error}") from error
-        if pose is not None and mount is not None:
-            sizes[cloud.message] += len(cloud.points)
-            found.append((mount.apply(cloud.points), pose))
-    if not any(len(cloud.points) for cloud in bag.clouds):
-        raise RequestError(f"{source}: the {bag.messages} clouds of {bag.topic} have no points")
-    if not found:
+    scans, sizes, count, points = [], Counter[int](), 0, 0
+    with opened(source) as reader:
+        topic = chosen_topic(source, reader, names.clouds)
+        transforms, times = read_transforms(source, reader), times_of(source, reader, topic)
+        for number, (*_, message) in enumerate(messages(reader, [topic])):
+            count = number + 1
+            for part in _parts(read_points(f"{source}: {topic}", message, times)):
+                points += len(part.points)
+                try:
+                    pose = transforms.pose(names.fixed, names.base, part.time)
+                    mount = transforms.pose(names.base, part.frame, part.time)
+                except RequestError as error:
+                    raise RequestError(f"{source}: {error}") from error
+                if pose is not None and mount is not None:
+                    sizes[number] += len(part.points)
+                    scans.append((mount.apply(part.points), pose))
+    if not points:
+        raise RequestError(f"{source}: the {count} clouds of {topic} have no points")
+    if not scans:
         raise RequestError(
-            f"{source}: none of the {bag.messages} clouds of {bag.topic} has a transform to "
+            f"{source}: none of the {count} clouds of {topic} has a transform to "
             f"{names.fixed!r} at its stamp; is another clock in the stamps?"
         )
-    remarks = [*bag.remarks, *bag.transforms.remarks(names.fixed, names.base)]
-    return found, [*sizes.values()], bag.messages - len(sizes), remarks
+    remarks = [f"{topic}: {remark}" for remark in times.remarks()]
+    remarks += transforms.remarks(names.fixed, names.base)
+    return scans, [*sizes.values()], count - len(sizes), remarks
+
+
+def _parts(cloud: Points) -> Iterator[Points]:
+    """Yield the points of a message, those of about one instant together."""
+    if cloud.shifts is None or not len(cloud.shifts):
+        yield cloud
+        return
+    parts = np.round(cloud.shifts / _PART).astype(np.int64)
+    for one in np.unique(parts):
+        yield Points(cloud.time + _PART * one, cloud.frame, cloud.points[parts == one])
 
 
 def _half_length(robot: Robot) -> float:
@@ -149,19 +176,17 @@ def _half_length(robot: Robot) -> float:
     return robot.hinge_offset + robot.flipper_axle + robot.track_radius + _MARGIN
 
 
-def _seen(scans: Iterable[_Scan], robot: Robot, reach: float, cell: float) -> FloatArray:
+def _seen(scans: Scans, robot: Robot, reach: float, cell: float) -> FloatArray:
     """Return the points of all scans in the fixed frame, without the robot's own."""
     ahead = _half_length(robot)
 
-    def kept() -> Iterator[FloatArray]:
-        for points, pose in scans:
-            x, y, _ = points.T
-            own = (np.abs(x) <= ahead) & (np.abs(y) <= HALF_WIDTH)
-            near = np.linalg.norm(points, axis=1) <= reach
-            yield thinned(pose.apply(points[near & ~own]), cell)
-
-    parts = list(kept())
-    return np.concatenate(parts) if parts else np.empty((0, 3))
+    parts = [np.empty((0, 3))]
+    for points, pose in scans:
+        x, y, _ = points.T
+        own = (np.abs(x) <= ahead) & (np.abs(y) <= HALF_WIDTH)
+        near = np.linalg.norm(points, axis=1) <= reach
+        parts.append(thinned(pose.apply(points[near & ~own]), cell))
+    return np.concatenate(parts)
 
 
 def thinned(points: FloatArray, cell: float) -> FloatArray:
@@ -173,8 +198,3 @@ def thinned(points: FloatArray, cell: float) -> FloatArray:
     group = group.reshape(-1)
     count = np.bincount(group)
     return np.column_stack([np.bincount(group, weights=axis) / count for axis in points.T])
-
-
-def _text(points: FloatArray) -> str:
-    rows = (f"{x:.4f} {y:.4f} {z:.4f}\n" for x, y, z in points.tolist())
-    return _HEADER + "".join(rows)

@@ -11,7 +11,7 @@ turned by the heading; ``lidar`` is frame S.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import ModuleType
 from typing import Any
 
@@ -23,10 +23,8 @@ from flipperctl.errors import MissingExtraError
 
 ODOM, BASE, LEVEL, LIDAR = "odom", "base_link", "base_stabilized", "lidar"
 JOINTS = (
-    "front_left_flipper",
-    "front_right_flipper",
-    "rear_left_flipper",
-    "rear_right_flipper",
+    *("front_left_flipper", "front_right_flipper"),
+    *("rear_left_flipper", "rear_right_flipper"),
 )
 """Joints in the order of all messages; ``export urdf`` has the same."""
 TIME = "time"
@@ -54,6 +52,12 @@ def require_rosbags(what: str) -> ModuleType:
     return rosbags
 
 
+def typestore() -> Any:
+    """Return the types of messages of ROS 2 Jazzy; those used here are the same since Humble."""
+    types = require_rosbags("a bag").typesys
+    return types.get_typestore(types.Stores.ROS2_JAZZY)
+
+
 def nanoseconds(time: float) -> int:
     """Return the stamp of a time since the start of the episode [s] in nanoseconds."""
     return EPOCH * 10**9 + round(time * 1e9)
@@ -76,7 +80,7 @@ def quaternion(turn: FloatArray) -> tuple[float, float, float, float]:
 class Messages:
     """Builds messages of the types of a distribution of ROS 2."""
 
-    types: Any
+    types: Any = field(default_factory=typestore)
     """``rosbags.typesys.Typestore``."""
 
     def header(self, time: float, frame: str) -> Any:
@@ -87,15 +91,10 @@ class Messages:
 
     def joint_state(self, time: float, front: float, rear: float) -> Any:
         """Return the angles of both pairs in frame R [rad] as a ``JointState``."""
-        none = np.empty(0)
-        return self._make(
-            "sensor_msgs/msg/JointState",
-            header=self.header(time, BASE),
-            name=list(JOINTS),
-            position=joint_angles(front, rear),
-            velocity=none,
-            effort=none,
-        )
+        header, none = self.header(time, BASE), np.empty(0)
+        told = {"name": list(JOINTS), "position": joint_angles(front, rear)}
+        kind = "sensor_msgs/msg/JointState"
+        return self._make(kind, header=header, **told, velocity=none, effort=none)
 
     def imu(
         self,
@@ -147,13 +146,15 @@ class Messages:
 
     def transforms(self, state: RobotState) -> Any:
         """Return the frames of the chassis, tilted and level, as a ``TFMessage``."""
-        tilted = attitude(state.roll, state.pitch, state.yaw)
-        level = attitude(0.0, 0.0, state.yaw)
-        found = [
+        turns = {
+            BASE: attitude(state.roll, state.pitch, state.yaw),
+            LEVEL: attitude(0.0, 0.0, state.yaw),
+        }
+        transforms = [
             self._transform(self.header(state.time, ODOM), child, _place(state), turn)
-            for child, turn in ((BASE, tilted), (LEVEL, level))
+            for child, turn in turns.items()
         ]
-        return self._make("tf2_msgs/msg/TFMessage", transforms=found)
+        return self._make("tf2_msgs/msg/TFMessage", transforms=transforms)
 
     def mount(self, x: float, z: float, axis: float) -> Any:
         """Return the place of the LiDAR on the chassis as a ``TFMessage``; see ``Mount``."""
@@ -196,13 +197,10 @@ class Messages:
         data = np.asarray(values, np.float64)
         return self._make("std_msgs/msg/Float64MultiArray", layout=layout, data=data)
 
-    def integer(self, value: int) -> Any:
-        """Return an ``Int32``."""
-        return self._make("std_msgs/msg/Int32", data=value)
-
     def number(self, value: float) -> Any:
-        """Return a ``Float64``."""
-        return self._make("std_msgs/msg/Float64", data=value)
+        """Return a ``Float64``, or an ``Int32`` of an integer."""
+        kind = "Float64" if isinstance(value, float) else "Int32"
+        return self._make(f"std_msgs/msg/{kind}", data=value)
 
     def _orientation(self, turn: FloatArray) -> Any:
         x, y, z, w = quaternion(turn)
@@ -212,17 +210,10 @@ class Messages:
         return self._make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
 
     def _transform(self, header: Any, child: str, place: dict[str, float], turn: FloatArray) -> Any:
-        transform = self._make(
-            "geometry_msgs/msg/Transform",
-            translation=self._make("geometry_msgs/msg/Vector3", **place),
-            rotation=self._orientation(turn),
-        )
-        return self._make(
-            "geometry_msgs/msg/TransformStamped",
-            header=header,
-            child_frame_id=child,
-            transform=transform,
-        )
+        placed = {"translation": self._vector(**place), "rotation": self._orientation(turn)}
+        transform = self._make("geometry_msgs/msg/Transform", **placed)
+        kind = "geometry_msgs/msg/TransformStamped"
+        return self._make(kind, header=header, child_frame_id=child, transform=transform)
 
     def _make(self, name: str, /, **fields: Any) -> Any:
         return self.types.types[name](**fields)

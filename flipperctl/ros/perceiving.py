@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
@@ -24,7 +24,7 @@ from flipperctl.core.lidar.messages import PerceptionError, Pose, Scan
 from flipperctl.core.sensing import Measured, SensedAngles, SensedGround
 from flipperctl.errors import RequestError
 from flipperctl.ros.devices import Recording, Step, read_recording
-from flipperctl.ros.reading import POSES, read_folder, read_stamps
+from flipperctl.ros.reading import POSES, read_folder
 from flipperctl.ros.topics import Names
 from flipperctl.ros.transforms import Pose as FramePose
 from flipperctl.ros.transforms import estimated
@@ -139,8 +139,15 @@ def replay(source: Path, sensor: Sensor, robot: Robot, pose: str | None, names: 
             )
         place = {"mount_x": 0.0, "mount_z": 0.0, "mount_axis": math.pi / 2}
         run = _Run(sensor.model_copy(update={**place, "pose": "true"}), robot, RobotSetup())
-        for step, where in _of_folder(source):
-            run.take(step, where)
+        scans, stamps = read_folder(source)
+        if stamps is None:
+            raise RequestError(
+                f"{source / POSES}: the clouds have no stamps; 8 numbers a line are needed (stamp, "
+                "x, y, z, qx, qy, qz, qw), the first line has 12"
+            )
+        frame = RobotSetup().cloud_frame
+        for (points, where), time in zip(scans, stamps.tolist(), strict=True):
+            run.take(Step(time, {"cloud": Cloud(time, frame, points)}), where)
         return run.finish(source, {"cloud": "files"}, [])
     recording = read_recording(source, names)
     found = _pose(recording, pose)
@@ -169,13 +176,6 @@ def _pose(recording: Recording, pose: str | None) -> str:
             f"frame {recording.names.base!r} of the chassis is; frames: {frames}"
         )
     return pose
-
-
-def _of_folder(folder: Path) -> Iterator[tuple[Step, FramePose]]:
-    stamps = read_stamps(folder)
-    frame = RobotSetup().cloud_frame
-    for (points, pose), time in zip(read_folder(folder), stamps.tolist(), strict=True):
-        yield Step(time, {"cloud": Cloud(time, frame, points)}), pose
 
 
 class _Run:
@@ -217,8 +217,7 @@ class _Run:
             where = FramePose(where.place - self._origin, where.turn)
         if self._tracked and "cloud" in messages:
             if where is None:
-                text = "no transform tells where the chassis was"
-                self._refuse("cloud_pose", text)
+                self._refuse("cloud_pose", "no transform tells where the chassis was")
                 return
             self._estimator.update(
                 Measured("tracking", step.messages["cloud"].time, estimated(where))
@@ -256,7 +255,9 @@ class _Run:
             self._refuse("estimate", str(error))
             return
         self._estimates.append(1000 * (perf_counter() - begun))
-        pose = self._estimator.pose
+        pose, fault = self._estimator.pose, None if self._tracked else self._intake.fault(now)
+        seen = 1.0 if ground.seen is None else float(np.mean(ground.seen))
+        held = "coverage" if seen < self._limits.coverage else ""  # no decision is made
         assert self._begun is not None
         self._result.instants.append(
             Instant(
@@ -265,17 +266,9 @@ class _Run:
                 _thinned(self._estimator.map_points()),
                 ground,
                 angles,
-                self._held(now, ground),
+                held if fault is None else fault.name,
             )
         )
-
-    def _held(self, now: float, ground: SensedGround) -> str:
-        """Return the fault for which a controller would make no decision."""
-        fault = None if self._tracked else self._intake.fault(now)
-        if fault is not None:
-            return fault.name
-        seen = 1.0 if ground.seen is None else float(np.mean(ground.seen))
-        return "coverage" if seen < self._limits.coverage else ""
 
     def finish(self, source: Path, topics: dict[str, str], remarks: list[str]) -> Replay:
         """Return the result.

@@ -20,7 +20,7 @@ from flipperctl.errors import RequestError
 from flipperctl.messages import close_match
 from flipperctl.ros.episode import BELTS
 from flipperctl.ros.messages import BASE, JOINTS, ODOM
-from flipperctl.ros.reading import ODOMETRY, seconds
+from flipperctl.ros.reading import ODOMETRY, messages, seconds
 from flipperctl.ros.transforms import Pose, Transforms
 from flipperctl.runtime.messages import ABSENT, Levels
 
@@ -68,21 +68,10 @@ class Names:
     signs: str = "rep103"
     """Convention of the flippers' angles."""
 
-
-def names_of(
-    clouds: str | None,
-    imu: str | None,
-    belts: str | None,
-    fixed: str | None,
-    base: str,
-    front: Sequence[str] | None,
-    rear: Sequence[str] | None,
-    signs: str,
-) -> Names:
-    """Return the names that a command was given; None stands for the usual ones."""
-    front, rear = tuple(front or JOINTS[:2]), tuple(rear or JOINTS[2:])
-    fixed, base = (fixed or ODOM).lstrip("/"), base.lstrip("/")
-    return Names(clouds, imu, belts, fixed, base, front, rear, signs)
+    def __post_init__(self) -> None:
+        """Take frames as tf2 does, without a slash at the beginning."""
+        for name in ("fixed", "base"):
+            object.__setattr__(self, name, getattr(self, name).lstrip("/"))
 
 
 @dataclass(frozen=True)
@@ -133,10 +122,10 @@ def found_devices(
     attitude = _only(path, reader, names.imu, (_IMU,), "--imu")
     imu = None
     if attitude is not None:
-        head = first(reader, attitude)
+        head = _first(reader, attitude)
         frame = names.base if head is None else head.header.frame_id.lstrip("/")
         mount = None if head is None else pose(names.base, frame, seconds(head.header.stamp))
-        imu = orientations(_messages(reader, attitude), chassis, mount)
+        imu = orientations((m for *_, m in messages(reader, [attitude])), chassis, mount)
         if text := _unused(attitude, imu):
             remarks.append(text)
         attitude = None if imu.blank + imu.level == imu.messages else attitude
@@ -163,16 +152,13 @@ def _unused(topic: str, imu: Orientations) -> str:
     lost = imu.blank + imu.level
     if lost == imu.messages:
         return f"{topic} is not used: it tells no orientation ({reason}); {ABSENT}"
-    if lost:
-        return (
-            f"{topic}: {lost} of {imu.messages} messages tell no orientation ({reason}); {ABSENT}"
-        )
-    return ""
+    part = f"{topic}: {lost} of {imu.messages} messages tell no orientation ({reason}); {ABSENT}"
+    return part if lost else ""
 
 
 def _speeds(reader: Any, topic: str) -> Iterator[tuple[float, float, FloatArray | None]]:
     """Yield time, speed and place of the messages of the belts' speed."""
-    for received, message in _received(reader, topic):
+    for _, received, message in messages(reader, [topic]):
         if not hasattr(message, "twist"):
             yield received, float(message.data), None
             continue
@@ -188,7 +174,8 @@ def _joint_topics(reader: Any, names: Names) -> tuple[dict[str, list[str]], str]
     """
     wanted = list(dict.fromkeys([*names.front, *names.rear]))
     topics = sorted({c.topic for c in reader.connections if c.msgtype == _JOINTS})
-    others = dict.fromkeys(name for topic in topics for name in _others(reader, topic, wanted))
+    heads = [_first(reader, topic) for topic in topics]
+    others = dict.fromkeys(n for one in heads if one for n in one.name if n not in wanted)
     has = {topic: _joints_in(reader, topic, wanted) for topic in topics}
     found: dict[str, list[str]] = {}
     left = list(wanted)
@@ -220,23 +207,10 @@ def _joints_in(reader: Any, topic: str, wanted: Sequence[str]) -> set[str]:
     return found
 
 
-def _others(reader: Any, topic: str, wanted: Sequence[str]) -> Sequence[str]:
-    message = first(reader, topic)
-    return [] if message is None else [name for name in message.name if name not in wanted]
-
-
 def _only(
-    path: Path,
-    reader: Any,
-    topic: str | None,
-    kinds: Sequence[str],
-    option: str,
+    path: Path, reader: Any, topic: str | None, kinds: Sequence[str], option: str
 ) -> str | None:
-    """Return the topic, or the only one of these kinds; None if there is none.
-
-    Raises:
-        RequestError: there is no such topic, or there are several.
-    """
+    """Return the topic, or the only one of these kinds; None if there is none."""
     known = sorted({c.topic for c in reader.connections if c.msgtype in kinds})
     if topic is not None:
         if topic not in known:
@@ -250,25 +224,12 @@ def _only(
     return known[0] if known else None
 
 
-def first(reader: Any, topic: str) -> Any:
+def _first(reader: Any, topic: str) -> Any:
     """Return the first message of a topic; None if there is none."""
-    return next(_messages(reader, topic), None)
+    return next((message for *_, message in messages(reader, [topic])), None)
 
 
-def _messages(reader: Any, topic: str) -> Iterator[Any]:
-    """Yield the messages of a topic."""
-    for _, message in _received(reader, topic):
-        yield message
-
-
-def _received(reader: Any, topic: str) -> Iterator[tuple[float, Any]]:
-    """Yield the messages of a topic, and when each was recorded [s]."""
-    chosen = [c for c in reader.connections if c.topic == topic]
-    for connection, stamp, data in reader.messages(connections=chosen):
-        yield stamp * 1e-9, reader.deserialize(data, connection.msgtype)
-
-
-def orientations(messages: Iterable[Any], chassis: Poses, mount: Pose | None) -> Orientations:
+def orientations(received: Iterable[Any], chassis: Poses, mount: Pose | None) -> Orientations:
     """Return which messages of an ``Imu`` hold an orientation.
 
     ``chassis``: the chassis in the fixed frame; ``mount``: the unit on the chassis.
@@ -276,16 +237,13 @@ def orientations(messages: Iterable[Any], chassis: Poses, mount: Pose | None) ->
     count = blank = level = 0
     found, gravity, ups = Levels(), list[FloatArray](), list[FloatArray]()
     leaning, looked, turning = 0.0, -math.inf, False
-    for message in messages:
+    for message in received:
         count += 1
         if _blank(message):
             blank += 1
             continue
-        time, q, rates = (
-            seconds(message.header.stamp),
-            message.orientation,
-            message.angular_velocity,
-        )
+        time, q = seconds(message.header.stamp), message.orientation
+        rates = message.angular_velocity
         is_level = _level(message)
         level += is_level
         turning = turning or any((rates.x, rates.y, rates.z))
@@ -319,15 +277,15 @@ def orientations(messages: Iterable[Any], chassis: Poses, mount: Pose | None) ->
     return Orientations(count, blank, level, reason)
 
 
-def speed_unset(messages: Iterable[tuple[float, float, FloatArray | None]], chassis: Poses) -> str:
+def speed_unset(received: Iterable[tuple[float, float, FloatArray | None]], chassis: Poses) -> str:
     """Return why the speeds of the belts were not filled in; nothing if they may be right.
 
-    ``messages``: time [s], speed [m/s] and the place that the message tells, (3,) [m], if any.
+    ``received``: time [s], speed [m/s] and the place that the message tells, (3,) [m], if any.
     """
     own, recorded = _Stops(), _Stops()
     count = zeros = 0
     looked = -math.inf
-    for time, speed, place in messages:
+    for time, speed, place in received:
         count += 1
         own.drive(time, speed)
         recorded.drive(time, speed)

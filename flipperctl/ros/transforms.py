@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from flipperctl.api import FloatArray
 from flipperctl.core.lidar.messages import Pose as ChassisPose
@@ -42,15 +43,11 @@ class Pose:
 
     def directions(self, vectors: FloatArray) -> FloatArray:
         """Return vectors of the frame, (P, 3), along the axes of the other frame."""
-        from scipy.spatial.transform import Rotation
-
         turned: FloatArray = Rotation.from_quat(self.turn).apply(vectors)
         return turned
 
     def after(self, inner: Pose) -> Pose:
         """Return the pose of ``inner``'s frame, which is a pose in this one, in the other frame."""
-        from scipy.spatial.transform import Rotation
-
         both = Rotation.from_quat(self.turn) * Rotation.from_quat(inner.turn)
         return Pose(self.apply(inner.place[None])[0], both.as_quat())
 
@@ -61,16 +58,12 @@ class Pose:
 
     def inverse(self) -> Pose:
         """Return the pose of the other frame in this one."""
-        from scipy.spatial.transform import Rotation
-
         back = Rotation.from_quat(self.turn).inv()
         return Pose(-back.apply(self.place), back.as_quat())
 
 
 def estimated(pose: Pose) -> ChassisPose:
     """Return the chassis in a fixed frame as the estimator takes it."""
-    from scipy.spatial.transform import Rotation
-
     turn = Rotation.from_quat(pose.turn).as_matrix()
     x, y, z = pose.place.tolist()
     forward, left = turn[:, 0].tolist(), turn[:, 1].tolist()
@@ -102,13 +95,10 @@ class _Track:
         nearest = min(around, key=lambda one: abs(one - time))
         if abs(nearest - time) > FARTHEST:
             return None
-        return (
-            self.poses[nearest] if len(around) == 1 else self._between(around[0], around[1], time)
-        )
-
-    def _between(self, before: float, after: float, time: float) -> Pose:
-        part = (time - before) / (after - before)
-        first, second = self.poses[before], self.poses[after]
+        if len(around) == 1:
+            return self.poses[nearest]
+        part = (time - around[0]) / (around[1] - around[0])
+        first, second = (self.poses[one] for one in around)
         # Of the two quaternions of a rotation, the one on the side of the first.
         near = second.turn if first.turn @ second.turn >= 0 else -second.turn
         turn = (1 - part) * first.turn + part * near
@@ -147,13 +137,9 @@ class Transforms:
         """Return whether the pose of a frame in a parent is known."""
         return child.lstrip("/") in self._tracks
 
-    def parents(self, child: str) -> list[str]:
-        """Return the names of the parents of a frame."""
-        return sorted(self._tracks.get(child.lstrip("/"), ()))
-
     def remarks(self, fixed: str, base: str) -> list[str]:
         """Return what a reader of the poses of ``base`` in ``fixed`` should know."""
-        parents = self.parents(base)
+        parents = sorted(self._tracks.get(base, ()))
         if len(parents) < 2:
             return []
         return [
@@ -178,7 +164,13 @@ class Transforms:
                 told.append(([*up, *down], ours.inverse().after(theirs)))
         for way, pose in told[1:]:
             if not told[0][1].near(pose):
-                raise RequestError(_two(frame, of, told[0][0], way))
+                one = told[0][0]
+                child, first = next(link for link in one if link not in way)
+                second = next((parent for name, parent in way if name == child), way[0][1])
+                raise RequestError(
+                    f"{child!r} has two parents, {first!r} and {second!r}, by which the poses of "
+                    f"{of!r} in {frame!r} differ; a recording with one of them is needed"
+                )
         return told[0][1] if told else None
 
     def _ways(self, frame: str, of: str) -> list[tuple[list[_Link], list[_Link]]]:
@@ -187,7 +179,11 @@ class Transforms:
         Ways that only climb, or only descend, come before those that do both.
         """
         if (frame, of) not in self._known:
-            self._require(frame, of)
+            for name in (frame, of):
+                if name not in self.frames:
+                    hint, known = close_match(name, self.frames), ", ".join(self.frames) or "none"
+                    text = f"there is no frame {name!r}{hint}; frames with a transform: {known}"
+                    raise RequestError(text)
             found = []
             above = list(self._above(frame))
             for up in self._above(of):
@@ -203,18 +199,10 @@ class Transforms:
             self._known[frame, of] = straight or found
         return self._known[frame, of]
 
-    def _require(self, *names: str) -> None:
-        for name in names:
-            if name not in self.frames:
-                raise RequestError(
-                    f"there is no frame {name!r}{close_match(name, self.frames)}; frames with a "
-                    f"transform: {', '.join(self.frames) or 'none'}"
-                )
-
     def _above(self, frame: str, passed: tuple[_Link, ...] = ()) -> Iterator[list[_Link]]:
         """Yield the links to each frame above a frame, on each way, and none to itself."""
         yield list(passed)
-        for parent in self.parents(frame):
+        for parent in sorted(self._tracks.get(frame, ())):
             if parent not in {frame, *(child for child, _ in passed)}:
                 yield from self._above(parent, (*passed, (frame, parent)))
 
@@ -227,13 +215,3 @@ class Transforms:
                 return None
             total = pose.after(total)
         return total
-
-
-def _two(frame: str, of: str, one: list[_Link], other: list[_Link]) -> str:
-    """Return the text of the error of two ways between frames: the parents that differ."""
-    child, first = next(link for link in one if link not in other)
-    second = next((parent for name, parent in other if name == child), other[0][1])
-    return (
-        f"{child!r} has two parents, {first!r} and {second!r}, by which the poses of {of!r} in "
-        f"{frame!r} differ; a recording with one of them is needed"
-    )

@@ -3,16 +3,12 @@
 ``python -m tests.long.energy --episodes 500 --seed 1`` plays 500 episodes of random actions on each
 terrain and prints a table; it fails if any sample gains more energy than the drives can give, if a
 flipper passes its stop too far, if the robot sinks in, or if a state is not finite. Episode i has
-the seed 100,000 · seed + i; ``--log`` resumes a run that was stopped.
+the seed 100,000 · seed + i.
 """
 
 import argparse
-import csv
 import sys
-import time
-from dataclasses import asdict, dataclass, fields
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from pymunk import PivotJoint
@@ -154,36 +150,13 @@ def table(found: list[Balance]) -> str:
     return "\n".join(lines)
 
 
-def read_log(log: Path | None) -> dict[tuple[str, int], Balance]:
-    """Return the episodes of an earlier run, by terrain and seed."""
-    if log is None or not log.exists():
-        return {}
-    kinds: dict[str, Any] = {f.name: f.type for f in fields(Balance)}
-    with log.open(newline="") as file:
-        rows = [{k: kinds[k](v) for k, v in row.items()} for row in csv.DictReader(file)]
-    return {(row["terrain"], row["seed"]): Balance(**row) for row in rows}
-
-
-def run(episodes: int, terrains: list[str], seed: int, log: Path | None) -> int:
-    """Play the episodes that ``log`` lacks, print the table and return the exit code."""
-    known = read_log(log)
-    wanted = [(t, 100_000 * seed + i) for t in terrains for i in range(episodes)]
-    begun, played, found, env = time.monotonic(), 0, list[Balance](), None
-    missing = sum(key not in known for key in wanted)
-    for key in wanted:
-        if key not in known:
-            terrain, number = key
-            if env is None or env.config.terrain.plugin_name != terrain:
-                env = FlipperEnv(terrain, episode=_START)
-            known[key] = measure(env, number)
-            played += 1
-            _append(log, known[key])
-            left = (time.monotonic() - begun) / played * (missing - played)
-            print(
-                f"\r{played} of {missing}, {terrain}, {left:.0f} s left  ", end="", file=sys.stderr
-            )
-        found.append(known[key])
-    print(file=sys.stderr)
+def run(episodes: int, terrains: list[str], seed: int) -> int:
+    """Play the episodes, print the table and return the exit code."""
+    found: list[Balance] = []
+    for terrain in terrains:
+        env = FlipperEnv(terrain, episode=_START)
+        found += [measure(env, 100_000 * seed + i) for i in range(episodes)]
+        print(f"{len(found)} of {episodes * len(terrains)}, {terrain}", file=sys.stderr)
     print(table(found))
     wrong = violations(found)
     for balance in wrong:
@@ -192,26 +165,14 @@ def run(episodes: int, terrains: list[str], seed: int, log: Path | None) -> int:
     return 1 if wrong else 0
 
 
-def _append(log: Path | None, balance: Balance) -> None:
-    if log is None:
-        return
-    new = not log.exists()
-    with log.open("a", newline="") as file:
-        writer = csv.DictWriter(file, [f.name for f in fields(Balance)])
-        if new:
-            writer.writeheader()
-        writer.writerow(asdict(balance))
-
-
 def main() -> int:
     """Parse the command line and run the episodes."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--episodes", type=int, default=500, help="on each terrain")
     parser.add_argument("--terrains", default=",".join(TERRAINS), help="names, with commas")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--log", type=Path, help="CSV of the episodes; continued if it exists")
     chosen = parser.parse_args()
-    return run(chosen.episodes, chosen.terrains.split(","), chosen.seed, chosen.log)
+    return run(chosen.episodes, chosen.terrains.split(","), chosen.seed)
 
 
 if __name__ == "__main__":

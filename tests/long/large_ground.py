@@ -1,9 +1,8 @@
-"""The cost of large recorded ground, and the effect of thinning it.
+"""The cost of large recorded ground.
 
 ``python -m tests.long.large_ground`` prints, for recordings of 50 m, the number of points after
-thinning, and the seconds and the memory that loading and driving two episodes take beyond start-up;
-then the metrics of the same drives on the whole and on the thinned ground. ``--whole`` measures
-without thinning.
+thinning, and the seconds and the memory that loading and driving two episodes take beyond start-up.
+``--whole`` measures without thinning.
 """
 
 import json
@@ -22,7 +21,6 @@ from flipperctl.api import Controller
 from flipperctl.config import resolver
 from flipperctl.env import flipper_env
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.sim import ground
 
 COUNTS = (20_000, 200_000, 1_000_000)
 LENGTH = 50.0  # [m]
@@ -71,34 +69,6 @@ def measure(file: str) -> dict[str, Any]:
     }
 
 
-def compare(grain: float, count: int, length: float) -> list[dict[str, Any]]:
-    """Compare drives from equal starts, within 1 mm, on the whole and on the thinned ground."""
-    rows = []
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "ground.csv"
-        points = rough(count, length, grain, seed=3)
-        np.savetxt(file, points, delimiter=",", header="x,z", comments="", fmt="%.7f")
-        for rule in ("okada", "level"):
-            thin, left = starts(file, rule)
-            flipper_env.thinned = lambda profile, radius: profile
-            whole, _ = starts(file, rule)
-            flipper_env.thinned = ground.thinned
-            row = {"grain_mm": grain * 1000, "points": f"{count} -> {left}", "rule": rule}
-            for key in ("pitch_variation_100hz", "max_pitch", "t_cost"):
-                for name, found in (("whole", whole), ("thinned", thin)):
-                    values = [metrics[key] for metrics in found]
-                    row[f"{key} {name}"] = f"{np.mean(values):.3f} ± {np.std(values):.3f}"
-            rows.append(row)
-    return rows
-
-
-def starts(file: Path, rule: str) -> tuple[list[dict[str, Any]], int]:
-    """Return the metrics of eight episodes and the number of points of the ground."""
-    terrain = {"name": "profile_file", "path": str(file)}
-    env = FlipperEnv(terrain, episode={"start_noise": 1e-3})
-    return [drive(env, rule, seed) for seed in range(8)], len(env.profile.points)
-
-
 def main(arguments: list[str]) -> None:
     """Print one line of JSON for each measurement."""
     if arguments[:1] == ["--child"]:
@@ -117,10 +87,6 @@ def main(arguments: list[str]) -> None:
             child = [sys.executable, "-m", "tests.long.large_ground", "--child", str(file), *whole]
             done = subprocess.run(child, capture_output=True, text=True, check=True)
             print(json.dumps({"count": count, **json.loads(done.stdout)}), flush=True)
-    plugins.load()
-    for grain in (0.0, 2e-4, 1e-3):
-        for row in compare(grain, 8_000, 4.0):
-            print(json.dumps(row, ensure_ascii=False), flush=True)
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.long.misbehaviour import BEFORE, Misbehaviour, sample_misbehaviour
+from tests.long.odd_plugins import BEFORE, Misbehaviour, sample_misbehaviour
 
 LIMIT = 90.0
 """Longest time of a command [s]; worker processes import torch again, on a busy machine."""

@@ -1,14 +1,22 @@
 """A few cases of each command that CONTRIBUTING lists under "Long checks"."""
 
+import os
 import re
 import shlex
+import signal
 import subprocess
 import sys
+import time
+import warnings
 from pathlib import Path
 
 import pytest
 
-from tests.long import golden
+from flipperctl import plugins
+from flipperctl.errors import CheckpointError, ExportError
+from tests.long import clouds, golden
+from tests.long.files import BAD, KINDS, fuzz
+from tests.long.isolated import run_isolated
 
 ROOT = Path(__file__).parents[2]
 SHORT = {"--count": 100, "--early": 50, "--episodes": 250}
@@ -69,3 +77,46 @@ def test_golden_runs_commands_apart_and_lists_what_differs(
     out = capsys.readouterr().out
     assert "part: 1 equal, 0 changed, 0 missing, 1 new" in out
     assert "changed function/a/0: 1 → 1.5\n  missing c: 2\n" in out
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", KINDS)
+def test_damaged_files_are_refused_or_read_as_the_original(kind: str) -> None:
+    with fuzz(kind, seed=0) as found:
+        verdicts = list(found.run(40))
+    assert len(verdicts) == 40
+    assert [v for v in verdicts if v[1][0] in BAD] == []
+    assert sum(verdict == "refused" for _, (verdict, _) in verdicts) > 12
+
+
+def _misbehave(case: int) -> str:
+    if case == 1:
+        raise CheckpointError("it is damaged")
+    if case == 2:
+        raise KeyError("a")
+    if case == 3:
+        raise ExportError("of exit code 1")
+    if case == 4:
+        warnings.warn("odd", stacklevel=1)
+    if case == 5:
+        os.write(1, b"*** EP Error ***")
+    if case == 6:
+        time.sleep(60)
+    if case == 7:
+        signal.signal(signal.SIGSEGV, signal.SIG_DFL)  # not pytest's handler, which prints
+        os.kill(os.getpid(), signal.SIGSEGV)
+    if case == 8:
+        bytearray(1 << 40)
+    return "equal"
+
+
+@pytest.mark.slow
+def test_every_kind_of_violation_is_found() -> None:
+    verdicts = [verdict for verdict, _ in run_isolated(10, _misbehave, limit=1.0)]
+    expected = ["equal", "refused", "traceback", "traceback", "traceback", "noise", "hang"]
+    assert verdicts == [*expected, "traceback", "traceback", "equal"]
+
+
+def test_points_that_no_ray_measured_change_no_profile() -> None:
+    plugins.load()
+    assert list(clouds.run(12, seed=0)) == []

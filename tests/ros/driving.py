@@ -4,7 +4,7 @@ import numpy as np
 
 from flipperctl.api import RobotState
 from flipperctl.core.lidar.body import mounting
-from flipperctl.ros.episode import Stamped, typestore
+from flipperctl.ros.episode import Stamped
 from flipperctl.ros.messages import LIDAR, Messages
 
 SPEED, SECONDS, EDGE, HEIGHT = 0.25, 1.8, 1.21, 0.15
@@ -35,7 +35,7 @@ def points(time):
 
 def driving(clouds=True):
     """Yield the messages; 10 clouds a second, everything else 20 times."""
-    make = Messages(typestore())
+    make = Messages()
     yield Stamped(0.0, "/tf_static", make.mount(MOUNT[0], MOUNT[2], AXIS))
     for tick in range(round(20 * SECONDS) + 1):
         time = tick / 20

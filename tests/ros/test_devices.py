@@ -8,7 +8,7 @@ import pytest
 
 from flipperctl.api import Robot
 from flipperctl.ros.devices import read_recording
-from flipperctl.ros.episode import TYPES, Stamped, typestore, write_bag
+from flipperctl.ros.episode import TYPES, Stamped, write_bag
 from flipperctl.ros.messages import JOINTS, Messages
 from flipperctl.ros.perceiving import replay
 from flipperctl.ros.topics import Names
@@ -156,7 +156,7 @@ def test_an_orientation_that_is_never_filled_in_is_not_used(tmp_path):
 
 
 def test_an_odometry_without_speed_is_not_that_of_the_belts(tmp_path):
-    make = Messages(typestore())
+    make = Messages()
     messages = [one for one in driving() if one.topic != "/belt_speed"]
     for tick in range(20):
         told = make.odometry(state(tick / 10))

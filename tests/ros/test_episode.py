@@ -1,10 +1,8 @@
 """Episodes as bags of ROS 2, read again by rosbags and by mcap."""
 
-import errno
 import math
 import sys
 from collections import defaultdict
-from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -18,13 +16,13 @@ from flipperctl.core.lidar.body import mounting
 from flipperctl.core.lidar.messages import Belts, Inertial, Scan
 from flipperctl.core.sensing import Measured
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.errors import MissingExtraError, OutputError, WriteError
+from flipperctl.errors import MissingExtraError, OutputError
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import decisions
 from flipperctl.rollout.seeds import EvaluationSeeds
 from flipperctl.ros import episode
-from flipperctl.ros.episode import Stamped, Watch, export_bag, typestore, write_bag
-from flipperctl.ros.messages import EPOCH, Messages, nanoseconds, quaternion
+from flipperctl.ros.episode import Stamped, Watch, export_bag, write_bag
+from flipperctl.ros.messages import EPOCH, Messages, nanoseconds, quaternion, typestore
 from tests.cli.call import call
 
 CONFIG = EvalConfig(terrain="step", episode={"run_up": 0.8, "run_out": 0.4})
@@ -97,7 +95,7 @@ def test_two_readers_find_the_numbers_of_the_episode(bag, played, read):
 
 
 def test_the_signs_and_stamps_are_those_of_ros():
-    make = Messages(typestore())
+    make = Messages()
     joints = make.joint_state(1.25, front=0.2, rear=0.3)
     assert joints.position.tolist() == [-0.2, -0.2, 0.3, 0.3]
     assert (joints.header.stamp.sec, joints.header.stamp.nanosec) == (EPOCH + 1, 250_000_000)
@@ -118,7 +116,7 @@ def test_the_signs_and_stamps_are_those_of_ros():
 
 @pytest.mark.parametrize("axis", [math.pi / 2, math.pi / 4, 0.0, -math.pi / 2])
 def test_the_mount_of_a_lidar_is_its_rotation(axis):
-    (mount,) = Messages(typestore()).mount(0.25, 0.4, axis).transforms
+    (mount,) = Messages().mount(0.25, 0.4, axis).transforms
     assert (mount.header.frame_id, mount.child_frame_id) == ("base_link", "lidar")
     x, y, z, w = (getattr(mount.transform.rotation, name) for name in "xyzw")
     up = [2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)]
@@ -133,7 +131,7 @@ def test_measurements_of_a_lidar_take_the_place_of_the_truth():
         Measured("inertial", 0.2, Inertial(roll=0.0, pitch=0.2, yaw_rate=0.3)),
         Measured("belts", 0.3, Belts(0.19)),
     ]
-    scan, imu, belts = episode._of_measurements(Messages(typestore()), measured)
+    scan, imu, belts = episode._of_measurements(Messages(), measured)
     assert scan.message.header.frame_id == "lidar"
     assert scan.message.width == 2
     assert [field.name for field in scan.message.fields] == ["x", "y", "z", "time"]
@@ -157,19 +155,3 @@ def test_the_command_refuses_what_it_cannot_write(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "rosbags", None)
     with pytest.raises(MissingExtraError, match=r"pip install 'flipperctl\[ros\]'"):
         write_bag(tmp_path / "bag", [])
-
-
-def test_nothing_is_left_of_a_bag_that_is_written_half_way(tmp_path, monkeypatch):
-    make, full = Messages(typestore()), OSError(errno.ENOSPC, "full")
-    messages = [Stamped(0.1 * i, episode.BELTS, make.number(0.2)) for i in range(9)]
-    monkeypatch.setattr(episode, "nanoseconds", Mock(side_effect=[1, 2, KeyboardInterrupt]))
-    with pytest.raises(KeyboardInterrupt):
-        write_bag(tmp_path / "bag", messages)
-    assert list(tmp_path.iterdir()) == []
-    monkeypatch.setattr(episode, "nanoseconds", Mock(side_effect=full))
-    with pytest.raises(WriteError, match=r"bag: writing failed half way \(No space left on device"):
-        write_bag(tmp_path / "bag", messages)
-    assert list(tmp_path.iterdir()) == []
-    monkeypatch.undo()
-    write_bag(tmp_path / "bag", messages)
-    assert {one.name for one in (tmp_path / "bag").iterdir()} == {"bag.mcap", "metadata.yaml"}

@@ -11,7 +11,8 @@ from rosbags.rosbag2 import Reader
 from flipperctl.config import EvalConfig
 from flipperctl.files import check_output
 from flipperctl.policies.source import PolicySource
-from flipperctl.ros.episode import ACTION, export_bag, typestore, write_bag
+from flipperctl.ros.episode import ACTION, export_bag, write_bag
+from flipperctl.ros.messages import typestore
 from flipperctl.ros.shadowing import LOG
 from tests.cli.call import call
 from tests.ros.driving import FRONT, REAR, SECONDS, driving

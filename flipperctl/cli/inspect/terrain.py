@@ -48,9 +48,9 @@ def run(
     rows = [row for _, row in sampled]
     if output is not None:
         from flipperctl.figures.figure import save
-        from flipperctl.figures.terrain import sample_figure
+        from flipperctl.figures.terrain import terrain_figure
 
-        seeds = {row["seed"]: profile for profile, row in sampled}
-        save(sample_figure(name, seeds, config.robot), output)
+        profiles, labels = [p for p, _ in sampled], [f"seed {row['seed']}" for row in rows]
+        save(terrain_figure(profiles, f"{name}, {labels[0]}", config.robot, labels), output)
     document = {"terrain": resolver.to_dict(config.terrain), "draws": rows}
     show(document, lambda: print_terrain(name, rows, output), as_json=as_json)

@@ -48,8 +48,9 @@ def run(
 ) -> None:
     """See HELP."""
     from flipperctl.cli.robot import recorded_robot
+    from flipperctl.ros.messages import JOINTS
     from flipperctl.ros.perceiving import replay
-    from flipperctl.ros.topics import names_of
+    from flipperctl.ros.topics import Names
     from flipperctl.terminal.progress import episodes_progress
     from flipperctl.terminal.streams import show
     from flipperctl.terminal.tables import print_perception
@@ -58,7 +59,8 @@ def run(
         from flipperctl.figures.perceiving import check_output, draw
 
         check_output(output, at)
-    names = names_of(topic, imu, belts, fixed_frame, base_frame, front, rear, signs.value)
+    joints = front or JOINTS[:2], rear or JOINTS[2:]
+    names = Names(topic, imu, belts, fixed_frame, base_frame, *joints, signs.value)
     config, pose, _ = recorded_robot(overrides)
     found = replay(bag, config.perception, config.robot, pose, names)
     if output is not None:

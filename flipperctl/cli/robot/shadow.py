@@ -45,13 +45,15 @@ def run(
 ) -> None:
     """See HELP."""
     from flipperctl.cli.robot import recorded_robot
+    from flipperctl.ros.messages import JOINTS
     from flipperctl.ros.shadowing import check_used, shadow
-    from flipperctl.ros.topics import names_of
+    from flipperctl.ros.topics import Names
     from flipperctl.terminal.streams import show
     from flipperctl.terminal.tables import print_shadow
 
     config, pose, given = recorded_robot(overrides)
     check_used(given)
-    names = names_of(topic, imu, belts, None, base_frame, front, rear, signs.value)
+    joints = front or JOINTS[:2], rear or JOINTS[2:]
+    names = Names(topic, imu, belts, "odom", base_frame, *joints, signs.value)
     found = shadow(policy, bag, config.perception, pose, names, output)
     show(found, lambda: print_shadow(found), as_json=as_json)

@@ -19,7 +19,7 @@ from flipperctl.evaluation.episode_record import EpisodeRecord, measures, read_r
 from flipperctl.evaluation.play import Progress, no_progress
 from flipperctl.evaluation.rows import DIGEST, Row, arranged
 from flipperctl.evaluation.workers import EpisodeDigest
-from flipperctl.files import write_json
+from flipperctl.files import check_output, write_json
 from flipperctl.policies.source import PolicySource
 from flipperctl.results import ResultFolder, result_folder
 from flipperctl.rollout.episode import Decision, play
@@ -124,9 +124,9 @@ def replay_file(
     with ExitStack() as stack:
         folder: ResultFolder | None = None
         if film is not None:
-            from flipperctl.figures.film import check_film
+            from flipperctl.figures.film import FILM
 
-            check_film(film)
+            check_output(film, FILM)
         if output is not None:
             folder = stack.enter_context(result_folder(output, "replay", NAMES))
         found = replay(path, checkpoint, progress)

@@ -45,14 +45,6 @@ def trace(metres: float = 6.0, states: int = 61) -> list[RobotState]:
     ]
 
 
-def test_terrain_names_length_and_height() -> None:
-    figure = terrain_figure([STEP], "step", ROBOT)
-    assert len(figure.axes) == 1
-    assert "length 2.00 m" in texts(figure)
-    assert "height 0.30 m" in texts(figure)
-    assert figure.axes[0].get_title(loc="left") == "step"
-
-
 def test_marks_of_start_and_finish_are_explained() -> None:
     within = Profile(STEP.points, run_up=-0.2, run_out=-0.5)
     legend = terrain_figure([within], "step", ROBOT).axes[0].get_legend()
@@ -68,6 +60,10 @@ def test_terrain_draws_the_robot_to_scale_before_the_first_edge() -> None:
     assert robot[:, 0].min() == pytest.approx(-1.0 - 0.716)
     assert robot[:, 0].max() == pytest.approx(-1.0 + 0.716)
     assert axes.get_aspect() == 1.0
+    words = texts(axes.figure)
+    assert "length 2.00 m" in words
+    assert "height 0.30 m" in words
+    assert axes.get_title(loc="left") == "step"
 
 
 def test_terrain_shows_twelve_more_draws_and_counts_the_rest(tmp_path: Path) -> None:
@@ -92,11 +88,6 @@ def test_small_pictures_fill_their_rows(draws: int, columns: int) -> None:
     assert figure.axes[1].get_subplotspec().get_gridspec().ncols == columns
 
 
-def test_labels_name_the_small_pictures() -> None:
-    figure = terrain_figure([STEP, STEP], "step, seed 7", ROBOT, ["seed 7", "seed 8"])
-    assert figure.axes[1].get_title() == "seed 8: 2.00 × 0.30 m"
-
-
 def test_the_heights_of_very_long_ground_are_scaled_up_and_labelled() -> None:
     long = Profile([(0.0, 0.0), (100.0, 0.5), (200.0, 0.0)])
     assert terrain_figure([long], "long", ROBOT).axes[0].get_ylabel().startswith("z [m], × ")
@@ -104,11 +95,6 @@ def test_the_heights_of_very_long_ground_are_scaled_up_and_labelled() -> None:
     assert figure.axes[0].get_ylabel().startswith("z [m], × ")
     assert len([text for text in figure.axes[0].texts if text.get_text().endswith(" s")]) <= 13
     assert terrain_figure([STEP], "step", ROBOT).axes[0].get_ylabel() == "z [m]"
-
-
-def test_terrain_needs_a_profile() -> None:
-    with pytest.raises(ValueError, match="at least one profile"):
-        terrain_figure([], "none", ROBOT)
 
 
 def test_episode_marks_the_same_poses_in_both_panels() -> None:
@@ -170,11 +156,6 @@ def test_an_episode_of_one_state_is_drawn(tmp_path: Path) -> None:
     save(episode_figure(trace()[:1], LEVEL, ROBOT), tmp_path / "one.pdf")
 
 
-def test_an_episode_needs_states() -> None:
-    with pytest.raises(ValueError, match="at least one state"):
-        episode_figure([], LEVEL, ROBOT)
-
-
 @pytest.mark.parametrize(
     ("name", "magic"), [("a.png", b"\x89PNG"), ("a.svg", b"<?xml"), ("a.PDF", b"%PDF")]
 )
@@ -186,14 +167,6 @@ def test_save_writes_by_suffix_and_twice_the_same(name: str, magic: bytes, tmp_p
     save(terrain_figure([STEP], "step", ROBOT), path)
     assert path.read_bytes() == first
     assert list(tmp_path.iterdir()) == [path]
-
-
-def test_save_refuses_an_unknown_suffix(tmp_path: Path) -> None:
-    with pytest.raises(OutputError, match=r"the suffix is '\.pgn'; did you mean '\.png'\?"):
-        save(Figure(), tmp_path / "a.pgn")
-    with pytest.raises(OutputError, match="the suffix is ''"):
-        save(Figure(), tmp_path / "a")
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_save_states_why_a_path_cannot_be_written(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray, Outcome, RobotGeometry, RobotState
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.env.pictures import HEIGHT, WIDTH
+from flipperctl.env.pictures import HEIGHT
 from flipperctl.figures.render import CHASSIS, EARTH, Renderer
 from flipperctl.sim.outline import axles, belt_length, belt_marks, belt_points, capsule, outlines
 
@@ -49,13 +49,6 @@ def env() -> FlipperEnv:
     return env
 
 
-def test_render_returns_a_picture(env: FlipperEnv) -> None:
-    picture = env.render()
-    assert picture is not None
-    assert picture.shape == (HEIGHT, WIDTH, 3)
-    assert picture.dtype == np.uint8
-
-
 def test_equal_states_give_equal_pictures(env: FlipperEnv, renderer: Renderer) -> None:
     first = renderer(env.scene)
     env.step(8)
@@ -63,14 +56,6 @@ def test_equal_states_give_equal_pictures(env: FlipperEnv, renderer: Renderer) -
     env.reset(seed=1)
     assert np.array_equal(first, renderer(env.scene))
     assert np.array_equal(first, Renderer()(env.scene))
-
-
-def test_a_picture_outlives_the_next_one(env: FlipperEnv, renderer: Renderer) -> None:
-    first = renderer(env.scene)
-    kept = first.copy()
-    env.step(8)
-    renderer(env.scene)
-    assert np.array_equal(first, kept)
 
 
 @pytest.mark.parametrize("pitch", [-0.5, 0.0, 0.6])
@@ -102,13 +87,6 @@ def test_the_caption_shows_action_and_outcome(env: FlipperEnv, renderer: Rendere
     changed = np.nonzero((plain != told).any(axis=2))[0]
     assert changed.min() > 0.85 * HEIGHT
     assert np.array_equal(plain, renderer(env.scene))
-
-
-def test_noisy_and_missing_points_are_no_problem(renderer: Renderer) -> None:
-    env = FlipperEnv("stair", perception={"noise": 0.05, "dropout": 0.95, "angle_noise": 0.05})
-    env.reset(seed=2)
-    env.perception = replace(env.perception, points=np.empty((0, 2)))
-    assert renderer(env.scene).shape == (HEIGHT, WIDTH, 3)
 
 
 def test_filled_points_look_unlike_sensed_ones(renderer: Renderer) -> None:
@@ -184,9 +162,3 @@ def test_a_scene_is_plain_data_that_another_process_can_draw(
     assert told["state"]["position"] == scene.state.position.tolist()
     assert told["perceived"]["heights"] == env.perception.observation[:15].tolist()
     assert (told["robot"]["track_radius"], told["outcome"]) == (0.1, None)
-
-
-def test_a_renderer_is_a_value() -> None:
-    env = FlipperEnv("flat", render_mode="rgb_array", renderer=lambda scene: np.zeros(3, np.uint8))
-    env.reset(seed=0)
-    assert env.render().tolist() == [0, 0, 0]

@@ -8,7 +8,7 @@ import pytest
 
 from flipperctl.figures.figure import save
 from flipperctl.figures.learning import column, learning_figure, running_mean
-from tests.report.test_figures import texts
+from tests.figures.test_figures import texts
 
 
 def rows(episodes: int) -> list[dict[str, str]]:
@@ -47,15 +47,6 @@ def test_learning_from_the_first_row_on(episodes: int, tmp_path: Path) -> None:
     save(learning_figure(rows(episodes), [], "run"), tmp_path / "run.svg")
 
 
-def test_a_mean_of_fewer_than_a_hundred_is_labelled_so() -> None:
-    figure = learning_figure(rows(3), VALIDATIONS, "run")
-    labels = [str(line.get_label()) for line in figure.axes[1].get_lines()]
-    assert labels == [
-        *("episode", "mean of all episodes so far, fewer than 100"),
-        *("validation", "validation, at decisions"),
-    ]
-
-
 def test_the_panel_of_swing_shows_100_hz_and_a_run_without_it_only_the_papers() -> None:
     swings = {"pitch_variation_100hz": "1.5", "pitch_variation": "1.25"}
     found = learning_figure(rows(3), [{**VALIDATIONS[0], **swings}], "run").axes[1].get_lines()
@@ -80,13 +71,6 @@ def test_the_panel_of_swing_leaves_out_what_did_not_reach_the_finish() -> None:
 def test_a_run_without_an_update_says_so() -> None:
     unlearned = [{**row, "loss": ""} for row in rows(3)]
     assert "no update yet" in texts(learning_figure(unlearned, [], "run"))
-
-
-def test_dots_of_few_and_of_many_episodes_are_visible() -> None:
-    for episodes, smallest in ((5, 5.0), (300, 3.0), (3000, 1.6)):
-        dots = learning_figure(rows(episodes), [], "run").axes[1].get_lines()[0]
-        assert dots.get_markersize() >= smallest
-        assert dots.get_alpha() is None
 
 
 def test_running_mean_by_hand() -> None:

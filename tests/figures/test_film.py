@@ -1,0 +1,204 @@
+"""Films and pictures of an episode, from the side or by an engine that draws itself."""
+
+import ctypes.util
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from flipperctl.api import SAMPLE_PERIOD, Profile, Robot, RobotState, Start, Transition
+from flipperctl.config import EvalConfig
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import FlipperctlError, OutputError, RequestError
+from flipperctl.evaluation.episode_record import EpisodeRecord
+from flipperctl.evaluation.views.replay import replay_file
+from flipperctl.evaluation.workers import EpisodeRunner
+from flipperctl.figures.episode import episode_figure, map_points, mapped
+from flipperctl.figures.film import FILM, Shots, film, instants, samples, save_film
+from flipperctl.files import check_output, write_json
+from flipperctl.policies.source import PolicySource
+from flipperctl.rollout.episode import play
+from flipperctl.sim.mujoco import Mujoco, camera
+from flipperctl.sim.mujoco.world import MujocoWorld
+
+STEP = Profile([(0.0, 0.0), (0.0, 0.2), (0.5, 0.2)])
+LEVEL = PolicySource.of_plugin("level", "--controller")
+FLAT_3D = EvalConfig(
+    terrain={"name": "flat", "length": 0.2}, sim="mujoco", episode={"run_up": 0.4, "run_out": 0.4}
+)
+DRAWS_HERE = any(ctypes.util.find_library(name) for name in ("EGL", "OSMesa"))
+
+
+def state(x, front, time):
+    return RobotState(np.array([x, 0.1]), 0.0, front, 0.0, np.array([0.2, 0.0]), 0.0, time)
+
+
+def drive(decisions):
+    """A robot at 0.2 m/s whose front flippers rise by 0.3 rad in each decision of 0.6 s."""
+    made = []
+    for n in range(decisions):
+        before, after = (state(0.12 * k - 1, 0.3 * k, 0.6 * k) for k in (n, n + 1))
+        x = np.linspace(before.position[0], after.position[0], 61)
+        path = np.column_stack([x, np.full(61, 0.1), np.zeros(61)])
+        flippers = np.column_stack([np.linspace(before.front, after.front, 61), np.zeros(61)])
+        given = before, after, np.zeros(n + 2), (1, 0), STEP, Robot(), None, path
+        made.append(Transition(*given, flippers=flippers))
+    return made
+
+
+def test_the_instants_are_evenly_spaced_over_decisions_and_include_the_end():
+    shown = list(instants(drive(2), 0.25))
+    assert [s.time for s in shown] == pytest.approx([0, 0.25, 0.5, 0.75, 1, 1.2])
+    assert [s.position[0] for s in shown] == pytest.approx([-1, -0.95, -0.9, -0.85, -0.8, -0.76])
+    assert [s.front for s in shown] == pytest.approx([0, 0.125, 0.25, 0.375, 0.5, 0.6])
+    bare = [replace(t, path=np.empty((0, 3)), flippers=np.empty((0, 2))) for t in drive(3)]
+    assert [s.time for s in samples(bare)] == pytest.approx([0, 0.6, 1.2, 1.8])
+
+
+def test_a_film_moves_lasts_as_long_as_it_says_and_is_equal_for_equal_episodes(tmp_path):
+    paths, done = [tmp_path / "one.gif", tmp_path / "two.gif"], []
+    for path in paths:
+        save_film(path, drive(2), STEP, Robot(), "a rule on step", done.append, speed=0.2)
+    assert paths[0].read_bytes() == paths[1].read_bytes()
+    check_output(paths[0], FILM)  # a film of before is replaced
+    assert done[-1] == 1
+    with Image.open(paths[0]) as picture:
+        assert picture.n_frames == 11  # every 0.12 s of 1.2 s, the start and the end
+        assert (picture.info["loop"], picture.info["duration"]) == (0, 40)  # a third of 0.12 s
+        first = np.array(picture.convert("RGB"))
+        picture.seek(10)
+        assert (first != np.array(picture.convert("RGB"))).any()
+
+
+def test_the_clock_is_whole_above_a_tall_picture(tmp_path):
+    high = Profile([(0.0, 0.0), (0.0, 2.0), (0.5, 2.0)])
+    save_film(tmp_path / "tall.gif", drive(2), high, Robot(), speed=0.2)
+    with Image.open(tmp_path / "tall.gif") as picture:
+        first = np.array(picture.convert("L"))
+    assert (first[:3] > 200).all()
+    assert (first[:25, first.shape[1] // 2 :] < 100).any()  # the clock
+
+
+@pytest.mark.parametrize("name", ["film.mp4", "film", "missing/film.gif"])
+def test_a_film_that_cannot_be_written_is_refused(name, tmp_path):
+    with pytest.raises(OutputError, match=r"film"):
+        save_film(tmp_path / name, drive(1), STEP, Robot(), speed=0.2)
+
+
+@pytest.fixture(scope="module")
+def driven():
+    env = FlipperEnv("step", perception={"name": "lidar", "azimuths": 60})
+    env.reset(seed=1)
+    made = []
+    for _ in range(3):
+        env.step(4)
+        made.append(env.transition)
+    return made, env.profile
+
+
+def test_a_picture_has_the_map_without_filled_points_and_the_heights_over_time(driven):
+    made, profile = driven
+    (p, *_) = mapped(made)
+    points = map_points(p, made[0].before.position)
+    assert len(points) == np.count_nonzero(~p.filled) < len(p.points)
+    before = points[points[:, 0] < profile.start - 0.1]
+    assert np.abs(before[:, 1] - profile.height(profile.start - 1)).max() < 0.06
+    states = [made[0].before, *(t.after for t in made)]
+    figure = episode_figure(states, profile, Robot(), "", mapped(made))
+    above, below, lowest, _ = figure.axes  # the last one is the bar of colours
+    (shown,) = (line for line in above.get_lines() if line.get_label() == "map")
+    assert len(np.asarray(shown.get_xdata())) > 100
+    assert lowest.get_xlim() == below.get_xlim()
+    (mesh,) = lowest.collections
+    heights = np.ma.filled(np.ma.masked_invalid(np.asarray(mesh.get_array())), np.nan)
+    heights, seen = heights.reshape(15, 3)[:, 0], p.seen
+    assert heights[seen] == pytest.approx(p.observation[:15][seen])
+    assert np.isnan(heights[~seen]).all()
+
+
+def test_a_film_draws_the_map_only_if_the_sensor_has_one(driven, tmp_path):
+    made, profile = driven
+    blind = [replace(t, perception=None) for t in made]
+    assert mapped(blind) == []
+    pictures = []
+    for name, transitions in (("a", made), ("b", blind)):
+        save_film(tmp_path / f"{name}.gif", transitions[:1], profile, Robot(), speed=0.2)
+        with Image.open(tmp_path / f"{name}.gif") as picture:
+            pictures.append(np.array(picture.convert("RGB")))
+    assert (pictures[0] != pictures[1]).any()
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Draw pictures whose first pixel counts the samples."""
+
+    def draw(self, width, height):
+        picture = np.zeros((height, width, 3), np.uint8)
+        picture[:, :, 0] = self._samples % 251  # neighbours differ, or a GIF merges them
+        return picture
+
+    monkeypatch.setattr(MujocoWorld, "draw", draw)
+
+
+@pytest.mark.usefixtures("drawn")
+def test_an_engine_that_draws_itself_is_filmed_without_changing_the_episode(tmp_path):
+    poses, rows, shots = [], [], Shots("mujoco")
+    for observers in ([], [shots]):
+        env, found = FlipperEnv(config=FLAT_3D), []
+        watch = lambda decision, found=found: found.append(decision.poses)  # noqa: E731
+        rows.append(play(env, LEVEL.build(FLAT_3D), 3, watch=watch, observers=observers))
+        poses.append(np.concatenate(found))
+    assert rows[0] == rows[1]
+    assert np.array_equal(*poses)
+    count = round(rows[0]["t_cost"] / SAMPLE_PERIOD)
+    counted = [int(picture[0, 0, 0]) for picture in shots.pictures]
+    assert counted == [n % 251 for n in range(0, count + 1, 20)]
+    row = EpisodeRunner(FLAT_3D, LEVEL, 0).play(0)
+    record = EpisodeRecord.of(FLAT_3D, LEVEL, row).model_dump(mode="json")
+    write_json(tmp_path / "failure.json", record)
+    replay_file(tmp_path / "failure.json", None, None, tmp_path / "again.gif")
+    with Image.open(tmp_path / "again.gif") as picture:
+        assert picture.size == (640, 480)
+        assert picture.n_frames == pytest.approx(1.0 / 0.2 * 5, abs=3)  # 1 m, 5 pictures a second
+    with pytest.raises(RequestError, match="sim=planar draws no pictures"):
+        film(EvalConfig(terrain="step"), LEVEL, 0, tmp_path / "drive.gif")
+
+
+def draw(width=64, height=48):
+    world = Mujoco().place(
+        Profile([(0, 0), (0, 0.1)]), Robot(), Start(-0.8), np.random.default_rng(0)
+    )
+    return world.draw(width, height)
+
+
+@pytest.mark.parametrize(
+    ("variable", "words"),
+    [("", "has neither EGL nor OSMesa: on Debian, apt install libegl1"), ("egl", "has no EGL")],
+)
+def test_without_a_library_the_error_names_what_to_install(variable, words, monkeypatch):
+    monkeypatch.setenv("MUJOCO_GL", variable)
+    monkeypatch.setattr(ctypes.util, "find_library", lambda name: None)
+    with pytest.raises(RequestError, match=words):
+        draw()
+
+
+def test_a_driver_that_cannot_draw_is_named_and_pictures_have_a_largest_size(monkeypatch):
+    def fail(name):
+        raise RuntimeError("no device")
+
+    with pytest.raises(RequestError, match="at most 1920 × 1080 are allowed"):
+        draw(1921, 1080)
+    monkeypatch.setattr(ctypes.util, "find_library", lambda name: "there")
+    monkeypatch.setattr(camera, "import_module", fail)
+    with pytest.raises(FlipperctlError, match=r"EGL cannot draw .*\(no device\).*MUJOCO_GL=osmesa"):
+        draw()
+
+
+@pytest.mark.skipif(not DRAWS_HERE, reason="this machine has neither EGL nor OSMesa")
+def test_a_picture_shows_the_robot_before_the_sky():
+    picture = draw(160, 120)
+    assert picture.shape == (120, 160, 3)
+    assert picture[2].mean(axis=0)[2] > 200  # bright and bluish above
+    robot = (picture[..., 0] > 150) & (picture[..., 2] < 60)
+    assert robot.sum() > 100  # orange boards of the tracks
