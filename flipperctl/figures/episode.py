@@ -33,8 +33,8 @@ _LEAST = 0.02
 
 def mapped(transitions: Sequence[Transition]) -> list[Perception]:
     """Return what was perceived at each decision; nothing unless the sensor maps the ground."""
-    found = [t.perception for t in transitions]
-    perceived = [p for p in found if p is not None and p.seen is not None]
+    seen = [t.perception for t in transitions]
+    perceived = [p for p in seen if p is not None and p.seen is not None]
     return perceived if len(perceived) == len(transitions) else []
 
 
@@ -141,8 +141,8 @@ def pose_indices(path: FloatArray, spacing: float) -> list[int]:
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
     poses = max(1, int(along[-1] / spacing)) + 1
     wanted = np.linspace(0.0, along[-1], poses)
-    found = np.minimum(np.searchsorted(along, wanted - 1e-9), len(path) - 1)
-    return sorted({*found.tolist(), len(path) - 1})
+    indices = np.minimum(np.searchsorted(along, wanted - 1e-9), len(path) - 1)
+    return sorted({*indices.tolist(), len(path) - 1})
 
 
 def window(

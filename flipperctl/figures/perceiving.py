@@ -96,12 +96,12 @@ def faces(points: FloatArray, filled: NDArray[np.bool_]) -> list[FloatArray]:
     They are seen points of equal x; ``filled`` (P,) points were not seen.
     """
     seen = points[~filled]
-    found = []
+    segments = []
     for x in np.unique(seen[:, 0]):
         heights = seen[seen[:, 0] == x, 1]
         if np.ptp(heights) >= _FACE:
-            found.append(np.array([[x, heights.min()], [x, heights.max()]]))
-    return found
+            segments.append(np.array([[x, heights.min()], [x, heights.max()]]))
+    return segments
 
 
 class _Picture:

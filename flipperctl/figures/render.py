@@ -61,8 +61,8 @@ class RobotArtist:
     @property
     def artists(self) -> list[Artist]:
         """All artists of the robot, from the lowest to the highest."""
-        found = [*self._belts, *self._bodies, *self._marks, self._hinges]
-        return sorted(found, key=lambda artist: artist.get_zorder())
+        parts = [*self._belts, *self._bodies, *self._marks, self._hinges]
+        return sorted(parts, key=lambda artist: artist.get_zorder())
 
     def show(self, state: RobotState, robot: RobotGeometry, travel: float | None = None) -> None:
         """Draw the robot, and marks on its belts if their ``travel`` [m] is given."""

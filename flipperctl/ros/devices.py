@@ -67,21 +67,21 @@ class Recording:
     """Unit and zero of the times of the points."""
     mount: Pose
     """The sensor of the clouds on the chassis."""
-    found: list[str] = field(default_factory=list)
+    noted: list[str] = field(default_factory=list)
     """Remarks on the devices and frames."""
 
     @property
     def topics(self) -> dict[str, str]:
         """Device → topic, for the devices that the bag has."""
         devices = self.devices
-        found = {"cloud": self.clouds, "attitude": devices.attitude, "joints": None}
-        found |= {"joints": ", ".join(devices.joints), "odometry": devices.belts}
-        return {device: topic for device, topic in found.items() if topic}
+        topics = {"cloud": self.clouds, "attitude": devices.attitude, "joints": None}
+        topics |= {"joints": ", ".join(devices.joints), "odometry": devices.belts}
+        return {device: topic for device, topic in topics.items() if topic}
 
     @property
     def remarks(self) -> list[str]:
         """What a reader of the result should know; complete once the messages were read."""
-        return [*self.found, *(f"{self.clouds}: {text}" for text in self.times.remarks())]
+        return [*self.noted, *(f"{self.clouds}: {text}" for text in self.times.remarks())]
 
     @property
     def axis(self) -> float:
@@ -165,16 +165,16 @@ class Recording:
         return joints.take(_stamp(message), angles.keys(), angles.values())
 
     def _cloud(self, message: Any) -> Cloud:
-        found = read_points(f"{self.path}: {self.clouds}", message, self.times)
-        mount = _placed(self, found.frame, found.time)
-        time, ages = found.time, None
-        if found.shifts is not None and len(found.shifts):
+        read = read_points(f"{self.path}: {self.clouds}", message, self.times)
+        mount = _placed(self, read.frame, read.time)
+        time, ages = read.time, None
+        if read.shifts is not None and len(read.shifts):
             # Drivers stamp the beginning or the end of a turn; a cloud of the runtime has its end.
-            end = max(0.0, float(found.shifts.max()))
-            time, ages = found.time + end, end - found.shifts
+            end = max(0.0, float(read.shifts.max()))
+            time, ages = read.time + end, end - read.shifts
         if mount is None:  # refused by its frame
-            return Cloud(time, found.frame, found.points, ages)
-        points = mount.apply(found.points) - self.mount.place * (1.0, 0.0, 1.0)
+            return Cloud(time, read.frame, read.points, ages)
+        points = mount.apply(read.points) - self.mount.place * (1.0, 0.0, 1.0)
         return Cloud(time, self.names.base, points @ mounting(self.axis), ages)
 
     def _attitude(self, message: Any) -> Attitude | None:

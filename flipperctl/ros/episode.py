@@ -128,7 +128,7 @@ def export_bag(config: EvalConfig, source: PolicySource, folder: Path) -> dict[s
         "seed": config.eval.seed,
         "outcome": ending["outcome"],
         "seconds": watch.states[-1].time,
-        "messages": dict(Counter(found.topic for found in messages)),
+        "messages": dict(Counter(stamped.topic for stamped in messages)),
     }
 
 

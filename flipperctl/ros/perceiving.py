@@ -150,11 +150,11 @@ def replay(source: Path, sensor: Sensor, robot: Robot, pose: str | None, names: 
             run.take(Step(time, {"cloud": Cloud(time, frame, points)}), where)
         return run.finish(source, {"cloud": "files"}, [])
     recording = read_recording(source, names)
-    found = _pose(recording, pose)
+    how = _pose(recording, pose)
     x, _, z = recording.mount.place.tolist()
     place = {"mount_x": x, "mount_z": z, "mount_axis": recording.axis}
     run = _Run(
-        sensor.model_copy(update={**place, "pose": found}), robot, recording.setup, recording.topics
+        sensor.model_copy(update={**place, "pose": how}), robot, recording.setup, recording.topics
     )
     for step in recording.steps():
         cloud = step.messages.get("cloud")
@@ -276,28 +276,28 @@ class _Run:
         Raises:
             RequestError: no scan was used.
         """
-        found = self._result.instants
-        if not found:
+        instants = self._result.instants
+        if not instants:
             why = "; ".join(f"{n} × {self._reasons[name]}" for name, n in self._refused.items())
             raise RequestError(f"{source}: no cloud can be used: {why or 'there is none'}")
-        seen = np.array([one.ground.seen for one in found])  # (T, N)
+        seen = np.array([one.ground.seen for one in instants])  # (T, N)
         filled = np.concatenate(
-            [one.ground.filled for one in found if one.ground.filled is not None]
+            [one.ground.filled for one in instants if one.ground.filled is not None]
         )
-        deviation = np.array([one.ground.deviation for one in found])  # (T, N) [m]
+        deviation = np.array([one.ground.deviation for one in instants])  # (T, N) [m]
         middle = (np.arange(seen.shape[1]) - (seen.shape[1] - 1) / 2) * self._result.bin_width
         self._result.summary = {
             "source": str(source),
             "topics": topics,
             "pose": self._sensor.pose,
-            "seconds": found[-1].time,
+            "seconds": instants[-1].time,
             "scans": self._scans,
             "refused": {
                 name: {"count": count, "reason": self._reasons[name]}
                 for name, count in self._refused.most_common()
             },
-            "decisions": len(found),
-            "held": dict(Counter(one.held for one in found if one.held)),
+            "decisions": len(instants),
+            "held": dict(Counter(one.held for one in instants if one.held)),
             "coverage": {"mean": float(seen.mean()), "least": float(seen.mean(axis=1).min())},
             "filled": float(filled.mean()),
             "deviation": _median(deviation[np.isfinite(deviation)]),

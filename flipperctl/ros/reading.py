@@ -326,10 +326,10 @@ def _points(file: Path) -> FloatArray:
     except Exception as error:  # each library has its own errors for damaged files
         text = " ".join(str(error).split())
         raise RequestError(f"{file} cannot be read: {type(error).__name__}: {text}") from error
-    found = np.asarray(points, dtype=np.float64)
-    if found.ndim != 2 or found.shape[1] < 3:
+    array = np.asarray(points, dtype=np.float64)
+    if array.ndim != 2 or array.shape[1] < 3:
         raise RequestError(
-            f"{file}: an array of points (P, 3) is allowed; its shape is {found.shape}"
+            f"{file}: an array of points (P, 3) is allowed; its shape is {array.shape}"
         )
-    found = found[:, :3]
-    return found[np.isfinite(found).all(axis=1)]
+    array = array[:, :3]
+    return array[np.isfinite(array).all(axis=1)]

@@ -68,16 +68,16 @@ def shadow(
         raise RequestError("perception.pose=true: no robot knows this; belts or matched is allowed")
     recording = read_recording(source, names)
     lines: list[str] = []
-    found = Shadow(policy, setup_of(recording, sensor, pose), lines.append)
+    decided = Shadow(policy, setup_of(recording, sensor, pose), lines.append)
     for step in recording.steps():
-        found.take(step.now, step.messages)
+        decided.take(step.now, step.messages)
     write_bytes(log, "".join(f"{line}\n" for line in lines).encode())
     return {
         "policy": str(policy),
         "source": str(source),
         "output": str(log),
         "topics": recording.topics,
-        **found.summary(),
+        **decided.summary(),
         "remarks": recording.remarks,
     }
 

@@ -177,14 +177,14 @@ def _joint_topics(reader: Any, names: Names) -> tuple[dict[str, list[str]], str]
     heads = [_first(reader, topic) for topic in topics]
     others = dict.fromkeys(n for one in heads if one for n in one.name if n not in wanted)
     has = {topic: _joints_in(reader, topic, wanted) for topic in topics}
-    found: dict[str, list[str]] = {}
+    joints: dict[str, list[str]] = {}
     left = list(wanted)
     for topic in sorted(topics, key=lambda one: -len(has[one])):
         if taken := [name for name in left if name in has[topic]]:
-            found[topic] = taken
+            joints[topic] = taken
             left = [name for name in left if name not in taken]
     if not left:
-        return found, ""
+        return joints, ""
     known = [name for name in wanted if name not in left]
     there = f", only {', '.join(known)}" if known else ""
     if not known and others:
@@ -195,16 +195,16 @@ def _joint_topics(reader: Any, names: Names) -> tuple[dict[str, list[str]], str]
 
 def _joints_in(reader: Any, topic: str, wanted: Sequence[str]) -> set[str]:
     """Return the wanted joints that the messages of a topic have, all or a part in each."""
-    found: set[str] = set()
+    names: set[str] = set()
     chosen = [c for c in reader.connections if c.topic == topic]
     for connection, _, data in reader.messages(connections=chosen):
         # Most messages are of known or other joints: their bytes are searched before they are read.
-        if any(name not in found and name.encode() in data for name in wanted):
+        if any(name not in names and name.encode() in data for name in wanted):
             message = reader.deserialize(data, connection.msgtype)
-            found |= {*message.name[: len(message.position)]} & {*wanted}
-        if len(found) == len(wanted):
+            names |= {*message.name[: len(message.position)]} & {*wanted}
+        if len(names) == len(wanted):
             break
-    return found
+    return names
 
 
 def _only(
@@ -235,7 +235,7 @@ def orientations(received: Iterable[Any], chassis: Poses, mount: Pose | None) ->
     ``chassis``: the chassis in the fixed frame; ``mount``: the unit on the chassis.
     """
     count = blank = level = 0
-    found, gravity, ups = Levels(), list[FloatArray](), list[FloatArray]()
+    levels, gravity, ups = Levels(), list[FloatArray](), list[FloatArray]()
     leaning, looked, turning = 0.0, -math.inf, False
     for message in received:
         count += 1
@@ -248,7 +248,7 @@ def orientations(received: Iterable[Any], chassis: Poses, mount: Pose | None) ->
         level += is_level
         turning = turning or any((rates.x, rates.y, rates.z))
         tilt = 0.0 if is_level else max(2 * math.asin(min(1, math.hypot(q.x, q.y))), 1e-9)
-        found.add(time, tilt, (rates.x, rates.y))
+        levels.add(time, tilt, (rates.x, rates.y))
         if not is_level:
             continue
         if time - looked >= _PERIOD and (pose := chassis(time)) is not None:
@@ -264,8 +264,8 @@ def orientations(received: Iterable[Any], chassis: Poses, mount: Pose | None) ->
                     leaning = max(leaning, _angle(mean / size, np.array([0.0, 0.0, 1.0])))
     tilted = max((_angle(ups[0], up) for up in ups[1:]), default=0.0)
     mounted = 0.0 if mount is None else _angle(_up(mount), np.array([0.0, 0.0, 1.0]))
-    if found.unset:
-        reason = found.unset
+    if levels.unset:
+        reason = levels.unset
     elif level and tilted > _TURNED:
         reason = f"is 0 0 0 1, while the poses of the recording tilt by {math.degrees(tilted):.0f}°"
     elif level and leaning > _TILTED:

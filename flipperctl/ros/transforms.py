@@ -131,7 +131,8 @@ class Transforms:
     @property
     def frames(self) -> list[str]:
         """Names of all frames."""
-        return sorted({*self._tracks, *(name for found in self._tracks.values() for name in found)})
+        parents = (name for tracks in self._tracks.values() for name in tracks)
+        return sorted({*self._tracks, *parents})
 
     def has(self, child: str) -> bool:
         """Return whether the pose of a frame in a parent is known."""
@@ -184,7 +185,7 @@ class Transforms:
                     hint, known = close_match(name, self.frames), ", ".join(self.frames) or "none"
                     text = f"there is no frame {name!r}{hint}; frames with a transform: {known}"
                     raise RequestError(text)
-            found = []
+            ways = []
             above = list(self._above(frame))
             for up in self._above(of):
                 passed = {of, *(parent for _, parent in up)}
@@ -192,11 +193,11 @@ class Transforms:
                     top = down[-1][1] if down else frame
                     others = {frame, *(parent for _, parent in down)} - {top}
                     if top == (up[-1][1] if up else of) and not others & passed:
-                        found.append((up, down))
-            if not found:
+                        ways.append((up, down))
+            if not ways:
                 raise RequestError(f"nothing connects the frames {frame!r} and {of!r}")
-            straight = [way for way in found if not (way[0] and way[1])]
-            self._known[frame, of] = straight or found
+            straight = [way for way in ways if not (way[0] and way[1])]
+            self._known[frame, of] = straight or ways
         return self._known[frame, of]
 
     def _above(self, frame: str, passed: tuple[_Link, ...] = ()) -> Iterator[list[_Link]]:
