@@ -15,7 +15,7 @@ from flipperctl.api import FloatArray
 
 from .coordinates import Coordinates, length_of
 from .height_map import HeightMap, Part, cells_from_resolution
-from .missing import without_missing
+from .reading import without_missing
 
 _UNSTATED = ("", "none", "unknown", "unnamed")
 """Names of units that programs write where they know none."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from flipperctl.api import FloatArray
 
 from .line import Line
-from .missing import without_missing
+from .reading import without_missing
 
 Part = tuple[slice, slice]
 """Ranges of rows and of columns of a grid."""

@@ -1,15 +1,11 @@
-"""A straight line over the ground, and heights along it.
+"""A line over recorded ground with heights along it, and the ground beside it."""
 
-In the frame, x and y are level and z points up. A line runs from ``start`` to ``end`` in (x, y)
-[m]; distances are measured along it from ``start``, on the ground.
-"""
-
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from flipperctl.api import FloatArray
+from flipperctl.api import FloatArray, Surface
 
 
 @dataclass(frozen=True)
@@ -92,3 +88,23 @@ class Line:
         for low, high in zip(np.append(0.0, at), np.append(at, self.length), strict=True):
             if high - low > max(largest_gap, self.spacing + 1e-9):
                 yield low, high
+
+
+class RecordedSurface(Surface):
+    """Heights from a file, read once, since each episode asks for the same ones."""
+
+    def __init__(self, x: FloatArray, read: Callable[[FloatArray], FloatArray]) -> None:
+        """Read heights (X, Y) at ``x`` (X,) and the asked y (Y,) by ``read`` [m]."""
+        self._x, self._read = x, read
+        self._last: tuple[FloatArray, FloatArray] | None = None
+
+    @property
+    def x(self) -> FloatArray:
+        """Places along the line, ascending, (X,) [m]."""
+        return self._x
+
+    def heights(self, y: FloatArray) -> FloatArray:
+        """Return the heights at each of ``x`` and ``y`` (Y,), (X, Y) [m]; NaN where unknown."""
+        if self._last is None or not np.array_equal(self._last[0], y):
+            self._last = y.copy(), self._read(y)
+        return self._last[1]

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray
 
-from .cloud import upright
+from .clouds import upright
 from .layers import Choice, Crossings, Ground, ground_of_faces
 from .line import Line
 from .surfaces import surfaces

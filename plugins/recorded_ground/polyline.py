@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray
 
-from .missing import without_missing
-from .text import read_lines
+from .reading import read_lines, without_missing
 
 _DELIMITERS = ";\t,"
 """Delimiters by precedence; a comma may be the decimal sign if another separates the columns."""

@@ -12,12 +12,12 @@ from pydantic import Field, model_validator
 
 from flipperctl.api import FloatArray, Profile, Terrain, terrain
 
-from ..recorded_ground import cloud, cloud_files, geotiff, height_map, polyline
+from ..recorded_ground import clouds, geotiff, height_map, polyline
 from ..recorded_ground.claims import ply_elements
-from ..recorded_ground.cloud_faults import remark_on_rounding
+from ..recorded_ground.clouds import remark_on_rounding
 from ..recorded_ground.height_map import HeightMap
 from ..recorded_ground.layers import Choice, overhead
-from ..recorded_ground.line import Line
+from ..recorded_ground.line import Line, RecordedSurface
 from ..recorded_ground.mesh import Mesh, read_mesh
 from ..recorded_ground.plausible import (
     remarks_on_extent,
@@ -26,15 +26,14 @@ from ..recorded_ground.plausible import (
     remarks_on_profile,
     remarks_on_projection,
 )
-from ..recorded_ground.quiet import quiet
-from ..recorded_ground.surface import RecordedSurface
+from ..recorded_ground.reading import quiet
 
 UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
 MAPS = {".npy": height_map.read_npy, **dict.fromkeys((".tif", ".tiff"), geotiff.read_geotiff)}
 CLOUDS = {
-    ".pcd": cloud_files.read_pcd,
-    ".ply": cloud_files.read_ply,
-    **dict.fromkeys((".xyz", ".csv"), cloud_files.read_text),
+    ".pcd": clouds.read_pcd,
+    ".ply": clouds.read_ply,
+    **dict.fromkeys((".xyz", ".csv"), clouds.read_text),
 }
 MESHES = (".stl", ".obj", ".dae")
 STATING = (".tif", ".tiff", ".dae")
@@ -262,7 +261,7 @@ class ProfileFile(Terrain):
         return line.profile(heights, self.largest_gap, unknown)
 
     def _along_cloud(self, file: Path, line: Line, remarks: list[str]) -> FloatArray:
-        points, own = cloud.measured(
+        points, own = clouds.measured(
             CLOUDS[file.suffix.lower()](file),
             self._metres,
             self.up or "z",
@@ -273,7 +272,7 @@ class ProfileFile(Terrain):
         if len(points):
             remarks += remarks_on_extent(np.ptp(points, axis=0), "it", self._remedy)
         try:
-            ground = cloud.slice_along(
+            ground = clouds.slice_along(
                 points, line, self.thickness, self.quantile, MIN_POINTS, self._choice
             )
             margin = self.thickness / 2 + self.spacing

@@ -47,7 +47,7 @@ def test_a_checkpoint_describes_itself(best: Path) -> None:
     assert saved.document.config.terrain.name == "step"
     assert saved.document.versions["torch"] == torch.__version__
     (network,) = [p for p in saved.document.plugins if p.kind == "network"]
-    assert (network.name, network.module) == ("at_d3qn", "flipperctl_plugins.networks.at_d3qn")
+    assert (network.name, network.module) == ("at_d3qn", "flipperctl_plugins.networks.d3qn")
     assert saved.config().seed == 7
 
 

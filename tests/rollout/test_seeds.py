@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 from flipperctl_plugins.terrains.profile_file import ProfileFile
-from flipperctl_plugins.terrains.stair import Stair
+from flipperctl_plugins.terrains.stairs import Stair
 
 from flipperctl.api import Profile, Terrain
 from flipperctl.cli.scenes import scenes

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from flipperctl_plugins.terrains.step import Step
+from flipperctl_plugins.terrains.obstacles import Step
 
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.errors import ConfigError

@@ -1,0 +1,357 @@
+"""Point clouds: their files, faults of their points, and slices along a vertical plane."""
+
+import io
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from flipperctl.api import FloatArray
+
+from .claims import Pose, pcd_header, ply_elements
+from .layers import Choice, Ground, layer_of_points, parts_of_points
+from .line import Line
+from .reading import read_lines, without_missing
+
+_DECIMAL_COMMA = re.compile(r"[-+]?(\d+(,\d+)?(e[-+]?\d+)?|nan|inf)", re.IGNORECASE)
+_COMMENTS = ("#", "//")
+"""Beginnings of lines that are comments."""
+
+
+@dataclass(frozen=True)
+class CloudFile:
+    """The points of a file."""
+
+    points: FloatArray
+    """(P, 3) in the frame and unit of the file; not finite where a ray did not return."""
+    single: bool = False
+    """Whether the coordinates are stored in single precision."""
+    pose: Pose | None = None
+    """The pose that a PCD's VIEWPOINT states, unless it is the identity."""
+
+
+def read_pcd(path: Path) -> CloudFile:
+    """Read a PCD file (ASCII, binary or compressed).
+
+    Raises:
+        ValueError: it holds fewer or more points than its header claims, or its header is wrong.
+    """
+    from pypcd4.pypcd4 import PointCloud
+
+    header = pcd_header(path)
+    text = header.text.encode()
+    with path.open("rb") as file:
+        file.seek(header.begin)
+        # Without fields of no numbers, which PCL writes and the reader refuses.
+        cloud = PointCloud.from_fileobj(io.BufferedReader(io.BytesIO(text + file.read())))
+    points = np.asarray(cloud.numpy(("x", "y", "z")), dtype=np.float64)
+    single = all(cloud.pc_data.dtype[axis] == np.float32 for axis in "xyz")
+    return CloudFile(_complete(points, header.points), single, header.pose)
+
+
+def read_ply(path: Path) -> CloudFile:
+    """Read the vertices of a PLY file (ASCII or binary).
+
+    Raises:
+        ValueError: it holds fewer or more vertices than its header claims.
+    """
+    from trimesh.exchange.ply import load_ply
+
+    claimed = ply_elements(path).get("vertex", 0)
+    with path.open("rb") as file:
+        vertices = load_ply(file, fix_texture=False, skip_materials=True)["vertices"]
+    points = np.asarray(vertices, dtype=np.float64)
+    return CloudFile(_complete(points, claimed), vertices.dtype == np.float32)
+
+
+def _complete(points: FloatArray, claimed: int) -> FloatArray:
+    if points.shape != (claimed, 3):
+        raise ValueError(f"its header claims {claimed} points (x, y, z); it holds {points.shape}")
+    return points
+
+
+def read_text(path: Path) -> CloudFile:
+    """Read the columns x, y and z of a text file; without a header, these are the first three.
+
+    Columns are separated by blanks, commas, semicolons or tabs. The decimal sign may be a comma,
+    unless it separates the columns. An empty value is NaN.
+
+    Raises:
+        ValueError: the file is not text, its header names no x, y and z, or a line does not hold
+            three numbers.
+    """
+    lines = [
+        (number, text.strip().replace('"', ""))
+        for number, text in enumerate(read_lines(path), start=1)
+        if text.strip() and not text.lower().startswith("sep=")  # the line of some spreadsheets
+    ]
+    used = [(number, text) for number, text in lines if not text.startswith(_COMMENTS)]
+    if not used:
+        raise ValueError("it holds no points")
+    first = used[0][0]
+    columns: tuple[int, ...] = (0, 1, 2)
+    before = [text for number, text in lines if number < first]
+    if _numbers(used[0][1], columns) is None:
+        columns = _named(first, used.pop(0)[1])
+    elif before:  # a header may be a comment that names each column
+        columns = _places(before[-1].lstrip("#/ "), len(_split(used[0][1]))) or columns
+    try:
+        texts = (" ".join(_split(text)) for _, text in used)
+        points = np.loadtxt(texts, usecols=columns, ndmin=2)
+    except ValueError:
+        points = np.array(list(_each(used, columns))).reshape(-1, 3)
+    return CloudFile(points)
+
+
+def _each(lines: list[tuple[int, str]], columns: tuple[int, ...]) -> Iterator[list[float]]:
+    """Yield the numbers of each line, (3,); an error names the line."""
+    for number, text in lines:
+        numbers = _numbers(text, columns)
+        if numbers is None:
+            raise ValueError(f"line {number}: x, y and z must be numbers; it is {text[:60]!r}")
+        yield numbers
+
+
+def _numbers(text: str, columns: tuple[int, ...]) -> list[float] | None:
+    """Return the numbers in a line's columns, (3,), or None if they are none."""
+    values = _split(text)
+    try:
+        return [float(values[at]) for at in columns]
+    except (ValueError, IndexError):
+        return None
+
+
+def _named(number: int, header: str) -> tuple[int, ...]:
+    """Return the columns x, y and z that a header names.
+
+    Raises:
+        ValueError: it does not name each of them once.
+    """
+    columns = _places(header)
+    if columns is None:
+        raise ValueError(
+            f"line {number}: three numbers, or a header that names x, y and z, are needed; it is "
+            f"{header[:60]!r} (a .csv of x and z is a profile, without start and end)"
+        )
+    return columns
+
+
+def _places(header: str, count: int | None = None) -> tuple[int, ...] | None:
+    """Return the places of x, y and z among a header's columns; a unit may follow a name.
+
+    None if they are not named, or if the header has other than ``count`` columns.
+    """
+    header = re.sub(r"[\[(][^\])]*[\])]", "", header.lower())
+    sign = next((sign for sign in ";\t," if sign in header), None)
+    names = [name.strip() for name in header.split(sign)]
+    if count not in (None, len(names)) or any(names.count(axis) != 1 for axis in "xyz"):
+        return None
+    return tuple(map(names.index, "xyz"))
+
+
+def _split(line: str) -> list[str]:
+    """Return a line's values with decimal points; an empty one is NaN."""
+    values = line.split()
+    if ";" in line:
+        values = [text.strip().replace(",", ".") or "nan" for text in line.split(";")]
+    elif len(values) > 2 and all(map(_DECIMAL_COMMA.fullmatch, values[:3])):
+        values = [text.replace(",", ".") for text in values]
+    elif "," in line:
+        values = [one for text in line.split(",") for one in text.split() or ["nan"]]
+    return values
+
+
+_FEWEST, _OFTEN = 10, 10
+"""Smallest number of equal points that are unmeasured, away from the origin, and its smallest ratio
+to the repetitions of other points [-]."""
+_FILLED = 3
+"""Smallest number of points for each value of a rounded coordinate [-]."""
+_SHARED, _SAME_SURFACE = 0.5, 0.003
+"""Smallest share of points that have another at the same place in the plane, if both coordinates
+are rounded [-], and the largest difference of their heights [m]."""
+_COARSER = 4
+"""Smallest ratio of such rounding to the rounding that is reported far from the origin [-]."""
+_FAR = 100
+"""Smallest ratio of a coordinate to its extent that is far from the origin [-]."""
+
+
+def without_unmeasured(points: FloatArray) -> tuple[FloatArray, str]:
+    """Return the finite points (P, 3) that were measured, and a remark on those left out.
+
+    Drivers store rays without return as 0 0 0, and a registration moves these to the place of the
+    sensor. Points are left out that are equal far more often than others, or, at 0 0 0, more often
+    at all. One point at the origin is kept.
+    """
+    points = points[np.isfinite(points).all(axis=1)]
+    if not len(points):
+        return points, ""
+    points = points[np.lexsort(points.T)]
+    begins = np.append(True, (np.diff(points, axis=0) != 0).any(axis=1))
+    places = points[begins]
+    counts = np.diff(np.append(np.flatnonzero(begins), len(points)))
+    origin = (places == 0).all(axis=1)
+    others = counts[~origin]
+    usual = np.quantile(others, 0.99, method="lower") if len(others) else 1
+    left_out = (counts >= _FEWEST) & (counts > _OFTEN * usual) | origin & (counts > usual)
+    if not left_out.any():
+        return points, ""
+    most = places[np.argmax(np.where(left_out, counts, 0))]
+    where = " ".join(f"{value + 0.0:g}" for value in most)
+    more = f" and {int(left_out.sum()) - 1} other places" if left_out.sum() > 1 else ""
+    return points[np.repeat(~left_out, counts)], (
+        f"{int(counts[left_out].sum())} points lie exactly at {where}{more}, as rays without return"
+        " are stored; they are left out"
+    )
+
+
+def remark_on_rounding(
+    points: FloatArray, level: str, single: bool | None, unit: float, spacing: float
+) -> str:
+    """Return a remark if coordinates are rounded to more than half the ``spacing`` [m], else "".
+
+    ``points``, (P, 3) in a ``unit`` [m], are finite. ``single``: they are stored in single
+    precision; None: if that holds them without loss. Other rounding is looked for along the axes
+    ``level``, such as "xy", by points that share coordinates; a regular grid is not rounded.
+    """
+    with np.errstate(over="ignore"):
+        short = points.astype(np.float32)
+    single = bool((short == points).all()) if single is None else single
+    coarse = spacing / 2 / unit * (1 + 1e-9)
+    steps, filled, far = dict[str, float](), dict[str, float](), set[str]()
+    columns = dict(zip("xyz", points.T, strict=True)) if len(points) else {}
+    for axis, column in columns.items():
+        values = np.unique(column)
+        apart, largest = np.diff(values), np.abs(values).max()
+        digit = float(np.spacing(np.abs(short[:, "xyz".index(axis)]).max()))
+        if single and digit > coarse and len(apart) and apart.min() <= digit:
+            steps[axis] = digit
+        elif axis in level and len(values) * _FILLED <= len(column):
+            filled[axis] = float(np.median(apart)) if len(apart) else 0.0
+            far |= {axis} if largest > _FAR * np.ptp(values) else set()
+    if len(filled) == 2:
+        (height,) = {*"xyz"} - {*level}
+        keys = np.column_stack([columns[axis] for axis in (height, *level)])
+        apart = np.abs(np.diff(keys[np.lexsort(keys.T)], axis=0))
+        shared = (apart <= (_SAME_SURFACE / unit, 0, 0)).all(axis=1)
+        coarser = {axis for axis, step in filled.items() if step > _COARSER * coarse}
+        far = (far or coarser) if shared.sum() >= _SHARED * len(points) else set()
+    steps |= {axis: filled[axis] for axis in far if filled[axis] > coarse}
+    if not steps:
+        return ""
+    found = " and ".join(f"{axis} to {steps[axis] * unit:.3g} m" for axis in sorted(steps))
+    return (
+        f"its coordinates are rounded ({found}), as single precision far from the origin or few "
+        "digits do; save them in double precision or nearer to the origin"
+    )
+
+
+LEVEL = {
+    "z": ("x", "y"),
+    "y": ("z", "x"),
+    "x": ("y", "z"),
+    "-z": ("y", "x"),
+    "-y": ("x", "z"),
+    "-x": ("z", "y"),
+}
+"""The file's axis that points up → its axes that become x and y; both frames right-handed."""
+_LEVEL = 0.1
+"""Largest difference of heights at which ground goes on, as a share of the headroom [-]."""
+
+
+def measured(
+    file: CloudFile, unit: float, up: str, viewpoint: bool | None, spacing: float
+) -> tuple[FloatArray, list[str]]:
+    """Return a file's measured points with z up, (P, 3) [m], and remarks on the file.
+
+    ``unit``: of the file [m]; ``viewpoint``: whether the pose that it states moves the points;
+    ``spacing``: distance between heights along a line [m].
+    """
+    finite = file.points[np.isfinite(file.points).all(axis=1)]
+    columns = [without_missing(column) for column in finite.T]
+    points, unmeasured = without_unmeasured(np.column_stack([column for column, _ in columns]))
+    rounded = remark_on_rounding(points, "".join(LEVEL[up]), file.single, unit, spacing)
+    remarks = [*(remark for _, remark in columns), unmeasured, rounded]
+    if file.pose is not None:
+        remarks += _remarks_on_pose(file.pose, viewpoint)
+        points = _moved(points, file.pose) if viewpoint else points
+    return upright(points * unit, up), [remark for remark in remarks if remark]
+
+
+def _remarks_on_pose(pose: Pose, applied: bool | None) -> Iterator[str]:
+    """Yield a remark on a pose that a PCD states, unless it is said whether it is ``applied``."""
+    if applied is None:
+        angle = np.degrees(2 * np.arccos(min(1.0, abs(pose[3]))))
+        place = " ".join(f"{value:g}" for value in pose[:3])
+        yield (
+            f"its VIEWPOINT states a pose at {place}, turned by {angle:.3g}°, by which its points "
+            "are not moved (terrain.viewpoint=true moves them, false says that they are not to be)"
+        )
+
+
+def _moved(points: FloatArray, pose: Pose) -> FloatArray:
+    """Return points (P, 3) in the frame in which their own has the ``pose``."""
+    w, *vector = pose[3:]
+    turned = 2 * np.cross(vector, points)
+    result: FloatArray = points + w * turned + np.cross(vector, turned) + pose[:3]
+    return result
+
+
+def upright(points: FloatArray, up: str) -> FloatArray:
+    """Return the finite points in a frame with z up, (P', 3) in the unit of ``points``."""
+    sign = -1.0 if up.startswith("-") else 1.0
+    first, second = ("xyz".index(axis) for axis in LEVEL[up])
+    third = "xyz".index(up[-1])
+    turned = np.column_stack([points[:, first], points[:, second], sign * points[:, third]])
+    return turned[np.isfinite(turned).all(axis=1)]
+
+
+def slice_along(
+    points: FloatArray, line: Line, thickness: float, quantile: float, fewest: int, choice: Choice
+) -> Ground:
+    """Return the ground at the line's points; its heights are NaN where the slice is empty.
+
+    Each height is the quantile of the chosen layer of those points of the slice that are nearest to
+    its place along the line. The slice reaches half the ``thickness`` [m] to either side of the
+    line.
+
+    Raises:
+        ValueError: fewer than ``fewest`` points lie in the slice.
+    """
+    offset = points[:, :2] - np.asarray(line.start)
+    along, beside = offset @ line.direction, offset @ line.left
+    within = (np.abs(beside) <= thickness / 2) & (along >= 0) & (along <= line.length)
+    if (count := int(within.sum())) < fewest:
+        extent = "nothing"
+        if len(points):
+            (x0, y0, _), (x1, y1, _) = points.min(axis=0), points.max(axis=0)
+            extent = f"x from {x0:.2f} to {x1:.2f} m and y from {y0:.2f} to {y1:.2f} m"
+        raise ValueError(
+            f"only {count} points lie within {thickness / 2:g} m of the line from {line.start} to "
+            f"{line.end}, {fewest} are needed; the cloud covers {extent}"
+        )
+    places = line.distances
+    nearest = np.searchsorted((places[:-1] + places[1:]) / 2, along[within])
+    order = np.argsort(nearest, kind="stable")
+    at, begins = np.unique(nearest[order], return_index=True)
+    heights, above = np.full(len(places), np.nan), np.full(len(places), np.inf)
+    underside = heights.copy()
+    groups = np.split(points[within, 2][order], begins[1:])
+    for place, group in zip(at, groups, strict=True):
+        layer, above[place] = layer_of_points(group, choice)
+        underside[place] = layer[0]
+        heights[place] = np.quantile(layer, quantile)
+    layers, covered = heights.copy(), np.isfinite(above)
+    for place, group in zip(at, groups, strict=True):
+        parts = parts_of_points(group, choice)
+        if parts[0][0] < underside[place] and not choice.highest:
+            reach = places[place] + np.array([-1, 1]) * choice.largest_gap
+            near = layers[slice(*np.searchsorted(places, reach))]
+            if (np.abs(near - parts[0][-1]) <= _LEVEL * choice.headroom).any():
+                # Few points are no stray ones where they continue the ground beside them.
+                covered[place], underside[place] = True, parts[0][0]
+                heights[place] = np.quantile(parts[0], quantile)
+        above[place] = min((p[0] for p in parts if p[0] > underside[place]), default=np.inf)
+    none = np.zeros(len(places), np.bool_)
+    return Ground(heights, covered, none, none, none, above, underside)

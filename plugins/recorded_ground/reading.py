@@ -1,0 +1,71 @@
+"""Reading files of recorded ground: text of any encoding, missing values, readers' warnings."""
+
+import logging
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from flipperctl.api import FloatArray
+
+_MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
+
+
+def read_lines(path: Path) -> list[str]:
+    """Return the file's lines without their ends.
+
+    A file without a byte order mark is read as UTF-8 or else as Windows-1252, which spreadsheets
+    write.
+
+    Raises:
+        ValueError: the file is not text.
+    """
+    data = path.read_bytes()
+    encoding = next((name for mark, name in _MARKS.items() if data.startswith(mark)), None)
+    for name in (encoding,) if encoding else ("utf-8", "cp1252"):
+        try:
+            text = data.decode(name)
+        except UnicodeDecodeError:
+            continue
+        if "\0" not in text:
+            return text.splitlines()
+    raise ValueError("it is not a text file; it holds binary data")
+
+
+TYPICAL = (-9999.0, -99999.0, -32767.0, -32768.0)
+"""Values that mapping programs write for unknown heights [the file's unit]."""
+_HUGE = 1e20
+"""Smallest absolute value that is no height, such as 1e20 and 3.4e38 [the file's unit]."""
+
+
+def without_missing(values: FloatArray, stated: float | None = None) -> tuple[FloatArray, str]:
+    """Return the values with NaN for missing ones, and a remark on those found unstated.
+
+    Besides ``stated``, typical and huge values are missing; without these the remark is empty.
+    """
+    if stated is not None:
+        values = np.where(values == np.float64(stated), np.nan, values)
+    found = np.isin(values, TYPICAL) | (np.abs(values) >= _HUGE)  # NaN is neither
+    if not found.any():
+        return values, ""
+    first = values[found].ravel()[0]
+    remark = f"{int(found.sum())} values such as {first:g} are treated as unknown heights"
+    return np.where(found, np.nan, values), remark
+
+
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Raise the warnings of readers as errors and silence their logs.
+
+    A logger that has a handler does not write to stderr.
+    """
+    for name in ("rasterio", "trimesh"):
+        logger = logging.getLogger(name)
+        if not logger.handlers:
+            logger.addHandler(logging.NullHandler())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.simplefilter("ignore", PendingDeprecationWarning)  # addressed to libraries
+        yield

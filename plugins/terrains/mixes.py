@@ -1,0 +1,119 @@
+"""Mixes of everything that one policy shall drive over."""
+
+from flipperctl.api import AnyTerrain, terrain
+
+from .combinators import Course, Midway, Mix, parts_field, weights_field
+from .obstacles import Gap, Ramp, Step, Uplift
+from .rough import Rough
+from .rows import Pallet, Plum, Rubble, Wave
+from .stairs import BuildingStair, PaperStair, Stair, Stairwell
+
+_STAIR = Stair(fewest=3, most=6, tread=0.3, tread_down=0.25, tread_spread=0.05)
+_MIX: tuple[tuple[AnyTerrain, float], ...] = (
+    (Step(low=-0.45, high=0.45), 1.0),
+    (Step(low=0.1, high=0.45, platform=2.0, back=True), 1.0),
+    (_STAIR, 2.0),
+    (_STAIR.model_copy(update={"direction": "up", "platform": 1.5, "back": True}), 2.0),
+    (BuildingStair(), 1.5),
+    (BuildingStair(fewest=7, most=16), 1.0),
+    (BuildingStair(fewest=8, most=16, landing_every=6), 1.0),
+    (Ramp(), 1.5),
+    (Uplift(), 1.0),
+    (Gap(), 1.5),
+    (Wave(), 1.5),
+    (Rubble(), 1.0),
+    (Pallet(), 1.0),
+    (Plum(), 2.0),
+)
+
+
+@terrain("all_kinds")
+class AllKinds(Mix):
+    """Draw one of ten kinds of ground each episode, from steps to boards of random height.
+
+    Stairs are the most frequent: flights of 3 to 16 steps, with and without landings. One policy
+    for all of it is trained with this terrain.
+    """
+
+    parts: tuple[AnyTerrain, ...] = parts_field(tuple(part for part, _ in _MIX))
+    weights: tuple[float, ...] = weights_field(tuple(weight for _, weight in _MIX))
+
+
+_SHORT_STAIR = BuildingStair(fewest=2, most=5)
+_OBSTACLES: tuple[tuple[AnyTerrain, float], ...] = (
+    (Step(), 1.5),
+    (_SHORT_STAIR, 2.0),
+    (Ramp(), 1.0),
+    (Gap(), 1.0),
+    (Uplift(), 1.0),
+    (Wave(most=3), 0.5),
+    (Rubble(most=6), 0.5),
+    (Pallet(most=3), 1.0),
+    (Plum(most=3), 1.0),
+    (Rough(length_low=1.5, length_high=3.0), 0.5),
+)
+_SLOPES: tuple[tuple[AnyTerrain, float], ...] = (
+    (BuildingStair(fewest=8, most=16), 2.0),
+    (Stairwell(), 1.0),
+    (Ramp(slope_low=15, length_low=2.4, length_high=4.0), 2.0),
+    (Rough(), 1.0),
+)
+
+
+def _mix(parts: tuple[tuple[AnyTerrain, float], ...]) -> dict[str, tuple[object, ...]]:
+    terrains, weights = zip(*parts, strict=True)
+    return {"parts": terrains, "weights": weights}
+
+
+MIX: tuple[tuple[AnyTerrain, float], ...] = (
+    (AllKinds(), 8.0),
+    (BuildingStair(fewest=7, most=16), 2.0),
+    (BuildingStair(fewest=7, most=16, landing_every=5), 1.0),
+    (BuildingStair(slope_low=40, slope_high=48, fewest=3, most=10), 0.5),
+    (Stair(fewest=6, most=12, tread_spread=0.08), 1.0),
+    (Stairwell(), 2.0),
+    (Step(low=-0.8, high=-0.3), 1.0),
+    (Step(low=0.3, high=0.5), 0.5),
+    (Gap(width_low=0.3, width_high=0.75, depth_low=0.5, depth_high=1.5), 0.4),
+    (Gap(width_low=0.8, width_high=1.2), 0.4),
+    (Rough(), 1.0),
+    (Course(**_mix(_OBSTACLES)), 3.0),
+    (Midway(terrain=Mix(**_mix(_SLOPES))), 1.5),
+)
+
+
+@terrain("all_courses")
+class AllCourses(Mix):
+    """The mix of ``all_kinds`` with what a policy meets in a real building or in rubble.
+
+    That is flights of up to 16 steps with landings and turns, drops, courses of two to five
+    obstacles, rough ground, and starts and finishes on slopes and stairs.
+    """
+
+    parts: tuple[AnyTerrain, ...] = parts_field(tuple(part for part, _ in MIX))
+    weights: tuple[float, ...] = weights_field(tuple(weight for _, weight in MIX))
+
+
+_SHARES = (20.0, 3.0, 1.2, 0.7, 1.0, 2.0, 4.0, 0.7, 18.0, 2.0, 1.0, 4.0, 2.5)
+"""Frequencies of the parts of ``all_courses``: many drops and deep trenches."""
+
+_HARD: tuple[tuple[AnyTerrain, float], ...] = (
+    *((part, share) for (part, _), share in zip(MIX, _SHARES, strict=True)),
+    (BuildingStair(slope_low=20, slope_high=28, fewest=7, most=16, direction="down"), 10.0),
+    (Midway(), 2.0),
+    (PaperStair(), 1.5),
+    (Plum(), 4.0),
+    (Ramp(), 4.0),
+)
+
+
+@terrain("hard_courses")
+class HardCourses(Mix):
+    """``all_courses`` with more of what policies learn last, for training rather than for judging.
+
+    That is deep trenches, drops, long and flat flights down, piles, ramps, starts on stairs and
+    the paper's stair.
+    """
+
+    parts: tuple[AnyTerrain, ...] = parts_field(tuple(part for part, _ in _HARD))
+    weights: tuple[float, ...] = weights_field(tuple(weight for _, weight in _HARD))
