@@ -147,9 +147,6 @@ def _check(ground: SensedGround, angles: SensedAngles, bins: int) -> None:
     assert deviation is not None, "deviation"
     assert (deviation > 0).all(), "deviation"
     assert np.array_equal(np.isfinite(deviation), seen), "deviation of unseen bins"
-    assert ground.sides is not None, "sides"
-    assert ground.sides.shape == (2, bins), "sides"
-    assert not np.isinf(ground.sides).any(), "sides"
     assert all(map(math.isfinite, (angles.front, angles.rear, angles.pitch))), "angles"
 
 

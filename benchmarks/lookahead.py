@@ -29,7 +29,7 @@ from flipperctl.config import EnvConfig, TrainConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.lookahead.controllers import Mpc, ValueIteration
 from flipperctl.lookahead.model import Model
-from flipperctl.lookahead.mpc_policy import MpcPolicy
+from flipperctl.lookahead.mpc import MpcPolicy
 from flipperctl.policies.source import PolicySource
 from flipperctl.policies.values import value_of
 from flipperctl.rollout.episode import Decision, decisions

@@ -30,7 +30,7 @@ from flipperctl.errors import RequestError
 from flipperctl.evaluation.evaluate import evaluate
 from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.workers import EpisodeRunner
-from flipperctl.sim.planar.map_errors import NEAREST, MapErrorSize
+from flipperctl.sim.planar.sensing import NEAREST, MapErrorSize
 
 LEVEL, STEEP = 0.01, 0.03
 """Neighbouring bins differ by less on level ground, and by more on sloped ground [m]."""

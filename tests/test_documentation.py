@@ -17,7 +17,7 @@ from flipperctl import checkpoint
 from flipperctl.api import ACTIONS
 from flipperctl.cli.bench import MEASURES
 from flipperctl.env import flipper_env
-from flipperctl.lookahead import planner_policy as best_known
+from flipperctl.lookahead import planner
 from flipperctl.lookahead.controllers import Mpc, Planner
 from flipperctl.testing import checks
 from tests.cli.call import EXACT, GROUPS, RUN, call
@@ -170,7 +170,7 @@ def small_searches(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(
             search, "build", lambda self, b=build, s=small: b(self.model_copy(update=s))
         )
-    monkeypatch.setattr(best_known, "_STARTS", ("level",))  # not a whole drive of mpc
+    monkeypatch.setattr(planner, "_STARTS", ("level",))  # not a whole drive of mpc
 
 
 MAKERS = {

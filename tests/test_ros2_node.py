@@ -185,58 +185,31 @@ def test_an_arm_and_a_second_lidar_do_not_disturb_it(node: Any, stream: Stream) 
     assert set(node.warnings) == {"clouds come in lidar and in camera"}
 
 
-def drops(stream: Stream) -> Iterator[tuple[float, str, Any]]:
+def jumps(stream: Stream) -> Stream:
     begun = stream[0][0]
-    yield from (m for m in stream if m[1] != "points" or m[0] < begun + 1)
+    return [(t + (60 if t > begun + 1 else 0), topic, m) for t, topic, m in stream]
 
 
-def late(stream: Stream) -> Iterator[tuple[float, str, Any]]:
-    yield from ((time + 0.3, topic, message) for time, topic, message in stream)
+def changed(of: str, **changes: Any) -> Callable[[Stream], Stream]:
+    """Return a function that changes fields of one topic's messages, or of their headers."""
+
+    def apply(message: Any) -> Message:
+        fields = vars(message) | changes
+        header = {n: fields.pop(n) for n in ("stamp", "frame_id") if n in changes}
+        return Message(**{**fields, "header": Message(**(vars(message.header) | header))})
+
+    return lambda stream: [(t, n, apply(m) if n == of else m) for t, n, m in stream]
 
 
-def jumps(stream: Stream) -> Iterator[tuple[float, str, Any]]:
-    begun = stream[0][0]
-    yield from ((t + (60 if t > begun + 1 else 0), topic, m) for t, topic, m in stream)
-
-
-def blind(stream: Stream) -> Iterator[tuple[float, str, Any]]:
-    for time, topic, message in stream:
-        if topic == "points":
-            data = np.full(len(message.data) // 4, np.nan, "<f4").view(np.uint8)
-            message = Message(**{**vars(message), "data": data})
-        yield time, topic, message
-
-
-def elsewhere(stream: Stream) -> Iterator[tuple[float, str, Any]]:
-    for time, topic, message in stream:
-        if topic == "points":
-            header = Message(**{**vars(message.header), "frame_id": "camera"})
-            message = Message(**{**vars(message), "header": header})
-        yield time, topic, message
-
-
-def unstamped(stream: Stream) -> Iterator[tuple[float, str, Any]]:
-    for time, topic, message in stream:
-        if topic == "joint_states":
-            header = Message(stamp=Message(sec=0, nanosec=0), frame_id="base_link")
-            message = Message(**{**vars(message), "header": header})
-        yield time, topic, message
-
-
-def without_orientation(stream: Stream) -> Iterator[tuple[float, str, Any]]:
-    for time, topic, message in stream:
-        if topic == "imu/data":
-            message = Message(**{**vars(message), "orientation_covariance": [-1.0] + [0.0] * 8})
-        yield time, topic, message
+elsewhere = changed("points", frame_id="camera")
+unstamped = changed("joint_states", stamp=Message(sec=0, nanosec=0))
+without_orientation = changed("imu/data", orientation_covariance=[-1.0] + [0.0] * 8)
 
 
 @pytest.mark.parametrize(
     ("change", "fault"),
     [
-        (drops, "cloud_age"),
-        (late, "joints_age"),
         (jumps, "clock_jump"),
-        (blind, "cloud_points"),
         (elsewhere, "cloud_frame"),
         (unstamped, "joints_value"),
         (without_orientation, "attitude_value"),
@@ -245,7 +218,7 @@ def without_orientation(stream: Stream) -> Iterator[tuple[float, str, Any]]:
 def test_a_bag_with_faults_is_refused_with_the_reason(
     node: Any, stream: Stream, change: Callable[..., Any], fault: str
 ) -> None:
-    told = play(node, list(change(stream)))
+    told = play(node, change(stream))
     assert fault in faults(told)
     assert all(text for _, text, name in told if name)
     assert not node.published["belts_may_run"][-1].data

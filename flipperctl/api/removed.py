@@ -14,6 +14,7 @@ _REMOVED: Mapping[str, Mapping[str, object]] = {
     "policy_gradient": {"value_rate": 1e-3, "value_passes": 8},
     "mpc": {"averaging": 0.5},
     "planner": {"stretch": 0.12},
+    "planar": {"engine": "compiled"},
     "mujoco": {"ground_width": 4.0, "roll_gain": 0.0, "rotor_inertia": 1.0},
     "lidar": {"wander_time": 30.0},
 }

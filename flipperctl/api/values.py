@@ -268,9 +268,6 @@ class Perception:
     deviation: FloatArray | None = None
     """(N,) standard deviation of the error of each height in ``observation``, as the sensor judges
     it, infinite where nothing was seen [m]; None: it is not judged."""
-    sides: FloatArray | None = None
-    """(2, N) heights of the ground below the left and the right tracks alone, NaN where nothing
-    was seen [m]; None: the sensor does not tell them apart."""
 
 
 @dataclass(frozen=True)

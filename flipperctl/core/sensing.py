@@ -29,9 +29,6 @@ class SensedGround:
     deviation: FloatArray | None = None
     """(N,) standard deviation of each height's error, as the estimator judges it, infinite where
     nothing was seen [m]; None: it is not judged."""
-    sides: FloatArray | None = None
-    """(2, N) ``heights`` of the ground below the left and the right tracks alone, NaN where
-    nothing was seen [m]; None: they are not told apart."""
 
 
 @dataclass(frozen=True)

@@ -73,12 +73,8 @@ class EstimateCheck:
         self._check_optional("seen", ground.seen, "b", self._heights)
         self._check_optional("position", ground.position, _NUMBERS, (2,))
         self._check_optional("deviation", ground.deviation, _NUMBERS, self._heights)
-        self._check_optional("sides", ground.sides, _NUMBERS, (2, *self._heights))
         if ground.deviation is not None and not (ground.deviation >= 0).all():  # nor NaN
             raise self._refusal("a deviation that is negative or NaN", "0 or more, or infinity")
-        if ground.sides is not None and np.isinf(ground.sides).any():
-            allowed = "finite numbers, or NaN where nothing was seen"
-            raise self._refusal("sides that are infinite", allowed, NonFiniteError)
         checked = [("points", points), ("heights", heights)]
         if ground.position is not None:
             checked.append(("position", ground.position))

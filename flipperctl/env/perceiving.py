@@ -138,7 +138,6 @@ class Perceiver:
             seen=_copy(ground.seen),
             position=_copy(ground.position),
             deviation=_copy(ground.deviation),
-            sides=_copy(ground.sides),
         )
 
     def save(self) -> tuple[Any, ...]:

@@ -157,6 +157,13 @@ class Model:
         return Branch(found, place, variation, steepest, outcome, path)
 
 
+def nominal(geometry: RobotGeometry) -> Robot:
+    """Return a robot of this geometry, with its own masses and speeds if they are known."""
+    if isinstance(geometry, Robot):
+        return geometry
+    return Robot(**geometry.model_dump())
+
+
 @cache
 def compile_now() -> None:
     """Compile the dynamics, or read them from the cache on disk."""

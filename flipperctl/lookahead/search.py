@@ -1,23 +1,35 @@
 """A beam search over flipper commands on the ground around the robot.
 
 In: the robot's present state on a piece of ground, and an objective. Out: the cheapest sequence of
-actions, and the cost of the best sequence that begins with each action. The objective of ``mpc``
-without rewards is a cost by hand-set weights, in seconds.
+actions, and the cost of the best sequence that begins with each action. ``Returns`` is the negative
+discounted return of reward terms and of a value at the horizon; ``mpc`` has a hand-set cost too.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.api import ACTIONS, FloatArray, Profile, Robot, RobotGeometry, action_index
+from flipperctl.api import (
+    ACTIONS,
+    LAST_PITCHES,
+    FloatArray,
+    Outcome,
+    Profile,
+    Robot,
+    RobotGeometry,
+    action_index,
+)
 from flipperctl.config import Episode
-from flipperctl.lookahead.model import FLIPPERS, TARGETS, TURNS, Branch, Model
+from flipperctl.lookahead.dynamics import RUNNING
+from flipperctl.lookahead.model import FLIPPERS, TARGETS, TURNS, Branch, Model, Nodes, transitions
+from flipperctl.reward_sum import RewardSum
 
 _CLEARANCE = Episode().clearance
 """Largest height of the chassis' higher end above the ground at the finish [m].
@@ -38,7 +50,6 @@ def highest_at_finish(profile: Profile, robot: RobotGeometry, finish: float) -> 
 
 
 HOLD = action_index(0, 0)
-_TURNS = np.array(ACTIONS, dtype=np.float64)
 _CELL = np.array([0.03, 0.03, 0.03])
 """Nodes whose x, z [m] and pitch [rad] fall into one cell, and their targets, are merged."""
 
@@ -119,19 +130,6 @@ class _Level:
 
 
 @dataclass(frozen=True)
-class _Ended:
-    """The cheapest plan that ends the episode."""
-
-    cost: float
-    level: int
-    """Depth of the node before its last decision."""
-    parent: int
-    action: int
-    state: FloatArray
-    lost_time: float
-
-
-@dataclass(frozen=True)
 class Search:
     """A search of one size; no run depends on an earlier one."""
 
@@ -161,7 +159,8 @@ class Search:
         none, begin = np.array([-1]), self.objective.begin(model, root)
         levels = [_Level(root[None], begin, none, none, none, np.zeros(1), 0)]
         costs, best = np.full(len(ACTIONS), np.inf), math.inf
-        final, ended = np.full(len(ACTIONS), np.inf), None
+        final, least = np.full(len(ACTIONS), np.inf), math.inf
+        ended: tuple[tuple[int, ...], FloatArray, float] | None = None  # the cheapest such plan
         simulated = 0
         for step in range(self.depth):
             here = levels[-1]
@@ -176,11 +175,11 @@ class Search:
                 # Of equal plans the one that holds, or flippers drift on level ground.
                 holds = action[rows] == HOLD
                 row = rows[(cost[rows] - _EQUAL * holds).argmin()]
-                if ended is None or cost[row] < ended.cost:
-                    ended = _Ended(
-                        *(float(cost[row]), step, int(parent[row]), int(action[row])),
-                        *(found.states[row], float(scores.lost_time[row])),
-                    )
+                if ended is None or cost[row] < least:
+                    actions, states = _trace(levels, int(parent[row]))
+                    actions, states = (*actions, int(action[row])), [*states, found.states[row]]
+                    ended = actions, np.array(states), float(scores.lost_time[row])
+                    least = float(cost[row])
             alive = ~scores.ended & (found.steepest < model.overturn)
             if not alive.any():
                 if step or ended is not None:
@@ -208,14 +207,10 @@ class Search:
             )
             if time.perf_counter() > deadline:
                 break
-        if ended is not None and (ended.cost < best or len(levels) == 1):
-            actions, states = _trace(levels[: ended.level + 1], ended.parent)
-            actions, states = (*actions, ended.action), np.vstack([states, ended.state])
-            lost_time = ended.lost_time
-        else:
+        if ended is None or not (least < best or len(levels) == 1):
             actions, states = _trace(levels, 0)
-            lost_time = float(levels[-1].lost_time[0])
-        return Plan(actions, states, lost_time, np.minimum(costs, final), simulated)
+            ended = actions, np.array(states), float(levels[-1].lost_time[0])
+        return Plan(*ended, np.minimum(costs, final), simulated)
 
     def _keep(
         self,
@@ -253,9 +248,9 @@ def moves(
     """
     angles, targets = states[:, FLIPPERS:TARGETS], states[:, TARGETS:]
     targets = np.clip(targets, angles - robot.angle_step, angles + robot.angle_step)
-    turned = targets[:, None, :] + _TURNS * robot.angle_step  # (M, 9, 2)
+    turned = targets[:, None, :] + TURNS * robot.angle_step  # (M, 9, 2)
     beyond = np.abs(turned) > robot.angle_limit + 0.5 * robot.angle_step
-    node, action = np.nonzero(~(beyond & (_TURNS != 0)).any(axis=2))
+    node, action = np.nonzero(~(beyond & (TURNS != 0)).any(axis=2))
     return node, action, np.clip(turned[node, action], -robot.angle_limit, robot.angle_limit)
 
 
@@ -272,7 +267,7 @@ def _distinct(found: Branch, rows: NDArray[np.int64], robot: Robot) -> NDArray[n
     return np.sort(index)
 
 
-def _trace(levels: list[_Level], node: int) -> tuple[tuple[int, ...], FloatArray]:
+def _trace(levels: list[_Level], node: int) -> tuple[tuple[int, ...], list[FloatArray]]:
     """Return the actions and the states that lead to a ``node`` of the last level."""
     actions: list[int] = []
     states: list[FloatArray] = []
@@ -281,108 +276,128 @@ def _trace(levels: list[_Level], node: int) -> tuple[tuple[int, ...], FloatArray
         states.append(level.states[node])
         node = int(level.parent[node])
     states.append(levels[0].states[0])
-    return tuple(actions[::-1]), np.array(states[::-1])
+    return tuple(actions[::-1]), states[::-1]
 
 
-HURRY = 5.0
-"""Divisor of the cost weight of pitch variation in a hurry [-]."""
+class History:
+    """The last pitches, the last turns, and the time since the start."""
+
+    def __init__(self) -> None:
+        self._pitches: list[float] = []
+        self._turns = 0, 0
+        self._time = 0.0
+
+    def saw(self, pitch: float) -> None:
+        """Remember the pitch at a decision [rad]."""
+        self._pitches = [*self._pitches, pitch][-LAST_PITCHES:]
+
+    def took(self, action: int, period: float) -> None:
+        """Remember an action and its ``period`` [s]."""
+        self._turns = ACTIONS[action]
+        self._time += period
+
+    def node(self, state: FloatArray, place: FloatArray) -> Nodes:
+        """Return the robot in a state of the prediction model, (``STATE``,), at x and z [m]."""
+        return Nodes(
+            states=state[None],
+            places=place[None],
+            pitches=np.array([self._pitches]),
+            turns=np.array([self._turns]),
+            time=np.array([self._time]),
+        )
+
+
+_SLOW = 0.3
+"""Share of the way at full speed below which a plan stands [-]."""
 
 
 @dataclass(frozen=True)
-class CostWeights:
-    """Weights of the terms of a plan's cost, which is in seconds."""
+class Returns:
+    """The objective of one decision's search."""
 
+    rewards: RewardSum
+    horizon: Callable[[Nodes], FloatArray]
+    """Returns the expected discounted return from nodes on, (M,) [-]."""
+    gamma: float
+    """Discount per decision [-]."""
+    profile: Profile
+    """The known ground."""
     robot: Robot
-
-    pitch_variation: float
-    """Weight of the pitch variation [s/rad]."""
-    pitch: float
-    """Weight of the absolute pitch at the horizon [s/rad]."""
-    lean: float
-    """Weight of the absolute pitch after each decision [s/rad]."""
-    flippers: float
-    """Weight of each absolute flipper angle after each decision [s/rad]."""
-    turn: float
-    """Cost of turning a flipper pair in one decision [s]."""
-    standstill: float
-    """Additional weight of time lost beyond ``standstill_from`` [s/s]."""
-    standstill_from: float
-    """Lost time from which a plan counts as standing still [s]."""
-    steep: float
-    """Weight of the largest pitch of a plan beyond ``steep_from`` [s/rad]."""
-    steep_from: float
-    """Pitch above which a plan is charged for steepness, below overturning [rad]."""
+    root: Nodes
+    """The robot before its decision, one node."""
+    standing: int
+    """Number of decisions in which the robot has stood until now."""
+    patience: int
+    """Number of decisions without progress after which an episode ends as stuck [-]."""
+    averaging: float = 0.0
+    """Share of the estimates at smaller depths in the return of a plan, 0 to 1. The best of many
+    plans is often the one whose value errs most; its errors at several depths average out."""
 
     @property
     def poses(self) -> bool:
-        """The costs need no poses between decisions."""
-        return False
+        """Reward terms see the poses between decisions."""
+        return True
 
-    def begin(self, model: Model, root: FloatArray) -> CostAccount:
+    def begin(self, model: Model, root: FloatArray) -> ReturnAccount:
         """Return the account of a search from the state ``root``."""
-        zero = np.zeros(1)
-        return CostAccount(self, model.chassis(root)[0], 0, zero, zero, zero)
+        nodes, zero = replace(self.root, states=root[None]), np.zeros(1)
+        return ReturnAccount(self, nodes, 0, zero, zero)
 
 
 @dataclass(frozen=True)
-class CostAccount:
-    """What the plans of M nodes have cost so far."""
+class ReturnAccount:
+    """The discounted reward of the plans of M nodes."""
 
-    weights: CostWeights
-    begin: float
-    """x of the chassis centre at the root [m]."""
+    objective: Returns
+    nodes: Nodes
     depth: int
     """Number of decisions from the root."""
-    variation: FloatArray
-    """Pitch variation from the root, (M,) [rad]."""
-    paid: FloatArray
-    """Cost of postures and turns from the root, (M,) [s]."""
-    steep: FloatArray
-    """Largest absolute pitch from the root, (M,) [rad]."""
+    earned: FloatArray
+    """Discounted rewards from the root, (M,) [-]."""
+    estimate: FloatArray
+    """Estimated return of the plans, (M,) [-]."""
 
-    def take(self, rows: NDArray[np.int64]) -> CostAccount:
+    def take(self, rows: NDArray[np.int64]) -> ReturnAccount:
         """Return the account of some of the nodes."""
-        return CostAccount(
-            *(self.weights, self.begin, self.depth),
-            *(self.variation[rows], self.paid[rows], self.steep[rows]),
+        return replace(
+            self,
+            nodes=self.nodes.take(rows),
+            earned=self.earned[rows],
+            estimate=self.estimate[rows],
         )
 
     def extend(self, parent: NDArray[np.int64], action: NDArray[np.int64], found: Branch) -> Scores:
         """Return the scores of plans that are one decision longer."""
-        weights, robot = self.weights, self.weights.robot
-        variation = self.variation[parent] + found.pitch_variation
-        paid = self.paid[parent] + _step_cost(found.states, action, weights)
-        steep = np.maximum(self.steep[parent], found.steepest)
-        distance = found.places[:, 0] - self.begin
-        lost = robot.decision_period * (self.depth + 1) - distance / robot.track_speed
-        lost = np.maximum(lost, 0.0)  # otherwise plans would push themselves along by flippers
-        rest = paid + _final_cost(found.states, lost, steep, weights)
-        account = CostAccount(weights, self.begin, self.depth + 1, variation, paid, steep)
+        o, period = self.objective, self.objective.robot.decision_period
+        before = self.nodes.take(parent)
+        after = before.after(found, action, period)
+        ts = transitions(before, after, found, o.profile, o.robot)
+        reward = o.rewards.array(ts)
+        ended = found.outcome != RUNNING
+        ahead = np.zeros(len(parent))
+        going = np.flatnonzero(~ended)
+        ahead[going] = o.horizon(after.take(going))
+        distance = found.places[:, 0] - o.root.places[0, 0]
+        way = o.robot.track_speed * period * (self.depth + 1)
+        if o.standing:
+            # The longer the robot has stood, the likelier the episode ends before it moves. The
+            # value does not know how long it has stood.
+            rows = np.flatnonzero(~ended & (distance < _SLOW * way))
+            risk = min(1.0, (o.standing + self.depth + 1) / o.patience)
+            if len(rows):
+                stuck = o.rewards.array(ts.ending(rows, Outcome.STUCK))
+                reward[rows] += risk * (stuck - reward[rows])
+                ahead[rows] *= 1.0 - risk
+        discount = o.gamma**self.depth
+        earned = self.earned[parent] + discount * reward
+        estimate = earned + discount * o.gamma * ahead
+        if self.depth and o.averaging:
+            mixed = o.averaging * self.estimate[parent] + (1 - o.averaging) * estimate
+            estimate = np.where(ended, estimate, mixed)
         return Scores(
-            cost=rest + weights.pitch_variation * variation,
-            hurried=rest + weights.pitch_variation / HURRY * variation,
-            ended=np.zeros(len(lost), np.bool_),
-            lost_time=lost,
-            account=account,
+            cost=-estimate,
+            hurried=-distance,
+            ended=ended,
+            lost_time=np.maximum(0.0, period * (self.depth + 1) - distance / o.robot.track_speed),
+            account=ReturnAccount(o, after, self.depth + 1, earned, estimate),
         )
-
-
-def _step_cost(states: FloatArray, action: NDArray[np.int64], weights: CostWeights) -> FloatArray:
-    """Return the cost of the turns in one decision and of the postures after it, (M,) [s]."""
-    return np.asarray(
-        weights.flippers * np.abs(states[:, TARGETS:]).sum(axis=1)
-        + weights.lean * np.abs(states[:, 2])
-        + weights.turn * np.abs(TURNS[action]).sum(axis=1)
-    )
-
-
-def _final_cost(
-    states: FloatArray, lost: FloatArray, steep: FloatArray, weights: CostWeights
-) -> FloatArray:
-    """Return the cost of lost time, largest pitch and final pitch of plans, (M,) [s]."""
-    return np.asarray(
-        lost
-        + weights.standstill * np.maximum(0.0, lost - weights.standstill_from)
-        + weights.pitch * np.abs(states[:, 2])
-        + weights.steep * np.maximum(0.0, steep - weights.steep_from)
-    )

@@ -6,22 +6,149 @@ targets, whether the belts may run, and why.
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from numbers import Real
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from flipperctl.core import observation as layout
 from flipperctl.core.lidar.messages import Belts
 from flipperctl.core.sensing import Measured, SensedGround
-from flipperctl.runtime.answer import Answer, Pair, State, finite, log_line, short
-from flipperctl.runtime.estimating import new_estimator
 from flipperctl.runtime.intake import Accepted, Fault, Intake
 from flipperctl.runtime.messages import Attitude, Cloud, JointAngles, Odometry
 from flipperctl.runtime.policy import OnnxPolicy
-from flipperctl.runtime.setup import Limits, RobotSetup
-from flipperctl.runtime.watching import Following, Standby
+from flipperctl.runtime.setup import Limits, RobotSetup, new_estimator
+
+Pair = tuple[float, float]
+State = Literal["waiting", "standby", "driving", "holding", "stopped"]
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What the flippers and the belts shall do until the next step."""
+
+    targets: Pair | None
+    """Angles to turn the front and the rear flippers to, in the robot's signs [rad].
+
+    None as long as no angle was measured: then leave the flippers as they are.
+    """
+    setpoints: Pair | None
+    """Where the flippers shall be now on their way there, at the speed of the training [rad]."""
+    drive: bool
+    """Whether the belts may run."""
+    state: State
+    """``waiting`` for the first inputs, ``driving``, ``holding`` the flippers, or ``stopped``.
+
+    In ``standby`` the flippers are held too: nothing is wrong, and the belts do not drive ahead.
+    """
+    fault: str = ""
+    """Stable name of the fault, as ``cloud_age``; empty without one."""
+    reason: str = ""
+    """What was found and what is allowed, of a fault or in standby; otherwise empty."""
+    action: int | None = None
+    """The action, if this step decided; a row of ``interface.actions``."""
+    risk: float | None = None
+    """Probability of a failure soon, at the last decision; None before one, while the flippers are
+    not driven, and for a file without a risk."""
+    warning: bool = False
+    """Whether the risk is the file's threshold or more."""
+
+
+_PAIRS = ("front", "rear")
+_APPROACH = 0.02
+"""Reduction of the error that counts as an approach [rad]."""
+
+
+@dataclass
+class _Pair:
+    error: float = 0.0
+    """Smallest error since the last approach [rad]."""
+    since: float = 0.0
+    """Time of the last approach [s]."""
+
+
+class _Following:
+    """Finds flippers that miss their targets and come no closer for ``limits.stall_time``."""
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits = limits
+        self._pairs = {name: _Pair() for name in _PAIRS}
+        self._began = False
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self._began = False
+
+    def stalled(
+        self, now: float, targets: tuple[float, float], angles: tuple[float, float]
+    ) -> tuple[str, ...]:
+        """Return the pairs that have not approached their targets for too long; all in [rad]."""
+        found = []
+        for name, target, angle in zip(_PAIRS, targets, angles, strict=True):
+            pair, error = self._pairs[name], abs(target - angle)
+            near = error <= self._limits.stall_error
+            if not self._began or near or error < pair.error - _APPROACH:
+                pair.error, pair.since = error, now
+            elif error > pair.error + self._limits.stall_error:  # another target was set
+                pair.error = error
+            if now - pair.since >= self._limits.stall_time:
+                found.append(name)
+        self._began = True
+        return tuple(found)
+
+
+class _Standby:
+    """Finds belts that have been slower than ``limits.standby_speed`` for ``standby_after``.
+
+    Once they have, it takes ``standby_until`` of a larger speed to end that: a single one, as from
+    slack tracks or a coarse encoder, moves no flipper of a parked robot. It takes what the belts'
+    encoders measure, not how the robot moves: belts that slip under a robot that is stuck drive,
+    and belts that were stopped do not.
+    """
+
+    def __init__(self, limits: Limits) -> None:
+        self._limits = limits
+        self.reset()
+
+    def reset(self) -> None:
+        """Know no speed, as on a robot without encoders of its belts."""
+        self._speed: float | None = None
+        self._driven, self._since = True, 0.0  # what the last speed says, and since when [s]
+        self._stands = False
+
+    def update(self, now: float, speed: float) -> None:
+        """Receive a speed of the belts, ahead positive [m/s].
+
+        If the first speed of all is slow, the belts have never driven, and that counts at once.
+        """
+        first, self._speed = self._speed is None, speed
+        driven = speed >= self._limits.standby_speed
+        if first:
+            self._stands = not driven
+        if driven is not self._driven:
+            self._driven, self._since = driven, now
+
+    def stands(self, now: float) -> bool:
+        """Return whether the flippers stand by; False before any speed."""
+        if self._stands is self._driven:  # the last speeds say otherwise
+            wait = self._limits.standby_until if self._driven else self._limits.standby_after
+            if now - self._since >= wait - 1e-9:  # for sums of periods
+                self._stands = not self._driven
+        return self._stands
+
+    def reason(self) -> str:
+        """Return a sentence with the speed, for an answer in standby."""
+        speed = 0.0 if self._speed is None else self._speed
+        return (
+            f"the belts drive at {speed:.2f} m/s; the flippers are held until that is "
+            f"{self._limits.standby_speed:g} m/s or more"
+        )
+
 
 _ON_TIME = 1e-6
 """Part of a step by which a decision may be early, for times that are sums of periods [s]."""
@@ -65,8 +192,8 @@ class FlipperController:
         self._turning = float(interface.robot.get("flipper_speed", math.inf))
         self._driving_speed = float(interface.robot.get("track_speed", 0.0))
         self._intake = Intake(self._setup, self._limits)
-        self._following = Following(self._limits)
-        self._standby = Standby(self._limits)
+        self._following = _Following(self._limits)
+        self._standby = _Standby(self._limits)
         self._last: float | None = None
         self.reset()
 
@@ -136,9 +263,9 @@ class FlipperController:
 
     def _clock_fault(self, now: object) -> Fault | None:
         """Return a fault if the clock is no clock; after a jump nothing old is of use."""
-        time = finite(now)
+        time = _finite(now)
         if time is None:
-            text = f"the time is {short(now)}; a finite number is allowed"
+            text = f"the time is {_short(now)}; a finite number is allowed"
             return Fault("clock", text, at_once=True)
         if self._last is None:
             return None
@@ -264,7 +391,7 @@ class FlipperController:
         before, self._answer = self._answer, answer
         changed = (answer.state, answer.fault) != (before.state, before.fault)
         if self._log is not None and (changed or action is not None):
-            self._log(log_line(now, answer, risk=self.policy.interface.risk is not None))
+            self._log(_log_line(now, answer, risk=self.policy.interface.risk is not None))
         return answer
 
     def _state(self, fault: Fault | None) -> State:
@@ -297,3 +424,30 @@ class FlipperController:
 
 def _covered(ground: SensedGround) -> float:
     return 1.0 if ground.seen is None else float(np.mean(ground.seen))
+
+
+def _log_line(now: float, answer: Answer, *, risk: bool) -> str:
+    """Return the answer as a line of JSON. ``risk``: whether the file's policy tells one."""
+    told = asdict(answer)
+    if not risk:  # the lines of files without a risk stay
+        del told["risk"], told["warning"]
+    return json.dumps({"time": _short(now) if (time := _finite(now)) is None else time, **told})
+
+
+def _finite(number: object) -> float | None:
+    """Return a finite real number, of Python or numpy; None for anything else."""
+    if isinstance(number, bool) or not isinstance(number, Real):
+        return None
+    try:
+        found = float(number)
+    except OverflowError:
+        return None
+    return found if math.isfinite(found) else None
+
+
+def _short(value: object) -> str:
+    """Return a value as text of at most 40 characters."""
+    try:
+        return str(value)[:40]
+    except ValueError:  # Python writes no integer of more than 4300 digits
+        return type(value).__name__

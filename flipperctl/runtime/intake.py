@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Scan
-from flipperctl.runtime.messages import ABSENT, Attitude, Cloud, JointAngles, Levels, Odometry
+from flipperctl.runtime.messages import ABSENT, KINDS, Attitude, Cloud, JointAngles, Levels
 from flipperctl.runtime.setup import Limits, RobotSetup
 
 Accepted = Scan | Inertial | Joints | Belts
@@ -126,7 +126,7 @@ class Intake:
         return None
 
     def _checked(self, device: str, message: Any, now: float) -> tuple[float, Accepted] | None:
-        kind = _KINDS[device]
+        kind = KINDS[device]
         if not isinstance(message, kind):
             raise _refusal(device, "kind", f"is {type(message).__name__}", kind.__name__)
         time = _number(device, "time", message.time, math.inf)
@@ -202,14 +202,6 @@ class Intake:
             pitch=signs.pitch * pitch,
             yaw_rate=signs.yaw * _number("attitude", "yaw_rate", message.yaw_rate, _FASTEST_TURN),
         )
-
-
-_KINDS: dict[str, type[Any]] = {
-    "joints": JointAngles,
-    "attitude": Attitude,
-    "odometry": Odometry,
-    "cloud": Cloud,
-}
 
 
 def _refusal(device: str, name: str, found: str, allowed: str) -> _RefusedError:

@@ -10,7 +10,6 @@ import math
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import partial
 from types import MappingProxyType
 from typing import Any
 
@@ -25,157 +24,43 @@ from flipperctl.core.targets import PAIRS, TargetRule
 from flipperctl.errors import OldVersionError, PolicyError
 from flipperctl.runtime.session import EXPORT_AGAIN, FORMAT_VERSION, PREFIX
 
-
-def read_entry(
-    metadata: Mapping[str, str],
-    where: str,
-    name: str,
-    allowed: str,
-    check: Callable[[Any], bool],
-    absent: str = "",
-) -> Any:
-    """Return the value of an entry after ``check``; ``absent`` is the text of a missing entry.
-
-    Raises:
-        PolicyError: the entry is not JSON, or ``check`` rejects it.
-    """
-    text = metadata.get(f"{PREFIX}{name}", absent)
-    try:
-        value = json.loads(text)
-    except (ValueError, RecursionError):
-        value = None
-    if value is None or not check(value):
-        raise PolicyError(
-            f"{where}: {PREFIX}{name} is {text[:60]!r} in its metadata; {allowed} is allowed"
-        )
-    return value
+Check = Callable[[Any], bool]
 
 
-def is_whole(value: object) -> bool:
-    """Return whether a value is a whole number."""
+def _is_whole(value: Any) -> bool:
     return isinstance(value, int) and not isinstance(value, bool)
 
 
-def is_count(value: object) -> bool:
-    """Return whether a value is a whole number above 0."""
-    return isinstance(value, int) and is_whole(value) and value > 0
+def _is_count(value: Any) -> bool:
+    return _is_whole(value) and value > 0
 
 
-def is_number(value: object) -> bool:
-    """Return whether a value is a finite number."""
+def _is_number(value: Any) -> bool:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
     return abs(value) <= sys.float_info.max  # false for NaN; integers are unbounded
 
 
-def is_positive(value: object) -> bool:
-    """Return whether a value is a finite number above 0."""
-    return isinstance(value, int | float) and is_number(value) and value > 0
+def _is_positive(value: Any) -> bool:
+    return _is_number(value) and bool(value > 0)
 
 
-def is_table(value: object) -> bool:
-    """Return whether a value is a table with a row of finite numbers for each action."""
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
+def _has(value: Any, checks: Mapping[str, Check], *, alone: bool = False) -> bool:
+    """Return whether a value is a mapping with these entries; ``alone``: and no others."""
     return (
-        isinstance(value, list)
-        and len(value) == len(PAIRS.steps)
-        and all(
-            isinstance(row, list) and len(row) == len(PAIRS.joints) and all(map(is_number, row))
-            for row in value
-        )
+        isinstance(value, dict)
+        and (not alone or value.keys() == checks.keys())
+        and all(check(value.get(name)) for name, check in checks.items())
     )
 
 
-TARGETS = f"{PREFIX}targets"
-"""Metadata entry of the rule for the flippers' targets."""
-RISK = f"{PREFIX}risk"
-"""Metadata entry of the risk, in files whose policy tells one."""
-ESCAPE = f"{PREFIX}escape"
-"""Metadata entry of how actions are drawn on a warning, in files whose policy does so."""
-MAP = f"{PREFIX}map"
-"""Metadata entry of the map's settings, in files whose policy was trained with a LiDAR."""
-
-
-def targets(metadata: Mapping[str, str], where: str) -> TargetRule:
-    """Return the rule for the targets."""
-    rule = read_entry(
-        metadata,
-        where,
-        TARGETS.removeprefix(PREFIX),
-        "a mapping with the angles window and limit, each above 0",
-        lambda v: (
-            isinstance(v, dict) and all(is_positive(v.get(key)) for key in ("window", "limit"))
-        ),
-    )
-    return TargetRule(window=rule["window"], limit=rule["limit"])
-
-
-def risk(metadata: Mapping[str, str], where: str) -> RiskSign | None:
-    """Return when the risk is a warning; None if the file has no risk."""
-    if RISK not in metadata:
-        return None
-    sign = read_entry(
-        metadata,
-        where,
-        RISK.removeprefix(PREFIX),
-        "a mapping with the whole number horizon, the threshold, above 0 and at most 1, the lags "
-        f"{list(LAGS)} and the scale {SCALE}",
-        lambda v: (
-            isinstance(v, dict)
-            and is_count(v.get("horizon"))
-            and is_positive(v.get("threshold"))
-            and v["threshold"] <= 1
-            and (v.get("lags"), v.get("scale")) == (list(LAGS), SCALE)
-        ),
-    )
-    return RiskSign(sign["horizon"], float(sign["threshold"]))
-
-
-def escape(metadata: Mapping[str, str], where: str) -> EscapeRule | None:
-    """Return how actions are drawn on a warning; None if they never are."""
-    if ESCAPE not in metadata:
-        return None
-    rule = read_entry(
-        metadata,
-        where,
-        ESCAPE.removeprefix(PREFIX),
-        f"a mapping with the temperature, above 0, and the whole number decisions, beside {RISK},",
-        lambda v: (
-            isinstance(v, dict)
-            and is_positive(v.get("temperature"))
-            and is_count(v.get("decisions"))
-            and RISK in metadata
-        ),
-    )
-    return EscapeRule(float(rule["temperature"]), rule["decisions"])
-
-
-def map_quality(metadata: Mapping[str, str], where: str) -> MapQuality | None:
-    """Return the settings of the training's map; None if the file does not state them."""
-    if MAP not in metadata:
-        return None
-    lengths, counts = ("cell", "lane", "half_width", "noise"), ("keep", "fewest")
-    quality = read_entry(
-        metadata,
-        where,
-        MAP.removeprefix(PREFIX),
-        f"a mapping with the lengths {', '.join(lengths)}, each above 0, the whole numbers "
-        f"{' and '.join(counts)}, each above 0, and deskew, true or false,",
-        lambda v: (
-            isinstance(v, dict)
-            and all(is_positive(v.get(key)) for key in lengths)
-            and all(is_count(v.get(key)) for key in counts)
-            and isinstance(v.get("deskew"), bool)
-        ),
-    )
-    return MapQuality(
-        cell=float(quality["cell"]),
-        lane=float(quality["lane"]),
-        keep=quality["keep"],
-        half_width=float(quality["half_width"]),
-        fewest=quality["fewest"],
-        noise=float(quality["noise"]),
-        deskew=quality["deskew"],
-    )
+def _is_list(value: Any, check: Check, length: int | None = None) -> bool:
+    """Return whether a value is a list, of this length, of what passes the check."""
+    return isinstance(value, list) and length in (None, len(value)) and all(check(v) for v in value)
 
 
 LARGEST_ANGLE = math.pi
@@ -265,6 +150,19 @@ class Interface:
         return self.frames * self.size
 
 
+_RISK = {
+    "horizon": _is_count,
+    "threshold": lambda v: _is_positive(v) and v <= 1,
+    "lags": lambda v: v == list(LAGS),
+    "scale": lambda v: v == SCALE,
+}
+_MAP = {
+    **dict.fromkeys(("cell", "lane", "half_width", "noise"), _is_positive),
+    **dict.fromkeys(("keep", "fewest"), _is_count),
+    "deskew": lambda v: isinstance(v, bool),
+}
+
+
 def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
     """Return the interface that the metadata of a model describe.
 
@@ -282,71 +180,106 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
         )
     if f"{PREFIX}joints" not in metadata:
         raise PolicyError(f"{where} {OldVersionError('0.2', EXPORT_AGAIN)}")
-    entry = partial(read_entry, metadata, where)
-    bins = entry("bins", "a whole number above 0", is_count)
+
+    def entry(name: str, allowed: str, check: Check, absent: str = "") -> Any:
+        """Return an entry's value after ``check``; ``absent`` is the text of a missing one."""
+        text = metadata.get(f"{PREFIX}{name}", absent)
+        try:
+            value = json.loads(text)
+        except (ValueError, RecursionError):
+            value = None
+        if value is None or not check(value):
+            raise PolicyError(
+                f"{where}: {PREFIX}{name} is {text[:60]!r} in its metadata; {allowed} is allowed"
+            )
+        return value
+
+    def optional(name: str, allowed: str, checks: Mapping[str, Check]) -> dict[str, Any] | None:
+        """Return the named parts of an entry; None if the file does not have it."""
+        if f"{PREFIX}{name}" not in metadata:
+            return None
+        value = entry(name, f"a mapping with {allowed}", lambda v: _has(v, checks))
+        return {key: value[key] for key in checks}
+
+    bins = entry("bins", "a whole number above 0", _is_count)
     size = layout.size(bins)
-    keys = set(Quantity.__dataclass_fields__)
+    quantity = dict.fromkeys(Quantity.__dataclass_fields__, _is_text)
     observation = entry(
         "observation",
-        f"a list of {size} mappings of {', '.join(sorted(keys))} to text",
-        lambda v: (
-            isinstance(v, list)
-            and len(v) == size
-            and all(isinstance(e, dict) and set(e) == keys for e in v)
-            and all(isinstance(text, str) for e in v for text in e.values())
-        ),
+        f"a list of {size} mappings of {', '.join(sorted(quantity))} to text",
+        lambda v: _is_list(v, lambda e: _has(e, quantity, alone=True), size),
     )
     joints = entry(
         "joints",
         f"the list {json.dumps(PAIRS.joints)}, the joints of this version,",
         lambda v: v == list(PAIRS.joints),
     )
-    table = entry("actions", f"a table of {len(PAIRS.steps)} pairs of angles", is_table)
+    turns, pairs = len(PAIRS.steps), len(PAIRS.joints)
+    table = entry(
+        "actions",
+        f"a table of {turns} pairs of angles",
+        lambda v: _is_list(v, lambda row: _is_list(row, _is_number, pairs), turns),
+    )
     actions = np.array(table, dtype=np.float64)
     actions.setflags(write=False)
+    angles = dict.fromkeys(("window", "limit"), _is_positive)
+    rule = entry(
+        "targets",
+        "a mapping with the angles window and limit, each above 0",
+        lambda v: _has(v, angles),
+    )
     robot = entry(
         "robot",
         "a mapping of names to numbers",
-        lambda v: isinstance(v, dict) and all(map(is_number, v.values())),
+        lambda v: isinstance(v, dict) and all(map(_is_number, v.values())),
     )
     terrain = metadata.get(f"{PREFIX}terrain", "")
     terrain_config = entry(
         "terrain_config",
         f"a mapping with the name {terrain!r} and the terrain's fields",
-        lambda v: isinstance(v, dict) and v.get("name") == terrain,
+        lambda v: _has(v, {"name": lambda name: name == terrain}),
+    )
+    plugin = dict.fromkeys(PluginFile.__dataclass_fields__, _is_text)
+    plugins = entry(
+        "plugins",
+        "a list of mappings of kind, name and file to text",
+        lambda v: _is_list(v, lambda e: _has(e, plugin, alone=True)),
+        absent="[]",
+    )
+    sign = optional(
+        "risk",
+        "the whole number horizon, the threshold, above 0 and at most 1, the lags "
+        f"{list(LAGS)} and the scale {SCALE}",
+        _RISK,
+    )
+    warns = sign is not None
+    escape = optional(
+        "escape",
+        f"the temperature, above 0, and the whole number decisions, beside {PREFIX}risk,",
+        {"temperature": lambda v: _is_positive(v) and warns, "decisions": _is_count},
+    )
+    quality = optional(
+        "map",
+        "the lengths cell, lane, half_width, noise, each above 0, the whole numbers keep and "
+        "fewest, each above 0, and deskew, true or false,",
+        _MAP,
     )
     return Interface(
         observation=tuple(Quantity(**e) for e in observation),
         bins=bins,
-        bin_width=entry("bin_width", "a length above 0", is_positive),
-        frames=entry("frames", "a whole number above 0", is_count),
+        bin_width=entry("bin_width", "a length above 0", _is_positive),
+        frames=entry("frames", "a whole number above 0", _is_count),
         joints=tuple(joints),
         actions=actions,
-        targets=targets(metadata, where),
-        decision_period=entry("decision_period", "a time above 0", is_positive),
+        targets=TargetRule(window=rule["window"], limit=rule["limit"]),
+        decision_period=entry("decision_period", "a time above 0", _is_positive),
         robot=MappingProxyType(robot),
         terrain=terrain,
         terrain_config=MappingProxyType(terrain_config),
-        seed=entry("seed", "a whole number", is_whole),
+        seed=entry("seed", "a whole number", _is_whole),
         package_version=metadata.get(f"{PREFIX}package_version", ""),
-        plugins=tuple(
-            PluginFile(**e)
-            for e in entry(
-                "plugins",
-                "a list of mappings of kind, name and file to text",
-                lambda v: isinstance(v, list) and all(map(_is_plugin, v)),
-                absent="[]",
-            )
-        ),
-        risk=risk(metadata, where),
-        escape=escape(metadata, where),
-        map_quality=map_quality(metadata, where),
-    )
-
-
-def _is_plugin(value: object) -> bool:
-    return (
-        isinstance(value, dict)
-        and set(value) == set(PluginFile.__dataclass_fields__)
-        and all(isinstance(text, str) for text in value.values())
+        plugins=tuple(PluginFile(**e) for e in plugins),
+        risk=None if sign is None else RiskSign(sign["horizon"], float(sign["threshold"])),
+        escape=None if escape is None else EscapeRule(**escape),
+        map_quality=None if quality is None else MapQuality(**quality),
     )

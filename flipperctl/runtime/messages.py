@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -210,6 +211,13 @@ class Odometry:
     """Mean of the left and the right belts, forward positive, before ``Signs`` [m/s]."""
 
 
+KINDS: dict[str, type[Any]] = {
+    "joints": JointAngles,
+    "attitude": Attitude,
+    "odometry": Odometry,
+    "cloud": Cloud,
+}
+"""The messages by their device."""
 _STEEPEST = 1e-3
 """Smallest square of the cosine of the pitch with which a heading is told [-]."""
 _UNIT = 0.05

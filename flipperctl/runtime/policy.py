@@ -1,6 +1,7 @@
 """A policy from a file of ``flipperctl export onnx``.
 
-In: the file and observations. Out: Q-values and actions, each in about ten microseconds.
+In: the file; observations, or points of the ground with flipper angles and pitch, of which they are
+computed as in the simulator. Out: Q-values, actions and the risk, in about ten microseconds.
 """
 
 from __future__ import annotations
@@ -8,20 +9,22 @@ from __future__ import annotations
 import math
 import operator
 from pathlib import Path
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from flipperctl.core.observation import ANGLES
-from flipperctl.core.risk import Escape
+from flipperctl.core import observation as layout
+from flipperctl.core.observation import ANGLES, mean_heights
+from flipperctl.core.risk import LAGS, Escape, Recurrence, with_recurrence
 from flipperctl.core.targets import ACTIONS
 from flipperctl.errors import FlipperctlError, NonFiniteError, PolicyError
-from flipperctl.runtime.interface import LARGEST_ANGLE, read_interface
-from flipperctl.runtime.observing import Frame, observe, real_numbers
-from flipperctl.runtime.risk import BoundRisk
+from flipperctl.runtime.interface import LARGEST_ANGLE, Interface, read_interface
 from flipperctl.runtime.session import (
     INPUT,
     OUTPUT,
+    RECURRENCE,
+    RISK,
     check_shapes,
     open_session,
     read_model,
@@ -30,6 +33,40 @@ from flipperctl.runtime.session import (
 
 FloatPair = NDArray[np.float64]
 DEGREES = "angles are in radians"
+Frame = Literal["L", "R"]
+_LARGEST = float(np.finfo(np.float32).max)
+_Number = TypeVar("_Number", np.float32, np.float64)
+_ROUNDING = 1e-9
+"""Distance past the last bin's edge that counts as rounding [m]."""
+
+
+class _BoundRisk:
+    """The risk of a session with bound outputs, which overwrites them at each decision."""
+
+    def __init__(self, bound: Any, size: int) -> None:
+        """``bound``: the session's binding of inputs and outputs; ``size``: N + 3."""
+        self._alone = np.zeros((1, 1), np.float32)
+        self._coefficients = np.zeros((1, len(LAGS)), np.float32)
+        for name, array in ((RISK, self._alone), (RECURRENCE, self._coefficients)):
+            bound.bind_output(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
+        self._recurrence = Recurrence(size)
+        self.value: float | None = None
+        """Risk at the last decision, 0 to 1; None before one."""
+
+    def reset(self) -> None:
+        """Begin an episode."""
+        self._recurrence.reset()
+        self.value = None
+
+    def update(self, observation: NDArray[np.float32], path: Path) -> None:
+        """Compute the risk after a run of the session on ``observation``, (N + 3,)."""
+        resembles = self._recurrence.add(observation)
+        self.value = with_recurrence(self._alone.item(), self._coefficients[0], resembles)
+        if math.isnan(self.value):
+            raise NonFiniteError(
+                f"{path}: the risk is not a finite number; the file is damaged, or the observation "
+                "is far from those of the training"
+            )
 
 
 class OnnxPolicy:
@@ -71,7 +108,7 @@ class OnnxPolicy:
         pointers = self._input.ctypes.data, self._output.ctypes.data
         self._bound.bind_input(INPUT, "cpu", 0, np.float32, (1, size), pointers[0])
         self._bound.bind_output(OUTPUT, "cpu", 0, np.float32, (1, len(ACTIONS)), pointers[1])
-        self._risk = BoundRisk(self._bound, self.interface.size) if has_risk else None
+        self._risk = _BoundRisk(self._bound, self.interface.size) if has_risk else None
         rule = self.interface.escape
         self._escape = Escape(rule) if rule is not None and escape else None
         self.act(np.zeros(self.interface.size))  # the first run allocates
@@ -115,7 +152,7 @@ class OnnxPolicy:
             PolicyError: the points have another shape, are not numbers, or none lies in a bin.
             NonFiniteError: a point or an angle is NaN or infinite.
         """
-        return observe(
+        return _observe(
             self.interface,
             points,
             front=front,
@@ -187,7 +224,7 @@ class OnnxPolicy:
 
     def _pair(self, name: str, angles: ArrayLike) -> list[float]:
         try:
-            pair = real_numbers(angles, np.float64)
+            pair = _real_numbers(angles, np.float64)
         except (TypeError, ValueError, OverflowError) as error:
             raise PolicyError(f"{self.path}: the {name} are not numbers: {error}") from error
         if pair.shape != (2,):
@@ -232,7 +269,7 @@ class OnnxPolicy:
                 f"{self.path}: there is no observation (None); {size} numbers are needed"
             )
         try:
-            return real_numbers(observation, np.float32)
+            return _real_numbers(observation, np.float32)
         except (TypeError, ValueError, OverflowError) as error:
             raise PolicyError(f"{self.path}: the observation is not numbers: {error}") from error
 
@@ -275,3 +312,62 @@ def _index(action: object) -> int | None:
     except TypeError:
         return None
     return row if 0 <= row < len(ACTIONS) else None
+
+
+def _observe(
+    interface: Interface,
+    points: ArrayLike,
+    *,
+    front: float,
+    rear: float,
+    pitch: float,
+    frame: Frame,
+    where: str,
+) -> NDArray[np.float32]:
+    """Return an observation, (N + 3,); see ``OnnxPolicy.observation``. ``where``: for errors."""
+    ground = _points(points, where)
+    if frame not in ("L", "R"):
+        raise PolicyError(f"{where}: there is no frame {frame!r}; 'L' (level) or 'R' is allowed")
+    for name, angle in (("front", front), ("rear", rear), ("pitch", pitch)):
+        try:
+            finite = -_LARGEST <= angle <= _LARGEST
+        except (TypeError, ValueError) as error:
+            text = f"{where}: {name} is {str(angle)[:40]}; a number is allowed"
+            raise PolicyError(text) from error
+        if not finite:
+            raise NonFiniteError(f"{where}: {name} is {angle}; finite numbers are allowed")
+    if frame == "R":
+        ground = layout.to_level(ground, pitch)
+    reach = layout.reach(interface.bins, interface.bin_width)
+    near = ground[np.abs(ground[:, 0]) <= reach + _ROUNDING]
+    if not len(near):
+        raise PolicyError(
+            f"{where}: none of the {len(ground)} points lies within ±{reach:g} m of the chassis "
+            "centre"
+        )
+    heights = mean_heights(near, interface.bins, interface.bin_width)
+    return layout.assemble(heights, front=front, rear=rear, pitch=pitch)
+
+
+def _real_numbers(values: ArrayLike, dtype: type[_Number]) -> NDArray[_Number]:
+    """Return an array of real numbers, or raise what numpy does; text and complex are none."""
+    found = np.asarray(values)
+    if found.dtype.kind in "cSU":
+        raise TypeError(f"their type is {found.dtype}")
+    return found.astype(dtype, copy=False)
+
+
+def _points(points: ArrayLike, where: str) -> NDArray[np.float64]:
+    try:
+        ground = _real_numbers(points, np.float64)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise PolicyError(f"{where}: the points are not numbers: {error}") from error
+    if ground.ndim != 2 or ground.shape[1] != 2:
+        raise PolicyError(f"{where}: the points have shape {ground.shape}; (P, 2) is allowed")
+    bad = np.flatnonzero(~np.isfinite(ground).all(axis=1))
+    if bad.size:
+        raise NonFiniteError(
+            f"{where}: point {bad[0]} is {tuple(ground[bad[0]].tolist())}; finite numbers are "
+            "allowed: leave out what the sensor did not measure"
+        )
+    return ground

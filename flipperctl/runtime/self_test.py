@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,7 @@ from flipperctl.core.lidar.body import mounting
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Scan
 from flipperctl.errors import PolicyError, RequestError
 from flipperctl.runtime.intake import Intake
-from flipperctl.runtime.messages import Attitude, Cloud, JointAngles, Odometry
+from flipperctl.runtime.messages import KINDS
 from flipperctl.runtime.setup import Limits, RobotSetup
 
 _PATIENCE = 60.0
@@ -194,14 +194,6 @@ def _between(values: Any, low: float, high: float) -> Any:
     return (values >= low) & (values <= high)
 
 
-_KINDS: dict[str, Callable[..., object]] = {
-    "joints": JointAngles,
-    "attitude": Attitude,
-    "odometry": Odometry,
-    "cloud": Cloud,
-}
-
-
 _NO_MESSAGE = (
     *(ValueError, TypeError, KeyError, AttributeError),
     *(RecursionError, OverflowError),
@@ -224,12 +216,11 @@ def read_lines(lines: Iterable[str], where: str) -> Iterator[tuple[float, dict[s
             entry = json.loads(line)
             time = float(entry.pop("time"))
             messages = {
-                name: _KINDS[name](**{"time": time, **values}) for name, values in entry.items()
+                name: KINDS[name](**{"time": time, **values}) for name, values in entry.items()
             }
         except _NO_MESSAGE as error:
             known = "; ".join(
-                f"{name}: {', '.join(f.name for f in fields(kind))}"  # type: ignore[arg-type]
-                for name, kind in _KINDS.items()
+                f"{name}: {', '.join(f.name for f in fields(kind))}" for name, kind in KINDS.items()
             )
             raise PolicyError(
                 f"{where}, line {number}: {line.strip()[:60]!r} is no message; a JSON object "

@@ -1,7 +1,7 @@
 """What no policy file states: the robot, its devices, widths and signs, and what is safe.
 
 In: numbers of the builder. Out: frozen settings, checked: which inputs count, and when the
-controller holds and stops.
+controller holds and stops; the estimator of ``perception=lidar`` for that robot.
 """
 
 from __future__ import annotations
@@ -10,8 +10,13 @@ import math
 from dataclasses import dataclass, field, fields
 from typing import Literal
 
-from flipperctl.core.lidar.body import Mount
-from flipperctl.errors import PolicyError
+from flipperctl.core.lidar.body import Body, Mount
+from flipperctl.core.lidar.certainty import accuracy_of
+from flipperctl.core.lidar.estimator import LidarEstimator
+from flipperctl.core.lidar.ground import MapQuality, MapSettings
+from flipperctl.core.lidar.matching import ScanMatcher
+from flipperctl.errors import MissingExtraError, PolicyError
+from flipperctl.runtime.interface import Interface
 from flipperctl.runtime.messages import OURS, Signs
 
 
@@ -96,3 +101,40 @@ class Limits:
                     raise PolicyError(
                         f"limits: {entry.name} is {value!r}; a finite number above 0 is allowed"
                     )
+
+
+_LENGTHS = "chassis_length", "flipper_length", "track_radius"
+
+
+def new_estimator(interface: Interface, setup: RobotSetup, *, level: bool = True) -> LidarEstimator:
+    """Return a new estimator with the bins and the map of the policy and the lengths of its robot.
+
+    ``level``: whether the robot stands on level ground now.
+
+    A policy whose file states no map, as of a training without a LiDAR, gets the default one.
+
+    Raises:
+        PolicyError: the file states no lengths of its robot.
+        MissingExtraError: scans shall be matched, and small_gicp is not installed.
+    """
+    missing = [name for name in _LENGTHS if name not in interface.robot]
+    if missing:
+        raise PolicyError(f"the policy's file does not state robot.{missing[0]}; export it again")
+    body = Body(
+        **{name: float(interface.robot[name]) for name in _LENGTHS},
+        chassis_width=setup.chassis_width,
+        overall_width=setup.overall_width,
+    )
+    settings = MapSettings(
+        interface.bins,
+        interface.bin_width,
+        interface.map_quality or MapQuality(),
+        accuracy_of(setup.pose, setup.range_bias, setup.tilt_error),
+    )
+    try:
+        matcher = ScanMatcher() if setup.pose == "matched" else None
+    except ImportError as error:
+        raise MissingExtraError(
+            "pose='matched' needs small_gicp, which is not installed; run pip install small_gicp"
+        ) from error
+    return LidarEstimator(body, setup.mount, settings, matcher, level=level)

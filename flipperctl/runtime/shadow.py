@@ -13,8 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from flipperctl.runtime.answer import Answer
-from flipperctl.runtime.controller import FlipperController
+from flipperctl.runtime.controller import Answer, FlipperController
 from flipperctl.runtime.messages import JointAngles
 from flipperctl.runtime.setup import RobotSetup
 

@@ -56,7 +56,6 @@ def test_values_defaults_and_bounds_of_sections_plugins_and_ranges(tmp_path: Pat
         return tuple(found[path][key] for key in ("value", "default", "bounds", "unit"))
 
     assert shown("sim.friction") == (0.8, 1.0, "> 0, ≤ 10", "-")
-    assert shown("sim.engine") == ("compiled", "compiled", "compiled, plain", "-")
     assert shown("terrain") == ("mix", "stair", "", "")
     assert shown("terrain.parts[0].slope_high") == (20.0, 35.0, "> 0, ≤ 60", "°")
     assert shown("rewards.pitch.lambda_2") == (4.0, 8.0, "> 0, ≤ 1000", "1/rad")

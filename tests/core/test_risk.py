@@ -1,4 +1,4 @@
-"""Resemblances, worked by hand, and the sign of a failure."""
+"""The sign of a failure, worked by hand, and the draws of a policy that warns."""
 
 import math
 
@@ -7,6 +7,8 @@ import pytest
 
 from flipperctl.core.risk import (
     SCALE,
+    Escape,
+    EscapeRule,
     Recurrence,
     RiskCalibration,
     RiskSign,
@@ -14,16 +16,15 @@ from flipperctl.core.risk import (
     with_recurrence,
 )
 
+VALUES = [0.0, 0.1, -math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]
+
 
 def test_resemblances_compare_with_the_observations_some_decisions_ago() -> None:
     rows = np.zeros((4, 2), np.float32)
     rows[1] = SCALE, SCALE  # differs by the scale in the mean
-    found = resemblances(rows)
     near = math.exp(-1)
-    assert found[0].tolist() == [0, 0, 0, 0, 0]
-    assert found[1].tolist() == pytest.approx([near, 0, 0, 0, 0])
-    assert found[2].tolist() == pytest.approx([near, 1, 0, 0, 0])
-    assert found[3].tolist() == pytest.approx([1, near, 0, 0, 0])
+    expected = [[0] * 5, [near, 0, 0, 0, 0], [near, 1, 0, 0, 0], [1, near, 0, 0, 0]]
+    assert resemblances(rows) == pytest.approx(np.array(expected))
 
 
 def test_one_observation_after_the_other_gives_the_same_as_all_at_once() -> None:
@@ -45,7 +46,9 @@ def test_recurrence_adds_to_the_log_odds() -> None:
 
 
 def test_a_calibration_is_read_back_from_the_metrics_of_a_validation() -> None:
-    made = RiskCalibration(RiskSign(10, 0.3), 1.2, -1.5)
+    sign = RiskSign(10, 0.3)
+    assert [sign.warns(risk) for risk in (None, 0.29, 0.3)] == [False, False, True]
+    made = RiskCalibration(sign, 1.2, -1.5)
     assert RiskCalibration.of({**made.to_metrics(), "t_cost": 20.0}) == made
     for wrong in ({"risk_slope": 0.0}, {"risk_threshold": 0.0}, {"risk_horizon": 2.5}):
         with pytest.raises(ValueError, match="not possible"):
@@ -54,6 +57,22 @@ def test_a_calibration_is_read_back_from_the_metrics_of_a_validation() -> None:
         RiskCalibration.of({"t_cost": 20.0})
 
 
-def test_a_risk_at_the_threshold_is_a_warning_and_an_unknown_one_is_none() -> None:
-    sign = RiskSign(10, 0.3)
-    assert [sign.warns(risk) for risk in (None, 0.29, 0.3)] == [False, False, True]
+def test_actions_are_drawn_from_the_warning_on_for_as_many_decisions() -> None:
+    escape = Escape(EscapeRule(0.1, 3))
+    warnings = [False, True, False, False, False, True, True, False, False, False]
+    due = [escape.due(warns=warns) for warns in warnings]
+    assert due == [False, True, True, True, False, True, True, True, True, False]
+    assert escape.due(warns=True)
+    escape.reset()
+    assert not escape.due(warns=False)
+
+
+def test_draws_follow_the_values_and_equal_episodes_have_equal_ones() -> None:
+    escape = Escape(EscapeRule(0.1, 1))
+    first = [escape.draw(VALUES) for _ in range(4000)]
+    weights = np.exp(np.array(VALUES) / 0.1)
+    counts = np.bincount(first, minlength=9)
+    assert counts / 4000 == pytest.approx(weights / weights.sum(), abs=0.03)
+    assert counts[2] == 0
+    escape.reset()
+    assert [escape.draw(VALUES) for _ in range(50)] == first[:50]

@@ -42,7 +42,6 @@ def test_what_changes_draws_or_physics_changes_the_hash(change: dict[str, object
 @pytest.mark.parametrize(
     "change",
     [
-        {"sim.engine": "plain"},
         {"perception.bins": 21, "perception.bin_width": 0.1},
         {"rewards.pitch.weight": 2},
         {"eval.seed": 3, "eval.episodes": 5},

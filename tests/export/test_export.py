@@ -23,8 +23,8 @@ from flipperctl.files import check_output
 from flipperctl.policies.source import PolicySource
 from flipperctl.policies.trained import policy_module
 from flipperctl.runtime import OnnxPolicy, RobotSetup
-from flipperctl.runtime.estimating import new_estimator
 from flipperctl.runtime.interface import read_interface
+from flipperctl.runtime.setup import new_estimator
 from tests.played import play_episodes
 
 
@@ -123,9 +123,8 @@ def test_the_controller_has_the_map_of_the_training(
     ):
         on_robot = new_estimator(read_interface(metadata, "x"), RobotSetup())
         assert isinstance(in_training, LidarEstimator)
-        expected = replace(in_training._settings, sides=False, accuracy=on_robot._settings.accuracy)
+        expected = replace(in_training._settings, accuracy=on_robot._settings.accuracy)
         assert on_robot._settings == expected
-        assert on_robot._deskew == in_training._deskew
 
 
 def test_pt2_gives_the_same_q_values(saved: checkpoint.Checkpoint, tmp_path: Path) -> None:

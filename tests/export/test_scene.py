@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 from urdf_parser_py.urdf import URDF
 
+from flipperctl.api import Profile, Robot, Start
 from flipperctl.config import EvalConfig
 from flipperctl.config.robots import named_robot
 from flipperctl.errors import ConfigError
 from flipperctl.export.scene import export_scene, ground_file
-from flipperctl.sim.mujoco.description import ground_urdf
+from flipperctl.sim.mujoco import Mujoco
+from flipperctl.sim.mujoco.description import ground_urdf, urdf
 from flipperctl.sim.mujoco.ground import Box
 from tests.cli.call import call
 
@@ -132,3 +134,19 @@ def test_the_command_chooses_robot_and_engine(tmp_path):
     }.items():
         done = call("export", *words, cwd=tmp_path)
         assert (done.code, text in done.err) == (2, True), done.err
+
+
+def test_the_urdf_of_a_loaded_robot_has_its_inertia():
+    robot, flat = Robot(payload=5.0, payload_x=0.4, payload_z=0.2), Profile([(0.0, 0.0)])
+    bare, loaded = (
+        URDF.from_xml_string(
+            urdf(Mujoco().place(flat, one, Start(0.0), np.random.default_rng(0))).encode()
+        )
+        .link_map["base_link"]
+        .inertial
+        for one in (Robot(), robot)
+    )
+    assert bare.inertia.ixz == 0
+    assert loaded.inertia.ixz == pytest.approx(-(35 * 5 / 40) * 0.4 * 0.2)
+    assert loaded.inertia.iyy - bare.inertia.iyy == pytest.approx(sum(robot.load_inertia))
+    assert loaded.origin.xyz == [0.05, 0, 0.025]

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from flipperctl.api import Profile, RewardTerm, Robot
-from flipperctl.lookahead.graph import Course, Graph
 from flipperctl.lookahead.model import Model, Nodes
+from flipperctl.lookahead.value_iteration import Course, Graph
 from flipperctl.reward_sum import RewardSum
 
 ROBOT = Robot()

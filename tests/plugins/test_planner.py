@@ -6,7 +6,7 @@ from flipperctl.api import Outcome, Perception, Policy, Simulator, action_index
 from flipperctl.config import EnvConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError, ConfigError
-from flipperctl.lookahead import planner_policy as best_known
+from flipperctl.lookahead import planner
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import play
 
@@ -82,13 +82,13 @@ class Script:
 
 
 def test_a_given_policy_is_one_of_the_first_drives(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(best_known, "_STARTS", ("level",))
+    monkeypatch.setattr(planner, "_STARTS", ("level",))
     env, actions = FlipperEnv("step"), list[int]()
     mpc = resolver.create("controller", MPC, "test").build()
     row = play(env, mpc, seed=1, watch=lambda d: actions.append(d.action))
     settings = {**QUICK, "budget": 1, "policy": "a script"}
-    planner = resolver.create("controller", settings, "test").starting_from([Script(actions)])
-    again = play(env, planner.build(), seed=1)
+    plans = resolver.create("controller", settings, "test").starting_from([Script(actions)])
+    again = play(env, plans.build(), seed=1)
     assert again["search_source"] == "policy"
     assert again["pitch_variation_100hz"] == row["pitch_variation_100hz"]
 

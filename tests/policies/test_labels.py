@@ -7,7 +7,7 @@ from flipperctl.api import ACTIONS, Controller, CostPolicy, Perception, Simulato
 from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import PluginFailedError
-from flipperctl.lookahead.mpc_policy import NO_PLAN
+from flipperctl.lookahead.mpc import NO_PLAN
 from flipperctl.policies import teaching as labels
 from flipperctl.policies.plugin import PluginCostPolicy, PluginPolicy, plugin_policy
 from flipperctl.policies.teaching import DemonstratingPolicy

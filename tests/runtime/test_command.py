@@ -1,17 +1,23 @@
-"""The commands of an installation without dependencies: the interface printed, and one error."""
+"""The commands of an installation without dependencies: interface, shadow mode, and one error."""
 
+import json
+import math
 import signal
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from flipperctl.__main__ import main as whole
-from flipperctl.runtime import OnnxPolicy
-from flipperctl.runtime.__main__ import describe, main
+from flipperctl.runtime import JointAngles, OnnxPolicy
+from flipperctl.runtime.__main__ import _main, describe, main
+from flipperctl.runtime.shadow import Shadow
 from tests.cli.call import call
-from tests.runtime.linear import MAP, RISK, RULE, write
+from tests.runtime.linear import MAP, RISK, ROBOT, RULE, write
+from tests.runtime.messages import IN_CHASSIS, good
 
 
 @pytest.fixture(autouse=True)
@@ -60,6 +66,7 @@ def test_what_the_file_remembers_warns_of_and_draws_is_printed(tmp_path: Path) -
         risky=True,
         risk=RISK,
         escape={"temperature": 0.1, "decisions": 4},
+        map=MAP,
     )
     lines = describe(OnnxPolicy(file).interface).splitlines()
     assert {
@@ -71,6 +78,9 @@ def test_what_the_file_remembers_warns_of_and_draws_is_printed(tmp_path: Path) -
         "targets: last target, held within 15.0° of the measured angle, + turn, within ±60.0°",
         "risk: probability of a failure within the next 10 decisions; 0.7 or more is a warning",
         "escape: from a warning on, 4 decisions draw their actions from softmax(q_values / 0.1)",
+        "map: ground within 0.6 m to each side, cells 0.05 m long and 0.2 m wide of up to 64 "
+        "points, columns of 12 or more, points with a noise of 0.03 m, not corrected for the "
+        "motion in a scan",
     } <= set(lines)
 
 
@@ -82,15 +92,6 @@ def test_inspect_checkpoint_names_the_command_that_shows_an_exported_file(tmp_pa
         "error: my p.onnx is an exported file, not a checkpoint; "
         "python -m flipperctl.runtime 'my p.onnx' prints its interface, and --check probes it\n"
     )
-
-
-def test_the_map_of_the_controller_is_printed(tmp_path: Path) -> None:
-    lines = describe(OnnxPolicy(write(tmp_path / "p.onnx", map=MAP)).interface).splitlines()
-    assert (
-        "map: ground within 0.6 m to each side, cells 0.05 m long and 0.2 m wide of up to 64 "
-        "points, columns of 12 or more, points with a noise of 0.03 m, not corrected for the "
-        "motion in a scan"
-    ) in lines
 
 
 @pytest.mark.parametrize(
@@ -126,3 +127,97 @@ def test_the_command_line_without_its_packages_is_one_line(
     error = capsys.readouterr().err
     assert (left.value.code, error.count("\n")) == (2, 1)
     assert "the package typer is missing: this installation has only flipperctl.runtime" in error
+
+
+# Shadow mode on messages: a log for whoever drives, and nothing that moves
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    return write(tmp_path_factory.mktemp("p") / "p.onnx", robot=ROBOT, targets=RULE)
+
+
+def test_a_pause_of_the_messages_is_answered_as_a_robots_timer_would(file):
+    lines = []
+    shadow = Shadow(file, IN_CHASSIS, lines.append)
+    for now in (0.0, 0.05, 0.1, 2.0, 2.05, 30.0):
+        shadow.take(now, good(now))
+    found = shadow.summary()
+    assert found["seconds"] == 30.0
+    assert found["states"]["stopped"] > 0.5  # from 1.2 s, since nothing came after 0.1 s
+    assert found["faults"]["joints_age"]["seconds"] == pytest.approx(1.75, abs=0.1)
+    assert set(found["faults"]) == {"joints_age", "clock_jump"}
+    assert found["faults"]["clock_jump"]["count"] == 1  # of 28 s
+    assert all(json.loads(line)["measured"] == [0.1, 0.2] for line in lines)
+
+
+def test_flippers_that_follow_someone_else_are_no_fault(file):
+    shadow = Shadow(file, IN_CHASSIS, str)
+    for tick in range(100):
+        shadow.take(tick * 0.05, good(tick * 0.05))
+    assert shadow.summary()["faults"] == {}
+    assert shadow.summary()["decisions"] == 9  # in 4.95 s
+
+
+def test_no_two_steps_are_farther_apart_than_a_tick(file, monkeypatch):
+    shadow, times = Shadow(file, IN_CHASSIS, str), []
+    step = shadow._step
+    monkeypatch.setattr(shadow, "_step", lambda now, m: (times.append(now), step(now, m)))
+    for index in range(4):
+        shadow.take(index * 0.099, good(index * 0.099))
+    shadow.take(0.347, good(0.347))
+    assert max(np.diff(times)) <= 0.05 + 1e-9
+
+
+def test_angles_of_other_joints_are_not_logged(file):
+    lines = []
+    shadow = Shadow(file, IN_CHASSIS, lines.append)
+    shadow.take(0.0, good(0.0))
+    shadow.take(2.0, {"joints": JointAngles(2.0, math.nan, 0.0)})
+    assert lines
+    assert [json.loads(line)["measured"] for line in lines] == [[0.1, 0.2]] * len(lines)
+
+
+def test_the_command_prints_the_log_of_lines_of_json(file, tmp_path, capsys):
+    told = {
+        "time": 0.0,
+        "joints": {"front": 0.1, "rear": 0.1},
+        "attitude": {"frame": "base_link", "roll": 0.0, "pitch": 0.0, "yaw_rate": 0.0},
+    }
+    (tmp_path / "m.jsonl").write_text(json.dumps(told) + "\n")
+    assert _main(["--shadow", str(file), str(tmp_path / "m.jsonl"), "--signs", "rep103"]) == 0
+    (line,) = capsys.readouterr().out.splitlines()
+    assert json.loads(line)["fault"] == "cloud_missing"
+
+
+def logged(policy: Path, ticks: int) -> tuple[list[dict[str, Any]], Shadow]:
+    lines: list[str] = []
+    shadow = Shadow(policy, IN_CHASSIS, lines.append)
+    for tick in range(ticks):
+        shadow.take(tick * 0.05, good(tick * 0.05))
+    return lines, shadow
+
+
+def test_the_risk_is_told_and_logged_while_the_flippers_are_driven(tmp_path: Path) -> None:
+    def of(name: str, **risk: Any) -> Path:
+        return write(tmp_path / name, robot=ROBOT, targets=RULE, **risk)
+
+    def sigmoid(score: float) -> float:
+        return 1 / (1 + math.exp(-score))
+
+    lines, shadow = logged(of("r.onnx", risky=True, risk=RISK), 100)  # level ground 0.1 m below
+    told = list(map(json.loads, lines))
+    decided = [line["risk"] for line in told if line["action"] is not None]
+    assert decided[0] == pytest.approx(sigmoid(-0.1), abs=0.002)
+    assert decided[-1] == pytest.approx(sigmoid(-0.2), abs=0.01)
+    assert not any(line["warning"] for line in told)
+    assert shadow.summary()["warnings"] == 0
+    shadow.take(5.5, {})  # nothing arrives any more
+    last = json.loads(lines[-1])
+    assert (last["state"], last["risk"], last["warning"]) == ("holding", None, False)
+    lines, shadow = logged(of("e.onnx", risky=True, risk={**RISK, "threshold": 0.4}), 100)
+    assert shadow.summary()["warnings"] == shadow.summary()["decisions"] == 9
+    assert json.loads(lines[-1])["warning"]
+    lines, shadow = logged(of("p.onnx"), 30)
+    assert not {"risk", "warning"} & set(json.loads(lines[0]))
+    assert "warnings" not in shadow.summary()

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from flipperctl.config import EnvConfig
+from flipperctl.core.lidar.body import attitude as rotation
 from flipperctl.core.lidar.estimator import LidarEstimator
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Scan
 from flipperctl.core.sensing import Measured
@@ -25,18 +26,12 @@ from flipperctl.runtime import (
     FlipperController,
     JointAngles,
     Limits,
-    Mount,
     Odometry,
     RobotSetup,
     Signs,
 )
 from tests.runtime.linear import MAP, ROBOT, RULE, write
-
-RELAXED = Limits(ages=Ages(joints=0.2))  # the simulated encoders report with each scan
-LEVEL = np.stack(np.meshgrid(np.linspace(-1, 2, 61), np.linspace(-0.5, 0.5, 11)), -1).reshape(-1, 2)
-GROUND = np.column_stack([LEVEL, np.full(len(LEVEL), -0.1)])
-IN_CHASSIS = RobotSetup(cloud_frame="base_link", mount=Mount(0.0, 0.0, math.pi / 2, 0.0, 0.05))
-"""Clouds come in the frame of the chassis."""
+from tests.runtime.messages import GROUND, IN_CHASSIS, RELAXED, drive, good
 
 
 @pytest.fixture(scope="module")
@@ -49,17 +44,6 @@ def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def controller(file: Path) -> FlipperController:
     return FlipperController(file, IN_CHASSIS, RELAXED)
-
-
-def good(now: float, **changes: object) -> dict[str, object]:
-    """Messages of a robot at rest on level ground."""
-    return {
-        "cloud": Cloud(now, "base_link", GROUND),
-        "attitude": Attitude(now, "base_link", 0.0, 0.0, 0.0),
-        "joints": JointAngles(now, 0.1, 0.2),
-        "odometry": Odometry(now, 0.2),
-        **changes,
-    }
 
 
 @pytest.mark.parametrize("stated", [None, {**MAP, "fewest": 2}], ids=["default_map", "other_map"])
@@ -120,14 +104,6 @@ def told(m: Measured) -> object:
     if isinstance(v, Joints):
         return JointAngles(m.time, v.front, v.rear)
     return Odometry(m.time, v.speed)
-
-
-def drive(controller: FlipperController, until: float = 1.0) -> float:
-    """Let it drive on level ground; return the time of the last step."""
-    for i in range(round(until / 0.05) + 1):
-        answer = controller.step(0.05 * i, **good(0.05 * i))
-        assert answer.state == "driving", answer
-    return 0.05 * i
 
 
 @pytest.mark.parametrize(
@@ -310,3 +286,81 @@ def test_any_input_gets_an_answer(controller: FlipperController) -> None:
 def test_another_sign_is_refused(name: str, value: object) -> None:
     with pytest.raises(Exception, match=f"signs.{name} is {value}; 1 or -1 is allowed"):
         Signs(**{name: value})
+
+
+# What is commanded once a fault is over
+
+
+def test_after_a_jump_of_the_clock_the_flippers_are_held_where_they_are_by_then(
+    controller: FlipperController,
+) -> None:
+    now = drive(controller) + 30.0
+    assert controller.step(now).targets is None
+    moved = JointAngles(now + 0.05, -0.5, 0.6)
+    answer = controller.step(now + 0.05, joints=moved)
+    assert (answer.state, answer.targets) == ("waiting", (-0.5, 0.6))
+    assert answer.setpoints == answer.targets
+
+
+def test_after_a_fault_the_setpoints_begin_where_the_flippers_are_by_then(
+    controller: FlipperController,
+) -> None:
+    now = drive(controller)
+    for _ in range(60):  # no clouds
+        now += 0.05
+        answer = controller.step(now, **good(now, cloud=None))
+    assert answer.state == "stopped"
+    for _ in range(20):
+        now += 0.05
+        answer = controller.step(now, **good(now, joints=JointAngles(now, -0.5, 0.2)))
+        if answer.action is not None:
+            break
+    assert answer.setpoints is not None
+    assert abs(answer.setpoints[0] + 0.5) < 0.05
+    assert answer.targets is not None
+    assert abs(answer.targets[0] + 0.5) < math.pi / 12 + 0.01
+
+
+def seen(controller: FlipperController, now: float) -> np.ndarray:
+    return controller._estimator.estimate(now)[0].heights
+
+
+def posture(now: float, **changes: object) -> dict[str, object]:
+    """Messages of a robot at rest on a slope of 0.3 rad."""
+    told = {"attitude": Attitude(now, "base_link", 0.0, 0.3, 0.0), "odometry": Odometry(now, 0.0)}
+    return good(now, **{**told, **changes})
+
+
+def tipped(now: float, **changes: object) -> dict[str, object]:
+    """Messages of a robot that has tipped up by 0.3 rad above level ground."""
+    points = Cloud(now, "base_link", GROUND @ rotation(0.0, 0.3, 0.0))
+    told = {"attitude": Attitude(now, "base_link", 0.0, 0.3, 0.0), "cloud": points}
+    return good(now, **{**told, "odometry": Odometry(now, 0.025), **changes})
+
+
+@pytest.mark.parametrize("late", ["attitude", "joints"])
+def test_a_cloud_before_the_posture_is_known_does_not_enter_the_map(
+    controller: FlipperController, late: str
+) -> None:
+    """A robot parked on a slope, in frame R level ground, would be taken for level."""
+    answer = controller.step(0.0, **posture(0.0, **{late: None}))
+    assert answer.fault == f"{late}_missing"
+    answer = controller.step(0.05, **posture(0.05, cloud=None))
+    assert answer.fault == "cloud_posture"
+    assert answer.reason == f"cloud came before any {late}; one before it is allowed"
+    assert controller.step(0.1, **posture(0.1)).fault == ""
+    slope = math.tan(0.3) * 0.15
+    assert np.diff(seen(controller, 0.1)[:6]) == pytest.approx(np.full(5, slope), abs=0.01)
+
+
+def test_clouds_do_not_enter_the_map_with_an_old_attitude(controller: FlipperController) -> None:
+    """While it is lost the robot may tip; by the last attitude level ground would be a slope."""
+    now = drive(controller)
+    for k in range(12):
+        now += 0.05
+        answer = controller.step(now, **(tipped if k > 1 else good)(now, attitude=None))
+    assert answer.fault == "attitude_age"
+    assert controller._intake.refused("cloud").name == "cloud_posture"
+    now += 0.05
+    assert controller.step(now, **tipped(now)).state == "driving"
+    assert np.ptp(seen(controller, now)[6:]) < 0.01  # behind it, the tracks touch the ground

@@ -1,4 +1,4 @@
-"""The interface of an exported policy, and the errors for files of other programs."""
+"""The interface of an exported policy, its checksum, and the errors for files of others."""
 
 import math
 from pathlib import Path
@@ -7,8 +7,8 @@ import pytest
 
 from flipperctl.core.lidar.ground import MapQuality
 from flipperctl.errors import PolicyError
-from flipperctl.runtime import OnnxPolicy
-from tests.runtime.linear import MAP, METADATA, VERSION_0_1, VERSION_0_2, write
+from flipperctl.runtime import OnnxPolicy, session
+from tests.runtime.linear import MAP, METADATA, RISK, VERSION_0_1, VERSION_0_2, write
 
 
 def test_the_metadata_describe_inputs_and_outputs(tmp_path: Path) -> None:
@@ -60,19 +60,13 @@ def test_the_map_of_the_training_is_read_where_the_file_states_it(tmp_path: Path
         *({name: value} for name in ("keep", "fewest") for value in (0, 4.5, True)),
         *({"deskew": value} for value in (1, "true", None)),
         {"cell": math.nan},
+        *({name: ...} for name in MAP),  # left out
     ],
 )
 def test_a_wrong_map_is_refused(change: dict, tmp_path: Path) -> None:
-    path = write(tmp_path / "p.onnx", map={**MAP, **change})
+    stated = {key: v for key, v in {**MAP, **change}.items() if v is not ...}
     with pytest.raises(PolicyError, match=r"flipperctl\.map is .*half_width.*keep and fewest"):
-        OnnxPolicy(path)
-
-
-@pytest.mark.parametrize("name", MAP)
-def test_a_map_that_lacks_a_setting_is_refused(name: str, tmp_path: Path) -> None:
-    path = write(tmp_path / "p.onnx", map={key: MAP[key] for key in MAP if key != name})
-    with pytest.raises(PolicyError, match=r"flipperctl\.map is "):
-        OnnxPolicy(path)
+        OnnxPolicy(write(tmp_path / "p.onnx", map=stated))
 
 
 @pytest.mark.parametrize(
@@ -105,6 +99,16 @@ def test_a_map_that_lacks_a_setting_is_refused(name: str, tmp_path: Path) -> Non
         ({"terrain_config": None}, r"flipperctl\.terrain_config is ''.*the name 'stair'"),
         ({"terrain_config": {"name": "step"}}, r"flipperctl\.terrain_config is .*'stair'"),
         ({"size": 20}, r"observation tensor\(float\) \['batch', 20\].*\[batch, 18\]"),
+        *(
+            ({"targets": stated}, r"flipperctl\.targets is .*window and limit")
+            for stated in ({}, {"window": 0.25}, {"window": 0, "limit": 1.0}, "free", [1, 2])
+        ),
+        ({"risky": True, "risk": {**RISK, "threshold": 1.5}}, "flipperctl.risk is"),
+        ({"risky": True, "risk": {**RISK, "lags": [1, 2]}}, r"the lags \[1, 2, 4, 8, 16\]"),
+        ({"risky": True, "risk": {"horizon": 10}}, "flipperctl.risk is"),
+        ({"risky": True}, "the model has"),
+        ({"risk": RISK}, "the model has"),
+        ({"escape": {"temperature": 1.0, "decisions": 4}}, r"escape is .*beside flipperctl\.risk"),
         ({"output": "values"}, r"values tensor\(float\).*q_values tensor\(float\) \[batch, 9\]"),
     ],
 )
@@ -114,3 +118,34 @@ def test_a_wrong_file_is_refused_in_one_line(changes: dict, text: str, tmp_path:
         OnnxPolicy(path)
     assert str(path) in str(found.value)
     assert "\n" not in str(found.value)
+
+
+# The checksum finds every change before anything is parsed
+
+
+@pytest.fixture
+def whole(tmp_path: Path) -> bytes:
+    return write(tmp_path / "p.onnx").read_bytes()
+
+
+def test_every_flipped_bit_is_found(whole: bytes) -> None:
+    session.verify(whole, "p.onnx")
+    for at in range(len(whole)):
+        damaged = bytearray(whole)
+        damaged[at] ^= 1 << at % 8
+        with pytest.raises(PolicyError, match=r"p\.onnx is damaged"):
+            session.verify(bytes(damaged), "p.onnx")
+
+
+def test_a_truncated_or_longer_file_or_one_without_checksum_is_damaged(
+    whole: bytes, tmp_path: Path
+) -> None:
+    for data in (whole[:-1], whole[: len(whole) // 2], whole + b"\0", whole + whole):
+        with pytest.raises(PolicyError, match="is damaged"):
+            session.verify(data, "p.onnx")
+    without = write(tmp_path / "q.onnx", checksum=False).read_bytes()
+    for data in (without, whole.replace(b"flipperctl.sha256", b"flipperctl.sha257")):
+        with pytest.raises(PolicyError, match="damaged: its SHA-256 cannot be found"):
+            session.verify(data, "p.onnx")
+    with pytest.raises(ValueError, match=r"must hold flipperctl\.sha256 once"):
+        session.add_checksum(b"no metadata")

@@ -1,16 +1,19 @@
-"""The policy as the robot runs it: its decisions, its errors and its imports."""
+"""The policy as the robot runs it: observations, decisions, targets, risk and errors."""
 
 import math
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from flipperctl.errors import MissingExtraError, NonFiniteError, PolicyError
-from flipperctl.runtime import OnnxPolicy
-from tests.runtime.linear import METADATA, write
+from flipperctl.core.observation import to_level
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import FlipperctlError, MissingExtraError, NonFiniteError, PolicyError
+from flipperctl.runtime import OnnxPolicy, TargetRule
+from tests.runtime.linear import METADATA, RISK, STEP, write
 
 
 @pytest.fixture
@@ -47,16 +50,15 @@ def test_a_decision_changes_neither_earlier_values_nor_the_observation(policy: O
     assert given.tolist() == observation(4).tolist()
 
 
-@pytest.mark.parametrize("shape", [(17,), (1, 18), (18, 1), ()])
-def test_act_refuses_another_shape(policy: OnnxPolicy, shape: tuple[int, ...]) -> None:
-    with pytest.raises(PolicyError, match=r"shape .*\(18,\) is allowed: 15 terrain heights and 3"):
-        policy.act(np.zeros(shape))
-
-
-@pytest.mark.parametrize("shape", [(17,), (2, 17), (2, 1, 18), ()])
-def test_q_values_refuse_another_shape(policy: OnnxPolicy, shape: tuple[int, ...]) -> None:
-    with pytest.raises(PolicyError, match=r"\(18,\) or \(B, 18\) is allowed"):
-        policy.q_values(np.zeros(shape))
+def test_another_shape_is_refused(policy: OnnxPolicy) -> None:
+    for shape in ((17,), (1, 18), ()):
+        with pytest.raises(
+            PolicyError, match=r"shape .*\(18,\) is allowed: 15 terrain heights and"
+        ):
+            policy.act(np.zeros(shape))
+    for shape in ((17,), (2, 17), (2, 1, 18), ()):
+        with pytest.raises(PolicyError, match=r"\(18,\) or \(B, 18\) is allowed"):
+            policy.q_values(np.zeros(shape))
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
@@ -192,3 +194,182 @@ def test_a_robot_needs_only_numpy_and_onnxruntime(tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["6", "0.2"]
+
+
+# From what a robot measures to the observation: as in the environment, bit for bit
+
+
+GROUND = np.column_stack([np.linspace(-2.0, 2.0, 81), np.full(81, -0.1)])
+ANGLES = {"front": 0.3, "rear": -0.2, "pitch": 0.1}
+
+
+@pytest.mark.parametrize("sensing", [{}, {"occlusion": True, "dropout": 0.2}], ids=str)
+def test_it_is_the_environment_s_own(policy: OnnxPolicy, sensing: dict[str, Any]) -> None:
+    env = FlipperEnv("stair", perception=sensing)
+    env.reset(seed=3)
+    rng = np.random.default_rng(0)
+    for _ in range(12):
+        p = env.perception
+        points = np.concatenate([p.points, [[-1.2, 9.0], [3.0, 9.0]]])  # two beyond the bins
+        found = policy.observation(points, front=p.front, rear=p.rear, pitch=p.pitch)
+        assert found.dtype == np.float32
+        assert found.tolist() == p.observation.tolist()
+        env.step(int(rng.integers(9)))
+
+
+def test_points_of_the_chassis_frame_are_levelled(policy: OnnxPolicy) -> None:
+    fixed = to_level(GROUND, -ANGLES["pitch"])
+    found = policy.observation(fixed, **ANGLES, frame="R")
+    assert found == pytest.approx(np.array([-0.1] * 15 + [0.3, -0.2, 0.1]), abs=1e-6)
+    assert policy.act(found) == 0
+
+
+@pytest.mark.parametrize(
+    ("points", "frame", "error", "text"),
+    [
+        ([[0.0, 0.0, 0.0]], "L", PolicyError, r"shape \(1, 3\); \(P, 2\) is allowed"),
+        (np.empty((0, 2)), "L", PolicyError, r"none of the 0 points lies within ±1\.125 m"),
+        ([[500.0, -10.0]], "L", PolicyError, "none of the 1 points lies within"),
+        ([[0.0, -0.1], [0.1, math.nan]], "L", NonFiniteError, r"point 1 is \(0\.1, nan\)"),
+        (["far"], "L", PolicyError, "the points are not numbers"),
+        (GROUND, "W", PolicyError, "no frame 'W'; 'L'"),
+    ],
+)
+def test_points_that_are_none_are_refused(
+    policy: OnnxPolicy, points: Any, frame: Any, error: type[FlipperctlError], text: str
+) -> None:
+    with pytest.raises(error, match=text) as caught:
+        policy.observation(points, **ANGLES, frame=frame)
+    assert str(caught.value).startswith(str(policy.path))
+
+
+def test_an_angle_is_any_single_finite_number(policy: OnnxPolicy) -> None:
+    expected = policy.observation(GROUND, front=0.5, rear=0.0, pitch=0.0)
+    for front in (np.array(0.5), np.float32(0.5)):
+        found = policy.observation(GROUND, front=front, rear=0.0, pitch=0.0)
+        assert found.tolist() == expected.tolist()
+    for odd in (None, np.zeros(2)):
+        with pytest.raises(PolicyError, match=r"front is .*; a number is allowed"):
+            policy.observation(GROUND, front=odd, rear=0.0, pitch=0.0)
+    with pytest.raises(NonFiniteError, match="pitch is nan"):
+        policy.observation(GROUND, front=0.0, rear=0.0, pitch=math.nan, frame="R")
+
+
+# How an action turns the flippers
+
+
+RULE = TargetRule(window=0.25, limit=1.0)
+STATED = {"meaning": "x", "window": 0.25, "limit": 1.0}
+
+
+@pytest.mark.parametrize(
+    ("last", "measured", "turn", "expected"),
+    [
+        (0.5, 0.5, 0.25, 0.75),
+        (0.5, 0.47, 0.25, 0.75),  # it follows: its target keeps the grid of angles
+        (0.5, 0.25, 0.25, 0.75),  # as far behind as is allowed
+        (0.5, 0.125, 0.25, 0.625),  # blocked: 0.125 + 0.25 is turned by 0.25
+        (0.625, 0.125, 0.0, 0.375),  # a command to hold keeps one window of it
+        (0.625, 0.125, -0.25, 0.125),  # the opposite command stops pushing at once
+        (-0.5, 0.0, -0.25, -0.5),
+        (0.9, 0.95, 0.25, 1.0),  # the limit
+        (-0.9, -1.3, 0.0, -1.0),  # a flipper that was pushed past the limit
+    ],
+)
+def test_a_target_stays_near_the_measured_angle(
+    last: float, measured: float, turn: float, expected: float
+) -> None:
+    found = RULE.next_targets((last, -last), (measured, -measured), (turn, -turn))
+    assert found == pytest.approx((expected, -expected))
+
+
+def test_a_blocked_pair_as_the_page_about_robots_describes_it() -> None:
+    rule = TargetRule(window=15.0, limit=60.0)  # in degrees, with the front pair held at 3°
+    found, target = [], 0.0
+    for turn in (15.0, 15.0, 15.0, 15.0, -15.0):
+        target, _ = rule.next_targets((target, 0.0), (3.0 if found else 0.0, 0.0), (turn, 0.0))
+        found.append(target)
+    assert found == [15.0, 30.0, 33.0, 33.0, 3.0]
+
+
+def test_the_robot_turns_its_flippers_by_the_rule_of_its_policy(tmp_path: Path) -> None:
+    policy = OnnxPolicy(write(tmp_path / "p.onnx", targets=STATED))
+    assert policy.interface.targets == RULE
+    # action 2: front down, rear up, each by 15°
+    found = policy.next_targets([0.5, 0.0], [0.125, 0.0], 2)
+    assert found.tolist() == pytest.approx([0.375 - STEP, STEP])
+
+
+@pytest.mark.parametrize(
+    ("targets", "angles", "action", "error", "text"),
+    [
+        ([0.0], [0.0, 0.0], 4, PolicyError, r"targets have shape \(1,\); \(2,\) is allowed"),
+        ([0.0, 0.0], ["x", 0.0], 4, PolicyError, "angles are not numbers"),
+        ([0.0, 0.0], [math.nan, 0.0], 4, NonFiniteError, "angles are .*nan"),
+        ([0.0, 0.0], [45.0, 0.0], 4, PolicyError, r"angles are \[45\.  0\.\] rad; ±π is allowed"),
+        ([0.0, 0.0], [0.0, 0.0], 9, PolicyError, "no action 9; a whole number from 0 to 8 is"),
+        ([0.0, 0.0], [0.0, 0.0], -1, PolicyError, "no action -1"),
+        ([0.0, 0.0], [0.0, 0.0], 1.5, PolicyError, "no action 1.5; a whole number"),
+        ([0.0, 0.0], [0.0, 0.0], None, PolicyError, "no action None"),
+        ([0.0, 0.0], [0.0, 0.0], "4", PolicyError, "no action 4; a whole number"),
+    ],
+)
+def test_wrong_arguments_are_refused(
+    targets: list, angles: list, action: int, error: type, text: str, tmp_path: Path
+) -> None:
+    policy = OnnxPolicy(write(tmp_path / "p.onnx", targets=STATED))
+    with pytest.raises(error, match=text):
+        policy.next_targets(targets, angles, action)
+
+
+# The risk
+
+
+def seen(height: float) -> np.ndarray:
+    """An observation with this first height."""
+    return np.array([height] + [0.0] * 17)
+
+
+def sigmoid(score: float) -> float:
+    return 1 / (1 + math.exp(-score))
+
+
+@pytest.fixture
+def risky(tmp_path: Path) -> OnnxPolicy:
+    return OnnxPolicy(write(tmp_path / "risky.onnx", risky=True, risk=RISK))
+
+
+def test_the_risk_is_that_of_the_observation_and_of_its_recurrence(risky: OnnxPolicy) -> None:
+    policy = risky
+    assert policy.risk is None
+    assert not policy.warning
+    policy.act(seen(0.5))
+    assert policy.risk == pytest.approx(sigmoid(0.5), abs=1e-6)  # 0.62, nothing came before
+    assert not policy.warning
+    policy.act(seen(0.5))
+    assert policy.risk == pytest.approx(sigmoid(1.0), abs=1e-6)  # 0.73, it repeats
+    assert policy.warning
+    policy.act(seen(1.04))  # a mean difference of 0.54 / 18, which is the scale
+    assert policy.risk == pytest.approx(sigmoid(1.04 + 1.04 / math.e), abs=1e-6)
+    policy.reset()
+    assert policy.risk is None
+    policy.act(seen(0.5))
+    assert policy.risk == pytest.approx(sigmoid(0.5), abs=1e-6)
+
+
+def test_q_values_and_actions_are_those_of_the_file_without_a_risk(
+    risky: OnnxPolicy, policy: OnnxPolicy
+) -> None:
+    heights = np.linspace(-1, 1, 18)
+    assert risky.q_values(heights).tolist() == policy.q_values(heights).tolist()
+    assert risky.act(heights) == policy.act(heights)
+    assert policy.risk is policy.interface.risk is None
+    assert not policy.warning
+
+
+def test_a_risk_that_is_no_number_is_named(
+    risky: OnnxPolicy, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(risky._risk, "_alone", np.full((1, 1), np.nan, np.float32))
+    with pytest.raises(NonFiniteError, match=r"risky\.onnx: the risk is not a finite number"):
+        risky.act(seen(0.5))

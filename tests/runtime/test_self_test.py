@@ -65,8 +65,10 @@ def write(path: Path, signs: Signs) -> str:
     return str(path)
 
 
-@pytest.mark.parametrize("name", ["front", "rear", "pitch", "yaw"])
-@pytest.mark.parametrize("convention", ["flipperctl", "rep103"])
+@pytest.mark.parametrize(
+    ("name", "convention"),
+    [("front", "flipperctl"), ("rear", "rep103"), ("pitch", "rep103"), ("yaw", "flipperctl")],
+)
 def test_each_wrong_sign_is_named(
     tmp_path: Path, capsys: pytest.CaptureFixture, name: str, convention: str
 ) -> None:

@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flipperctl.runtime import Ages, Answer, FlipperController, JointAngles, Limits, OnnxPolicy
-from flipperctl.runtime.messages import Odometry
+from flipperctl.runtime import Answer, FlipperController, JointAngles, Odometry, OnnxPolicy
 from tests.runtime.linear import RISK, ROBOT, RULE, write
-from tests.runtime.test_shadow import SETUP, messages
+from tests.runtime.messages import IN_CHASSIS, RELAXED, good
 
-LIMITS = Limits(ages=Ages(joints=0.2))
 STEP = 0.05
 """Time between two steps of the controller [s]."""
 
@@ -41,7 +39,7 @@ class Robot:
         """Step with belts of this speed; None: without encoders."""
         answers = []
         for _ in range(round(seconds / STEP)):
-            told = {**messages(self.now), "joints": JointAngles(self.now, *self.angles)}
+            told = {**good(self.now), "joints": JointAngles(self.now, *self.angles)}
             told["odometry"] = None if speed is None else Odometry(self.now, speed)
             answers.append(self.controller.step(self.now, **{**told, **changes}))
             self.angles = answers[-1].setpoints or self.angles
@@ -56,7 +54,7 @@ class Robot:
 
 @pytest.fixture
 def robot(file: Path) -> Robot:
-    return Robot(FlipperController(file, SETUP, LIMITS))
+    return Robot(FlipperController(file, IN_CHASSIS, RELAXED))
 
 
 def decided(answers: list[Answer]) -> list[Answer]:
@@ -123,10 +121,10 @@ def test_belts_that_start_again_begin_an_episode(robot: Robot) -> None:
 
 
 def test_what_keeps_it_from_deciding_is_told_before_the_belts_start(file: Path) -> None:
-    blind = Robot(FlipperController(file, SETUP, replace(LIMITS, coverage=1.1)))
+    blind = Robot(FlipperController(file, IN_CHASSIS, replace(RELAXED, coverage=1.1)))
     answers = blind.run(2.0, 0.0)
     assert {(a.state, a.fault, a.drive) for a in answers} == {("waiting", "coverage", False)}
-    dead = Robot(FlipperController(file, SETUP, LIMITS))
+    dead = Robot(FlipperController(file, IN_CHASSIS, RELAXED))
     session, dead.controller.policy._session = dead.controller.policy._session, None
     assert {answer.fault for answer in dead.run(2.0, 0.0)} == {"inference"}
     dead.controller.policy._session = session
@@ -142,7 +140,7 @@ def test_a_fault_in_standby_stops_the_belts_and_ends(robot: Robot) -> None:
 
 def test_standby_is_a_change_of_state_in_the_log(file: Path) -> None:
     lines: list[str] = []
-    Robot(FlipperController(file, SETUP, LIMITS, lines.append)).run(2.0, 0.0)
+    Robot(FlipperController(file, IN_CHASSIS, RELAXED, lines.append)).run(2.0, 0.0)
     (line,) = map(json.loads, lines)
     assert (line["state"], line["fault"], line["action"]) == ("standby", "", None)
 
@@ -155,7 +153,7 @@ def test_without_escapes_each_action_is_the_best(file: Path) -> None:
     assert [best.act(seen) for _ in range(20)] == [8] * 20
     assert best.risk == drawing.risk
     assert best.warning
-    robot = Robot(FlipperController(file, SETUP, LIMITS, escape=False))
+    robot = Robot(FlipperController(file, IN_CHASSIS, RELAXED, escape=False))
     answers = decided(robot.run(12.0, 0.2))
     assert {answer.action for answer in answers} <= {0, 1}  # whose heights are nearly equal
     assert all(answer.warning for answer in answers)
@@ -181,7 +179,7 @@ def test_an_operator_turns_the_flippers_in_standby_without_a_fault(robot: Robot)
     answers = [robot.turned(float(front), -0.2, 0.0) for front in fronts]
     assert {(answer.state, answer.fault) for answer in answers} == {("standby", "")}
     assert answers[-1].targets is not None
-    assert answers[-1].targets[0] == pytest.approx(0.9, abs=LIMITS.stall_error)
+    assert answers[-1].targets[0] == pytest.approx(0.9, abs=RELAXED.stall_error)
 
 
 def test_a_parked_robot_does_not_move_before_its_first_speed_comes(robot: Robot) -> None:

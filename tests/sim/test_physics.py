@@ -1,4 +1,4 @@
-"""The physics of both engines against numbers worked by hand."""
+"""The contract of both engines' physics, against numbers worked by hand."""
 
 import math
 from collections.abc import Callable
@@ -10,13 +10,14 @@ import numpy as np
 import pymunk
 import pytest
 
-from flipperctl.api import Engine, Profile, Robot, Start
+from flipperctl.api import Engine, FloatArray, Limits, Profile, Robot, Start
 from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.sim.mujoco import Mujoco
 from flipperctl.sim.mujoco.world import MujocoWorld
 from flipperctl.sim.planar import Planar
 from flipperctl.sim.planar.world import PlanarWorld
+from flipperctl.sim.resting import resting
 
 FLAT = Profile([(0.0, 0.0)])
 STILL = 1e-9  # [m/s] belts that brake: the smallest speed that the settings allow
@@ -99,6 +100,23 @@ MUJOCO = Case(Mujoco, turn_mujoco, energy_mujoco, rests=5e-4, creeps=2e-3, balan
 @pytest.fixture(params=[PLANAR, MUJOCO], ids=lambda case: case.name)
 def case(request: pytest.FixtureRequest) -> Case:
     return request.param
+
+
+LEANS = math.radians(25)
+SLOPE = Profile([(0.0, 0.0), (14.0, 14.0 * math.tan(LEANS))])
+NEEDED = 45 * 9.81 * math.sin(LEANS)
+"""Force that holds the robot on that slope [N]."""
+
+
+def resting_on_slope(case: Case, **robot: Any) -> Any:
+    """Return a robot of these settings that drives on a slope of 25°."""
+    placed = Robot(**robot)
+    pose = resting(SLOPE, placed, 7.0, 0.0, 0.0, 1.0)
+    assert pose is not None
+    start = Start(7.0, height=pose[0], pitch=pose[1])
+    world = case.engine().place(SLOPE, placed, start, np.random.default_rng(0))
+    world.command(0.0, 0.0)
+    return world
 
 
 def episode(env: FlipperEnv) -> dict:
@@ -218,3 +236,128 @@ def test_half_the_substep_changes_the_pitch_variation_little(name: str, terrain:
     assert coarse["outcome"] == fine["outcome"] == "reached"
     variations = [info["metrics"]["pitch_variation"] for info in (coarse, fine)]
     assert variations[0] == pytest.approx(variations[1], rel=0.05)
+
+
+def test_stops_at_the_sample_that_reaches_a_limit(case: Case) -> None:
+    world = case.place(FLAT, Robot(), 0.0)
+    poses = world.advance(200, Limits(x=0.05))
+    assert poses[-2, 0] < 0.05 <= poses[-1, 0]
+    assert world.time == pytest.approx(0.01 * len(poses))
+
+
+def test_equal_inputs_give_bit_identical_trajectories_and_snapshots_continue_them(
+    case: Case,
+) -> None:
+    stair = resolver.create("terrain", "paper_stair", "terrain").generate(np.random.default_rng(0))
+    varied = {"yaw": 0.05, "roughness": 0.01} if case is MUJOCO else {}
+
+    def trajectory(*, interrupted: bool) -> FloatArray:
+        world = case.place(stair, Robot(), -1.0, **varied)
+        poses = []
+        for decision in range(20):
+            world.command(0.8 * math.sin(decision), 0.8 * math.cos(decision))
+            if interrupted and decision == 9:
+                saved = world.save()
+                world.advance(100)
+                world.load(saved)
+            poses.append(world.advance(60))
+        return np.concatenate(poses)
+
+    first = trajectory(interrupted=False)
+    assert np.array_equal(first, trajectory(interrupted=False))
+    assert first[-1, 0] > 0.0  # it got as far as the stairs
+    again = trajectory(interrupted=True)
+    # The plane's snapshots lack contact impulses.
+    assert np.abs(again - first)[600].max() < 1e-3
+    assert case is PLANAR or np.array_equal(again, first)
+
+
+# Flippers
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_flippers_turn_at_their_rate_and_stop_at_their_limit(sign: int, case: Case) -> None:
+    world = case.place(FLAT, Robot(track_speed=STILL), 0.0)
+    target = sign * math.pi / 12
+    world.command(target, target)
+    poses = world.advance(60)
+    # half of 15° / (25 °/s) = 0.6 s: they turn, they do not jump
+    assert poses[29, 3:] == pytest.approx([target / 2] * 2, abs=0.02)
+    assert poses[59, 3:] == pytest.approx([target] * 2, abs=0.02)
+    world.command(sign * 1.5, sign * 1.5)
+    assert world.advance(400)[-1, 3:] == pytest.approx([sign * math.pi / 3] * 2, abs=0.02)
+
+
+# Each pair carries half of 45 kg at 0.336 m, less its own weight at 0.168 m:
+# 9.81 · (22.5 · 0.336 - 5 · 0.168) = 65.9 N m. On its tips, the chassis is
+# 0.1 + 0.336 sin(π/3) = 0.391 m high.
+@pytest.mark.parametrize(("settings", "height"), [({"flipper_torque": 60.0}, 0.1), ({}, 0.391)])
+def test_flippers_lift_the_robot_only_with_enough_torque(
+    settings: dict[str, float], height: float, case: Case
+) -> None:
+    world = case.place(FLAT, Robot(track_speed=STILL, **settings), 0.0)
+    world.command(-math.pi / 3, -math.pi / 3)
+    world.advance(500)
+    assert world.position[1] == pytest.approx(height, abs=5e-3)
+
+
+def test_starts_on_lowered_flippers(case: Case) -> None:
+    world = case.place(FLAT, Robot(track_speed=STILL), 0.0, -math.pi / 6, -math.pi / 6)
+    assert world.position[1] == pytest.approx(0.1 + 0.336 / 2)  # sin 30° = 1/2
+    assert world.penetration() == pytest.approx(0.0, abs=1e-9)
+
+
+# Loads on the chassis, and the largest force of the tracks
+
+
+def test_weak_tracks_slide_back_and_strong_ones_climb(case: Case) -> None:
+    full = 2.0 * 0.2 * math.cos(LEANS)  # [m]
+    strong = resting_on_slope(case, track_force=1.4 * NEEDED).advance(200)
+    assert strong[-1, 0] - 7.0 == pytest.approx(full, abs=0.03)
+    weak = resting_on_slope(case, track_force=0.8 * NEEDED).advance(200)
+    # It slides by half of 0.2 g sin(25°), 0.83 m/s², times the time squared, once it has stopped.
+    assert -1.7 < weak[-1, 0] - 7.0 < -0.2
+
+
+def test_snapshots_keep_loads_and_limits(case: Case) -> None:
+    robot = {"track_force": 1.1 * NEEDED, "payload": 8.0, "payload_x": -0.1, "payload_z": 0.3}
+    world = resting_on_slope(case, **robot)
+    world.advance(20)
+    saved, at = world.save(), world.state()
+    first = world.advance(20)
+    world.load(saved)
+    again = world.state()
+    assert again.position == pytest.approx(at.position, abs=1e-12)
+    assert again.velocity == pytest.approx(at.velocity, abs=1e-12)
+    assert np.abs(world.advance(20) - first).max() <= (0.0 if case is MUJOCO else 5e-3)
+
+
+# 45 kg 0.1 m before the edge are 4.5 kg m; 10 kg 0.25 m ahead of it 2.5, and 25 kg 6.25.
+@pytest.mark.parametrize(
+    ("load", "tips"),
+    [({}, False), ((10.0, 0.35), False), ((25.0, 0.35), True), ((25.0, -0.35), False)],
+)
+def test_a_load_ahead_of_the_edge_tips_the_robot(load: Any, tips: bool, case: Case) -> None:
+    cliff = Profile([(0.0, 0.0), (0.0, -2.0), (3.0, -2.0)])
+    robot = Robot(track_speed=1e-6, **dict(zip(("payload", "payload_x"), load, strict=False)))
+    world = case.place(cliff, robot, -0.1, 1.0, 1.0)
+    world.command(1.0, 1.0)
+    pitch = world.advance(100)[-1, 2]
+    assert pitch < -0.3 if tips else abs(pitch) < 0.02
+
+
+def test_masses_of_a_loaded_robot_by_hand() -> None:
+    robot = Robot(payload=5.0, payload_x=0.4, payload_z=-0.2)
+    assert (robot.carried_mass, robot.mass) == (40.0, 50.0)
+    assert robot.centre_of_mass == pytest.approx((0.05, -0.025))
+    # 35 kg at 0.05 m and 5 kg at 0.35 m from the centre of mass, and half of both in height.
+    ahead = 35 * 0.05**2 + 5 * 0.35**2
+    assert robot.load_inertia == pytest.approx((ahead, ahead / 4))
+    assert Robot().centre_of_mass == (0.0, 0.0)
+    # A robot rests where its load is.
+    with_edge, heavy = (
+        Profile([(0.0, 0.0), (0.0, -2.0), (3.0, -2.0)]),
+        Robot(payload=40.0, payload_x=0.5),
+    )
+    found = [resting(with_edge, one, -0.1, 1.0, 1.0, 0.5) for one in (Robot(), heavy)]
+    assert [pose is None for pose in found] == [False, True]

@@ -12,7 +12,7 @@ from flipperctl.cli.hydra import compose, config_store
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import TrainConfig
 from flipperctl.errors import CheckpointError, ConfigError, PluginFailedError
-from flipperctl.lookahead.value_iteration_policy import SIZE
+from flipperctl.lookahead.value_iteration import SIZE
 from tests.short import short_config, trainer
 from tests.training.conftest import require_resumes
 

@@ -109,26 +109,17 @@ class Body:
         found[near] = inside
         return found
 
-    def distances(
-        self, origin: FloatArray, directions: FloatArray, front: float, rear: float
-    ) -> FloatArray:
-        """Return the distance from ``origin`` (3,) to the robot along each direction, (R,) [m].
+    def distances_to_chassis(self, origin: FloatArray, directions: FloatArray) -> FloatArray:
+        """Return the distance from ``origin`` (3,) to the chassis along each direction, (R,) [m].
 
         It is infinite for rays that miss it; ``directions`` are (R, 3) unit vectors in frame R.
         """
-        return np.minimum(
-            self.distances_to_chassis(origin, directions),
-            self.distances_to_flippers(origin, directions, front, rear),
-        )
-
-    def distances_to_chassis(self, origin: FloatArray, directions: FloatArray) -> FloatArray:
-        """Return the distances to the chassis alone, (R,), as ``distances`` does [m]."""
         return self._nearest(origin, directions, [self._chassis()])
 
     def distances_to_flippers(
         self, origin: FloatArray, directions: FloatArray, front: float, rear: float
     ) -> FloatArray:
-        """Return the distances to the flippers alone, (R,), as ``distances`` does [m]."""
+        """Return the distances to the flippers, (R,), as ``distances_to_chassis`` does [m]."""
         return self._nearest(origin, directions, self._flippers(front, rear))
 
     def may_hit_flippers(self, origin: FloatArray, directions: FloatArray) -> NDArray[np.bool_]:
@@ -261,18 +252,15 @@ class Mount:
         return mounting(self.axis)
 
     def ground_points(
-        self, points: FloatArray, kept: NDArray[np.bool_], body: Body, joints: Joints
-    ) -> FloatArray:
-        """Return those of the ``kept`` points that are not the robot's own, (P, 3) in frame R [m].
+        self, points: FloatArray, body: Body, joints: Joints
+    ) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Return the points that are not the robot's own, (P, 3) in frame R [m], and which, (N,).
 
-        ``points`` (N, 3) are in the LiDAR's frame [m]. ``kept`` (N,) is changed to which of them
-        are returned.
+        ``points`` (N, 3) are in the LiDAR's frame [m].
         """
-        points = points.compress(kept, axis=0)
         x, y, z = points.T
-        far = x * x + y * y + z * z >= self.near**2
-        kept[kept] = far
-        points = self.position + points.compress(far, axis=0) @ self.turn.T
+        kept = np.asarray(x * x + y * y + z * z >= self.near**2)
+        points = self.position + points.compress(kept, axis=0) @ self.turn.T
         others = ~body.contains(points, joints.front, joints.rear, self.margin)
         kept[kept] = others
-        return points.compress(others, axis=0)
+        return points.compress(others, axis=0), kept

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -29,30 +28,43 @@ _EDGE = 1e-3
 """Rounded points lie so far from their lane at most, in its widths [-]."""
 
 
-@dataclass(frozen=True)
-class Grid:
-    """Sizes of the cells."""
-
-    cell: float = 0.025
-    """Length of a cell along x [m]."""
-    lane: float = 0.09
-    """Width of a cell along y [m]."""
-    keep: int = 32
-    """Newest points that a cell holds [-]."""
+_MOST = 0.35
+"""Angle between the heading and the window's axis from which on the window is turned [rad]."""
 
 
 class Cells:
-    """The newest points of each cell."""
+    """The newest points of each cell, in rows that lie across the robot's heading, or nearly so."""
 
-    def __init__(self, grid: Grid, ahead: float, beside: float) -> None:
-        """Cover ``ahead`` to both ends and ``beside`` to both sides of the robot [m]."""
-        self._grid, self._ahead, self._beside = grid, ahead, beside
-        self._shape = 2 * math.ceil(ahead / grid.cell) + 1, 2 * math.ceil(beside / grid.lane) + 1
+    def __init__(self, cell: float, lane: float, keep: int, *, ahead: float, beside: float) -> None:
+        """Cover ``ahead`` to both ends and ``beside`` to both sides of the robot [m].
+
+        ``cell`` and ``lane``: length and width of a cell [m]; ``keep``: newest points that one
+        holds.
+        """
+        self._cell, self._lane, self._keep = cell, lane, keep
+        self._ahead, self._beside = ahead, beside
+        self._shape = 2 * math.ceil(ahead / cell) + 1, 2 * math.ceil(beside / lane) + 1
+        self._axis = 0.0  # of the window in frame M [rad]
+        self._clear()
+
+    def _clear(self) -> None:
         rows, lanes = self._shape
-        self._points = np.full((rows * lanes, grid.keep, 3), np.nan, np.float32)
+        self._points = np.full((rows * lanes, self._keep, 3), np.nan, np.float32)
         self._count = np.zeros(rows * lanes, np.int64)  # points that the cell has received
         self._place = np.full((rows * lanes, 2), np.iinfo(np.int64).min)  # whose points these are
         self._seen_at = np.zeros(rows * lanes)  # way of the robot at the newest point [m]
+
+    def face(self, x: float, y: float, yaw: float) -> None:
+        """Turn the window, if the robot at (x, y) [m] heads elsewhere by now [rad]."""
+        turn = math.remainder(yaw - self._axis, 2 * math.pi)
+        if abs(turn) <= _MOST:
+            return
+        points, ways = self._held()
+        points = _rotated(points, self._axis)
+        self._axis += turn
+        self._clear()
+        if len(points):
+            self.add(points, x, y, ways)
 
     def add(self, points: FloatArray, x: float, y: float, way: float | FloatArray = 0.0) -> None:
         """Add ``points`` (P, 3) in frame M, oldest first; the robot is at (x, y) [m].
@@ -60,6 +72,7 @@ class Cells:
         Points outside the window are dropped. ``way``: what the robot had moved when it saw them,
         or each of them, (P,) [m].
         """
+        points, (x, y) = _rotated(points, -self._axis), self._in_window(x, y)
         near = (np.abs(points[:, 0] - x) < self._ahead) & (np.abs(points[:, 1] - y) < self._beside)
         points = points.compress(near, axis=0)
         if not len(points):
@@ -76,18 +89,18 @@ class Cells:
         self._points[used[moved]] = np.nan
         self._place[used] = place[first]
         rank = np.arange(len(slot)) - np.repeat(first, counts)
-        newest = rank >= np.repeat(counts, counts) - self._grid.keep
-        at = (self._count[slot] + rank) % self._grid.keep
+        newest = rank >= np.repeat(counts, counts) - self._keep
+        at = (self._count[slot] + rank) % self._keep
         self._points[slot[newest], at[newest]] = points[newest]
         self._count[used] += counts
         self._seen_at[used] = np.maximum.reduceat(ways[order], first)
 
-    def held(self) -> tuple[FloatArray, FloatArray]:
+    def _held(self) -> tuple[FloatArray, FloatArray]:
         """Return the points that are held, (P, 3) [m], and ``way`` when their cells were last seen.
 
-        Those of a cell follow each other, oldest first.
+        They are in the axes of the window. Those of a cell follow each other, oldest first.
         """
-        keep = self._grid.keep
+        keep = self._keep
         (slots,) = np.nonzero(self._count)
         start = np.where(self._count[slots] > keep, self._count[slots] % keep, 0)
         order = (start[:, None] + np.arange(keep)) % keep
@@ -103,10 +116,10 @@ class Cells:
 
         ``ceilings`` returns heights for points (Q, 3) in frame M, (Q,) [m].
         """
-        reach = (-self._ahead, self._ahead)
+        reach, (x, y) = (-self._ahead, self._ahead), self._in_window(x, y)
         slots = self._near(x, y, 0.0, reach, self._beside)
-        middle = (self._place[slots] + 0.5) * (self._grid.cell, self._grid.lane)
-        above = ceilings(middle) + margin
+        middle = (self._place[slots] + 0.5) * (self._cell, self._lane)
+        above = ceilings(_rotated(middle, self._axis)) + margin
         passed = np.isfinite(above)
         slots, above = slots[passed], above[passed]
         heights = self._points[slots, :, 2]
@@ -114,7 +127,7 @@ class Cells:
         slots, heights = slots[some], heights[some]
         rows, places = np.nonzero(np.isfinite(heights))
         found = self._points[slots[rows], places].astype(np.float64)
-        gone = found[:, 2] > ceilings(found) + margin
+        gone = found[:, 2] > ceilings(_rotated(found, self._axis)) + margin
         self._points[slots[rows[gone]], places[gone]] = np.nan
 
     def around(
@@ -132,10 +145,11 @@ class Cells:
         Those from ``reach[0]`` to ``reach[1]`` along it and within ``side`` beside it are returned;
         ``dense``: without those of cells that have few for their neighbours.
         """
+        (x, y), yaw = self._in_window(x, y), yaw - self._axis
         slots = self._near(x, y, yaw, reach, side)
         if dense:
             slots = slots[~self._sparse(x)[slots]]
-        keep = self._grid.keep
+        keep = self._keep
         filled = np.arange(keep) < self._count[slots, None]
         index = (keep * slots[:, None] + np.arange(keep))[filled]
         found = self._points.reshape(-1, 3).take(index, axis=0).astype(np.float64)
@@ -149,7 +163,7 @@ class Cells:
         The robot is at ``x`` [m]. Mixed returns leave such cells in the shadow of an edge.
         """
         rows, lanes = self._shape
-        wanted = math.floor(x / self._grid.cell) - rows // 2 + np.arange(rows)
+        wanted = math.floor(x / self._cell) - rows // 2 + np.arange(rows)
         order = wanted % rows
         held = self._place[:, 0].reshape(rows, lanes)[order] == wanted[:, None]
         count = np.where(held, self._count.reshape(rows, lanes)[order], 0)
@@ -167,9 +181,9 @@ class Cells:
 
         Both are (C,) [m]; the parameters are those of ``around``.
         """
+        (x, y), yaw = self._in_window(x, y), yaw - self._axis
         slots = self._near(x, y, yaw, reach, side)
-        grid = self._grid
-        middle = (self._place[slots] + 0.5) * (grid.cell, grid.lane) - (x, y)
+        middle = (self._place[slots] + 0.5) * (self._cell, self._lane) - (x, y)
         along, beside = _turned(middle[:, 0], middle[:, 1], yaw)
         inside = np.abs(beside) <= side
         return along[inside], self._seen_at[slots[inside]]
@@ -178,38 +192,44 @@ class Cells:
         self, x: float, y: float, yaw: float, reach: tuple[float, float], side: float
     ) -> NDArray[np.int64]:
         """Return the slots with points of the rows that a strip at this heading crosses."""
-        grid = self._grid
         rows, lanes = self._shape
         cos, sin = math.cos(yaw), math.sin(yaw)
         corners = [(u * cos - v * sin) for u in reach for v in (-side, side)]
-        low = math.floor((x + max(min(corners), -self._ahead)) / grid.cell)
-        high = math.floor((x + min(max(corners), self._ahead)) / grid.cell)
+        low = math.floor((x + max(min(corners), -self._ahead)) / self._cell)
+        high = math.floor((x + min(max(corners), self._ahead)) / self._cell)
         wanted = np.arange(low, high + 1)[: self._shape[0]]
         slots = ((wanted % rows)[:, None] * lanes + np.arange(lanes)).ravel()
         held = (self._place[slots, 0] == np.repeat(wanted, lanes)) & (self._count[slots] > 0)
         across = [(u * sin + v * cos) for u in reach for v in (-side, side)]
         lane = self._place[slots, 1]
-        held &= lane >= math.floor((y + min(across)) / grid.lane - _EDGE)
-        held &= lane <= math.floor((y + max(across)) / grid.lane + _EDGE)
+        held &= lane >= math.floor((y + min(across)) / self._lane - _EDGE)
+        held &= lane <= math.floor((y + max(across)) / self._lane + _EDGE)
         return np.asarray(slots[held])
 
     def _places(self, points: FloatArray) -> NDArray[np.int64]:
         """Return the numbers of the points' cells along x and y, (P, 2)."""
-        sizes = np.array([self._grid.cell, self._grid.lane])
-        return np.asarray(np.floor(points[:, :2] / sizes), np.int64)
+        return np.asarray(np.floor(points[:, :2] / np.array([self._cell, self._lane])), np.int64)
 
     def _slots(self, place: NDArray[np.int64]) -> NDArray[np.int64]:
         rows, lanes = self._shape
         return (place[:, 0] % rows) * lanes + place[:, 1] % lanes
 
+    def _in_window(self, x: float, y: float) -> tuple[float, float]:
+        if not self._axis:
+            return x, y
+        cos, sin = math.cos(self._axis), math.sin(self._axis)
+        return cos * x + sin * y, cos * y - sin * x
+
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot, which later points do not change."""
-        return self._points.copy(), self._count.copy(), self._place.copy(), self._seen_at.copy()
+        arrays = self._points, self._count, self._place, self._seen_at
+        return tuple(array.copy() for array in arrays), self._axis
 
     def load(self, saved: tuple[Any, ...]) -> None:
         """Restore a snapshot."""
-        arrays = (array.copy() for array in saved)
-        self._points, self._count, self._place, self._seen_at = arrays
+        arrays, self._axis = saved
+        copies = (array.copy() for array in arrays)
+        self._points, self._count, self._place, self._seen_at = copies
 
 
 def _turned(dx: FloatArray, dy: FloatArray, yaw: float) -> tuple[FloatArray, FloatArray]:
@@ -218,85 +238,8 @@ def _turned(dx: FloatArray, dy: FloatArray, yaw: float) -> tuple[FloatArray, Flo
     return cos * dx + sin * dy, cos * dy - sin * dx
 
 
-_MOST = 0.35
-"""Angle between the heading and the window's axis from which on the window is turned [rad]."""
-
-
-class TurningCells:
-    """A map of cells whose rows lie across the robot's heading, or nearly so."""
-
-    def __init__(self, grid: Grid, ahead: float, beside: float) -> None:
-        """``ahead`` and ``beside``: as of ``Cells``, along the heading and beside it [m]."""
-        self._sizes = grid, ahead, beside
-        self._cells = Cells(*self._sizes)
-        self._axis = 0.0  # of the window in frame M [rad]
-
-    def face(self, x: float, y: float, yaw: float) -> None:
-        """Turn the window, if the robot at (x, y) [m] heads elsewhere by now [rad]."""
-        turn = math.remainder(yaw - self._axis, 2 * math.pi)
-        if abs(turn) <= _MOST:
-            return
-        points, ways = self._cells.held()
-        points = self._in_map(points)
-        self._cells, self._axis = Cells(*self._sizes), self._axis + turn
-        if len(points):
-            self.add(points, x, y, ways)
-
-    def add(self, points: FloatArray, x: float, y: float, way: float | FloatArray = 0.0) -> None:
-        """See ``Cells.add``."""
-        self._cells.add(self._in_window(points), *self._place(x, y), way)
-
-    def clear_above(
-        self, ceilings: Callable[[FloatArray], FloatArray], x: float, y: float, margin: float
-    ) -> None:
-        """See ``Cells.clear_above``."""
-        here = self._place(x, y)
-        self._cells.clear_above(lambda points: ceilings(self._in_map(points)), *here, margin)
-
-    def around(
-        self,
-        x: float,
-        y: float,
-        yaw: float,
-        reach: tuple[float, float],
-        side: float,
-        dense: bool = False,
-    ) -> FloatArray:
-        """See ``Cells.around``."""
-        return self._cells.around(*self._place(x, y), yaw - self._axis, reach, side, dense)
-
-    def seen_at(
-        self, x: float, y: float, yaw: float, reach: tuple[float, float], side: float
-    ) -> tuple[FloatArray, FloatArray]:
-        """See ``Cells.seen_at``."""
-        return self._cells.seen_at(*self._place(x, y), yaw - self._axis, reach, side)
-
-    def _place(self, x: float, y: float) -> tuple[float, float]:
-        if not self._axis:
-            return x, y
-        cos, sin = math.cos(self._axis), math.sin(self._axis)
-        return cos * x + sin * y, cos * y - sin * x
-
-    def _in_window(self, points: FloatArray) -> FloatArray:
-        """Return points (P, 2) or (P, 3) in frame M, in the axes of the window."""
-        return _turned_window(points, -self._axis)
-
-    def _in_map(self, points: FloatArray) -> FloatArray:
-        """Return points (P, 2) or (P, 3) in the axes of the window, in frame M."""
-        return _turned_window(points, self._axis)
-
-    def save(self) -> tuple[Any, ...]:
-        """Return a snapshot, which later points do not change."""
-        return self._cells.save(), self._axis
-
-    def load(self, saved: tuple[Any, ...]) -> None:
-        """Restore a snapshot."""
-        cells, self._axis = saved
-        self._cells.load(cells)
-
-
-def _turned_window(points: FloatArray, turn: float) -> FloatArray:
-    """Return points turned about the vertical axis, to the left [rad]."""
+def _rotated(points: FloatArray, turn: float) -> FloatArray:
+    """Return ``points`` (P, 2) or (P, 3) turned about the vertical axis, to the left [rad]."""
     if not turn:
         return points
     cos, sin = math.cos(turn), math.sin(turn)

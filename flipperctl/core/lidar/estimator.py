@@ -66,19 +66,18 @@ class LidarEstimator:
         mount: Mount,
         settings: MapSettings,
         matcher: ScanMatcher | None = None,
-        deskew: bool = True,
         *,
         level: bool = True,
     ) -> None:
         """``matcher`` corrects the pose by ``Belts`` and ``Inertial``; None: nothing does.
 
-        ``deskew``: correct the points for the robot's motion within a scan. ``level``: whether the
-        robot stands on level ground at first; else no ground and no constant errors are assumed.
+        ``level``: whether the robot stands on level ground at first; else no ground and no
+        constant errors are assumed.
         """
         self._body, self._mount = body, mount
         self._settings = settings
         self._ground = GroundSeen(settings)
-        self._matcher, self._deskew = matcher, deskew
+        self._matcher = matcher
         self._pose = Pose(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
         self._trail = Trail(self._pose)
         self._joints = Joints(0.0, 0.0)
@@ -102,7 +101,7 @@ class LidarEstimator:
         message = checked(measured.time, measured.value)
         if message is None:
             return
-        time, value = message.time, message.value
+        time, value = message
         self._newest = time
         if isinstance(value, Scan):
             value = without_near(value, self._mount.near)
@@ -129,11 +128,10 @@ class LidarEstimator:
         """
         turn = attitude(pose.roll, pose.pitch, 0.0)
         lidar, below = turn @ self._mount.position, self._below()
-        if self._stands_level(pose):
-            finite = np.asarray(np.isfinite(scan.points).all(axis=1))
-            if is_elsewhere(self._ground_points(scan, finite) @ turn.T, lidar, below):
-                self._started, self._calibrated = True, 0.0
-                return
+        ground = self._ground_points(scan)[0] @ turn.T
+        if self._stands_level(pose) and is_elsewhere(ground, lidar, below):
+            self._started, self._calibrated = True, 0.0
+            return
         self._start(pose)
         if self._calibrated is not None:
             return
@@ -260,23 +258,19 @@ class LidarEstimator:
             self._ground.clear(origin, points, pose.x, pose.y)
         self._ground.add(points, pose.x, pose.y, pose.yaw)
 
-    def _ground_points(self, scan: Scan, kept: NDArray[np.bool_]) -> FloatArray:
+    def _ground_points(self, scan: Scan) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Return what ``Mount.ground_points`` keeps of a scan, with the flippers where they are."""
-        return self._mount.ground_points(scan.points, kept, self._body, self._joints)
+        return self._mount.ground_points(scan.points, self._body, self._joints)
 
     def _levelled(self, scan: Scan, time: float, pose: Pose) -> FloatArray:
         """Return the ground's points from the robot in the directions of frame M, (P, 3) [m].
 
         ``pose``: that of the robot at ``time``.
         """
-        ages = scan.ages
-        kept = np.asarray(np.isfinite(scan.points).all(axis=1))
-        if ages is not None:
-            kept &= np.isfinite(ages)
-        points = self._ground_points(scan, kept)
-        if ages is None or not self._deskew:
+        points, kept = self._ground_points(scan)
+        if scan.ages is None or not self._settings.quality.deskew:
             return points @ attitude(pose.roll, pose.pitch, pose.yaw).T
-        return self._trail.levelled(points, ages[kept], time, pose)
+        return self._trail.levelled(points, scan.ages[kept], time, pose)
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot, which later messages do not change."""

@@ -17,15 +17,13 @@ from numpy.typing import NDArray
 
 from flipperctl.core import observation
 from flipperctl.core.arrays import FloatArray
-from flipperctl.core.lidar.cells import Grid, TurningCells
+from flipperctl.core.lidar.cells import Cells
 from flipperctl.core.lidar.certainty import Accuracy, deviations
 from flipperctl.core.lidar.outline import (
     Columns,
-    Sorted,
     columns,
     points_along,
     polyline,
-    sorted_points,
     with_assumed,
     with_drops,
 )
@@ -166,37 +164,56 @@ class Stance:
     """Radius of the circles [m]."""
 
 
+MEANING = (
+    "map of the ground in which the policy was trained: lengths cell along and lane across the "
+    "way, half_width to each side and noise of a point's height in m, keep points a cell, fewest "
+    "points of a column that is seen; deskew: points are corrected for the motion within a scan"
+)
+"""The settings in words, for the metadata of exported policies."""
+
+
+@dataclass(frozen=True)
+class MapQuality:
+    """How the points of scans make up the ground."""
+
+    cell: float = 0.025
+    """Length of the map's cells along the way [m]."""
+    lane: float = 0.09
+    """Width of the map's cells [m]."""
+    keep: int = 32
+    """Newest points that a cell holds [-]."""
+    half_width: float = 0.36
+    """Ground within this distance beside the robot's line counts [m]."""
+    fewest: int = 4
+    """Points without which a column of cells is unseen [-]."""
+    noise: float = 0.01
+    """Standard deviation of the height of a point [m]."""
+    deskew: bool = True
+    """Whether points are corrected for the robot's motion within a scan."""
+
+
 @dataclass(frozen=True)
 class MapSettings:
-    """Layout of the observation and quality of the map."""
+    """Layout of the observation, and quality of the map."""
 
     bins: int
     """Number of bins [-]."""
     bin_width: float
     """Width of a bin [m]."""
-    grid: Grid = field(default_factory=Grid)
-    """Sizes of the cells."""
-    half_width: float = 0.36
-    """Ground within this distance beside the robot's line counts [m]."""
-    fewest: int = 4
-    """Points without which a column is unseen [-]."""
-    noise: float = 0.01
-    """Standard deviation of the height of a point [m]."""
+    quality: MapQuality = MapQuality()
+    """How the points of scans make up the ground."""
     accuracy: Accuracy = field(default_factory=Accuracy)
     """What makes heights err."""
-    sides: bool = True
-    """Whether the heights below each track are estimated too; a third of the computing time [-]."""
 
 
 class GroundSeen:
     """A map of the ground around the robot and what is assumed about the ground at the start."""
 
     def __init__(self, settings: MapSettings) -> None:
-        self._settings = settings
+        self._settings, self._quality = settings, (q := settings.quality)
         self._reach = observation.reach(settings.bins, settings.bin_width)
-        self._cells = TurningCells(
-            settings.grid, self._reach + _PAST + _MARGIN, settings.half_width + _MARGIN
-        )
+        ahead, beside = self._reach + _PAST + _MARGIN, q.half_width + _MARGIN
+        self._cells = Cells(q.cell, q.lane, q.keep, ahead=ahead, beside=beside)
         self._start: tuple[float, float, float, float] | None = None
         self._lift: float | None = None  # added to the map's heights; None before the first [m]
         self._at: tuple[float, float] | None = None  # the robot's latest place [m]
@@ -224,7 +241,7 @@ class GroundSeen:
         Frame M [m]; the robot is at (x, y) [m].
         """
         reach = self._reach + _PAST + _MARGIN
-        margin = _BEFORE * self._settings.noise
+        margin = _BEFORE * self._quality.noise
         self._cells.clear_above(FreeSpace(origin, points, reach, margin).ceilings, x, y, _ABOVE)
 
     def _move_to(self, x: float, y: float) -> None:
@@ -237,24 +254,24 @@ class GroundSeen:
 
         Level parts of the map ahead of the robot at (x, y) [m] count; 0 if there are too few.
         """
-        s, reach = self._settings, (_NEAREST, _FARTHEST)
+        q, reach = self._quality, (_NEAREST, _FARTHEST)
         cos, sin = math.cos(yaw), math.sin(yaw)
         dx, dy = points[:, 0] - x, points[:, 1] - y
         along, beside = cos * dx + sin * dy, cos * dy - sin * dx
-        strip = (np.abs(beside) <= s.half_width) & (along >= reach[0]) & (along < reach[1])
+        strip = (np.abs(beside) <= q.half_width) & (along >= reach[0]) & (along < reach[1])
         (near,) = np.nonzero(strip)
         scanned = np.column_stack([along[near], beside[near], points[near, 2]])
-        counts = np.bincount(np.floor(scanned[:, 0] / s.grid.cell).astype(np.int64))
-        if np.count_nonzero(counts >= s.fewest) < _FEWEST_COLUMNS:  # as of a sector to the side
+        counts = np.bincount(np.floor(scanned[:, 0] / q.cell).astype(np.int64))
+        if np.count_nonzero(counts >= q.fewest) < _FEWEST_COLUMNS:  # as of a sector to the side
             return 0.0
-        around = self._cells.around(x, y, yaw, reach, s.half_width)
-        slope = lateral_slope(around, s.grid.cell)
+        around = self._cells.around(x, y, yaw, reach, q.half_width)
+        slope = lateral_slope(around, q.cell)
         known = self._columns(straightened(around, slope), _REGISTERED)
-        level = known.high - known.low < 3 * s.noise + s.grid.cell
-        new = self._columns(straightened(scanned, slope), s.fewest)
+        level = known.high - known.low < 3 * q.noise + q.cell
+        new = self._columns(straightened(scanned, slope), q.fewest)
         _, i, j = np.intersect1d(
-            np.round(known.x[level] / s.grid.cell, 1),
-            np.round(new.x / s.grid.cell, 1),
+            np.round(known.x[level] / q.cell, 1),
+            np.round(new.x / q.cell, 1),
             return_indices=True,
         )
         if len(i) < _FEWEST_COLUMNS:
@@ -270,20 +287,20 @@ class GroundSeen:
         ``unknown``: how far the robot may have moved since its position was estimated [m].
         Call it once for each decision, since it corrects the map's height a bit by each stance.
         """
-        s, (x, y, z) = self._settings, position.tolist()
+        s, q, (x, y, z) = self._settings, self._quality, position.tolist()
         self._move_to(x, y)
         self._cells.face(x, y, yaw)
         reach = self._reach + _PAST
-        near = self._cells.around(x, y, yaw, (-reach, reach), s.half_width, dense=True)
+        near = self._cells.around(x, y, yaw, (-reach, reach), q.half_width, dense=True)
         near[:, 2] -= z
-        slope = lateral_slope(near, s.grid.cell)
-        found = self._columns(straightened(near, slope), s.fewest)
-        line, assumed = polyline(found, s.noise), self._assumed(x, y, z, yaw)
+        slope = lateral_slope(near, q.cell)
+        found = self._columns(straightened(near, slope), q.fewest)
+        line, assumed = polyline(found, q.noise), self._assumed(x, y, z, yaw)
         if self._lift is None:
             self._lift = self._first_lift(found, assumed, stance)
         line[:, 1] += self._lift
         line, unseen = with_assumed(line, assumed, _GAP / 2)
-        line, unseen = with_drops(line, unseen, _GAP, s.grid.cell / 2)
+        line, unseen = with_drops(line, unseen, _GAP, q.cell / 2)
         limits = (-self._reach, self._reach)
         points, filled = points_along(line, unseen, _SPACING, _GAP, limits)
         gaps = clearances(stance.circles, stance.radius, points)
@@ -294,26 +311,20 @@ class GroundSeen:
         seen = occupied(points[~filled], s.bins, s.bin_width)
         since = self._since(x, y, yaw)
         deviation = deviations(points, filled, since, s.bin_width, s.accuracy, unknown)
-        return SensedGround(
-            points,
-            heights,
-            filled,
-            seen,
-            deviation=np.where(seen, deviation, np.inf),
-            sides=self._sides(sorted_points(near, s.grid.cell)) if s.sides else None,
-        )
+        deviation = np.where(seen, deviation, np.inf)
+        return SensedGround(points, heights, filled, seen, deviation=deviation)
 
     def points_around(self, position: FloatArray, yaw: float) -> FloatArray:
         """Return the points of the map that ``sensed`` uses, (P, 3) in frame L [m]."""
         x, y, z = position.tolist()
-        near = self._cells.around(x, y, yaw, (-self._reach, self._reach), self._settings.half_width)
+        near = self._cells.around(x, y, yaw, (-self._reach, self._reach), self._quality.half_width)
         near[:, 2] += (self._lift or 0.0) - z
         return near
 
     def _since(self, x: float, y: float, yaw: float) -> FloatArray:
         """Return the way that the robot has gone since it saw each bin, (N,) [m]."""
         s, half = self._settings, self._reach
-        along, way = self._cells.seen_at(x, y, yaw, (-half, half), s.half_width)
+        along, way = self._cells.seen_at(x, y, yaw, (-half, half), self._quality.half_width)
         index = np.floor((along + half) / s.bin_width).astype(np.int64)
         inside = (index >= 0) & (index < s.bins)
         latest = np.zeros(s.bins)
@@ -322,28 +333,7 @@ class GroundSeen:
 
     def _columns(self, points: FloatArray, fewest: int) -> Columns:
         """Return the columns of ``points`` (P, 3) with at least ``fewest`` of them."""
-        cell = self._settings.grid.cell
-        return columns(sorted_points(points, cell), cell, fewest)
-
-    def _sides(self, near: Sorted) -> FloatArray:
-        """Return the heights of the bins below the left and the right tracks alone, (2, N) [m]."""
-        left = near.where(lambda points: points[:, 1] > 0)
-        right = near.where(lambda points: points[:, 1] < 0)
-        return np.stack([self._side(left), self._side(right)])
-
-    def _side(self, near: Sorted) -> FloatArray:
-        """Return the heights of the bins by the points ``near`` one track alone, (N,) [m].
-
-        They are NaN where nothing was seen.
-        """
-        s = self._settings
-        line = polyline(columns(near, s.grid.cell, s.fewest), s.noise)
-        line[:, 1] += self._lift or 0.0
-        assumed = np.zeros(len(line), np.bool_)
-        limits = (-self._reach, self._reach)
-        points, filled = points_along(line, assumed, _SPACING, _GAP, limits)
-        heights = mean_heights(points[~filled], s.bins, s.bin_width)
-        return np.where(occupied(points[~filled], s.bins, s.bin_width), heights, np.nan)
+        return columns(points, self._quality.cell, fewest)
 
     def _first_lift(self, found: Columns, assumed: FloatArray, stance: Stance) -> float:
         """Return by how much the ground that is seen below the flippers differs from the start's.
@@ -383,7 +373,7 @@ class GroundSeen:
             return np.zeros((0, 2))
         place = x * math.cos(ahead) + y * math.sin(ahead)
         reach = self._reach + _PAST
-        along = np.arange(-reach, reach, self._settings.grid.cell)
+        along = np.arange(-reach, reach, self._quality.cell)
         along = along[place + along * facing < until]
         rise = slope * (place + along * facing - until)
         return np.column_stack([along, height - z + rise])
@@ -396,46 +386,3 @@ class GroundSeen:
         """Restore a snapshot."""
         cells, self._start, self._lift, self._at, self._way = saved
         self._cells.load(cells)
-
-
-MEANING = (
-    "map of the ground in which the policy was trained: lengths cell along and lane across the "
-    "way, half_width to each side and noise of a point's height in m, keep points a cell, fewest "
-    "points of a column that is seen; deskew: points are corrected for the motion within a scan"
-)
-"""The settings in words, for the metadata of exported policies."""
-
-
-@dataclass(frozen=True)
-class MapQuality:
-    """How the points of scans make up the ground; the defaults are those of ``MapSettings``."""
-
-    cell: float = Grid.cell
-    """Length of the map's cells along the way [m]."""
-    lane: float = Grid.lane
-    """Width of the map's cells [m]."""
-    keep: int = Grid.keep
-    """Newest points that a cell holds [-]."""
-    half_width: float = MapSettings.half_width
-    """Ground within this distance beside the robot's line counts [m]."""
-    fewest: int = MapSettings.fewest
-    """Points without which a column of cells is unseen [-]."""
-    noise: float = MapSettings.noise
-    """Standard deviation of the height of a point [m]."""
-    deskew: bool = True
-    """Whether points are corrected for the robot's motion within a scan."""
-
-    def settings(
-        self, bins: int, bin_width: float, accuracy: Accuracy, *, sides: bool
-    ) -> MapSettings:
-        """Return the settings of a map in this layout; see ``MapSettings`` for the arguments."""
-        return MapSettings(
-            bins=bins,
-            bin_width=bin_width,
-            grid=Grid(cell=self.cell, lane=self.lane, keep=self.keep),
-            half_width=self.half_width,
-            fewest=self.fewest,
-            noise=self.noise,
-            accuracy=accuracy,
-            sides=sides,
-        )

@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flipperctl.core.arrays import FloatArray
 
@@ -26,6 +26,11 @@ class Scan:
     ages: FloatArray | None = None
     """(P,) time from the measurement of each point to that of the message [s]; None: all points
     were measured at the same instant."""
+
+    def take(self, rows: NDArray[np.int64]) -> Scan:
+        """Return the scan with some of its points."""
+        ages = None if self.ages is None else self.ages.take(rows)
+        return Scan(self.points.take(rows, axis=0), ages)
 
 
 @dataclass(frozen=True)
@@ -115,18 +120,10 @@ class PerceptionError(ValueError):
     """
 
 
-@dataclass(frozen=True)
-class Moment:
-    """When a message came, and what it says."""
-
-    time: float
-    """Time [s]."""
-    value: Pose | Joints | Inertial | Belts | Scan
-    """The message."""
-
-
-def checked(time: object, value: object) -> Moment | None:
-    """Return a message that can be used; None if it holds no such numbers or is of another kind.
+def checked(
+    time: object, value: object
+) -> tuple[float, Pose | Joints | Inertial | Belts | Scan] | None:
+    """Return time [s] and message; None if it holds no such numbers or is of another kind.
 
     Points that are not finite or farther than a LiDAR sees are dropped.
 
@@ -139,21 +136,15 @@ def checked(time: object, value: object) -> Moment | None:
     if not abs(at) <= _LARGEST_TIME:  # nor NaN
         return None
     if isinstance(value, Scan):
-        return Moment(at, _scan(value))
-    for kind, limits in _LIMITS.items():
-        if isinstance(value, kind):
-            numbers = {name: number(getattr(value, name), name) for name in limits}
-            within = all(abs(numbers[name]) <= most for name, most in limits.items())
-            return Moment(at, kind(**numbers)) if within else None
-    return None
+        return at, _scan(value)
+    limits = _LIMITS[next(kind for kind in _LIMITS if isinstance(value, kind))]
+    numbers = {name: number(getattr(value, name), name) for name in limits}
+    within = all(abs(numbers[name]) <= most for name, most in limits.items())
+    return (at, replace(value, **numbers)) if within else None
 
 
 def number(value: object, name: str) -> float:
-    """Return ``value`` as a float, which may be infinite or NaN.
-
-    Raises:
-        PerceptionError: it is no real number.
-    """
+    """Return ``value`` as a float, which may be infinite or NaN; else raise an error."""
     if isinstance(value, float):
         return float(value)  # of numpy's too
     if isinstance(value, int | np.integer | np.floating):
@@ -169,43 +160,30 @@ def _scan(scan: Scan) -> Scan:
     points = _array(scan.points, "points")
     if points.ndim != 2 or points.shape[1] != 3:
         raise PerceptionError(f"points have the shape {points.shape}; (P, 3) is needed")
+    ages = None if scan.ages is None else _array(scan.ages, "ages")
+    if ages is not None and ages.shape != (len(points),):
+        text = f"ages has the shape {ages.shape}; {(len(points),)} is needed"
+        raise PerceptionError(text)
     with np.errstate(invalid="ignore"):
         possible = np.abs(points) <= _FARTHEST  # False for NaN
-    kept = np.ones(len(points), np.bool_) if possible.all() else possible.all(axis=1)
-    arrays: dict[str, Any] = {"points": points}
-    for field in fields(scan):  # such as the times of the points
-        value = getattr(scan, field.name)
-        if field.name == "points" or value is None:
-            continue
-        each = _array(value, field.name)
-        if each.shape != (len(points),):
-            shape = (len(points),)
-            raise PerceptionError(f"{field.name} has the shape {each.shape}; {shape} is needed")
-        arrays[field.name] = each
-        kept &= np.isfinite(each)
-    if kept.all():
-        return replace(scan, **arrays)
-    return replace(scan, **{name: each.compress(kept, axis=0) for name, each in arrays.items()})
+    kept = possible.all(axis=1)
+    if ages is not None:
+        kept &= np.isfinite(ages)
+    found = Scan(points, ages)
+    return found if kept.all() else found.take(np.flatnonzero(kept))
 
 
 def without_near(scan: Scan, near: float) -> Scan:
     """Return the scan without points nearer than ``near`` [m], as zeros for rays without return."""
     far = np.einsum("ij,ij->i", scan.points, scan.points) >= near**2
-    if far.all():
-        return scan
-    found = {field.name: getattr(scan, field.name) for field in fields(scan)}
-    kept = {k: each.compress(far, axis=0) for k, each in found.items() if each is not None}
-    return replace(scan, **kept)
+    return scan if far.all() else scan.take(np.flatnonzero(far))
 
 
 def thinned(scan: Scan, most: int) -> Scan:
     """Return the scan with at most so many points, which are evenly distributed over it."""
     count = len(scan.points)
-    if count <= most:
-        return scan
-    kept = np.arange(most) * count // most  # no fixed stride, which would leave out whole rings
-    found = {field.name: getattr(scan, field.name) for field in fields(scan)}
-    return replace(scan, **{k: each[kept] for k, each in found.items() if each is not None})
+    # no fixed stride, which would leave out whole rings
+    return scan if count <= most else scan.take(np.arange(most) * count // most)
 
 
 def _array(value: object, name: str) -> FloatArray:

@@ -9,7 +9,6 @@ medians would make it a ramp, which a robot climbs differently.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,23 +53,11 @@ class Columns:
     """Length of a column [m]."""
 
 
-@dataclass(frozen=True)
-class Sorted:
-    """Points by column, then by height."""
+def sorted_points(points: FloatArray, cell: float) -> tuple[NDArray[np.int64], FloatArray]:
+    """Sort ``points`` (P, 3) [m] by column of the length ``cell`` [m] along x, then by height.
 
-    number: NDArray[np.int64]
-    """(P,) number of each point's column [-]."""
-    points: FloatArray
-    """(P, 3) the points [m]."""
-
-    def where(self, chosen: Callable[[FloatArray], NDArray[np.bool_]]) -> Sorted:
-        """Return the points for which ``chosen`` is true."""
-        kept = chosen(self.points)
-        return Sorted(self.number[kept], self.points.compress(kept, axis=0))
-
-
-def sorted_points(points: FloatArray, cell: float) -> Sorted:
-    """Sort ``points`` (P, 3) [m] into columns of the length ``cell`` [m] along x."""
+    Return the number of each point's column, (P,), and the points.
+    """
     number = np.floor(points[:, 0] / cell).astype(np.int64)
     if len(points) and len(points) < 1 << _INDEX:
         # Column, height and index in one integer: numpy sorts integers several times faster than
@@ -80,15 +67,16 @@ def sorted_points(points: FloatArray, cell: float) -> Sorted:
         order = np.sort((key << _INDEX) + np.arange(len(points))) & ((1 << _INDEX) - 1)
     else:
         order = np.lexsort((points[:, 2], number))
-    return Sorted(number[order], points.take(order, axis=0))
+    return number[order], points.take(order, axis=0)
 
 
-def columns(found: Sorted, cell: float, fewest: int) -> Columns:
-    """Return the columns of the points; those of less than ``fewest`` points are left out.
+def columns(points: FloatArray, cell: float, fewest: int) -> Columns:
+    """Return the columns of ``points`` (P, 3) [m] with at least ``fewest`` of them.
 
-    ``cell``: the length of a column, by which the points were sorted [m].
+    ``cell``: the length of a column [m].
     """
-    number, ordered = found.number, found.points[:, [0, 2]]
+    number, ordered = sorted_points(points, cell)
+    ordered = ordered[:, [0, 2]]
     changes = np.flatnonzero(np.diff(number)) + 1
     begin = np.concatenate([[0], changes]).astype(np.int64)
     end = np.concatenate([changes, [len(number)]]).astype(np.int64)  # one empty column if no points

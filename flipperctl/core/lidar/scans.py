@@ -9,7 +9,7 @@ belt speeds and an inertial unit; belts that slip make the robot seem faster tha
 from __future__ import annotations
 
 import math
-from dataclasses import fields, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -145,11 +145,7 @@ def without_mixed(scan: Scan) -> Scan:
     azimuth, elevation = np.arctan2(rays[1], rays[0]), np.arcsin(np.clip(rays[2], -1, 1))
     mixed = _between(distance, rays, _groups(elevation), azimuth)
     mixed |= _between(distance, rays, _groups(azimuth), elevation)
-    if not mixed.any():
-        return scan
-    found = {field.name: getattr(scan, field.name) for field in fields(scan)}
-    alone = {k: each.compress(~mixed, axis=0) for k, each in found.items() if each is not None}
-    return replace(scan, **alone)
+    return scan.take(np.flatnonzero(~mixed)) if mixed.any() else scan
 
 
 def _groups(values: FloatArray) -> NDArray[np.int64]:

@@ -1,6 +1,6 @@
 """The simulated LiDAR; importing this package registers the sensor ``lidar``.
 
-The fields are in ``settings``, the instruments in ``instruments``; what a robot computes from
+The fields are in ``sensor``, the instruments in ``instruments``; what a robot computes from
 their messages is ``flipperctl.core.lidar``.
 """
 

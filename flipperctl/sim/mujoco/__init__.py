@@ -1,6 +1,6 @@
 """The 3-D engine; importing this package registers it as ``mujoco``.
 
-The fields are in ``settings``; placing a robot imports the library MuJoCo, which the extra
+Placing a robot imports the library MuJoCo, which the extra
 ``flipperctl[mujoco]`` installs.
 """
 

@@ -10,7 +10,7 @@ rear flippers above it. The limits are the same, since the range is symmetric.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 from xml.etree import ElementTree
 
@@ -133,12 +133,7 @@ def _shape(
 
 
 def _numbers(values: Any) -> str:
-    return " ".join(_texts(values))
-
-
-def _texts(values: Any) -> Iterator[str]:
-    for value in values:
-        yield _number(value)
+    return " ".join(map(_number, values))
 
 
 def _number(value: float) -> str:

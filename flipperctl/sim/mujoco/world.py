@@ -30,17 +30,34 @@ from flipperctl.api import (
     View,
 )
 from flipperctl.errors import NonFiniteError
-from flipperctl.sim.mujoco.axes import orientation, quaternion
-from flipperctl.sim.mujoco.ground import ROUGH_MARGIN, add_scenery, boxes
+from flipperctl.sim.mujoco.ground import GROUND_WIDTH, ROUGH_MARGIN, add_scenery, boxes
 from flipperctl.sim.mujoco.model import ROBOT_GROUP, Model, build
-from flipperctl.sim.mujoco.settings import GROUND_WIDTH, MujocoSettings
 from flipperctl.sim.resting import OVERLAP, height_at
 
 if TYPE_CHECKING:
     from flipperctl.sim.mujoco.camera import Camera
+    from flipperctl.sim.mujoco.engine import Mujoco
+
+Axis = tuple[float, float, float]
 
 
-def farther(profile: Profile, robot: Robot, sim: MujocoSettings, start: Start, yaw: float) -> float:
+def _orientation(ahead: Axis, left: Axis) -> FloatArray:
+    """Return the rotation from frame R to world by the chassis' x and y axes, (3, 3)."""
+    (a, b, c), (d, e, f) = ahead, left
+    return np.array([[a, d, b * f - c * e], [b, e, c * d - a * f], [c, f, a * e - b * d]])
+
+
+def _quaternion(pitch: float, yaw: float) -> tuple[float, float, float, float]:
+    """Return (w, x, y, z) of a chassis that stands on a slope of ``pitch`` and turned on it [rad].
+
+    ``pitch`` is nose up positive; ``yaw`` is the turn to the left about the slope's normal.
+    """
+    cos, sin = math.cos(pitch / 2), math.sin(pitch / 2)
+    w, z = math.cos(yaw / 2), math.sin(yaw / 2)
+    return cos * w, 0.0 - sin * z, 0.0 - sin * w, cos * z  # 0.0 minus: no -0.0 on level ground
+
+
+def farther(profile: Profile, robot: Robot, sim: Mujoco, start: Start, yaw: float) -> float:
     """Return how much farther ahead a level robot may overlap than a straight one on the profile.
 
     By the corner of a turned robot, and by what reaches onto rough ground before the first edge
@@ -82,7 +99,7 @@ _AVERAGING = 0.1
 class Tracks:
     """The belts on both sides of one robot."""
 
-    def __init__(self, built: Model, robot: Robot, sim: MujocoSettings) -> None:
+    def __init__(self, built: Model, robot: Robot, sim: Mujoco) -> None:
         """Drive the belts of the ``built`` model."""
         self._model, self._belts, self._sides = built
         self._gain, self._speed, self._friction = sim.heading_gain, robot.track_speed, sim.friction
@@ -163,7 +180,7 @@ class MujocoWorld:
         self,
         profile: Profile,
         robot: Robot,
-        sim: MujocoSettings,
+        sim: Mujoco,
         start: Start,
         rng: np.random.Generator,
     ) -> None:
@@ -196,7 +213,7 @@ class MujocoWorld:
         self._targets = np.array([start.front, start.rear, start.front, start.rear])
         pose = self.data.qpos
         pose[:3] = start.x, side, height_at(start, profile, robot)
-        pose[3:7] = quaternion(start.pitch, yaw)
+        pose[3:7] = _quaternion(start.pitch, yaw)
         pose[_HINGES] = self._targets
         clear(pose, start, farther(profile, robot, sim, start, yaw), self.penetration)
 
@@ -325,7 +342,7 @@ class MujocoWorld:
             yaw=yaw,
             side=side,
             side_velocity=float(data.qvel[1]),
-            orientation=orientation(ahead, left),
+            orientation=_orientation(ahead, left),
             belts=self._tracks.speeds(yaw, side),
         )
 

@@ -1,6 +1,6 @@
 """The planar engine and sensor; importing this package registers both as ``planar``.
 
-The fields are in ``settings`` and ``sensing``; placing a robot imports pymunk and numba.
+Placing a robot imports pymunk and numba.
 """
 
 from flipperctl.sim.planar.engine import Planar

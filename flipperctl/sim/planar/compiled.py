@@ -1,12 +1,18 @@
 """The engine's inner loop as machine code, without Python between the decisions of a robot.
 
-It steps Chipmunk through its C function; a compiled callback sets the belt velocity of every
-contact. ``plain`` computes the same numbers through pymunk's public interface.
+It steps Chipmunk through its C function. A compiled callback gives every contact of a track the
+tangential velocity of its belt, v·(-n_y, n_x) for the contact normal n from track to ground, since
+a belt's surface moves along the outline. A shape's ``surface_velocity`` cannot express this: it is
+one world vector that is projected on the tangent, and it vanishes at a vertical face. The tests
+compute the same numbers through pymunk's public interface.
+
+The callback reads and writes numbers in Chipmunk's structs by their offsets, which pymunk's
+interface declares; they are checked once per process.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from functools import cache
 from typing import Any, NamedTuple
 
 import llvmlite.binding
@@ -20,27 +26,40 @@ from pymunk._chipmunk_cffi import ffi, lib
 
 from flipperctl.api import FloatArray, Limits
 from flipperctl.api.engines import is_over
+from flipperctl.errors import ConfigError
 from flipperctl.sim.jit import cached
 from flipperctl.sim.planar.joints import (
+    GROUND,
     STATE,
+    TRACK,
+    Belt,
     Budget,
     kinetic_energy,
     potential_energy,
     slowdown,
 )
-from flipperctl.sim.planar.layout import (
-    CONTACT,
-    CONTACTS,
-    COUNT,
-    FRICTION,
-    NORMAL,
-    NORMAL_IMPULSE,
-    SURFACE,
-    TANGENT_IMPULSE,
-    address,
-    check_layout,
-)
-from flipperctl.sim.planar.plain import GROUND, TRACK, Belt, Bodies
+
+_DOUBLE = 8  # bytes
+
+
+def _double(struct: str, *path: str) -> int:
+    """Return the offset of a number in one of Chipmunk's structs, in doubles."""
+    return int(ffi.offsetof(struct, *path)) // _DOUBLE
+
+
+NORMAL = _double("cpArbiter", "n", "x")
+SURFACE = _double("cpArbiter", "surface_vr", "x")
+FRICTION = _double("cpArbiter", "u")
+CONTACTS = _double("cpArbiter", "contacts")
+COUNT = int(ffi.offsetof("cpArbiter", "count")) // 4
+NORMAL_IMPULSE = _double("struct cpContact", "jnAcc")
+TANGENT_IMPULSE = _double("struct cpContact", "jtAcc")
+CONTACT = int(ffi.sizeof("struct cpContact")) // _DOUBLE
+
+
+def address(pointer: Any) -> int:
+    """Return the address that a C pointer holds."""
+    return int(ffi.cast("uintptr_t", pointer))
 
 
 def _c_function(name: str, signature: Any) -> Any:
@@ -219,18 +238,23 @@ def _run(
 
 
 class CompiledLoop:
-    """Steps a space and samples the pose of its robot, equal to ``PlainLoop`` bit for bit."""
+    """Steps a space and samples the pose of its robot."""
 
     def __init__(
         self,
         space: pymunk.Space,
-        bodies: Bodies,
+        bodies: tuple[pymunk.Body, pymunk.Body, pymunk.Body],
         belt: Belt,
         budget: Budget,
         substep: float,
         substeps: int,
-        gears: Sequence[pymunk.GearJoint] = (),
+        gears: tuple[pymunk.GearJoint, ...] = (),
     ) -> None:
+        """Drive the belts, with ``substeps`` of ``substep`` [s] per sample.
+
+        ``bodies``: chassis, front and rear flippers; ``gears``: the servos of the flippers, or
+        none.
+        """
         check_layout()
         handler = lib.cpSpaceAddCollisionHandler(space._space, TRACK, GROUND)
         numbers = ffi.new("double[5]", [belt.speed, belt.largest, 0.0, 1.0, 0.0])
@@ -262,15 +286,23 @@ class CompiledLoop:
 
     @property
     def spent(self) -> float:
-        """Work of the flippers' servos since the start; see ``PlainLoop.spent`` [J]."""
+        """Work of the servos since the start [J].
+
+        In each sample it is the mean of the absolute torque times the angle by which the flipper
+        turned, so that braking counts as driving does.
+        """
         return float(self._spent[0])
 
     def forget(self) -> None:
-        """Forget the last substep; see ``PlainLoop.forget``."""
+        """Forget the contacts of the last substep, before a run from another state."""
         self._belt[4] = 0.0
 
     def run(self, poses: FloatArray, limits: Limits) -> int:
-        """Fill the rows of ``poses``; see ``PlainLoop.run``."""
+        """Fill the rows of ``poses``, one per sample; return the number of filled rows.
+
+        The run stops after the sample at which a limit is reached. ``poses`` is (S, 5): x [m],
+        z [m], pitch, front and rear flipper angle [rad].
+        """
         return int(_run(*self._arguments, poses, *limits))
 
 
@@ -297,3 +329,76 @@ def _steps(space: int, substep: float, count: int) -> None:
 def step_alone(space: pymunk.Space, substep: float, count: int) -> None:
     """Step a space ``count`` times and do nothing else: an upper bound on the speed of ``run``."""
     _steps(address(space._space), substep, count)
+
+
+@cache
+def check_layout() -> None:
+    """Compare numbers of a contact, read by their offsets, with pymunk's own; once per process.
+
+    Raises:
+        ConfigError: they differ, so that compiled code would write to foreign memory.
+    """
+    answers: dict[str, Any] = {}
+    if (found := _through_offsets(answers)) != answers:
+        raise ConfigError(
+            f"sim=planar cannot be used with pymunk {pymunk.version}: its contact has {found} "
+            f"where pymunk itself has {answers}; install another pymunk"
+        )
+
+
+def _through_offsets(answers: dict[str, Any]) -> dict[str, Any]:
+    """Return numbers of a contact by their offsets; put pymunk's own into ``answers``."""
+    found: dict[str, Any] = {}
+
+    def read(arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:
+        normal = arbiter.normal
+        arbiter.surface_velocity = (-0.5 * normal.y, 0.5 * normal.x)
+        struct = arbiter._arbiter
+        doubles = np.frombuffer(ffi.buffer(struct, ffi.sizeof("cpArbiter")), np.float64)
+        counts = doubles.view(np.int32)
+        pointer = int(doubles.view(np.uintp)[CONTACTS])
+        surface = arbiter.surface_velocity
+        answers.update(
+            normal=(normal.x, normal.y),
+            surface_velocity=(surface.x, surface.y),
+            friction=arbiter.friction,
+            contacts=len(arbiter.contact_point_set.points),
+            address=address(struct.contacts),
+        )
+        found.update(
+            normal=tuple(doubles[NORMAL : NORMAL + 2].tolist()),
+            surface_velocity=tuple(doubles[SURFACE : SURFACE + 2].tolist()),
+            friction=float(doubles[FRICTION]),
+            contacts=int(counts[COUNT]),
+            address=pointer,
+        )
+
+    def pressed(arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:
+        impulse = arbiter.total_impulse
+        size = found["contacts"] * CONTACT * _DOUBLE
+        if found != answers or not size:
+            return  # the address may be wrong
+        contacts = np.frombuffer(ffi.buffer(ffi.cast("char *", found["address"]), size))
+        normal_part, tangent_part = (
+            contacts[at::CONTACT].sum() for at in (NORMAL_IMPULSE, TANGENT_IMPULSE)
+        )
+        normal = np.array(answers["normal"])
+        tangent = np.array([-normal[1], normal[0]])
+        # Pymunk returns the impulse on the other body.
+        found["impulse"] = tuple(
+            np.round(normal_part * normal + tangent_part * tangent, 9).tolist()
+        )
+        answers["impulse"] = tuple(np.round(-np.array(impulse), 9).tolist())
+
+    space = pymunk.Space()
+    space.gravity = (0.0, -10.0)
+    body = pymunk.Body(1.0, 1.0)
+    body.position, body.velocity = (0.0, 0.05), (0.3, -0.1)
+    shape = pymunk.Segment(body, (-1.0, 0.0), (1.0, 0.0), 0.1)
+    ground = pymunk.Segment(space.static_body, (-5.0, -0.3), (5.0, 0.2), 0.0)
+    shape.friction, ground.friction = 1.0, 0.75
+    shape.collision_type = ground.collision_type = 1
+    space.add(body, shape, ground)
+    space.on_collision(1, 1, pre_solve=read, post_solve=pressed)
+    space.step(0.005)
+    return found

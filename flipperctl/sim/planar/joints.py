@@ -1,4 +1,4 @@
-"""The joint of a flipper pair with the chassis, and the energy balance of a robot.
+"""The belts, the joint of a flipper pair with the chassis, and the energy balance of a robot.
 
 In: two bodies of a space, and the robot. Out: the servo, whose ``phase`` is the target angle. Only
 servos and belts may add energy. Chipmunk corrects an error of a joint by a real velocity and an
@@ -29,6 +29,25 @@ _TRACTION = 3.0
 
 The engine does not limit the belts' motors and may report any force in a wedge.
 """
+
+TRACK, GROUND = 1, 2
+"""Collision types of the tracks and of the ground."""
+
+
+class Belt(NamedTuple):
+    """Values that a callback sets at each contact of a track with the ground."""
+
+    speed: float
+    """Speed of the belt's surface along the outline [m/s]."""
+    largest: float
+    """Largest impulse that a contact caches from one substep for the next [N s]."""
+    grip: float = math.inf
+    """Sum of the normal impulses of a substep up to which friction alone limits the belts [N s].
+
+    With more, the friction of the next substep is scaled down, so that all belts together push with
+    no more than their motors' force. A belt that is held by its load slips as one that lacks grip.
+    """
+
 
 STATE = 6
 """Numbers of a body: x, z [m], angle [rad], velocity (x, z) [m/s], angular velocity [rad/s]."""

@@ -2,13 +2,21 @@
 
 In: the true profile and state. Out: terrain points in frame L and the mean height of each bin.
 Without ``occlusion``, all points within the horizon are sensed, even those hidden by an edge or in
-a trench; with it, ``occlusion.SeenGround`` determines which points a sensor on a mast has seen.
+a trench; with it, ``SeenGround`` determines which points a sensor on a mast has seen.
+
+``MapErrors`` is a cheap model of a map that a robot builds as it drives. Heights are wrong by a
+stationary process along x, which stays on the map. Odometry moves the robot on its map by a random
+walk along the way, so ground that was seen earlier is displaced by as much as odometry has erred
+since; what is ahead is seen anew at each decision. Each new scan also displaces all of the map a
+bit, by an error of its own.
 """
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +32,6 @@ from flipperctl.api import (
     sensor,
 )
 from flipperctl.core.observation import mean_heights
-from flipperctl.sim.planar.map_errors import LARGEST, MapErrors, MapErrorSize
-from flipperctl.sim.planar.occlusion import Mast, SeenGround
 
 
 @sensor("planar")
@@ -234,3 +240,165 @@ class TerrainSensor:
         """Return the mean height of the points of each bin, (N,) in frame L [m]."""
         s = self.settings
         return mean_heights(points, s.bins, s.bin_width, self._sum_heights)
+
+
+_BEHIND = 10.0
+"""Range of the sensor behind the robot [m]; ahead it is the horizon."""
+
+
+class Mast(NamedTuple):
+    """Mount and range of the ranging sensor."""
+
+    mount: tuple[float, float]
+    """Position (x, z) of the sensor in frame R [m]."""
+    body_length: float
+    """Length of the chassis, which hides the ground below it [m]."""
+    horizon: float
+    """Range ahead of the robot [m]."""
+
+
+class SeenGround:
+    """Remembers which points of the sampled outline a line of sight has reached."""
+
+    def __init__(self, profile: Profile, mast: Mast, density: float, margin: float) -> None:
+        """Begin with nothing seen of ``profile`` and ``margin`` [m] of level ground on both sides.
+
+        ``density``: points per metre of its outline [1/m].
+        """
+        from flipperctl.sim.planar import rays  # numba takes a third of a second to import
+
+        self._rays, self._mast = rays, mast
+        self._spacing = 1 / density
+        cloud = profile.sample(self._spacing, margin)
+        # Edges between two sampled points hide the ground too, so the vertices are added.
+        vertices = profile.extended(margin, margin)
+        along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(vertices, axis=0).T))])
+        at = np.concatenate([np.arange(len(cloud)) * self._spacing, along])  # (M,) [m]
+        order = np.argsort(at, kind="stable")
+        self._outline = np.concatenate([cloud, vertices])[order]
+        self._index = np.where(order < len(cloud), order, -1)
+        self._seen = np.zeros(len(cloud), dtype=np.bool_)
+
+    def scan(self, state: RobotState) -> None:
+        """Cast rays from the mount and remember the points that they reach."""
+        mast = self._mast
+        x, z = state.position.tolist()
+        self._rays.mark_seen(
+            self._outline,
+            self._index,
+            (x, z, float(state.pitch)),
+            mast.mount,
+            mast.body_length,
+            (x - _BEHIND, x + mast.horizon),
+            self._seen,
+        )
+
+    def known(self, low: int, high: int) -> NDArray[np.int64]:
+        """Return the numbers of the seen points, (K,); see ``rays.known_points``."""
+        found: NDArray[np.int64] = self._rays.known_points(self._seen, low, high)
+        return found
+
+    def fill(
+        self,
+        points: FloatArray,
+        index: NDArray[np.int64],
+        offered: NDArray[np.bool_],
+        limits: tuple[float, float],
+    ) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """Return the offered points and, where the ground was never seen, filled ones.
+
+        See ``rays.fill_gaps``.
+        """
+        found: tuple[FloatArray, NDArray[np.bool_]] = self._rays.fill_gaps(
+            points, index, offered, self._spacing, limits
+        )
+        return found
+
+    def save(self) -> NDArray[np.bool_]:
+        """Return a snapshot of the seen points."""
+        return self._seen.copy()
+
+    def load(self, saved: NDArray[np.bool_]) -> None:
+        """Restore a snapshot."""
+        self._seen[:] = saved
+
+
+NEAREST = 0.3
+"""Ground farther ahead of the chassis centre than this is seen anew at each decision [m]."""
+LARGEST = 0.3
+"""Largest displacement [m]."""
+
+
+@dataclass(frozen=True)
+class MapErrorSize:
+    """Parameters of the model."""
+
+    height: float
+    """Standard deviation of the heights' error [m]."""
+    length: float
+    """Distance along x over which the heights' error loses its correlation [m]."""
+    drift: float
+    """Standard deviation of the odometry's error over 1 m of the way [m]."""
+    jitter: float = 0.0
+    """Standard deviation of a displacement that is drawn anew at each decision [m]."""
+
+
+class MapErrors:
+    """The errors of the map of one episode."""
+
+    def __init__(self, x: FloatArray, size: MapErrorSize) -> None:
+        """``x``: world x of the ground's points, never decreasing, (P,) [m]."""
+        self._x, self._size = x, size
+        self._height: FloatArray | None = None  # (P,) [m]; sampled at the first decision
+        self._seen_at = np.zeros(len(x))  # odometry's error when each point was seen last [m]
+        self._error = 0.0  # of odometry now [m]
+        self._jitter = 0.0  # displacement of the whole ground now [m]
+        self._at: float | None = None  # the robot's x at the last decision [m]
+
+    def advance(self, x: float, rng: np.random.Generator) -> None:
+        """Move the robot to ``x`` [m]; call it once for each decision."""
+        if self._height is None:
+            self._height = self._size.height * correlated(self._x, self._size.length, rng)
+        moved = 0.0 if self._at is None else abs(x - self._at)
+        self._error += self._size.drift * math.sqrt(moved) * float(rng.standard_normal())
+        if self._size.jitter:  # without it, no other random number changes
+            self._jitter = self._size.jitter * float(rng.standard_normal())
+        self._at = x
+        self._seen_at[np.searchsorted(self._x, x + NEAREST) :] = self._error
+
+    def apply(self, points: FloatArray, index: Any) -> None:
+        """Add the errors to ``points`` (P, 2), in place; x stays in order.
+
+        ``index``: which points of the sampled ground these are, a slice or numbers.
+        """
+        if self._height is None:
+            return
+        points[:, 1] += self._height[index]
+        displaced = self._seen_at[index] - self._error + self._jitter
+        points[:, 0] += np.clip(displaced, -LARGEST, LARGEST)
+        np.maximum.accumulate(points[:, 0], out=points[:, 0])
+
+    def save(self) -> tuple[Any, ...]:
+        """Return a snapshot, which later decisions do not change."""
+        return self._height, self._seen_at.copy(), self._error, self._at, self._jitter
+
+    def load(self, saved: tuple[Any, ...]) -> None:
+        """Restore a snapshot."""
+        self._height, seen_at, self._error, self._at, self._jitter = saved
+        self._seen_at[:] = seen_at
+
+
+def correlated(x: FloatArray, length: float, rng: np.random.Generator) -> FloatArray:
+    """Return values of a stationary process of unit variance at ``x``, (P,).
+
+    It is Ornstein and Uhlenbeck's: the correlation of two places is exp(-distance / length).
+    """
+    stays = np.exp(-np.diff(x) / length)
+    steps = rng.standard_normal(len(x))
+    steps[1:] *= np.sqrt(1 - stays**2)
+    found = np.empty(len(x))
+    value = 0.0
+    for i, (keep, step) in enumerate(zip([0.0, *stays.tolist()], steps.tolist(), strict=True)):
+        value = keep * value + step
+        found[i] = value
+    return found

@@ -24,46 +24,27 @@ from flipperctl.api import (
     RobotState,
     Start,
 )
-from flipperctl.sim.planar.joints import Budget, join, largest_impulse
-from flipperctl.sim.planar.plain import GROUND, TRACK, Belt, PlainLoop
+from flipperctl.sim.planar.compiled import CompiledLoop
+from flipperctl.sim.planar.joints import GROUND, TRACK, Belt, Budget, join, largest_impulse
 from flipperctl.sim.planar.rays import distances
-from flipperctl.sim.planar.settings import PlanarSettings
 from flipperctl.sim.resting import height_at
 
 if TYPE_CHECKING:
-    from flipperctl.sim.planar.compiled import CompiledLoop
+    from flipperctl.sim.planar.engine import Planar
 
 _LEVEL_GROUND = 20.0  # length of the level ground before and past the profile [m]
-
-
-def _loop(engine: str) -> type[PlainLoop | CompiledLoop]:
-    if engine == "plain":
-        return PlainLoop
-    from flipperctl.sim.planar.compiled import (
-        CompiledLoop,  # numba takes a third of a second to import
-    )
-
-    return CompiledLoop
 
 
 class PlanarWorld:
     """One robot on one profile; rebuilt for every episode, so that replays are bit-identical."""
 
-    def __init__(
-        self,
-        profile: Profile,
-        robot: Robot,
-        sim: PlanarSettings,
-        start: Start,
-    ) -> None:
+    def __init__(self, profile: Profile, robot: Robot, sim: Planar, start: Start) -> None:
         """Place the robot at ``start``.
 
         Without a height there, it rests on the lower flippers if a flipper is below the level
         chassis, else on the chassis.
         """
-        self.robot = robot
-        self.sim = sim
-        self.profile = profile
+        self.robot, self.sim, self.profile = robot, sim, profile
         self._time = 0.0
         self.space = space = pymunk.Space()
         space.gravity = (0.0, -sim.gravity)
@@ -77,15 +58,13 @@ class PlanarWorld:
         self._chassis = self._add_chassis(centre, start.pitch, 2 * half)
         self._front, self._front_gear = self._add_flipper(half, start.front)
         self._rear, self._rear_gear = self._add_flipper(-half, start.rear)
-        substeps = round(SAMPLE_PERIOD / sim.substep)
-        loop = _loop(sim.engine)
-        self._loop = loop(
+        self._loop = CompiledLoop(
             space,
             (self._chassis, self._front, self._rear),
             Belt(robot.track_speed, largest_impulse(robot), self._grip),
             Budget.of(robot, sim.gravity),
             sim.substep,
-            substeps,
+            round(SAMPLE_PERIOD / sim.substep),
             (self._front_gear, self._rear_gear),
         )
 
@@ -164,7 +143,7 @@ class PlanarWorld:
         return self._chassis.position
 
     def flipper_work(self) -> float:
-        """Return the work of the servos since the start; see ``PlainLoop.spent`` [J]."""
+        """Return the work of the servos since the start; see ``CompiledLoop.spent`` [J]."""
         return self._loop.spent
 
     def penetration(self) -> float:

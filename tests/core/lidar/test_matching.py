@@ -10,6 +10,12 @@ from flipperctl.core.lidar.matching import ScanMatcher, determined
 AHEAD = np.array([1.0, 0.0, 0.0])
 
 
+@pytest.fixture
+def matcher() -> ScanMatcher:
+    pytest.importorskip("small_gicp")
+    return ScanMatcher()
+
+
 def test_a_direction_without_information_is_not_corrected() -> None:
     correction = np.array([0.1, 0.2, 0.3])
     ground = np.diag([0.0, 1.0, 9.0])  # shares 0, 0.1, 0.9
@@ -30,9 +36,7 @@ def corner(shift: float, turn: float = 0.0) -> np.ndarray:
     return np.asarray(points @ turned.T)
 
 
-def test_a_scan_of_walls_corrects_a_wrong_guess() -> None:
-    pytest.importorskip("small_gicp")
-    matcher = ScanMatcher()
+def test_a_scan_of_walls_corrects_a_wrong_guess(matcher: ScanMatcher) -> None:
     start, wrong = np.zeros(3), np.array([0.15, 0.0, 0.0])
     assert matcher.corrected(corner(0.0), start, AHEAD)[0] == pytest.approx(start)
     saved = matcher.save()
@@ -43,9 +47,9 @@ def test_a_scan_of_walls_corrects_a_wrong_guess() -> None:
     assert np.array_equal(matcher.corrected(corner(0.1), wrong, AHEAD)[0], found)
 
 
-def test_scans_of_walls_correct_a_heading_slowly_since_a_gyro_errs_slowly() -> None:
-    pytest.importorskip("small_gicp")
-    matcher = ScanMatcher()
+def test_scans_of_walls_correct_a_heading_slowly_since_a_gyro_errs_slowly(
+    matcher: ScanMatcher,
+) -> None:
     matcher.corrected(corner(0.0), np.zeros(3), AHEAD)
     turned = corner(0.0, turn=0.02)  # as levelled with a heading that is 0.02 too small
     found, turn = matcher.corrected(turned, np.zeros(3), AHEAD)
@@ -53,26 +57,22 @@ def test_scans_of_walls_correct_a_heading_slowly_since_a_gyro_errs_slowly() -> N
     assert found == pytest.approx(np.zeros(3), abs=0.01)
 
 
-def test_level_ground_alone_leaves_the_guess_along_it() -> None:
-    pytest.importorskip("small_gicp")
-    matcher = ScanMatcher()
+def test_level_ground_alone_leaves_the_guess_along_it(matcher: ScanMatcher) -> None:
     ground = corner(0.0)[:3000]
     matcher.corrected(ground, np.zeros(3), AHEAD)
     found, _ = matcher.corrected(ground, np.array([0.05, 0.0, 0.02]), AHEAD)
     assert found == pytest.approx([0.05, 0.0, 0.0], abs=0.003)
 
 
-def test_few_points_are_not_matched() -> None:
-    pytest.importorskip("small_gicp")
-    matcher = ScanMatcher()
+def test_few_points_are_not_matched(matcher: ScanMatcher) -> None:
     guess = np.ones(3)
     for _ in range(2):
         assert matcher.corrected(np.zeros((5, 3)), guess, AHEAD) == (guess, 0.0)
 
 
-def test_keyframes_are_added_after_some_motion_and_the_oldest_are_forgotten() -> None:
-    pytest.importorskip("small_gicp")
-    matcher = ScanMatcher()
+def test_keyframes_are_added_after_some_motion_and_the_oldest_are_forgotten(
+    matcher: ScanMatcher,
+) -> None:
     ground = corner(0.0)[:3000]
     counts = []
     for step in range(30):
@@ -82,9 +82,7 @@ def test_keyframes_are_added_after_some_motion_and_the_oldest_are_forgotten() ->
     assert max(counts) == counts[-1] <= 12
 
 
-def test_a_robot_that_was_lifted_has_not_moved_along_a_slope() -> None:
-    pytest.importorskip("small_gicp")
-    matcher = ScanMatcher()
+def test_a_robot_that_was_lifted_has_not_moved_along_a_slope(matcher: ScanMatcher) -> None:
     rng = np.random.default_rng(3)
     ground = rng.uniform([-2, -2, 0], [2, 2, 0], (3000, 3))
     ground[:, 2] = 0.1 * ground[:, 0]  # alike wherever it is seen from along the slope

@@ -17,7 +17,7 @@ NOISE = 0.01
 
 
 def sorted_columns(points: np.ndarray) -> Columns:
-    return columns(sorted_points(points, 0.025), 0.025, 4)
+    return columns(points, 0.025, 4)
 
 
 def step(height: float, at: float, spread: float = NOISE) -> np.ndarray:
@@ -87,11 +87,10 @@ def test_assumed_ground_stands_only_where_nothing_was_seen() -> None:
 def test_points_are_sorted_by_column_and_height() -> None:
     rng = np.random.default_rng(1)
     points = rng.uniform(-1.0, 1.0, (500, 3))
-    found = sorted_points(points, 0.1)
-    expected = np.lexsort((points[:, 2], np.floor(points[:, 0] / 0.1)))
-    assert np.array_equal(found.points, points[expected])
-    left = found.where(lambda p: p[:, 1] > 0)
-    assert np.array_equal(left.number, found.number[found.points[:, 1] > 0])
+    number, ordered = sorted_points(points, 0.1)
+    expected = points[np.lexsort((points[:, 2], np.floor(points[:, 0] / 0.1)))]
+    assert np.array_equal(ordered, expected)
+    assert np.array_equal(number, np.floor(expected[:, 0] / 0.1))
 
 
 def shadowed(edge: float, seen_from: float, depth: float) -> np.ndarray:

@@ -42,7 +42,7 @@ def test_default_ranges_surround_the_value_within_the_bounds() -> None:
     [
         ("terrain.height", RequestError, "two settings are allowed"),
         ("terrain.hight,sim.friction", ConfigError, "did you mean 'terrain.height_low'"),
-        ("sim.engine,sim.friction", ConfigError, "it is no number"),
+        ("perception.occlusion,sim.friction", ConfigError, "it is no number"),
         ("terrain.height,terrain.height_low", ConfigError, "stands in both axes"),
         ("terrain.height=1:0,sim.friction", RequestError, "from a lower to a higher number"),
         ("terrain.height=low:1,sim.friction", RequestError, "LOW:HIGH or LOW:HIGH:VALUES"),

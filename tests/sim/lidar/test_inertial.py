@@ -1,4 +1,4 @@
-"""Accelerometer, belt encoders, and scans of a robot on a sideways slope."""
+"""Inertial unit, accelerometer, belt encoders, and scans of a robot on a sideways slope."""
 
 import math
 
@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from flipperctl.api import Profile, Robot, RobotState, Start
-from flipperctl.core.lidar.body import Body, attitude, mounting
-from flipperctl.core.lidar.estimator import Mount
+from flipperctl.core.lidar.body import Mount, attitude, mounting
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.sim.lidar.instruments import (
     Accelerometer,
@@ -20,6 +19,8 @@ from flipperctl.sim.lidar.instruments import (
 )
 from flipperctl.sim.lidar.scanner import RangeErrors, Scanner
 from flipperctl.sim.mujoco import Mujoco
+from tests.core.lidar.level_ground import BODY
+from tests.sim.lidar.test_lidar import EXACT
 
 RNG = np.random.default_rng(0)
 SLOPE = 0.2
@@ -40,6 +41,16 @@ def leaning() -> object:
     return world
 
 
+def test_the_inertial_unit_errs_by_its_settings_and_its_bias_stays() -> None:
+    rng = np.random.default_rng(1)
+    unit = InertialUnit(InertialErrors(0.01, 0.001, 0.0, 0.02), rng)
+    found = [unit.measure(state(0.0, 0.0, pitch=0.3), rng) for _ in range(30_000)]
+    pitches = np.array([measured.pitch for measured in found]) - 0.3
+    assert pitches.std() == pytest.approx(0.01, rel=0.5)
+    assert np.diff(pitches).std() == pytest.approx(0.001 * math.sqrt(2), rel=0.2)
+    assert {measured.yaw_rate for measured in found} == {0.02}
+
+
 def test_an_accelerometer_measures_gravity_along_its_axes_and_the_change_of_speed() -> None:
     unit = Accelerometer(0.0, np.zeros(3), 9.81)
     rest = unit.measure(state(0.0, 0.0, pitch=0.3), RNG)
@@ -50,9 +61,7 @@ def test_an_accelerometer_measures_gravity_along_its_axes_and_the_change_of_spee
     assert (faster.x, faster.z) == pytest.approx((2.0, 9.81))
     unit.load(saved)
     assert unit.measure(state(0.02, 0.01), RNG) == faster
-
-
-def test_its_bias_stays_and_its_noise_is_white() -> None:
+    # Its bias stays and its noise is white.
     unit, rng = Accelerometer(0.1, np.array([0.5, 0.0, 0.0]), 9.81), np.random.default_rng(1)
     found = np.array([unit.measure(state(0.0, 0.01 * k), rng).x for k in range(2000)])
     assert (found.mean(), found.std()) == (pytest.approx(0.5, abs=0.01), pytest.approx(0.1, 0.1))
@@ -75,10 +84,9 @@ def test_on_a_sideways_slope_gravity_leans_and_the_scan_rolls_with_the_robot(
     assert now.roll == pytest.approx(SLOPE, abs=0.01)
     force = Accelerometer(0.0, np.zeros(3), 9.81).measure(now, RNG)
     assert force.y == pytest.approx(9.81 * math.sin(SLOPE), rel=0.05)
-    body = Body(0.76, 0.536, 0.1, 0.352, 0.712)
     mount = Mount(x=0.25, z=0.4, axis=-math.pi / 2, near=0.1, margin=0.05)
     errors = RangeErrors(noise=0.0, bias=0.0, resolution=0.0, dropout=0.0)
-    scan = Scanner(60, 30.0, errors, mount, body, leaning).measure(now, RNG)  # type: ignore[arg-type]
+    scan = Scanner(60, 30.0, errors, mount, BODY, leaning).measure(now, RNG)  # type: ignore[arg-type]
     assert scan is not None
     points = np.array([0.25, 0.0, 0.4]) + scan.points @ mounting(mount.axis).T  # in frame R
     ground = points[np.abs(points[:, 1]) > 0.4]
@@ -112,9 +120,7 @@ def test_on_a_sideways_slope_the_unit_turns_with_the_level_heading() -> None:
 
 
 def test_on_a_sideways_slope_the_map_is_the_true_ground() -> None:
-    exact = {"noise": 0.0, "range_bias": 0.0, "resolution": 0.0, "dropout": 0.0, "mixed": 0.0}
-    sim = {"name": "mujoco", "lateral_slope": SLOPE}
-    env = FlipperEnv("flat", sim=sim, perception={"name": "lidar", "grazing": 2.0, **exact})
+    env = FlipperEnv("flat", sim={"name": "mujoco", "lateral_slope": SLOPE}, perception=EXACT)
     env.reset(seed=3)
     for _ in range(2):
         env.step(4)

@@ -1,10 +1,13 @@
-"""The whole task in 3-D: environment, evaluation and training take the engine by its name."""
+"""The whole task in 3-D: environment, pictures, evaluation and training."""
 
 import ctypes.util
 import json
+import math
 import os
 import subprocess
 import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import gymnasium
@@ -12,15 +15,18 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from flipperctl import checkpoint
+from flipperctl import api, checkpoint
+from flipperctl.core.sensing import Measured, SensedAngles, SensedGround
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.pictures import HEIGHT, WIDTH
-from flipperctl.errors import PluginFailedError, RequestError, TerrainError
+from flipperctl.errors import ConfigError, PluginFailedError, RequestError, TerrainError
+from flipperctl.sim.mujoco import Mujoco
 from flipperctl.sim.mujoco import world as placing
 from flipperctl.sim.mujoco.world import MujocoWorld
 from tests.cli.call import EXACT, call
 
 DRAWS_HERE = any(ctypes.util.find_library(name) for name in ("EGL", "OSMesa"))
+draws = pytest.mark.skipif(not DRAWS_HERE, reason="this machine has neither EGL nor OSMesa")
 
 
 def test_the_environment_keeps_gymnasiums_contract() -> None:
@@ -74,7 +80,44 @@ def test_a_turned_robot_starts_behind_the_edge_that_its_corner_would_overlap(
         begin({"yaw": 0.4}, 0.78)
 
 
-@pytest.mark.skipif(not DRAWS_HERE, reason="this machine has neither EGL nor OSMesa")
+@pytest.mark.slow
+def test_an_unknown_drawing_library_is_one_error() -> None:
+    # In a process of its own, since MuJoCo reads the variable when it is imported.
+    asked = ["eval", "--controller", "okada", "--episodes", "1", "sim=mujoco", "terrain=step"]
+    done = subprocess.run(
+        [sys.executable, "-m", "flipperctl", *asked],
+        env={**os.environ, "MUJOCO_GL": "wrong"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "error: sim=mujoco: MuJoCo does not import with MUJOCO_GL=wrong" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.slow
+def test_a_policy_is_trained_in_3d_and_evaluated_in_the_plane(tmp_path: Path) -> None:
+    settings = [f"{key}={value}" for key, value in EXACT.items()]
+    run = ["terrain=step", "sim=mujoco", "hydra.run.dir=run", *settings]
+    done = call("train", *run, cwd=tmp_path)
+    assert done.code == 0, done.err
+    read = checkpoint.read(tmp_path / "run" / checkpoint.LAST)
+    assert read.config().sim.plugin_name == "mujoco"
+    other = call("eval", "run", "sim=planar,mujoco", "--episodes", "1", "--json", cwd=tmp_path)
+    assert other.code == 0, other.err
+    (found,) = json.loads(other.out)["engines"]
+    assert found["engines"] == ["planar", "mujoco"]
+
+
+# Pictures, from outside and of the robot's cameras, for films and for sensors
+
+
+WALL = api.Profile([(0.0, 0.0), (0.0, 3.0), (1.0, 3.0)])
+SIZE = 64, 48
+
+
+@draws
 def test_render_shows_the_world_in_3d_and_leaves_the_episode_alone() -> None:
     drawn, plain = (
         FlipperEnv("step", sim="mujoco", render_mode=mode) for mode in ("rgb_array", None)
@@ -111,41 +154,102 @@ def test_render_names_what_is_missing_and_whose_fault_it_is(
         env.render()
 
 
-@pytest.mark.slow
-def test_an_unknown_drawing_library_is_one_error() -> None:
-    # In a process of its own, since MuJoCo reads the variable when it is imported.
-    asked = ["eval", "--controller", "okada", "--episodes", "1", "sim=mujoco", "terrain=step"]
-    done = subprocess.run(
-        [sys.executable, "-m", "flipperctl", *asked],
-        env={**os.environ, "MUJOCO_GL": "wrong"},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 2
-    assert "error: sim=mujoco: MuJoCo does not import with MUJOCO_GL=wrong" in done.stderr
-    assert "Traceback" not in done.stderr
+def place(**sim: object) -> api.World:
+    engine = Mujoco(**sim)  # type: ignore[arg-type]
+    return engine.place(WALL, api.Robot(), api.Start(-1.28), np.random.default_rng(0))
 
 
-def test_eval_repeats_bit_for_bit_and_with_several_processes(tmp_path: Path) -> None:
-    asked = ["eval", "--controller", "okada", "terrain=step", "sim=mujoco", "sim.yaw=0.1"]
-    runs = [
-        json.loads(call(*asked, "--episodes", "2", "--jobs", jobs, "--json", cwd=tmp_path).out)
-        for jobs in ("1", "2")
-    ]
-    assert runs[0] == runs[1]
-    assert runs[0]["scenes"][0]["success_rate"] == 1.0
+@draws
+def test_the_depth_is_the_distance_along_the_cameras_axis_and_the_motion_is_not_changed() -> None:
+    plain, world = place(), place(camera_tilt=0.0, camera_angle=1.0)
+    front, rear = (world.look(view, *SIZE) for view in ("front", "rear"))  # type: ignore[attr-defined]
+    assert (front.pixels.shape, front.depth.shape) == ((48, 64, 3), (48, 64))
+    # The camera is 0.28 m ahead of the chassis centre; the upper half sees the wall alone.
+    assert front.depth[:20] == pytest.approx(1.0, abs=0.01)
+    # 0.4 m above the ground, which the lowest row sees 0.5 rad below the axis of the rear camera.
+    below = math.tan(0.5) * 47 / 48
+    assert rear.depth[-1, 32] == pytest.approx(0.4 / below, rel=0.03)
+    assert rear.depth[2, 32] == math.inf  # the sky
+    assert np.array_equal(plain.advance(10), world.advance(10))
 
 
-@pytest.mark.slow
-def test_a_policy_is_trained_in_3d_and_evaluated_in_the_plane(tmp_path: Path) -> None:
-    settings = [f"{key}={value}" for key, value in EXACT.items()]
-    run = ["terrain=step", "sim=mujoco", "hydra.run.dir=run", *settings]
-    done = call("train", *run, cwd=tmp_path)
-    assert done.code == 0, done.err
-    read = checkpoint.read(tmp_path / "run" / checkpoint.LAST)
-    assert read.config().sim.plugin_name == "mujoco"
-    other = call("eval", "run", "sim=planar,mujoco", "--episodes", "1", "--json", cwd=tmp_path)
-    assert other.code == 0, other.err
-    (found,) = json.loads(other.out)["engines"]
-    assert found["engines"] == ["planar", "mujoco"]
+@dataclass(frozen=True)
+class Nearest:
+    """What a camera measures."""
+
+    distance: float  # to the nearest surface in the middle [m]
+
+
+class FrontCamera(api.Instrument):
+    """Measures at 5 Hz how far the middle of the picture is."""
+
+    period = 0.2
+
+    def __init__(self, cameras: api.CameraWorld) -> None:
+        self._cameras = cameras
+
+    def measure(self, state: api.RobotState, rng: np.random.Generator) -> Nearest:
+        return Nearest(float(self._cameras.look("front", *SIZE).depth[24, 32]))
+
+
+class Heights:
+    """An estimator that knows no ground and remembers the distance as its pitch."""
+
+    def __init__(self, bins: int) -> None:
+        self._heights, self._distance = np.zeros(bins), 0.0
+
+    def update(self, measured: Measured) -> None:
+        assert isinstance(measured.value, Nearest)
+        self._distance = measured.value.distance
+
+    def estimate(self, time: float) -> tuple[SensedGround, SensedAngles]:
+        ground = SensedGround(np.zeros((0, 2)), self._heights)
+        return ground, SensedAngles(front=0.0, rear=0.0, pitch=self._distance)
+
+    def save(self) -> float:
+        return self._distance
+
+    def load(self, saved: float) -> None:
+        self._distance = saved
+
+
+@pytest.fixture
+def camera(registry: dict) -> None:
+    """Register a sensor with a camera."""
+
+    @api.sensor("camera")
+    class Camera(api.Sensor):
+        """Look ahead."""
+
+        def instruments(self, mounting: api.Mounting) -> Mapping[str, api.Instrument]:
+            assert mounting.cameras is not None
+            return {"front": FrontCamera(mounting.cameras)}
+
+        def estimator(self, robot: api.RobotGeometry) -> Heights:
+            return Heights(self.bins)
+
+
+@draws
+@pytest.mark.usefixtures("camera")
+def test_a_sensor_takes_pictures_between_decisions_and_films_show_them() -> None:
+    sim = {"name": "mujoco", "camera_tilt": 0.5, "view": "front"}
+    env = FlipperEnv("flat", sim=sim, perception="camera")
+    env.reset(seed=1)
+    # 0.4 m above level ground, 0.5 rad down; half a pixel lower than the middle
+    assert env.perception.pitch == pytest.approx(0.4 / math.sin(0.5), rel=0.05)
+    world = env.drive.world.unguarded
+    assert np.array_equal(world.draw(*SIZE), world.look("front", *SIZE).pixels)
+    assert env.config.sim.films_itself
+    assert not Mujoco().films_itself
+
+
+@pytest.mark.usefixtures("camera")
+def test_engines_without_cameras_and_machines_that_cannot_draw_are_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with pytest.raises(ConfigError, match="the sensor has a camera, which sim=planar lacks"):
+        FlipperEnv("flat", perception="camera").reset(seed=1)
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    monkeypatch.setattr(ctypes.util, "find_library", lambda name: None)
+    with pytest.raises(RequestError, match="has neither EGL nor OSMesa: on Debian"):
+        FlipperEnv("flat", sim="mujoco", perception="camera").reset(seed=1)

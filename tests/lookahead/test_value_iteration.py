@@ -1,15 +1,22 @@
-"""Values of every reachable state of a short course."""
-
-from typing import ClassVar
+"""Values of every reachable state of a short course, and groups of states with their values."""
 
 import numpy as np
 import pytest
 
-from flipperctl.api import FloatArray, Outcome, RewardTerm, Robot, Transition
+from flipperctl.api import (
+    ACTIONS,
+    FloatArray,
+    ObservationLayout,
+    Outcome,
+    RewardTerm,
+    Robot,
+    StateGroups,
+    action_index,
+)
 from flipperctl.config import resolver
-from flipperctl.lookahead import graph as graphs
-from flipperctl.lookahead.graph import Course, Graph
+from flipperctl.lookahead import value_iteration as graphs
 from flipperctl.lookahead.model import TARGETS, TURNS, Model, Nodes, transitions
+from flipperctl.lookahead.value_iteration import SIZE, Course, Graph, sample_groups, with_stops
 from flipperctl.reward_sum import RewardSum
 from tests.lookahead.scenes import (
     FINISH,
@@ -27,15 +34,6 @@ from tests.lookahead.scenes import (
 
 R = 10.0
 """Settlement of the term ``end`` [-]."""
-
-
-class PlainSwing(RewardTerm):
-    """Pitch variation of one decision at a time."""
-
-    plugin_name: ClassVar[str] = "plain_swing"
-
-    def __call__(self, t: Transition) -> float:
-        return -min(1.0, float(np.abs(np.diff(t.path[:, 2])).sum()))
 
 
 def terms(**weights: float) -> dict[str, RewardTerm]:
@@ -112,20 +110,6 @@ def test_the_best_actions_lead_over_the_step_and_earn_their_value(step: Graph) -
     assert earned == pytest.approx(value, abs=0.2)
 
 
-def test_a_higher_price_of_swing_lowers_the_values(step: Graph) -> None:
-    dearer = graph_of(STEP, terms(swing=8.0))
-    assert len(dearer.nodes) == len(step.nodes)  # what is explored depends on no reward
-    assert (dearer.best <= step.best + 2e-3).all()
-    start = at_the_start(step)
-    assert dearer.best[start] < step.best[start] - 0.2
-
-
-def test_a_term_without_array_form_has_the_same_values() -> None:
-    arrays = graph_of(FLAT, terms(swing=1.0))
-    plain = graph_of(FLAT, {**terms(), "plain": PlainSwing()})
-    assert plain.values == pytest.approx(arrays.values, abs=1e-6)
-
-
 def test_before_a_wall_all_that_is_left_is_to_stand() -> None:
     """The episode ends as stuck with probability 1/20 at each decision.
 
@@ -185,3 +169,86 @@ def test_long_flippers_begin_above_the_ground() -> None:
     roots = found._roots()
     lowest = roots.places[:, 1].max()  # with both pairs down by their limit
     assert lowest == pytest.approx(0.1 + robot.flipper_axle * np.sin(robot.angle_limit), abs=0.02)
+
+
+# Groups of valued states
+
+LAYOUT = ObservationLayout()
+COUNT = 80
+
+
+def sampled(graph: Graph, seed: int = 0, off_path: float = 0.4, unseen: float = 0.0) -> StateGroups:
+    return sample_groups(
+        graph,
+        STEP.extended(3.0, 3.0),
+        LAYOUT,
+        np.random.default_rng(seed),
+        count=COUNT,
+        off_path=off_path,
+        unseen=unseen,
+        way=0.12,
+    )
+
+
+def test_groups_are_finite_and_repeat_themselves(step: Graph) -> None:
+    groups, again, other = sampled(step), sampled(step), sampled(step, seed=1)
+    assert groups.observations.shape == (COUNT, SIZE, LAYOUT.size)
+    assert groups.values.shape == (COUNT, SIZE, len(ACTIONS))
+    assert groups.observations.dtype == groups.values.dtype == np.float32
+    assert np.isfinite(groups.observations).all()
+    assert np.isfinite(groups.values).all()
+    assert np.array_equal(groups.values, again.values)
+    assert not np.array_equal(groups.values, other.values)
+
+
+def test_values_are_those_of_represented_states(step: Graph) -> None:
+    known = {row.tobytes() for row in with_stops(step.values).astype(np.float32)}
+    rows = sampled(step).values.reshape(-1, len(ACTIONS))
+    assert all(row.tobytes() in known for row in rows)
+    assert len(np.unique(rows, axis=0)) > 100
+
+
+def test_the_states_of_a_group_share_what_they_see(step: Graph) -> None:
+    """They lie within 0.3 m: the face of 0.2 m is at most two bins away from another's."""
+    heights = sampled(step).observations[:, :, : LAYOUT.bins]
+    edge = np.abs(np.diff(heights, axis=2)).argmax(axis=2)
+    seen = np.abs(np.diff(heights, axis=2)).max(axis=2).min(axis=1) > 0.08
+    assert seen.sum() > 10
+    assert np.ptp(edge[seen], axis=1).max() <= 2
+
+
+def test_off_path_states_are_worse_than_those_of_the_best_way(step: Graph) -> None:
+    near, anywhere = (sampled(step, off_path=p).values.max(axis=2).mean() for p in (0.0, 1.0))
+    assert near > anywhere
+
+
+def test_what_is_unseen_is_level_ground_ahead_alone(step: Graph) -> None:
+    seen, hidden = sampled(step), sampled(step, unseen=1.0)
+    middle, bins = LAYOUT.bins // 2, LAYOUT.bins
+    assert np.array_equal(hidden.values, seen.values)
+    here = slice(0, middle + 1)
+    assert np.array_equal(hidden.observations[:, :, here], seen.observations[:, :, here])
+    assert np.array_equal(hidden.observations[:, :, bins:], seen.observations[:, :, bins:])
+    changed = hidden.observations[:, :, :bins] != seen.observations[:, :, :bins]
+    assert 0.1 < changed.any(axis=(1, 2)).mean() < 1.0
+    for group, same in zip(hidden.observations, ~changed.any(axis=1), strict=True):
+        first = int(np.flatnonzero(~same)[0]) if not same.all() else bins
+        assert (group[:, first:bins] == group[:, first - 1 : first]).all()
+    part = sampled(step, unseen=0.5).observations
+    untouched = (part == seen.observations).all(axis=(1, 2)).mean()
+    assert untouched > (hidden.observations == seen.observations).all(axis=(1, 2)).mean()
+
+
+@pytest.mark.parametrize("front", [None, -1, 1])
+@pytest.mark.parametrize("rear", [None, -1, 1])
+def test_a_turn_beyond_a_stop_has_the_value_of_not_making_it(
+    front: int | None, rear: int | None
+) -> None:
+    """The pairs are at their stops in these directions, or free."""
+    values = np.array([[float(10 * i + j) for i, j in ACTIONS]])
+    beyond = [(i, j) for i, j in ACTIONS if i == front or j == rear]
+    values[0, [action_index(*a) for a in beyond]] = -np.inf
+    found = with_stops(values)[0]
+    for i, j in ACTIONS:
+        assert found[action_index(i, j)] == 10 * (0 if i == front else i) + (0 if j == rear else j)
+    assert np.isneginf(values).sum() == len(beyond)  # the argument is left alone

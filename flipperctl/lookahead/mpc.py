@@ -1,8 +1,8 @@
 """The policy of ``mpc``: it perceives, plans, and takes the first action of its plan.
 
 In: perceptions alone. Out: actions. The policy simulates a nominal robot on the perceived ground.
-With a learned value, it plans for the largest return (``returns``). The finish is not perceived; it
-is presumed one run-out past the last edge that is.
+Without a learned value it plans for the least hand-set cost, in seconds, and with one for the
+largest return. The finish is not perceived; it is presumed one run-out past the last edge that is.
 """
 
 from __future__ import annotations
@@ -10,8 +10,11 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flipperctl.api import (
     ACTIONS,
@@ -27,17 +30,87 @@ from flipperctl.api import (
 from flipperctl.config import Episode
 from flipperctl.core.ground_map import GroundMap
 from flipperctl.core.targets import TargetRule
-from flipperctl.lookahead.model import (
-    TARGETS,
-    Ground,
-    Model,
-    compile_now,
-)
-from flipperctl.lookahead.returns import History, Returns
-from flipperctl.lookahead.search import Plan, Search
-from flipperctl.lookahead.settings import LearnedValue, MpcSettings
+from flipperctl.lookahead.controllers import LearnedValue, Mpc
+from flipperctl.lookahead.model import TARGETS, TURNS, Branch, Ground, Model, compile_now, nominal
+from flipperctl.lookahead.search import History, Plan, Returns, Scores, Search
 from flipperctl.reward_sum import RewardSum
 from flipperctl.sim.ground import kept_points
+
+HURRY = 5.0
+"""Divisor of the cost weight of pitch variation in a hurry [-]."""
+
+
+@dataclass(frozen=True)
+class HandSetCost:
+    """The objective of plans without a learned value: their hand-set cost, in seconds."""
+
+    settings: Mpc
+    robot: Robot
+    hurry: int = 0
+    """How often the weights of pitch variation and final pitch are divided by ``HURRY`` [-]."""
+    poses: ClassVar[bool] = False
+
+    @property
+    def calm(self) -> float:
+        """Factor of these weights [-]."""
+        return HURRY**-self.hurry
+
+    def begin(self, model: Model, root: FloatArray) -> CostAccount:
+        """Return the account of a search from the state ``root``."""
+        zero = np.zeros(1)
+        return CostAccount(self, model.chassis(root)[0], 0, zero, zero, zero)
+
+
+@dataclass(frozen=True)
+class CostAccount:
+    """What the plans of M nodes have cost so far."""
+
+    of: HandSetCost
+    begin: float
+    """x of the chassis centre at the root [m]."""
+    depth: int
+    """Number of decisions from the root."""
+    variation: FloatArray
+    """Pitch variation from the root, (M,) [rad]."""
+    paid: FloatArray
+    """Cost of postures and turns from the root, (M,) [s]."""
+    steep: FloatArray
+    """Largest absolute pitch from the root, (M,) [rad]."""
+
+    def take(self, rows: NDArray[np.int64]) -> CostAccount:
+        """Return the account of some of the nodes."""
+        kept = self.variation[rows], self.paid[rows], self.steep[rows]
+        return CostAccount(self.of, self.begin, self.depth, *kept)
+
+    def extend(self, parent: NDArray[np.int64], action: NDArray[np.int64], found: Branch) -> Scores:
+        """Return the scores of plans that are one decision longer."""
+        of, robot, states = self.of.settings, self.of.robot, found.states
+        variation = self.variation[parent] + found.pitch_variation
+        step = (
+            of.flippers * np.abs(states[:, TARGETS:]).sum(axis=1)
+            + of.lean * np.abs(states[:, 2])
+            + of.turn * np.abs(TURNS[action]).sum(axis=1)
+        )
+        paid = self.paid[parent] + step
+        steep = np.maximum(self.steep[parent], found.steepest)
+        distance = found.places[:, 0] - self.begin
+        lost = robot.decision_period * (self.depth + 1) - distance / robot.track_speed
+        lost = np.maximum(lost, 0.0)  # otherwise plans would push themselves along by flippers
+        final = (
+            lost
+            + of.standstill * np.maximum(0.0, lost - of.standstill_from)
+            + self.of.calm * of.pitch * np.abs(states[:, 2])
+            + of.steep * np.maximum(0.0, steep - of.steep_from)
+        )
+        weight = self.of.calm * of.swing
+        return Scores(
+            cost=paid + final + weight * variation,
+            hurried=paid + final + weight / HURRY * variation,
+            ended=np.zeros(len(lost), np.bool_),
+            lost_time=lost,
+            account=CostAccount(self.of, self.begin, self.depth + 1, variation, paid, steep),
+        )
+
 
 NO_PLAN = 1000.0
 """Cost of an action that begins no plan of the search [s]."""
@@ -57,7 +130,7 @@ _MAX_ERROR = np.array([0.04, 0.04, 0.05])
 class MpcPolicy:
     """Plans at each decision; remembers the map, the flippers' targets and the last plan."""
 
-    def __init__(self, settings: MpcSettings) -> None:
+    def __init__(self, settings: Mpc) -> None:
         self._settings = settings
         self._robot = Robot()
         self._forget()
@@ -134,9 +207,9 @@ class MpcPolicy:
         settings, former = self._settings, self._former
         hurry = min(_MOST_HURRY, 1 + self._standing // _PATIENCE)
         size = {"depth": settings.horizon, "beam_per_action": settings.of_each}
-        calm = Search(robot, settings.cost_weights(robot), width=settings.beam, **size)
+        calm = Search(robot, HandSetCost(settings, robot), width=settings.beam, **size)
         width = round(settings.wider * settings.beam * hurry)
-        wide = Search(robot, settings.cost_weights(robot, hurry), width=width, **size)
+        wide = Search(robot, HandSetCost(settings, robot, hurry), width=width, **size)
         plan, self.simulated = None, 0
         if not self._hurried and hurry == 1:
             plan = calm.run(model, root, former, deadline)
@@ -212,13 +285,6 @@ def _rule(robot: RobotGeometry) -> TargetRule:
     return TargetRule(robot.angle_step, robot.angle_limit)
 
 
-def nominal(geometry: RobotGeometry) -> Robot:
-    """Return a robot of this geometry, with its own masses and speeds if they are known."""
-    if isinstance(geometry, Robot):
-        return geometry
-    return Robot(**geometry.model_dump())
-
-
 def _touching(line: FloatArray, p: Perception, robot: Robot) -> float:
     """Return the height of the chassis centre in frame L at which the robot touches the ground [m].
 
@@ -262,7 +328,7 @@ _SLIPPERY = 0.8
 class ReturnPolicy(MpcPolicy):
     """Plans for the largest return; remembers map, targets, plan, and its last pitches."""
 
-    def __init__(self, settings: MpcSettings, learned: LearnedValue) -> None:
+    def __init__(self, settings: Mpc, learned: LearnedValue) -> None:
         """Plan with the value and its rewards, unless the ``settings`` have some.
 
         The shaping is that of the value's training in any case, since only that cancels out: the
