@@ -30,7 +30,7 @@ from flipperctl.reward_sum import RewardSum
 from flipperctl.rollout.episode import decisions
 from flipperctl.rollout.seeds import EvaluationSeeds
 from flipperctl.sim.planar.compiled import step_alone
-from flipperctl.sim.planar.plain import TRACK
+from flipperctl.sim.planar.joints import TRACK
 from flipperctl.sim.planar.world import PlanarWorld
 
 ABOUT = (

@@ -29,7 +29,7 @@ from flipperctl.cli.main import run_app
 from flipperctl.config import EnvConfig, EvalConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.source import PolicySource
-from flipperctl.sim.planar.map_errors import correlated
+from flipperctl.sim.planar.sensing import correlated
 from tests.bench.small import check, small_bench
 
 OKADA = PolicySource.of_plugin("okada", "--controller")
