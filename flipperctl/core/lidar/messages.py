@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -137,10 +137,10 @@ def checked(
         return None
     if isinstance(value, Scan):
         return at, _scan(value)
-    limits = _LIMITS[next(kind for kind in _LIMITS if isinstance(value, kind))]
+    kind, limits = next(entry for entry in _LIMITS.items() if isinstance(value, entry[0]))
     numbers = {name: number(getattr(value, name), name) for name in limits}
     within = all(abs(numbers[name]) <= most for name, most in limits.items())
-    return (at, replace(value, **numbers)) if within else None
+    return (at, kind(**numbers)) if within else None
 
 
 def number(value: object, name: str) -> float:
