@@ -10,14 +10,12 @@ import tempfile
 import textwrap
 import time
 from pathlib import Path
-from typing import Any
 
 import numba
 import pytest
 from numba.core.dispatcher import Dispatcher
 
 from flipperctl.sim import jit
-from flipperctl.sim import jit as code_cache
 
 MODULES = [
     "flipperctl.lookahead.dynamics",
@@ -37,63 +35,54 @@ def sealed(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """Leave no writable folder other than the temporary one; return that."""
     file = tmp_path / "file"
     file.touch()
-    monkeypatch.setattr(code_cache, "PACKAGE", file)  # beside which no folder can be made
-    monkeypatch.setattr(code_cache, "_libraries", list)
+    monkeypatch.setattr(jit, "PACKAGE", file)  # beside which no folder can be made
+    monkeypatch.setattr(jit, "_libraries", list)
     monkeypatch.setenv("XDG_CACHE_HOME", str(file))
     monkeypatch.setattr(numba.config, "CACHE_DIR", "")
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    code_cache.machine_code_folder.cache_clear()
+    jit.machine_code_folder.cache_clear()
     yield tmp_path
-    code_cache.machine_code_folder.cache_clear()
+    jit.machine_code_folder.cache_clear()
 
 
-def test_the_cache_falls_back_to_the_temporary_folder(sealed: Path) -> None:
-    functions = [jit.cached(numba.njit)(add) for _ in range(2)]
-    assert functions[0](1, 2) == 3
-    assert list(sealed.glob("flipperctl-numba-*/machine_code/*/*/*.nbi"))
-    assert numba.config.CACHE_DIR == ""  # other packages' functions stay where numba puts them
-
-
-def test_a_read_only_installation_uses_numba_s_folder_of_the_user(
-    sealed: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(sealed / "cache"))
-    assert jit.cached(numba.njit)(add)(1, 2) == 3
-    assert list(sealed.glob("cache/numba/flipperctl/machine_code/*/*/*.nbi"))
-
-
-def test_without_any_folder_there_is_no_cache(
+def test_the_cache_falls_back_to_the_user_s_folder_the_temporary_one_and_none(
     sealed: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
+    for found in (
+        "flipperctl-numba-*/machine_code/*/*/*.nbi",
+        "cache/numba/flipperctl/machine_code",
+    ):
+        assert jit.cached(numba.njit)(add)(1, 2) == 3
+        assert list(sealed.glob(found))
+        assert numba.config.CACHE_DIR == ""  # other packages' functions stay where numba puts them
+        monkeypatch.setenv("XDG_CACHE_HOME", str(sealed / "cache"))
+        jit.machine_code_folder.cache_clear()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(sealed / "file"))
     monkeypatch.setattr(tempfile, "tempdir", str(sealed / "missing"))
+    jit.machine_code_folder.cache_clear()
     with caplog.at_level(logging.DEBUG, "flipperctl"):
         assert jit.cached(numba.njit)(add)(1, 2) == 3
     assert "compiles anew" in caplog.text
 
 
-def test_a_folder_that_others_can_write_is_not_trusted(sealed: Path) -> None:
-    folder = code_cache.private_folder()
+def test_a_folder_that_others_can_write_or_a_link_is_not_trusted(sealed: Path) -> None:
+    folder = jit.private_folder()
     assert folder is not None
     folder.chmod(0o777)
-    assert code_cache.private_folder() is None
-
-
-def test_a_link_is_not_followed(sealed: Path) -> None:
-    folder: Any = code_cache.private_folder()
+    assert jit.private_folder() is None
     folder.rmdir()
     (sealed / "elsewhere").mkdir(mode=0o700)
     folder.symlink_to(sealed / "elsewhere")
-    assert code_cache.private_folder() is None
+    assert jit.private_folder() is None
 
 
 STAND_IN = """
 from pathlib import Path
 import numba
-from flipperctl.sim import jit as code_cache
 from flipperctl.sim import jit
 
-code_cache.PACKAGE = Path(__file__).parent
-code_cache.SOURCES = (".",)
+jit.PACKAGE = Path(__file__).parent
+jit.SOURCES = (".",)
 from parts import LENGTH, twice
 
 @jit.cached(numba.njit)
@@ -137,12 +126,12 @@ def test_the_digest_covers_sources_libraries_and_their_names(tmp_path: Path) -> 
         for structs in (b"old", b"new"):
             source.write_text(content)
             library.write_bytes(structs)
-            digests.add(code_cache.code_digest([tmp_path / "code"], [library]))
+            digests.add(jit.code_digest([tmp_path / "code"], [library]))
     source.rename(source.with_name("b.py"))
-    digests.add(code_cache.code_digest([tmp_path / "code"], [library]))
+    digests.add(jit.code_digest([tmp_path / "code"], [library]))
     assert len(digests) == 5
-    assert [path.suffix for path in code_cache._libraries()].count(".py") == 1
-    assert len(code_cache._libraries()) == 2
+    assert [path.suffix for path in jit._libraries()].count(".py") == 1
+    assert len(jit._libraries()) == 2
 
 
 @pytest.mark.parametrize("name", MODULES)
@@ -158,11 +147,11 @@ def test_all_that_is_compiled_lies_in_the_digest_s_folders(name: str) -> None:
     for statement in (node for node in tree.body if isinstance(node, ast.ImportFrom)):
         names = {alias.asname or alias.name for alias in statement.names}
         if names & used and statement.module.startswith("flipperctl"):
-            assert statement.module.split(".")[1] in code_cache.SOURCES
+            assert statement.module.split(".")[1] in jit.SOURCES
 
 
 def test_every_module_of_compiled_code_is_known() -> None:
-    root = code_cache.PACKAGE
+    root = jit.PACKAGE
     found = [p for p in root.rglob("*.py") if "from flipperctl.sim.jit import" in p.read_text()]
     dotted = [".".join(path.relative_to(root.parent).with_suffix("").parts) for path in found]
     assert sorted(dotted) == MODULES
@@ -174,10 +163,10 @@ def test_folders_of_earlier_digests_are_bounded(tmp_path: Path) -> None:
     for age, name in enumerate(["used", "a", "b", "c", "d", "e", "f", "g"]):
         (tmp_path / name / "code").mkdir(parents=True)
         os.utime(tmp_path / name, (now, now - age * 20_000.0))
-    code_cache._remove_unused(used)
+    jit._remove_unused(used)
     # Four are kept; of the others e, f and g, the first is 100,000 s old, above a day.
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a", "b", "c", "d", "used"]
     for name in ("e", "f"):
         (tmp_path / name).mkdir()  # in use since
-    code_cache._remove_unused(used)
+    jit._remove_unused(used)
     assert len(list(tmp_path.iterdir())) == 7
