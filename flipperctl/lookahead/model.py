@@ -25,9 +25,11 @@ from flipperctl.api import (
     Profile,
     Robot,
     RobotGeometry,
+    RobotState,
     RobotStates,
     Transitions,
 )
+from flipperctl.core.targets import TargetRule
 from flipperctl.lookahead import dynamics
 from flipperctl.lookahead.dynamics import MOST, OVERTURNED, REACHED, STATE
 from flipperctl.sim.ground import kept_points
@@ -126,6 +128,14 @@ class Model:
         motion = (vx - turn * dz, vz + turn * dx, turn)
         return np.array([x + dx, z + dz, pitch, *motion, *flippers, *flippers])
 
+    def known(self, robot: RobotState, targets: tuple[float, float]) -> FloatArray:
+        """Return the state of a robot that is known, (``STATE``,), with these flipper targets."""
+        x, z = robot.position.tolist()
+        rates = (*robot.velocity.tolist(), robot.pitch_rate)
+        found = self.state((x, z, robot.pitch), (robot.front, robot.rear), rates)
+        found[TARGETS:] = targets
+        return found
+
     def chassis(self, state: FloatArray) -> tuple[float, float]:
         """Return x and z of the chassis centre [m]."""
         x, z = dynamics.chassis(state, self._numbers)
@@ -155,6 +165,14 @@ class Model:
             *(self._ground, numbers, found, place, variation, steepest, outcome, path),
         )
         return Branch(found, place, variation, steepest, outcome, path)
+
+
+def next_targets(
+    robot: RobotGeometry, targets: tuple[float, float], angles: tuple[float, float], action: int
+) -> tuple[float, float]:
+    """Return the flippers' targets after an action, by the rule of the robot [rad]."""
+    rule = TargetRule(window=robot.angle_step, limit=robot.angle_limit)
+    return rule.next_targets(targets, angles, [t * robot.angle_step for t in ACTIONS[action]])
 
 
 def nominal(geometry: RobotGeometry) -> Robot:

@@ -17,22 +17,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.api import (
-    ACTIONS,
     FloatArray,
     Perception,
     Profile,
     RewardTerm,
     Robot,
-    RobotGeometry,
     Shaping,
     Simulator,
 )
 from flipperctl.config import Episode
 from flipperctl.core.ground_map import GroundMap
-from flipperctl.core.targets import TargetRule
 from flipperctl.lookahead.controllers import LearnedValue, Mpc
-from flipperctl.lookahead.model import TARGETS, TURNS, Branch, Ground, Model, compile_now, nominal
-from flipperctl.lookahead.search import History, Plan, Returns, Scores, Search
+from flipperctl.lookahead.model import (
+    TARGETS,
+    TURNS,
+    Branch,
+    Ground,
+    Model,
+    compile_now,
+    next_targets,
+    nominal,
+)
+from flipperctl.lookahead.search import HOLD, History, Plan, Returns, Scores, Search
 from flipperctl.reward_sum import RewardSum
 from flipperctl.sim.ground import kept_points
 
@@ -177,9 +183,7 @@ class MpcPolicy:
         self._turn(action)
 
     def _turn(self, action: int) -> None:
-        robot = self._robot
-        turns = [turn * robot.angle_step for turn in ACTIONS[action]]
-        self._targets = _rule(robot).next_targets(self._targets, self._angles, turns)
+        self._targets = next_targets(self._robot, self._targets, self._angles, action)
 
     def _measure(self, p: Perception) -> None:
         """Remember robot and angles; an episode begins with the angles as targets."""
@@ -246,7 +250,7 @@ class MpcPolicy:
             moved = expected[:3] - (before[0], before[1], 0.0)
             if (np.abs(moved - (*motion, p.pitch)) < _MAX_ERROR).all():
                 root[3:6] = expected[3:6]
-        root[TARGETS:] = _rule(robot).next_targets(self._targets, (p.front, p.rear), (0.0, 0.0))
+        root[TARGETS:] = next_targets(robot, self._targets, (p.front, p.rear), HOLD)
         if settings.latency:
             root = model.expand(root[None], root[None, TARGETS:], settings.latency).states[0]
         return model, root
@@ -279,10 +283,6 @@ class MpcPolicy:
     def _least(self) -> float:
         """Return the way of a decision below which the robot stands [m]."""
         return STANDS * self._robot.track_speed * self._robot.decision_period
-
-
-def _rule(robot: RobotGeometry) -> TargetRule:
-    return TargetRule(robot.angle_step, robot.angle_limit)
 
 
 def _touching(line: FloatArray, p: Perception, robot: Robot) -> float:

@@ -17,12 +17,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.api import ACTIONS, FloatArray, Outcome, Perception, Policy, Robot, Simulator
+from flipperctl.api import FloatArray, Outcome, Perception, Policy, Robot, Simulator
 from flipperctl.config import resolver
-from flipperctl.core.targets import TargetRule
 from flipperctl.lookahead.controllers import STEEP, STEEP_FROM, Planner
 from flipperctl.lookahead.dynamics import MOST_EXACT
-from flipperctl.lookahead.model import FLIPPERS, TARGETS, Model, nominal
+from flipperctl.lookahead.model import FLIPPERS, Model, next_targets, nominal
 from flipperctl.lookahead.search import HOLD, highest_at_finish, moves, target_cell
 
 _ROUNDS = 8
@@ -248,30 +247,17 @@ class Trajectory:
     def __post_init__(self) -> None:
         """Restart the simulator."""
         self.simulator.restart()
-        state, robot = self.simulator.state, self.simulator.robot
-        self._rule = TargetRule(window=robot.angle_step, limit=robot.angle_limit)
+        state = self.simulator.state
         self.targets = state.front, state.rear
         """Commanded angles of the front and the rear flippers in frame R [rad]."""
 
     def step(self, action: int) -> None:
         """Play one decision."""
-        state, step = self.simulator.state, self.simulator.robot.angle_step
-        front, rear = ACTIONS[action]
-        self.targets = self._rule.next_targets(
-            self.targets, (state.front, state.rear), (front * step, rear * step)
-        )
+        state, robot = self.simulator.state, self.simulator.robot
+        self.targets = next_targets(robot, self.targets, (state.front, state.rear), action)
         self.outcome = self.simulator.step(action)
         self.actions.append(action)
         self.variation += float(np.abs(np.diff(self.simulator.poses[:, 2])).sum())
-
-    def predictable(self, model: Model) -> FloatArray:
-        """Return the present state as a state of the prediction model, (``STATE``,)."""
-        state = self.simulator.state
-        x, z = state.position.tolist()
-        rates = (*state.velocity.tolist(), state.pitch_rate)
-        found = model.state((x, z, state.pitch), (state.front, state.rear), rates)
-        found[TARGETS:] = self.targets
-        return found
 
     @property
     def reached(self) -> bool:
@@ -474,7 +460,7 @@ class _Search:
             left = max(0.0, simulator.finish - played.x) / simulator.speed
             if played.cost + left >= bound or beam.spent >= budget:
                 break
-            here = played.predictable(beam.model)
+            here = beam.model.known(simulator.state, played.targets)
             best = beam.follow(here, plan)
             if not best.complete or age >= patience or best.cost > expected + _TOLERANCE:
                 slack = _TOLERANCE + beam.goal.pitch * _LEANING

@@ -37,7 +37,6 @@ from flipperctl.api import (
     action_index,
 )
 from flipperctl.config import Episode
-from flipperctl.core.targets import TargetRule
 from flipperctl.lookahead.controllers import ValueIteration
 from flipperctl.lookahead.dynamics import MOST_EXACT, RUNNING
 from flipperctl.lookahead.model import (
@@ -47,10 +46,11 @@ from flipperctl.lookahead.model import (
     Model,
     Nodes,
     compile_now,
+    next_targets,
     nominal,
     transitions,
 )
-from flipperctl.lookahead.search import History, Returns, Search, highest_at_finish, moves
+from flipperctl.lookahead.search import HOLD, History, Returns, Search, highest_at_finish, moves
 from flipperctl.reward_sum import RewardSum
 
 _SHARE = 0.5
@@ -460,9 +460,7 @@ class ValueIterationPolicy:
     def took(self, action: int) -> None:
         """Remember the action that was taken."""
         robot, state = self._robot, self._simulator.state
-        turns = [turn * robot.angle_step for turn in ACTIONS[action]]
-        rule = TargetRule(robot.angle_step, robot.angle_limit)
-        self._targets = rule.next_targets(self._targets, (state.front, state.rear), turns)
+        self._targets = next_targets(robot, self._targets, (state.front, state.rear), action)
         self._history.took(action, robot.decision_period)
         self._pending, self._decided_at = action, state.time
 
@@ -494,14 +492,8 @@ class ValueIterationPolicy:
 
     def _here(self) -> Nodes:
         """Return the true state as a node."""
-        state, robot = self._simulator.state, self._robot
+        state = self._simulator.state
         self._history.saw(state.pitch)
-        x, z = state.position
-        found = self._model.state(
-            (float(x), float(z), state.pitch),
-            (state.front, state.rear),
-            (float(state.velocity[0]), float(state.velocity[1]), state.pitch_rate),
-        )
-        rule = TargetRule(robot.angle_step, robot.angle_limit)
-        found[TARGETS:] = rule.next_targets(self._targets, (state.front, state.rear), (0.0, 0.0))
-        return self._history.node(found, state.position)
+        angles = state.front, state.rear
+        targets = next_targets(self._robot, self._targets, angles, HOLD)
+        return self._history.node(self._model.known(state, targets), state.position)
