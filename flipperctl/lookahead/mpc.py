@@ -27,7 +27,6 @@ from flipperctl.api import (
 )
 from flipperctl.config import Episode
 from flipperctl.core.ground_map import GroundMap
-from flipperctl.lookahead.controllers import LearnedValue, Mpc
 from flipperctl.lookahead.model import (
     TARGETS,
     TURNS,
@@ -39,6 +38,7 @@ from flipperctl.lookahead.model import (
     nominal,
 )
 from flipperctl.lookahead.search import HOLD, History, Plan, Returns, Scores, Search
+from flipperctl.lookahead.settings import LearnedValue, MpcSettings
 from flipperctl.reward_sum import RewardSum
 from flipperctl.sim.ground import kept_points
 
@@ -50,7 +50,7 @@ HURRY = 5.0
 class HandSetCost:
     """The objective of plans without a learned value: their hand-set cost, in seconds."""
 
-    settings: Mpc
+    settings: MpcSettings
     robot: Robot
     hurry: int = 0
     """How often the weights of pitch variation and final pitch are divided by ``HURRY`` [-]."""
@@ -136,7 +136,7 @@ _MAX_ERROR = np.array([0.04, 0.04, 0.05])
 class MpcPolicy:
     """Plans at each decision; remembers the map, the flippers' targets and the last plan."""
 
-    def __init__(self, settings: Mpc) -> None:
+    def __init__(self, settings: MpcSettings) -> None:
         self._settings = settings
         self._robot = Robot()
         self._forget()
@@ -328,7 +328,7 @@ _SLIPPERY = 0.8
 class ReturnPolicy(MpcPolicy):
     """Plans for the largest return; remembers map, targets, plan, and its last pitches."""
 
-    def __init__(self, settings: Mpc, learned: LearnedValue) -> None:
+    def __init__(self, settings: MpcSettings, learned: LearnedValue) -> None:
         """Plan with the value and its rewards, unless the ``settings`` have some.
 
         The shaping is that of the value's training in any case, since only that cancels out: the

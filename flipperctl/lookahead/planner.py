@@ -19,10 +19,10 @@ from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray, Outcome, Perception, Policy, Robot, Simulator
 from flipperctl.config import resolver
-from flipperctl.lookahead.controllers import STEEP, STEEP_FROM, Planner
 from flipperctl.lookahead.dynamics import MOST_EXACT
 from flipperctl.lookahead.model import FLIPPERS, Model, next_targets, nominal
 from flipperctl.lookahead.search import HOLD, highest_at_finish, moves, target_cell
+from flipperctl.lookahead.settings import STEEP, STEEP_FROM, PlannerSettings
 
 _ROUNDS = 8
 """Largest number of decisions of a node in one distance bin."""
@@ -316,7 +316,7 @@ _INITIAL_SHARE = 0.15
 class PlannerPolicy:
     """Search for a plan at the start of an episode, then play it."""
 
-    def __init__(self, settings: Planner, trained: Policy | None) -> None:
+    def __init__(self, settings: PlannerSettings, trained: Policy | None) -> None:
         """``trained``: a policy whose trajectory the search starts from."""
         self._settings = settings
         self._starts = {
@@ -346,7 +346,7 @@ class PlannerPolicy:
 class _Search:
     """The search in one scene, with its best trajectory and the decisions spent."""
 
-    def __init__(self, simulator: Simulator, settings: Planner) -> None:
+    def __init__(self, simulator: Simulator, settings: PlannerSettings) -> None:
         self._simulator, self._settings = simulator, settings
         self._robot = nominal(simulator.robot)
         profile = simulator.profile

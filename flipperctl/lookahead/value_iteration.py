@@ -37,7 +37,6 @@ from flipperctl.api import (
     action_index,
 )
 from flipperctl.config import Episode
-from flipperctl.lookahead.controllers import ValueIteration
 from flipperctl.lookahead.dynamics import MOST_EXACT, RUNNING
 from flipperctl.lookahead.model import (
     FLIPPERS,
@@ -51,6 +50,7 @@ from flipperctl.lookahead.model import (
     transitions,
 )
 from flipperctl.lookahead.search import HOLD, History, Returns, Search, highest_at_finish, moves
+from flipperctl.lookahead.settings import ValueIterationSettings
 from flipperctl.reward_sum import RewardSum
 
 _SHARE = 0.5
@@ -382,7 +382,7 @@ _EPISODE = Episode()
 class ValueIterationPolicy:
     """Explores the ground of an episode, then takes the actions of the largest value."""
 
-    def __init__(self, settings: ValueIteration, rewards: Mapping[str, RewardTerm]) -> None:
+    def __init__(self, settings: ValueIterationSettings, rewards: Mapping[str, RewardTerm]) -> None:
         """Prepare for any episode.
 
         Raises:

@@ -18,7 +18,7 @@ from flipperctl.api import FloatArray, RobotGeometry
 from flipperctl.checkpoint import find, read, shipped_policies
 from flipperctl.config import TrainConfig
 from flipperctl.errors import CheckpointError
-from flipperctl.lookahead.controllers import TOLERANCE, LearnedValue
+from flipperctl.lookahead.settings import TOLERANCE, LearnedValue
 from flipperctl.policies.exported import is_exported
 from flipperctl.policies.trained import policy_module
 

@@ -14,8 +14,9 @@ from flipperctl.config import EnvConfig, resolver, to_dict, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation import policies as named_policies
 from flipperctl.lookahead import planner
-from flipperctl.lookahead.controllers import HAND_SET, Mpc, Planner
+from flipperctl.lookahead.controllers import Mpc, Planner
 from flipperctl.lookahead.mpc import MpcPolicy, ReturnPolicy
+from flipperctl.lookahead.settings import HAND_SET
 from flipperctl.policies.source import PolicySource, with_files
 from flipperctl.policies.values import learned_value
 from tests.short import short_config, trainer

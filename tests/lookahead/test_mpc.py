@@ -25,7 +25,8 @@ from flipperctl.config import EnvConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.lookahead import mpc
-from flipperctl.lookahead.controllers import LearnedValue, Mpc
+from flipperctl.lookahead.controllers import Mpc
+from flipperctl.lookahead.settings import LearnedValue
 from flipperctl.policies.source import PolicySource
 from flipperctl.policies.trained import policy_module
 from flipperctl.policies.values import learned_value

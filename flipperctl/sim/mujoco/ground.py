@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -20,9 +20,7 @@ from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray, Profile, Surface
 from flipperctl.errors import PluginFailedError, TerrainError
-
-if TYPE_CHECKING:
-    from flipperctl.sim.mujoco.engine import Mujoco
+from flipperctl.sim.mujoco.settings import MujocoSettings
 
 GROUND_WIDTH = 4.0
 """Width of the ground, half to each side [m]."""
@@ -35,7 +33,7 @@ _BEHIND = 0.5  # largest distance of a post behind the line [m]
 _COLOURS = {"walls": [0.8, 0.78, 0.72, 1.0], "posts": [0.45, 0.33, 0.22, 1.0]}
 
 
-def add_scenery(spec: Any, profile: Profile, sim: Mujoco, rng: np.random.Generator) -> None:
+def add_scenery(spec: Any, profile: Profile, sim: MujocoSettings, rng: np.random.Generator) -> None:
     """Add walls or posts to a model; posts are placed at random by ``rng``."""
     if sim.scenery == "none":
         return
@@ -98,12 +96,12 @@ class Strip(NamedTuple):
     """Its outline, level ground before and past it included, (V, 2) of x and z [m]."""
 
 
-def reach(sim: Mujoco) -> float:
+def reach(sim: MujocoSettings) -> float:
     """Return the largest distance of the robot's tracks from the line at the start [m]."""
     return sim.flipper_offset + sim.track_width / 2 + sim.offset
 
 
-def surface_borders(sim: Mujoco) -> set[float]:
+def surface_borders(sim: MujocoSettings) -> set[float]:
     """Return the borders between the strips of a surface, as y [m]."""
     count = math.ceil((reach(sim) + _MARGIN) / sim.strip_width)
     narrow = count * sim.strip_width
@@ -113,7 +111,7 @@ def surface_borders(sim: Mujoco) -> set[float]:
 
 
 def surface_strips(
-    profile: Profile, surface: Surface, borders: list[float], kept: list[float], sim: Mujoco
+    profile: Profile, surface: Surface, borders: list[float], kept: list[float], sim: MujocoSettings
 ) -> list[Strip]:
     """Return the strips between ascending borders.
 
@@ -222,7 +220,7 @@ class Box(NamedTuple):
     """Slope of its upper face, up towards +x positive [rad]."""
 
 
-def boxes(profile: Profile, sim: Mujoco, rng: np.random.Generator) -> list[Box]:
+def boxes(profile: Profile, sim: MujocoSettings, rng: np.random.Generator) -> list[Box]:
     """Return the ground's boxes; the roughness is sampled from ``rng``.
 
     Raises:
@@ -248,7 +246,7 @@ def boxes(profile: Profile, sim: Mujoco, rng: np.random.Generator) -> list[Box]:
     return found
 
 
-def _strips(profile: Profile, sim: Mujoco) -> list[Strip]:
+def _strips(profile: Profile, sim: MujocoSettings) -> list[Strip]:
     """Return the strips along x that divide the ground, from right to left."""
     half = GROUND_WIDTH / 2
     changed: set[float] = set()  # borders at which these settings change the ground

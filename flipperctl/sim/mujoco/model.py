@@ -14,16 +14,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
 
 from flipperctl.api import SAMPLE_PERIOD, FloatArray, Robot
 from flipperctl.sim.mujoco.ground import Box
-
-if TYPE_CHECKING:
-    from flipperctl.sim.mujoco.engine import Mujoco
+from flipperctl.sim.mujoco.settings import MujocoSettings
 
 LARGEST_PICTURE = 1920, 1080
 """Width and height of the largest picture [pixels]."""
@@ -68,7 +66,7 @@ class Model(NamedTuple):
 def build(
     ground: Sequence[Box],
     robot: Robot,
-    sim: Mujoco,
+    sim: MujocoSettings,
     scenery: Callable[[Any], None] = lambda spec: None,
 ) -> Model:
     """Compile the scene; the robot's pose is set in its data, ``scenery`` adds to the model."""
@@ -80,7 +78,7 @@ def build(
     return Model(model, model.geom_surfacevel.copy(), np.array(sides))
 
 
-def specify(ground: Sequence[Box], robot: Robot, sim: Mujoco) -> Any:
+def specify(ground: Sequence[Box], robot: Robot, sim: MujocoSettings) -> Any:
     """Return the ``mujoco.MjSpec`` of the scene, with the chassis at the origin."""
     spec = mujoco.MjSpec()
     spec.compiler.degree = False
@@ -134,11 +132,11 @@ def _set_looks(spec: Any) -> None:
     )
 
 
-def _surface(sim: Mujoco) -> dict[str, Any]:
+def _surface(sim: MujocoSettings) -> dict[str, Any]:
     return {"friction": [sim.friction, 0.0, 0.0], "condim": 3, **_CONTACT}
 
 
-def _add_robot(spec: Any, robot: Robot, sim: Mujoco) -> None:
+def _add_robot(spec: Any, robot: Robot, sim: MujocoSettings) -> None:
     half, width = robot.hinge_offset, sim.track_width
     chassis = spec.worldbody.add_body(name="chassis")
     chassis.add_freejoint(name="chassis")
@@ -170,7 +168,7 @@ def _add_robot(spec: Any, robot: Robot, sim: Mujoco) -> None:
             _add_hinge(spec, flipper, f"{end}_{side}", -ahead, robot, sim)
 
 
-def _add_cameras(chassis: Any, robot: Robot, sim: Mujoco) -> None:
+def _add_cameras(chassis: Any, robot: Robot, sim: MujocoSettings) -> None:
     """Add the cameras above the hinges; one looks along its negative z axis, its y axis is up."""
     cos, sin = math.cos(sim.camera_tilt), math.sin(sim.camera_tilt)
     for name, ahead in (("front", 1.0), ("rear", -1.0)):
@@ -212,7 +210,7 @@ def _add_end(
     at: tuple[float, float],
     half: float,
     robot: Robot,
-    sim: Mujoco,
+    sim: MujocoSettings,
 ) -> None:
     """Add a round end at (x, y) [m], a capsule whose straight part is as wide as the belt.
 
@@ -235,7 +233,7 @@ def _add_end(
 
 
 def _add_board(
-    body: Any, name: str, along: tuple[float, float], y: float, robot: Robot, sim: Mujoco
+    body: Any, name: str, along: tuple[float, float], y: float, robot: Robot, sim: MujocoSettings
 ) -> None:
     """Add the straight part of a track between two x [m]."""
     height = robot.track_radius - _RECESS
@@ -253,7 +251,9 @@ def _add_board(
     )
 
 
-def _add_hinge(spec: Any, body: Any, name: str, axis: float, robot: Robot, sim: Mujoco) -> None:
+def _add_hinge(
+    spec: Any, body: Any, name: str, axis: float, robot: Robot, sim: MujocoSettings
+) -> None:
     """Add a flipper's hinge, its end stops and its servo, which follows a velocity."""
     limit = robot.angle_limit + _STOP_PLAY
     body.add_joint(

@@ -32,11 +32,11 @@ from flipperctl.api import (
 from flipperctl.errors import NonFiniteError
 from flipperctl.sim.mujoco.ground import GROUND_WIDTH, ROUGH_MARGIN, add_scenery, boxes
 from flipperctl.sim.mujoco.model import ROBOT_GROUP, Model, build
+from flipperctl.sim.mujoco.settings import MujocoSettings
 from flipperctl.sim.resting import OVERLAP, height_at
 
 if TYPE_CHECKING:
     from flipperctl.sim.mujoco.camera import Camera
-    from flipperctl.sim.mujoco.engine import Mujoco
 
 Axis = tuple[float, float, float]
 
@@ -57,7 +57,7 @@ def _quaternion(pitch: float, yaw: float) -> tuple[float, float, float, float]:
     return cos * w, 0.0 - sin * z, 0.0 - sin * w, cos * z  # 0.0 minus: no -0.0 on level ground
 
 
-def farther(profile: Profile, robot: Robot, sim: Mujoco, start: Start, yaw: float) -> float:
+def farther(profile: Profile, robot: Robot, sim: MujocoSettings, start: Start, yaw: float) -> float:
     """Return how much farther ahead a level robot may overlap than a straight one on the profile.
 
     By the corner of a turned robot, and by what reaches onto rough ground before the first edge
@@ -99,7 +99,7 @@ _AVERAGING = 0.1
 class Tracks:
     """The belts on both sides of one robot."""
 
-    def __init__(self, built: Model, robot: Robot, sim: Mujoco) -> None:
+    def __init__(self, built: Model, robot: Robot, sim: MujocoSettings) -> None:
         """Drive the belts of the ``built`` model."""
         self._model, self._belts, self._sides = built
         self._gain, self._speed, self._friction = sim.heading_gain, robot.track_speed, sim.friction
@@ -180,7 +180,7 @@ class MujocoWorld:
         self,
         profile: Profile,
         robot: Robot,
-        sim: Mujoco,
+        sim: MujocoSettings,
         start: Start,
         rng: np.random.Generator,
     ) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pymunk
@@ -27,10 +27,8 @@ from flipperctl.api import (
 from flipperctl.sim.planar.compiled import CompiledLoop
 from flipperctl.sim.planar.joints import GROUND, TRACK, Belt, Budget, join, largest_impulse
 from flipperctl.sim.planar.rays import distances
+from flipperctl.sim.planar.settings import PlanarSettings
 from flipperctl.sim.resting import height_at
-
-if TYPE_CHECKING:
-    from flipperctl.sim.planar.engine import Planar
 
 _LEVEL_GROUND = 20.0  # length of the level ground before and past the profile [m]
 
@@ -38,7 +36,7 @@ _LEVEL_GROUND = 20.0  # length of the level ground before and past the profile [
 class PlanarWorld:
     """One robot on one profile; rebuilt for every episode, so that replays are bit-identical."""
 
-    def __init__(self, profile: Profile, robot: Robot, sim: Planar, start: Start) -> None:
+    def __init__(self, profile: Profile, robot: Robot, sim: PlanarSettings, start: Start) -> None:
         """Place the robot at ``start``.
 
         Without a height there, it rests on the lower flippers if a flipper is below the level
