@@ -22,7 +22,7 @@ import numpy as np
 
 from flipperctl import entry
 from flipperctl.api import FloatArray, Outcome
-from flipperctl.evaluation.best_known import is_best_known
+from flipperctl.evaluation.plan import is_best_known
 from flipperctl.evaluation.statistics import Interval, interval, paired_success, proportion
 
 COUNTS = (2, 3, 5, 10, 20, 100)

@@ -30,8 +30,7 @@ from flipperctl.evaluation.views.engines import in_default_engine
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import Row, decisions
 from flipperctl.rollout.seeds import EvaluationSeeds
-from flipperctl.show import Column, Table, print_table
-from flipperctl.terminal.console import console
+from flipperctl.show import Column, Table, console, print_table
 
 PITCH_TOLERANCE = 0.05
 """Largest RMS difference of the pitches at equal times that counts as equal [rad]."""

@@ -21,7 +21,7 @@ from benchmarks import shipped, tables
 from flipperctl import __version__, entry
 from flipperctl.cli.main import main as flipperctl
 from flipperctl.errors import FlipperctlError
-from flipperctl.evaluation.views.markdown import rows_of
+from flipperctl.evaluation.views.card import rows_of
 from flipperctl.files import write_bytes
 
 _NOISE = "perception.noise=0.01 perception.angle_noise=0.01 episode.start_angle_noise=0.05"

@@ -22,7 +22,7 @@ import numpy as np
 from flipperctl import entry
 from flipperctl.api import FloatArray
 from flipperctl.evaluation import seeds as seed_intervals
-from flipperctl.evaluation.seeds import interquartile_mean, mean
+from flipperctl.evaluation.seeds import Scores, Statistic, interquartile_mean, means, resampled
 from flipperctl.evaluation.statistics import Interval
 
 SEEDS = (2, 3, 4, 5, 10)
@@ -104,11 +104,11 @@ def coverage(
             ),
             "mean, bootstrap-t of seeds": (_studentized(ours["scene"].mean(axis=1), rng), 0.0),
             "mean, percentile bootstrap": (
-                seed_intervals.bootstrap(ours, mean, rng, RESAMPLES),
+                bootstrap(ours, mean, rng),
                 0.0,
             ),
             "IQM, percentile bootstrap": (
-                seed_intervals.bootstrap(ours, interquartile_mean, rng, RESAMPLES),
+                bootstrap(ours, interquartile_mean, rng),
                 middle,
             ),
         }
@@ -132,6 +132,21 @@ def _two(
         for _ in range(2)
     )
     return {"scene": ours}, {"scene": theirs}
+
+
+def bootstrap(scores: Scores, statistic: Statistic, rng: np.random.Generator) -> Interval:
+    """Return a statistic with the percentile interval of the bootstrap: seeds, then episodes.
+
+    Each sample draws whole seeds with replacement, and in each scene episodes with replacement,
+    the same for all seeds. It contains the truth too rarely below ten seeds: 72 % at three.
+    """
+    low, high = np.percentile(statistic(resampled(scores, rng, RESAMPLES)), [2.5, 97.5])
+    return Interval(float(statistic(means(scores))), float(low), float(high))
+
+
+def mean(scores: FloatArray) -> FloatArray:
+    """Return the mean over runs and tasks, (..., R, T) → (...)."""
+    return np.asarray(scores.mean(axis=(-2, -1)))
 
 
 def _studentized(means: FloatArray, rng: np.random.Generator) -> Interval:

@@ -21,7 +21,7 @@ import numpy as np
 import yaml
 
 from flipperctl.errors import RequestError
-from flipperctl.evaluation.best_known import is_best_known
+from flipperctl.evaluation.plan import is_best_known
 from flipperctl.evaluation.seeds import PRICE, Method
 from flipperctl.evaluation.statistics import interval
 from flipperctl.evaluation.views.compare import difference, method_row

@@ -107,15 +107,22 @@ def is_held(directory: Path, name: str = "run") -> bool:
     try:
         _acquire(path).release()
     except (Timeout, OSError):  # a folder that may only be read has the note alone
-        note = _note_now(directory / f".{name}.lock.json")
+        note = _read_note(directory / f".{name}.lock.json")
         return note is not None and not is_dead(note)
     return False
 
 
 def _held_text(directory: Path, path: Path, note: Path, use: str) -> str:
-    found = _read_note(note)
-    if found is None:
-        return f"{directory} is {use} by another process; wait for it, or stop it"
+    """Return the error's text for a held folder.
+
+    The holder writes its note after it has the lock, so that the note may be missing or, after a
+    crash, be that of a dead process.
+    """
+    deadline = time.monotonic() + _PATIENCE
+    while (found := _read_note(note)) is None or is_dead(found):
+        if time.monotonic() >= deadline:
+            return f"{directory} is {use} by another process; wait for it, or stop it"
+        time.sleep(0.02)
     soft = path.with_suffix(".softlock")
     advice = f" (if it is gone, delete {soft})" if soft.exists() else ""
     return (
@@ -125,21 +132,6 @@ def _held_text(directory: Path, path: Path, note: Path, use: str) -> str:
 
 
 def _read_note(note: Path) -> dict[str, Any] | None:
-    """Return the holder's note; None if it does not appear in time.
-
-    The holder writes its note after it has the lock, so the note may be missing or, after a crash,
-    be that of a dead process.
-    """
-    deadline = time.monotonic() + _PATIENCE
-    while time.monotonic() < deadline:
-        found = _note_now(note)
-        if found is not None and not is_dead(found):
-            return found
-        time.sleep(0.02)
-    return None
-
-
-def _note_now(note: Path) -> dict[str, Any] | None:
     """Return the note that the file has now; None if it is missing or damaged."""
     try:
         found = json.loads(note.read_text())
@@ -157,7 +149,7 @@ def is_dead(holder: dict[str, Any]) -> bool:
     except (ProcessLookupError, TypeError, ValueError, OverflowError):
         return True
     except PermissionError:  # it runs under another user
-        return False
+        pass
     return False
 
 
@@ -195,9 +187,9 @@ def finished(directory: Path, decision: int) -> dict[str, Any] | None:
 
 def unfinished(directory: Path) -> bool:
     """Return whether a run is not trained to its end: stopped, failed or being trained."""
-    planned, _ = read_config(directory / CONFIG)
-    for key in ("train", "decisions"):
-        planned = planned.get(key) if isinstance(planned, dict) else None
+    config, _ = read_config(directory / CONFIG)
+    train = config.get("train") if isinstance(config, dict) else None
+    planned = train.get("decisions") if isinstance(train, dict) else None
     return isinstance(planned, int) and finished(directory, planned) is None
 
 
@@ -241,11 +233,7 @@ class ResultFolder:
             shutil.rmtree(part, ignore_errors=True)
 
     def require_own(self, names: Sequence[str]) -> None:
-        """Refuse to replace files that no command has written here; ``names`` may be patterns.
-
-        Raises:
-            OutputError: there is such a file.
-        """
+        """Refuse to replace files that no command has written here; ``names`` may be patterns."""
         listed = {name for own in self._files().values() for name in own}
         for file in sorted(file for name in names for file in self.path.glob(name)):
             if file.name not in listed:

@@ -6,7 +6,9 @@ are folded, headings break at spaces, and columns that are still too wide contin
 
 from __future__ import annotations
 
+import os
 import re
+import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -35,6 +37,8 @@ _ESCAPES = str.maketrans(
 )
 NONE = "–"
 """Text of a missing number."""
+NATURAL = 10_000
+"""Width of an output that is not a terminal, so that tables are as wide as they need [columns]."""
 
 
 class _Interval(Protocol):
@@ -106,13 +110,39 @@ def interval_text(
     return f"{mean} [{low}, {high}]"
 
 
+class PlainConsole(Console):
+    """A console that replaces missing characters before the layout, so columns stay aligned."""
+
+    def render_str(self, text: str, **options: Any) -> Text:
+        """Render a text as rich does, with characters that the stream can show."""
+        return super().render_str(spell_plainly(text, self.encoding), **options)
+
+
+def console(*, stderr: bool = False, natural: int = NATURAL) -> Console:
+    """Return a console with the width of COLUMNS, else of the terminal, else ``natural``.
+
+    ``natural`` is smaller than its default for tables with long sentences.
+    """
+    file = sys.stderr if stderr else sys.stdout
+    columns = os.environ.get("COLUMNS", "")
+    wanted = int(columns) if columns.isdecimal() else 0
+    on_terminal = file is not None and file.isatty()
+    return PlainConsole(stderr=stderr, width=wanted or (None if on_terminal else natural))
+
+
+def print_lines(to: Console, lines: Iterable[str], style: str = "") -> None:
+    """Print each line without markup, broken at spaces where it is too long for the console."""
+    for line in lines:
+        text = spell_plainly(line, to.encoding)
+        for part in folded(text, to.width) if cell_len(text) > to.width else [text]:
+            to.print(part, style=style, highlight=False, markup=False, soft_wrap=True)
+
+
 def print_table(table: Table, to: Console) -> None:
     """Print a table and its notes within the width of the console."""
-    for line in lines(table, to):
+    notes = (Text(line) for note in table.notes for line in folded(_plain(note, to), to.width))
+    for line in (*lines(table, to), *notes):
         to.print(line, highlight=False, markup=False, soft_wrap=True)
-    for note in table.notes:
-        for text in folded(_plain(note, to), to.width):
-            to.print(text, highlight=False, markup=False, soft_wrap=True)
 
 
 def lines(table: Table, to: Console) -> Iterator[Text]:
@@ -227,7 +257,7 @@ def latex(table: Table) -> str:
         *(f"% {' '.join(text.split())}" for text in (table.title, *table.notes) if text),
         r"\begin{tabular}{" + "l" * names + "r" * (len(head) - names) + "}",
         r"\toprule",
-        _latex_row(head),
+        " & ".join(head) + r" \\",
         r"\midrule",
     ]
     for at, (row, texts) in enumerate(zip(table.rows, table.texts(), strict=True)):
@@ -238,12 +268,8 @@ def latex(table: Table) -> str:
             latex_text(text) if column.named else latex_text(text.replace(NONE, "--"))
             for text, column in zip(texts, table.columns, strict=True)
         ]
-        found.append(_latex_row(cells))
+        found.append(" & ".join(cells) + r" \\")
     return "\n".join([*found, r"\bottomrule", r"\end{tabular}", ""])
-
-
-def _latex_row(cells: Iterable[str]) -> str:
-    return " & ".join(cells) + r" \\"
 
 
 def latex_text(text: str) -> str:
@@ -253,10 +279,7 @@ def latex_text(text: str) -> str:
 
 def markdown(table: Table) -> list[str]:
     """Return the lines of a table in Markdown."""
-    head = [column.heading for column in table.columns]
-    rows = (_markdown_row(texts) for texts in table.texts())
-    return [_markdown_row(head), "|" + "---|" * len(head), *rows]
-
-
-def _markdown_row(cells: Iterable[str]) -> str:
-    return f"| {' | '.join(cells)} |"
+    head, *rows = (
+        f"| {' | '.join(c)} |" for c in ([c.heading for c in table.columns], *table.texts())
+    )
+    return [head, "|" + "---|" * len(table.columns), *rows]

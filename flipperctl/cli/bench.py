@@ -86,15 +86,16 @@ def run_suite(
     """
     from flipperctl.bench.measures import run_measures, split_arguments
     from flipperctl.config.words import with_flags
+    from flipperctl.terminal.progress import steps_progress
     from flipperctl.terminal.streams import print_note, show
-    from flipperctl.terminal.tables import print_measures, shown_progress
+    from flipperctl.terminal.tables import print_measures
 
     measures, typed = split_arguments(words, suite.measures)
     overrides = with_flags(typed, "bench", repeats=repeats)
     document = run_measures(
         *(suite.package, measures, _inputs(suite, overrides, small=small), overrides),
         output=output,
-        progress=shown_progress,
+        progress=steps_progress,
         tell=print_note,
     )
     show(document, lambda: print_measures(document), as_json=as_json)

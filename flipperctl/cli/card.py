@@ -49,7 +49,7 @@ def run(
     """See HELP."""
     from flipperctl.errors import RequestError
     from flipperctl.evaluation.inherited import find_policy
-    from flipperctl.evaluation.views.card import CARD, card_facts, card_text
+    from flipperctl.evaluation.views.card import CARD, card_text, policy_rows
     from flipperctl.files import check_output, write_bytes
     from flipperctl.terminal.streams import print_note
 
@@ -59,9 +59,8 @@ def run(
     if output is not None:
         check_output(output, CARD)
     folders = results or []
-    card_facts(policy, file, folders)  # raises for wrong results, before anything is composed
-    commands = evaluation_commands(policy, file, folders)
-    text = card_text(card_facts(policy, file, folders, commands))
+    rows = policy_rows(file, folders)  # raises for wrong results, before anything is composed
+    text = card_text(policy, file, rows, evaluation_commands(policy, file, folders))
     if output is None:
         print(text, end="")
     else:
@@ -80,13 +79,12 @@ def evaluation_commands(policy: Path, file: Path, results: Sequence[Path]) -> li
     """
     from flipperctl.cli.hydra import config_store
     from flipperctl.evaluation.inherited import read_config
-    from flipperctl.evaluation.views.markdown import summary_file
+    from flipperctl.evaluation.views.card import read_document
 
     primary = config_store.register_trained(read_config(file, ["flat"], lambda line: None))
     groups: dict[tuple[tuple[str, ...], bool], list[str]] = {}
     for folder in results:
-        document = json.loads(summary_file(folder).read_text(encoding="utf-8"))
-        for scene in document["scenes"]:
+        for scene in read_document(folder)["scenes"]:
             words, exact = _words(primary, scene)
             groups.setdefault((tuple(words), exact), []).append(scene["terrain"])
     commands = []

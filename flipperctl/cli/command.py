@@ -7,19 +7,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+import shlex
+from collections.abc import Iterator, Sequence
 from importlib import import_module
 from types import ModuleType
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import typer
 from typer.core import TyperCommand, TyperGroup, TyperOption
 
 from flipperctl.cli.moved import check_moved
 from flipperctl.errors import RequestError
-
-if TYPE_CHECKING:
-    from flipperctl.config import TrainConfig
 
 
 class Command(TyperCommand):
@@ -122,14 +120,42 @@ class Group(TyperGroup):
 def _unknown(
     name: str, value: str, known: list[str], primary: str | None, *, takes_run: bool = False
 ) -> RequestError:
-    from flipperctl.terminal.unknown_option import explain
+    """Explain an unknown option by the setting it stands for, or by a close match.
 
-    def default() -> TrainConfig:
-        from flipperctl.cli.hydra.compose import compose_train, only_one
+    ``known``: the subcommand's options; ``primary``: the configuration of its overrides;
+    ``takes_run``: whether it takes a run or a policy without an option.
+    """
+    from flipperctl.messages import closest
 
-        return only_one(compose_train())
+    key = name.lstrip("-").replace("-", "_")
+    start = f"no such option: {name}"
+    if found := list(_settings(key, primary)) if primary else []:
+        words = (shlex.quote(f"{path}={value}") if value else f"{path}=…" for path in found)
+        return RequestError(f"{start}; settings are written as {' or '.join(words)}")
+    if name == "--checkpoint" and takes_run:
+        return RequestError(f"{start}; write {value or 'the run or policy'} alone")
+    if name == "--checkpoint" and primary == "train":
+        return RequestError(
+            f"{start}; agent.start_from={value or 'RUN_OR_FILE'} begins with its weights, and "
+            "--resume goes on with a run"
+        )
+    options = {option.removeprefix("--"): option for option in known if option.startswith("--")}
+    close = closest(name.lstrip("-"), options)
+    return RequestError(start + (f"; did you mean {options[close]!r}?" if close else ""))
 
-    return RequestError(explain(name, value, known, primary, default, takes_run=takes_run))
+
+def _settings(key: str, primary: str) -> Iterator[str]:
+    """Yield the paths of settings that equal ``key`` or end with it."""
+    from flipperctl import plugins
+    from flipperctl.cli.hydra.compose import compose_train, only_one
+    from flipperctl.config import EvalConfig
+    from flipperctl.config.defaults import CHOICES
+    from flipperctl.config.describe import paths_named
+
+    plugins.load()
+    config = only_one(compose_train())
+    sections = type(config).model_fields if primary == "train" else EvalConfig.model_fields
+    yield from paths_named(key, config, sections, CHOICES)
 
 
 def _value(name: str, args: Sequence[str]) -> str:

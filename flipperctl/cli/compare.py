@@ -50,8 +50,7 @@ def run(
     from flipperctl.evaluation.views import compare as view
     from flipperctl.figures.figure import PICTURE
     from flipperctl.files import check_output, write_bytes
-    from flipperctl.show import TABLE, latex, print_table
-    from flipperctl.terminal.console import console, print_lines
+    from flipperctl.show import TABLE, console, latex, print_lines, print_table
     from flipperctl.terminal.streams import print_note, show
 
     if output is not None:

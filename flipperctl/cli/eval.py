@@ -102,7 +102,6 @@ def run(
     from flipperctl.evaluation.views import evaluation, strata
     from flipperctl.evaluation.views.summary import Document
     from flipperctl.terminal.progress import EvaluationProgress
-    from flipperctl.terminal.results import print_result
     from flipperctl.terminal.streams import print_note, show
 
     names, overrides = split_policies(words)
@@ -119,7 +118,7 @@ def run(
     progress = EvaluationProgress()
 
     def printed(result: Result, document: Document) -> None:
-        show(document, lambda: print_result(result, document, chosen), as_json=as_json)
+        show(document, lambda: evaluation.print_result(result, document, chosen), as_json=as_json)
 
     evaluate(
         plan,

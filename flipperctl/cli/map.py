@@ -57,7 +57,7 @@ def run(
     from flipperctl.evaluation.workers import EpisodeWorkers
     from flipperctl.results import result_folder
     from flipperctl.session import interrupts
-    from flipperctl.terminal.console import console, print_lines
+    from flipperctl.show import console, print_lines
     from flipperctl.terminal.progress import episodes_progress
     from flipperctl.terminal.streams import print_note, show
 

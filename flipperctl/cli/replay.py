@@ -35,7 +35,7 @@ def run(
     """See HELP."""
     from flipperctl.errors import FlipperctlError
     from flipperctl.evaluation.views.replay import lines, replay_file
-    from flipperctl.terminal.console import console, print_lines
+    from flipperctl.show import console, print_lines
     from flipperctl.terminal.progress import episodes_progress
     from flipperctl.terminal.streams import print_note, show
 

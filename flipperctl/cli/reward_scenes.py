@@ -49,7 +49,7 @@ def reward_scenes(overrides: Overrides, sources: Mapping[str, PolicySource]) -> 
             raise ConfigError(f"rewards: {label!r} leaves no term to rank policies by")
         configs[scene] = config
         found.setdefault(scene, {})[label or _DEFAULT] = config.rewards
-    return [RewardScene(configs[scene], rewards) for scene, rewards in found.items()]
+    return [(configs[scene], rewards) for scene, rewards in found.items()]
 
 
 def policies(names: str, words: Sequence[str]) -> tuple[dict[str, PolicySource], Overrides]:

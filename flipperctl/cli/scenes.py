@@ -59,7 +59,8 @@ def _scenes_of_file(
     source = PolicySource(checkpoint=file)
     configs = [config for config, _ in compose.compose_eval(overrides, primary)]
     # This raises for a wrong layout or robot, before the first episode.
-    built = [source.build(config) for config in configs]
-    for note in policy_notes(checkpoint, built, trained, configs, overrides.typed):
+    for config in configs:
+        source.build(config)
+    for note in policy_notes(checkpoint, trained, configs, overrides.typed):
         tell(note)
     return [(config, source) for config in configs]

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -55,7 +54,8 @@ class Conditions:
             sections[section] = {k: v for k, v in sections[section].items() if v is not None}
         defaults = {section: type(getattr(config, section))() for section in _SECTIONS}
         settings = {"terrain": whole["terrain"], **sections}
-        if files := _digests(config):
+        plugins = (config.terrain, config.sim, config.perception)
+        if files := [content_digest(file) for file in all_files_read(plugins)]:
             settings["files"] = files
         return cls(config.conditions, settings, defaults)
 
@@ -87,15 +87,13 @@ class Conditions:
         """
         randomised = list(self._randomised())
         more = f" and {len(randomised) - _SHOWN} more" if len(randomised) > _SHOWN else ""
-        sections = {
-            "randomised": ", ".join(randomised[:_SHOWN]) + more,
-            "start": self._differences("episode", varied, only=_START),
-            "sensing": self._differences("perception", varied),
-            "physics": self._differences("sim", varied),
-            "robot": self._differences("robot", varied),
-            "episode": self._differences("episode", varied, without=_START),
-        }
-        return "; ".join(f"{name} {text}" for name, text in sections.items() if text)
+        parts = {"randomised": ", ".join(randomised[:_SHOWN]) + more}
+        own = list(self._differences("episode", varied))
+        parts["start"] = ", ".join(text for name, text in own if name in _START)
+        for title, section in (("sensing", "perception"), ("physics", "sim"), ("robot", "robot")):
+            parts[title] = ", ".join(text for _, text in self._differences(section, varied))
+        parts["episode"] = ", ".join(text for name, text in own if name not in _START)
+        return "; ".join(f"{title} {text}" for title, text in parts.items() if text)
 
     def _randomised(self) -> Iterator[str]:
         """Yield each sampled setting with its range; settings sampled by path include the path."""
@@ -107,31 +105,17 @@ class Conditions:
             elif value is not None:
                 yield _format_setting(Randomise, name, value)
 
-    def _differences(
-        self,
-        section: str,
-        varied: Collection[str],
-        *,
-        only: Collection[str] = (),
-        without: Collection[str] = (),
-    ) -> str:
+    def _differences(self, section: str, varied: Collection[str]) -> Iterator[tuple[str, str]]:
+        """Yield the name and the text of each setting that differs from its default, or varies."""
         default, values = self.defaults[section], self.settings[section]
         plain = {"name": values.get("name"), **to_dict(default)}
         several = [key.partition(".")[2] for key in varied if key.startswith(f"{section}.")]
-
-        def shown(names: Iterable[str]) -> list[str]:
-            return [n for n in names if (not only or n in only) and n not in without]
-
-        changed = [k for k in shown(values) if values[k] != plain[k] and k not in several]
-        model = type(default)
-        engine = [values["name"]] if values.get("name", DEFAULT_ENGINE) != DEFAULT_ENGINE else []
-        return ", ".join(
-            [
-                *engine,
-                *(_format_setting(model, name, values[name]) for name in changed),
-                *(f"{name} varied" for name in shown(several)),
-            ]
-        )
+        if (engine := values.get("name", DEFAULT_ENGINE)) != DEFAULT_ENGINE:
+            yield "name", engine
+        for name, value in values.items():
+            if value != plain[name] and name not in several:
+                yield name, _format_setting(type(default), name, value)
+        yield from ((name, f"{name} varied") for name in several)
 
 
 def scene_names(scenes: Sequence[tuple[str, Conditions]]) -> list[str]:
@@ -139,14 +123,19 @@ def scene_names(scenes: Sequence[tuple[str, Conditions]]) -> list[str]:
 
     Scenes that are equal in both, such as those of several ``controller.width``, are numbered.
     """
-    counts = Counter(terrain for terrain, _ in scenes)
+    terrains = [terrain for terrain, _ in scenes]
     names = [
-        terrain if counts[terrain] == 1 else f"{terrain}, {found.label}"
-        for terrain, found in scenes
+        terrain if terrains.count(terrain) == 1 else f"{terrain}, {conditions.label}"
+        for terrain, conditions in scenes
     ]
+    return numbered(names)
+
+
+def numbered(names: Sequence[str]) -> list[str]:
+    """Return the names, of which equal ones are numbered."""
     return [
-        name if names.count(name) == 1 else f"{name} ({names[: index + 1].count(name)})"
-        for index, name in enumerate(names)
+        name if names.count(name) == 1 else f"{name} ({names[: at + 1].count(name)})"
+        for at, name in enumerate(names)
     ]
 
 
@@ -168,12 +157,6 @@ def _without_effect(config: EvalConfig, section: str) -> set[str]:
         for name in configured.without_effect
         if name in drawn.without_effect or getattr(configured, name) == getattr(default, name)
     }
-
-
-def _digests(config: EvalConfig) -> list[str | None]:
-    """Return the SHA-256 of each file that the plugins of the conditions read, in their order."""
-    plugins = (config.terrain, config.sim, config.perception)
-    return [content_digest(file) for file in all_files_read(plugins)]
 
 
 def _format_setting(model: type[Settings], name: str, value: Any) -> str:

@@ -65,12 +65,7 @@ class RecordedPolicy(_Frozen):
         return cls(label=source.label(), controller=settings, files=_digests(source))
 
     def find(self, where: Path, chosen: Path | None) -> PolicySource:
-        """Return the policy, whose file is ``chosen`` or else the recorded one.
-
-        Raises:
-            CheckpointError: the file is missing or has another content. The text names the record,
-                ``where``.
-        """
+        """Return the policy, whose file is ``chosen`` or else the recorded one."""
         if self.controller is not None:
             if chosen is not None:
                 raise RequestError(f"{where}: its policy is a controller; leave --checkpoint out")
@@ -138,12 +133,7 @@ class EpisodeRecord(_Frozen):
         return {n: v for n, v in serialize(self).items() if n != "risks" or v is not None}
 
     def evaluation(self, where: Path) -> EvalConfig:
-        """Return the configuration of the evaluation, checked against the recorded conditions.
-
-        Raises:
-            RequestError: a plugin is missing, or the ground or a setting differs from the recorded
-                one. The text names the record, ``where``.
-        """
+        """Return the configuration of the evaluation, checked against the recorded conditions."""
         try:
             whole = parse(EnvConfig, self.config)
         except ConfigError as error:
@@ -159,23 +149,8 @@ class EpisodeRecord(_Frozen):
             )
         return config
 
-    def check_package(self, where: Path) -> None:
-        """Check the version of flipperctl, before its policy and configuration are looked for.
-
-        Raises:
-            RequestError: it is not the recorded one. The text names the record, ``where``.
-        """
-        self._check_versions(where, {**self.versions, "flipperctl": __version__})
-
-    def check_versions(self, where: Path, source: PolicySource, config: EvalConfig) -> None:
-        """Check that the versions that affect the episode's numbers are the recorded ones.
-
-        Raises:
-            RequestError: they are not. The text names the record, ``where``.
-        """
-        self._check_versions(where, used_versions(config, source))
-
-    def _check_versions(self, where: Path, here: Mapping[str, str]) -> None:
+    def check_versions(self, where: Path, here: Mapping[str, str]) -> None:
+        """Check that the versions that affect the episode's numbers are the recorded ones."""
         changed = [name for name in self.versions if here.get(name) != self.versions[name]]
         if changed:
             recorded = ", ".join(f"{name} {self.versions[name]}" for name in changed)
@@ -205,11 +180,7 @@ def used_versions(config: EnvConfig, source: PolicySource) -> dict[str, str]:
 
 
 def read_record(path: Path) -> EpisodeRecord:
-    """Read a record.
-
-    Raises:
-        RequestError: the file is missing, or no record of an episode.
-    """
+    """Read a record."""
     try:
         document = decode(path.read_text(encoding="utf-8"))
         number = document.get("format", _FORMAT) if isinstance(document, dict) else _FORMAT

@@ -32,13 +32,6 @@ class Played:
     entry: Entry
     episodes: Episodes
 
-    @property
-    def identical(self) -> bool:
-        """Whether there are several episodes whose outcomes and measures are all identical."""
-        names = ("outcome", "t_cost", "pitch_variation_100hz", "max_pitch", "return")
-        measured = {tuple(row[name] for name in names) for row in self.episodes}
-        return len(self.episodes) > 1 == len(measured)
-
 
 @dataclass(frozen=True)
 class Interruption:
@@ -166,8 +159,8 @@ def evaluate(
             if entry.is_baseline and not any(p.entry.ground == entry.ground for p in found):
                 continue  # there is nothing to compare with it
             scene = _Scene(entry, player, failures)
-            label = entry.named if plan.has_methods or entry.is_baseline else ""
-            label = f"{entry.terrain}, {label}" if label else entry.terrain
+            named = plan.has_methods or entry.is_baseline
+            label = f"{entry.terrain}, {entry.named}" if named else entry.terrain
             rows = scene.play(entry.source, label, record=record and not entry.is_baseline)
             if not rows:
                 continue
@@ -183,12 +176,12 @@ def evaluate(
 
 def _lacking(player: Player, entries: Iterable[Entry]) -> int:
     """Return the number of episodes that the store lacks, without those of references."""
-    found: dict[tuple[str, int], None] = {}
+    found: set[tuple[str, int]] = set()
     for entry in entries:
         with suppress(FlipperctlError):  # which playing raises again, where it is noted
             key = player.key(entry.config, entry.source).text
             missing = player.missing(entry.config, entry.source)
-            found |= dict.fromkeys((key, index) for block in missing for index in block)
+            found |= {(key, index) for block in missing for index in block}
     return len(found)
 
 
@@ -200,12 +193,9 @@ def _interruption(plan: Plan, played: Sequence[Played]) -> Interruption:
         raise InterruptedRunError(f"interrupted: none of {planned} episodes is finished")
     several = any(entry.source != plan.rows[0].source for entry in plan.rows)
     begun = {id(one.entry) for one in played}
-    missing = [
-        f"{entry.label} on {entry.terrain}" if several else entry.terrain
-        for entry in plan.rows
-        if id(entry) not in begun
-    ]
-    return Interruption(finished, planned, tuple(missing))
+    left = [entry for entry in plan.rows if id(entry) not in begun]
+    names = [f"{entry.label} on {entry.terrain}" if several else entry.terrain for entry in left]
+    return Interruption(finished, planned, tuple(names))
 
 
 class _Scene:
@@ -228,8 +218,8 @@ class _Scene:
 
         ``config``: another sensing of the same episodes.
         """
-        chosen = self._entry.config if config is None else config
         try:
+            chosen = config or self._entry.config
             return self._player.play(chosen, source, label, indices, record=record)
         except NOT_A_POLICYS:
             raise
@@ -239,14 +229,15 @@ class _Scene:
 
     def with_causes(self, episodes: Episodes) -> Episodes:
         """Return the episodes, the failed ones with their cause if the sensor maps the ground."""
+        entry = self._entry
+        label = f"{entry.terrain}, failed episodes again"
 
         def again(config: EvalConfig, indices: Sequence[int]) -> Episodes:
-            label = f"{self._entry.terrain}, failed episodes again"
-            return self.play(self._entry.source, label, indices, config=config)
+            return self.play(entry.source, label, indices, config=config)
 
         if self._player.workers.interrupted:
             return episodes
-        found = causes(self._entry.config, episodes.failed, again)
+        found = causes(entry.config, episodes.failed, again)
         return _with(episodes, "failed_by", {at: str(cause) for at, cause in found.items()})
 
     def with_references(self, episodes: Episodes, references: Sequence[PolicySource]) -> Episodes:
@@ -257,15 +248,12 @@ class _Scene:
         """
         if not references:
             return episodes
-        failed = len(self._failures)
-        config = self._entry.config
+        failed, config = len(self._failures), self._entry.config
         crossed = dict.fromkeys(range(config.eval.episodes), "")
         for reference in references:
-            name = reference.label()
-            try:
+            name, rows = reference.label(), None
+            with suppress(FlipperctlError):  # which playing raises again, where it is noted
                 rows = self._player.known(config, reference)
-            except FlipperctlError:  # which playing raises again, where it is noted
-                rows = None
             if rows is None:
                 left = [index for index, label in crossed.items() if not label]
                 label = f"{self._entry.terrain}, {name} on episodes not crossed yet"
@@ -279,9 +267,5 @@ class _Scene:
 
 def _with(episodes: Episodes, column: str, values: Mapping[int, str]) -> Episodes:
     """Return the episodes with a further column, by their index."""
-    return Episodes(
-        tuple(
-            {**row, column: values[row["episode"]]} if row["episode"] in values else row
-            for row in episodes
-        )
-    )
+    own = ({column: values[at]} if (at := row["episode"]) in values else {} for row in episodes)
+    return Episodes(tuple(row | more for row, more in zip(episodes, own, strict=True)))

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from flipperctl import checkpoint as checkpoints
-from flipperctl.api import ObservationLayout, Policy, registry
+from flipperctl.api import ObservationLayout, registry
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, to_dict
 from flipperctl.config.absent import AbsentReward, AbsentTerrain
 from flipperctl.errors import CheckpointError
@@ -116,43 +116,36 @@ def explain_missing_training(exported: bool) -> str:
 
 def policy_notes(
     path: Path,
-    policies: Iterable[Policy],
     trained: TrainConfig | EvalConfig,
     configs: Iterable[EvalConfig],
     keys: Collection[str],
 ) -> Iterator[str]:
-    """Yield a line for each thing that makes the evaluation of a file differ from its training.
+    """Yield a line on each change of the training's settings that the user did not choose.
 
-    ``path`` names the file, whose ``policies`` are built for the ``configs`` of the evaluation;
-    ``trained`` is its own configuration, and ``keys`` are the overridden settings.
+    ``path`` names the file and ``trained`` is its own configuration; chosen are the overridden
+    ``keys``, and all changes if ``conditions=`` names other conditions than the default ones.
     """
     if isinstance(trained, TrainConfig):
-        lines = dict.fromkeys(_training_line(trained, config, keys) for config in configs)
+        nominal = [config for config in configs if config.conditions == NOMINAL]
+        lines = dict.fromkeys(_training_line(trained, config, keys) for config in nominal)
         yield from (f"{path}: {line}" for line in lines if line)
 
 
 def _training_line(trained: TrainConfig, config: EvalConfig, keys: Collection[str]) -> str:
-    """Return a line on settings of the training that the evaluation changes; empty if none.
-
-    Changes that the user chose are left out: the overridden ``keys``, and all changes if
-    ``conditions=`` names other conditions than the default ones.
-    """
-    if config.conditions != NOMINAL:
-        return ""
+    """Return a line on settings of the training that the evaluation changes; empty if none."""
     own = EvalConfig(**{name: getattr(trained, name) for name in EnvConfig.model_fields})
     before, here = Conditions.of(own).settings, Conditions.of(config).settings
-    changed = [
-        f"{section}.{name}={_short(before[section][name])} ({_short(here[section].get(name))})"
+    texts = [
+        f"{section}.{name}={_short(value)} ({_short(here[section].get(name))})"
         for section in _CHOSEN
-        if section not in keys
-        for name in before[section]
-        if before[section][name] != here[section].get(name) and f"{section}.{name}" not in keys
+        for name, value in before[section].items()
+        if value != here[section].get(name) and not {section, f"{section}.{name}"} & set(keys)
     ]
-    if not changed:
+    if not texts:
         return ""
-    more = f" and {len(changed) - _SHOWN} more settings" if len(changed) > _SHOWN else ""
+    more = f" and {len(texts) - _SHOWN} more settings" if len(texts) > _SHOWN else ""
     return (
-        f"trained with {', '.join(changed[:_SHOWN])}{more}, evaluated with the values in brackets; "
+        f"trained with {', '.join(texts[:_SHOWN])}{more}, evaluated with the values in brackets; "
         f"conditions={TRAINED} keeps those of the training"
     )
 

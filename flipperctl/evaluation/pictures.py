@@ -23,10 +23,6 @@ def draw_scenes(
     """Replay the first episode of each scene and write its picture, by the picture's path.
 
     If a picture fails, the others are still drawn.
-
-    Raises:
-        FlipperctlError: a picture could not be drawn or written; the text names all that failed.
-        InterruptedRunError: ``stop``, called before each picture, returned True.
     """
     names = [file.name for file in scenes]
     failed: list[tuple[str, FlipperctlError]] = []
@@ -57,12 +53,7 @@ def _draw(path: Path, entry: Entry, progress: Progress) -> None:
 
 
 def film_scene(path: Path, entry: Entry, progress: Progress = no_progress) -> None:
-    """Replay the first episode of the scene and write its film.
-
-    Raises:
-        OutputError: the film cannot be written.
-        WriteError: writing failed half way.
-    """
+    """Replay the first episode of the scene and write its film."""
     config, source, terrain = entry.config, entry.source, entry.terrain
     if config.sim.films_itself:
         film(config, source, EvaluationSeeds.of(config.eval.seed, config.terrain)(0), path)

@@ -18,6 +18,11 @@ BEST_KNOWN = "best known"
 """How a row of the best stored policy is called, before its label in brackets."""
 
 
+def is_best_known(label: str) -> bool:
+    """Return whether a row's label is that of the best stored policy."""
+    return label.startswith(f"{BEST_KNOWN} (")
+
+
 @dataclass(frozen=True)
 class Entry:
     """One policy on one scene."""
@@ -77,10 +82,10 @@ class Entry:
 
     @property
     def names(self) -> dict[str, Any]:
-        """Names beyond those of the terrain and of the policy's file, without what is empty."""
-        found = {"suite_scene": self.scene, "method": self.method}
-        seed = {} if self.training_seed is None else {"training_seed": self.training_seed}
-        return {**{name: text for name, text in found.items() if text}, **seed}
+        """Names beyond those of the terrain and of the policy's file, as far as there are any."""
+        names = {"suite_scene": self.scene or None, "method": self.method or None}
+        every = {**names, "training_seed": self.training_seed}
+        return {name: value for name, value in every.items() if value is not None}
 
 
 @dataclass(frozen=True)
@@ -97,13 +102,13 @@ class Plan:
     def of_one(
         cls, entries: Sequence[Entry], baselines: Sequence[PolicySource] = (), title: str = ""
     ) -> Plan:
-        """Return the plan of one policy, whose baselines play each of its scenes after it."""
+        """Return the plan of one policy, whose other baselines play each scene after it."""
         found: list[Entry] = []
         for entry in entries:
             found.append(entry)
             for other in baselines:
                 beside = Entry(entry.config, other, is_baseline=True)
-                if beside not in found:
+                if other != entry.source and beside not in found:
                     found.append(beside)
         return cls(tuple(found), title)
 

@@ -51,11 +51,7 @@ class Player:
         self._identities: list[tuple[PolicySource, PolicyIdentity]] = []
 
     def key(self, config: EvalConfig, source: PolicySource) -> StoreKey:
-        """Return the key of a policy's episodes under a configuration.
-
-        Raises:
-            FlipperctlError: the policy's file cannot be read.
-        """
+        """Return the key of a policy's episodes under a configuration."""
         known = next((found for who, found in self._identities if who == source), None)
         if known is None:
             known = PolicyIdentity.of(source)
@@ -128,8 +124,14 @@ class Player:
             [index for index in indices if index not in held]
             for indices, held in zip(wanted, found, strict=True)
         ]
-        lacking = [at for at, indices in enumerate(missing) if indices]
-        played = self._shared([(*requests[at], missing[at]) for at in lacking])
+        lacking = [
+            (*request, indices)
+            for request, indices in zip(requests, missing, strict=True)
+            if indices
+        ]
+        if lacking:
+            self.workers.use(lacking[0][0].eval.jobs)
+        played = self.workers.play_many(lacking)
         with self.progress(label, len(requests)) as report:
             for at, (request, held) in enumerate(zip(requests, found, strict=True)):
                 if missing[at]:
@@ -139,19 +141,6 @@ class Player:
                     return
                 yield Episodes(tuple(held[index] for index in wanted[at]))
                 report(at + 1)
-
-    def _shared(
-        self, requests: Sequence[tuple[EvalConfig, PolicySource, Sequence[int]]]
-    ) -> Iterator[Iterator[Row]]:
-        """Yield the rows of each request; several processes play them all at once."""
-        if requests:
-            self.workers.use(requests[0][0].eval.jobs)
-        if self.workers.count > 1:
-            for _, rows in self.workers.play_many(requests):
-                yield rows
-        else:
-            for config, source, indices in requests:
-                yield self.workers.play(config, source, indices)
 
     def _kept(
         self, key: StoreKey, source: PolicySource, missing: Sequence[int], rows: Iterator[Row]
@@ -194,11 +183,6 @@ class Player:
         """Let a Ray cluster play every block that the store lacks, in any order.
 
         What the cluster could not play, the evaluation then plays itself.
-
-        Raises:
-            MissingExtraError: Ray is not installed.
-            ConfigError: no cluster answers at the address.
-            OutputError, WriteError: a block cannot be written.
         """
         wanted = list(self._blocks(requests))
         if not wanted:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -30,11 +31,7 @@ from flipperctl.results import unfinished
 def require_one_policy(
     checkpoint: Path | None, controller: str | None, overrides: Sequence[str] | None
 ) -> None:
-    """Check that exactly one of the two is given; suggest a word without ``=`` as one.
-
-    Raises:
-        RequestError: none or both are given.
-    """
+    """Check that exactly one of the two is given; suggest a word without ``=`` as one."""
     if (checkpoint is None) != (controller is None):
         return
     words = [word for word in overrides or () if "=" not in word and not word.startswith("~")]
@@ -47,11 +44,7 @@ def require_one_policy(
 
 
 def refuse_beside(option: str, others: Mapping[str, Any]) -> None:
-    """Refuse options that have no meaning beside ``option``; ``others`` has their values.
-
-    Raises:
-        RequestError: one of them is given.
-    """
+    """Refuse options that have no meaning beside ``option``; ``others`` has their values."""
     for name, value in others.items():
         if value:
             name = name if name == "overrides" or "=" in name else f"--{name}"
@@ -59,14 +52,14 @@ def refuse_beside(option: str, others: Mapping[str, Any]) -> None:
 
 
 def controller_or_okada(checkpoint: Path | None, controller: str | None) -> str | None:
-    """Return the controller to evaluate, by default okada; None if a checkpoint is given.
-
-    Raises:
-        RequestError: both are given.
-    """
+    """Return the controller to evaluate, by default okada; None if a checkpoint is given."""
     if checkpoint is not None and controller is not None:
         raise RequestError("give --checkpoint or --controller, not both")
     return None if checkpoint else controller or "okada"
+
+
+DEFAULT_CONTROLLERS = ("level", "okada")
+"""Controllers that stand in a table of several methods unless others are named."""
 
 
 def controllers(names: str | None, option: str, default: Sequence[str] = ()) -> list[PolicySource]:
@@ -78,31 +71,26 @@ def controllers(names: str | None, option: str, default: Sequence[str] = ()) -> 
         RequestError: a name is empty or that of a file, or ``none`` stands beside other names.
         ConfigError: there is no such controller.
     """
+    return [PolicySource.of_plugin(name, option) for name in _controllers(names, option, default)]
+
+
+def _controllers(names: str | None, option: str, default: Sequence[str]) -> list[str]:
     chosen = default if names is None else [] if names == "none" else names.split(",")
-    if "none" in chosen:
-        raise RequestError(f"{option}: none stands alone, without other names; got {names}")
-    if not all(chosen):
-        raise RequestError(f"{option}: names between commas, or none, are allowed; got {names!r}")
     found = [name.strip() for name in chosen]
+    if "none" in found:
+        raise RequestError(f"{option}: none stands alone, without other names; got {names}")
+    if not all(found):
+        raise RequestError(f"{option}: names between commas, or none, are allowed; got {names!r}")
     check_different(option, found)
     for name in found:
-        refuse_file(name, option)
-    return [PolicySource.of_plugin(name, option) for name in found]
-
-
-def refuse_file(name: str, option: str) -> None:
-    """Refuse a shipped policy, a run or a file where ``option`` takes controllers.
-
-    Raises:
-        RequestError: ``name`` is one of them, and no controller.
-    """
-    if ("controller", name) in registry:
-        return
-    if name in shipped_policies() or Path(name).exists():
-        raise RequestError(
-            f"{option}: controllers are allowed, and {name} is none; add --checkpoint {name}, "
-            "which may be repeated: policies stand in one table, on the same episodes"
-        )
+        known = ("controller", name) in registry
+        if not known and (name in shipped_policies() or Path(name).exists()):
+            raise RequestError(
+                f"{option}: controllers are allowed, and {name} is none; add --checkpoint {name}, "
+                "which may be repeated: policies stand in one table, on the same episodes"
+            )
+        resolver.get("controller", name, option)
+    return found
 
 
 def policies(
@@ -112,10 +100,10 @@ def policies(
     option: str = "--compare",
     fewest: int = 2,
 ) -> dict[str, PolicySource]:
-    """Return the named policies; ``fields`` apply to each controller that has such a field.
+    """Return the policies named between commas with ``option``; ``fields`` apply to controllers.
 
-    ``names`` are separated by commas and were given with ``option``. ``tell`` is called with a line
-    if a run has no best policy yet.
+    Each applies to those that have such a field. ``tell`` is called with a line if a run has no
+    best policy yet.
 
     Raises:
         RequestError: there are fewer than ``fewest`` names, or one is repeated.
@@ -154,30 +142,22 @@ def _source(
 def common_robot(sources: Mapping[str, PolicySource], chosen: Collection[str]) -> Robot:
     """Return the robot of the files among the policies; the default one if there are none.
 
-    The robots of the files may differ in the overridden keys, ``chosen``.
-
     Raises:
-        ConfigError: the files are for different robots.
+        ConfigError: the files' robots differ in a key that is not overridden, ``chosen``.
     """
     robots = {name: robot for name, s in sources.items() if (robot := s.robot()) is not None}
     if not robots:
         return Robot()
     (first, ours), *others = robots.items()
-    for other, theirs in others:
-        for field in Robot.model_fields:
-            values = getattr(ours, field), getattr(theirs, field)
-            key = f"robot.{field}"
-            if values[0] != values[1] and not {"robot", key} & set(chosen):
-                first_value, value = ("null" if v is None else f"{v:.6g}" for v in values)
-                raise ConfigError(
-                    f"--compare: {first} is for {key}={first_value}, {other} for "
-                    f"{value}; give {key}=… to choose the robot"
-                )
+    for (other, theirs), field in product(others, Robot.model_fields):
+        values, key = (getattr(ours, field), getattr(theirs, field)), f"robot.{field}"
+        if values[0] != values[1] and not {"robot", key} & set(chosen):
+            first_value, value = ("null" if v is None else f"{v:.6g}" for v in values)
+            raise ConfigError(
+                f"--compare: {first} is for {key}={first_value}, {other} for {value}; give {key}=… "
+                "to choose the robot"
+            )
     return ours
-
-
-STANDING = ("level", "okada")
-"""Controllers that stand in a table of several methods unless others are named."""
 
 
 @dataclass(frozen=True)
@@ -211,7 +191,7 @@ def entrants(names: Sequence[str], tell: Callable[[str], None]) -> list[Entrant]
         if ("controller", name) in registry:
             found[Entrant(name)] = None
         else:
-            found |= dict.fromkeys(_of_path(find_path(name), tell))
+            found |= dict.fromkeys(_of_path(_find_path(name), tell))
     return list(found)
 
 
@@ -225,13 +205,8 @@ def _split(text: str) -> list[str]:
     return names
 
 
-def find_path(name: str) -> Path:
-    """Return the path of a policy's run or file, or the name of a shipped policy.
-
-    Raises:
-        ConfigError: there is no policy of this name.
-        CheckpointError: it can only be a path, and nothing is there.
-    """
+def _find_path(name: str) -> Path:
+    """Return the path of a policy's run or file, or the name of a shipped policy."""
     path = Path(name)
     if _exists(name) or name in checkpoints.shipped_policies():
         return path
@@ -260,42 +235,18 @@ def _exists(name: str) -> bool:
 
 
 def standing(baseline: str | None, present: Sequence[Entrant]) -> list[Entrant]:
-    """Return the controllers that stand beside the methods; ``baseline`` names others, or none.
-
-    Raises:
-        RequestError: a name is empty, or that of a file.
-        ConfigError: there is no such controller.
-    """
-    if baseline == "none":
-        return []
-    names = [n.strip() for n in (STANDING if baseline is None else baseline.split(","))]
-    if not all(names):
-        text = f"names between commas, or none, are allowed; got {baseline!r}"
-        raise RequestError(f"--baseline: {text}")
-    check_different("--baseline", names)
-    for name in names:
-        refuse_file(name, "--baseline")
-        resolver.get("controller", name, "--baseline")
+    """Return the controllers beside the methods; ``baseline`` names others, or none."""
+    names = _controllers(baseline, "--baseline", DEFAULT_CONTROLLERS)
     return [e for e in map(Entrant, names) if e not in present]
 
 
-def runs_below(folder: Path) -> list[Path]:
-    """Return the runs in a folder of a sweep; none for a run, a file or any other folder."""
-    if not folder.is_dir() or checkpoints.holds(folder):
-        return []
-    if not checkpoints.runs_in(folder):
-        return []
-    return sorted((f for f in folder.iterdir() if f.is_dir()), key=checkpoints.job_order)
-
-
 def _of_path(path: Path, tell: Callable[[str], None]) -> Iterator[Entrant]:
-    runs = runs_below(path)
-    if not runs:
+    if not path.is_dir() or checkpoints.holds(path) or not checkpoints.runs_in(path):
         file = checkpoints.find(path)
         yield Entrant(str(path), path, _trained(file)[0])
         return
     trained: list[tuple[Path, int | None, dict[str, Any]]] = []
-    for run in runs:
+    for run in sorted((f for f in path.iterdir() if f.is_dir()), key=checkpoints.job_order):
         if not (run / "config.yaml").exists() and not checkpoints.holds(run):
             continue  # no run at all
         try:

@@ -66,8 +66,8 @@ def reached(row: Mapping[str, Any]) -> bool:
 
 def number(row: Mapping[str, Any], name: str) -> float | None:
     """Return a number that the terrain drew, or else a sampled value; None if there is none."""
-    found: float | None = row.get(f"{DRAWN}{name}", row.get(name))
-    return found
+    value: float | None = row.get(f"{DRAWN}{name}", row.get(name))
+    return value
 
 
 @dataclass(frozen=True)
@@ -117,10 +117,11 @@ class Episodes(Sequence[Row]):
 
     def kinds(self) -> dict[str, Episodes]:
         """Return the episodes of each kind of terrain by label, if there is more than one kind."""
-        labels = sorted({row["terrain"] for row in self.rows})
-        if len(labels) < 2:
-            return {}
-        return {one: self.where(lambda row, k=one: row["terrain"] == k) for one in labels}  # type: ignore[misc]
+        found: dict[str, list[Row]] = {}
+        for row in self.rows:
+            found.setdefault(row["terrain"], []).append(row)
+        several = len(found) > 1
+        return {label: Episodes(tuple(found[label])) for label in sorted(found) if several}
 
     def binned(
         self, names: Sequence[str]

@@ -11,22 +11,30 @@ import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from flipperctl.checkpoint import recording
+from flipperctl.config.identity import content_digest
 from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
-from flipperctl.evaluation.best_known import with_best_known
 from flipperctl.evaluation.conditions import scene_names
 from flipperctl.evaluation.episode_record import EpisodeRecord
-from flipperctl.evaluation.evaluate import Result, evaluate
-from flipperctl.evaluation.plan import Entry, Plan
+from flipperctl.evaluation.evaluate import Played, Result, evaluate
+from flipperctl.evaluation.plan import BEST_KNOWN, Entry, Plan
 from flipperctl.evaluation.play import Progress, no_progress
-from flipperctl.evaluation.rows import DIGEST, RECORDED, Row
-from flipperctl.evaluation.store import FOLDER, VIEW, EpisodeStore, FolderStore, write_view
+from flipperctl.evaluation.rows import DIGEST, RECORDED, Episodes, Row
+from flipperctl.evaluation.store import (
+    FOLDER,
+    VIEW,
+    EpisodeStore,
+    FolderStore,
+    ground,
+    versions_here,
+    write_view,
+)
 from flipperctl.evaluation.views import engines
 from flipperctl.evaluation.views import evaluation as view
-from flipperctl.evaluation.views.summary import Document, compared
+from flipperctl.evaluation.views.summary import Document, compared, short
 from flipperctl.files import check_output, write_bytes, write_csv, write_json
 from flipperctl.policies.source import PolicySource
 from flipperctl.results import result_folder
@@ -39,6 +47,8 @@ MOST_FAILURES = 20
 """Largest number of failures of a scene that are recorded [-]."""
 _DIGITS = 4
 """Decimals of ``table.csv``."""
+_DIGEST = 8
+"""Digits of a policy's digest in its label."""
 
 
 def run(
@@ -63,7 +73,7 @@ def run(
         InterruptedRunError: it was stopped.
     """
     with ExitStack() as stack:
-        written = EvaluationFiles(plan, stack, **outputs, tell=tell)
+        written = _Files(plan, stack, tell, **outputs)
         stop = stack.enter_context(interrupts("finishing the episode; Ctrl-C again stops at once"))
         result = evaluate(
             plan,
@@ -87,28 +97,79 @@ def run(
     return result, document
 
 
-class EvaluationFiles:
+def with_best_known(result: Result, store: EpisodeStore) -> Result:
+    """Return the result with a row for the best stored policy, after the rows of each scene.
+
+    The best has the highest success, and of those the smallest mean θ̂_R of the episodes that
+    reached the finish. It must have every episode of the scene, with the same seed. There is no row
+    where one of the evaluated policies is the best, or without a folder of blocks.
+    """
+    if not isinstance(store, FolderStore):
+        return result
+    found: list[Played] = []
+    scenes: dict[tuple[str, str, int, int], list[Played]] = {}
+    for one in result.played:
+        scenes.setdefault(one.entry.ground, []).append(one)
+    for together in scenes.values():
+        found += together
+        if (best := _best(together, store)) is not None:
+            found.append(best)
+    return replace(result, played=tuple(found))
+
+
+def _best(together: Sequence[Played], store: FolderStore) -> Played | None:
+    """Return the best stored policy with all episodes of a scene, of which these are the rows.
+
+    None if there is none, or one of the rows is as good.
+    """
+    entry = together[0].entry
+    indices = range(entry.config.eval.episodes)
+    complete = [
+        (headers, Episodes(tuple(rows[index] for index in indices)))
+        for headers, rows in store.stored_on(ground(entry.config))
+        if all(index in rows for index in indices)
+    ]
+    if not complete:
+        return None
+    headers, episodes = max(complete, key=lambda one: _rank(one[1]))
+    if any(_rank(row.episodes) >= _rank(episodes) for row in together):
+        return None
+    here = versions_here(entry.config)
+    for header in headers:
+        store.count_versions(header, here)
+    label, digest = str(headers[0]["controller"]), str(headers[0]["policy"])
+    changed = (file := Path(label)).is_file() and content_digest(file) != digest
+    if changed or any(row.entry.label == label for row in together):  # another one has the name now
+        label = f"{label}, {digest[:_DIGEST]}"
+    method = f"{BEST_KNOWN} ({label})"
+    stored = replace(entry, method=method, training_seed=None, is_baseline=False, stored=label)
+    return Played(stored, episodes)
+
+
+def _rank(episodes: Episodes) -> tuple[float, float]:
+    """Return what orders policies on equal episodes, the best last."""
+    variations = episodes.reached.values("pitch_variation_100hz")
+    if not variations:
+        return 0.0, float("-inf")
+    return len(variations) / len(episodes), -sum(variations) / len(variations)
+
+
+class _Files:
     """The outputs that the user named; each may be None."""
 
     def __init__(
         self,
         plan: Plan,
         stack: ExitStack,
+        tell: Callable[[str], None],
         *,
         folder: Path | None = None,
         film: Path | None = None,
         record: Path | None = None,
-        tell: Callable[[str], None] = lambda text: None,
     ) -> None:
         """Check the outputs, and lock the folder until the ``stack`` is closed.
 
-        ``tell`` is called with a line for each output that was written. The folder gets a picture
-        of each scene if there is one policy.
-
-        Raises:
-            RequestError: the film has several scenes, or the recording several observation layouts.
-            OutputError: the folder cannot be written.
-            RunHeldError: another process is writing results into it.
+        The folder gets a picture of each scene if there is one policy.
         """
         self._plan, self._tell = plan, tell
         self._film, self._record = film, record
@@ -122,7 +183,11 @@ class EvaluationFiles:
             if file and folder and file.resolve() == folder.resolve():
                 raise RequestError(f"{option} {file} and --output are the same; a file is allowed")
         if film:
-            _check_film(film, len(entries))
+            from flipperctl.figures.film import FILM
+
+            if len(entries) != 1:
+                raise RequestError(f"--film shows one scene; {len(entries)} are evaluated")
+            check_output(film, FILM)
         if record:
             check_output(record, recording.KIND)
             recording.require_one_layout(record, [entry.config for entry in entries])
@@ -137,19 +202,13 @@ class EvaluationFiles:
             self.store = FolderStore(folder / FOLDER, tell)
 
     def write(self, result: Result, document: Document) -> None:
-        """Write tables and recorded episodes.
-
-        Raises:
-            FlipperctlError: one of them could not be written; the other one was.
-        """
-        steps = [lambda: self._write_tables(result, document), lambda: self._write_record(result)]
-        _attempt(steps)
+        """Write tables and recorded episodes, each even if the other one cannot be written."""
+        _attempt([lambda: self._write_tables(result, document), lambda: self._write_record(result)])
 
     def _write_tables(self, result: Result, document: Document) -> None:
         if self._folder is None:
             return
-        later = [] if result.interruption else self._pictures
-        records = list(failure_records(result))
+        path, records = self._folder.path, list(failure_records(result))
 
         def write(part: Path) -> None:
             write_csv(part / "episodes.csv", list(episode_rows(result)))
@@ -160,9 +219,8 @@ class EvaluationFiles:
             for name, record in records:
                 write_json(part / name, record.model_dump(mode="json"))
 
-        path = self._folder.path
-        lost = replaced(path, document)
-        self._folder.replace(write, later)
+        lost = _lost_rows(path, document)
+        self._folder.replace(write, [] if result.interruption else self._pictures)
         write_view(path)
         self._tell(f"saved to {path}")
         if lost:
@@ -171,9 +229,9 @@ class EvaluationFiles:
                 "and their command writes the tables again"
             )
         if records:
-            replay = command("replay", path / records[0][0])
+            again = command("replay", path / records[0][0])
             several = f"{len(records)} failures" if len(records) > 1 else "a failure"
-            self._tell(f"recorded {several}; to play the first again: {replay}")
+            self._tell(f"recorded {several}; to play the first again: {again}")
         for version, count in self.store.other_versions.items():
             self._tell(
                 f"{path / FOLDER}: {count} of these files were played with {version}, not the "
@@ -181,53 +239,39 @@ class EvaluationFiles:
             )
 
     def _write_record(self, result: Result) -> None:
-        if self._record is None:
-            return
-        parts = [
-            (one.entry.config, [row[RECORDED] for row in one.episodes if RECORDED in row])
-            for one in result.rows
-        ]
-        labels = dict.fromkeys(one.entry.label for one in result.rows)
-        recording.write(self._record, ", ".join(labels), parts)
-        self._tell(f"wrote {self._record}")
+        if self._record is not None:
+            parts = [
+                (one.entry.config, [row[RECORDED] for row in one.episodes if RECORDED in row])
+                for one in result.rows
+            ]
+            labels = dict.fromkeys(one.entry.label for one in result.rows)
+            recording.write(self._record, ", ".join(labels), parts)
+            self._tell(f"wrote {self._record}")
 
-    def draw(
-        self,
-        result: Result,
-        stop: Callable[[], bool] = lambda: False,
-        progress: Progress = no_progress,
-    ) -> None:
-        """Draw the pictures and the film, unless the evaluation was interrupted.
-
-        Raises:
-            InterruptedRunError: the evaluation or the drawing was interrupted.
-            FlipperctlError: a policy failed on a scene, or a picture or the film could not be drawn
-                or written.
-        """
+    def draw(self, result: Result, stop: Callable[[], bool], progress: Progress) -> None:
+        """Draw the pictures and the film, unless the evaluation was interrupted or failed."""
         if result.interruption is not None:
             raise InterruptedRunError(result.interruption.text)
         if (error := result.error()) is not None:
             raise error
-        pictures, film = self._draw_scenes, self._draw_film
-        _attempt([lambda: pictures(stop, progress), lambda: film(stop, progress)])
 
-    def _draw_scenes(self, stop: Callable[[], bool], progress: Progress) -> None:
-        if self._folder is None or not self._pictures:
-            return
-        from flipperctl.evaluation.pictures import draw_scenes
+        def pictures() -> None:
+            if self._folder is not None and self._pictures:
+                from flipperctl.evaluation.pictures import draw_scenes
 
-        files = [self._folder.path / name for name in self._pictures]
-        draw_scenes(dict(zip(files, self._plan.rows, strict=True)), progress, stop)
+                files = [self._folder.path / name for name in self._pictures]
+                draw_scenes(dict(zip(files, self._plan.rows, strict=True)), progress, stop)
 
-    def _draw_film(self, stop: Callable[[], bool], progress: Progress) -> None:
-        if self._film is None:
-            return
-        if stop():
-            raise InterruptedRunError(f"interrupted: {self._film} is not drawn")
-        from flipperctl.evaluation.pictures import film_scene
+        def film() -> None:
+            if self._film is not None:
+                if stop():
+                    raise InterruptedRunError(f"interrupted: {self._film} is not drawn")
+                from flipperctl.evaluation.pictures import film_scene
 
-        film_scene(self._film, self._plan.rows[0], progress)
-        self._tell(f"wrote {self._film}")
+                film_scene(self._film, self._plan.rows[0], progress)
+                self._tell(f"wrote {self._film}")
+
+        _attempt([pictures, film])
 
 
 def episode_rows(result: Result) -> Iterator[Row]:
@@ -246,11 +290,15 @@ def failure_records(result: Result) -> Iterator[tuple[str, EpisodeRecord]]:
     entries = result.plan.rows
     found = scene_names([(entry.terrain, entry.conditions) for entry in entries])
     names = {id(entry): name for entry, name in zip(entries, found, strict=True)}
-    several = len({entry.label for entry in entries}) > 1
+    labels = list(dict.fromkeys(entry.label for entry in entries))
+    policies = [Path(short(label)).stem for label in labels]
     for one in result.rows:
         if one.entry.stored:
             continue
-        words = ["failure", names[id(one.entry)], *([one.entry.label] if several else [])]
+        words = ["failure", names[id(one.entry)]]
+        if len(labels) > 1:  # a path's last part, and a number where it is not telling
+            at = labels.index(one.entry.label)
+            words += [policies[at], *([str(at + 1)] if policies.count(policies[at]) > 1 else [])]
         stem = "_".join(re.findall(r"\w+", " ".join(words)))
         for row in one.episodes.failed[:MOST_FAILURES]:
             record = EpisodeRecord.of(one.entry.config, one.entry.source, row)
@@ -263,17 +311,17 @@ def picture_names(entries: Sequence[Entry]) -> list[str]:
     return ["_".join(re.findall(r"\w+", name)) + ".png" for name in named]
 
 
-def replaced(folder: Path, document: Document) -> str:
+def _lost_rows(folder: Path, document: Document) -> str:
     """Return, in words, the rows of earlier tables in a folder that a result lacks; "" for none.
 
     A row of more episodes, or with a baseline that there is no longer, is lost, too.
     """
     try:
-        earlier = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))["scenes"]
-        rows = [row for scene in earlier for row in _rows_of(scene)]
-        now = sorted((r for scene in document["scenes"] for r in _rows_of(scene)), key=_count)
-        most = dict(now)
-        lost = [(row, count) for row, count in rows if count > most.get(row, 0)]
+        earlier = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+        most: dict[tuple[str, str, int, str], int] = {}
+        for row, count in _counts(document):
+            most[row] = max(count, most.get(row, 0))
+        lost = [(row, count) for row, count in _counts(earlier) if count > most.get(row, 0)]
     except (OSError, ValueError, LookupError, TypeError):
         return ""  # there are none
     first = [
@@ -283,23 +331,14 @@ def replaced(folder: Path, document: Document) -> str:
     return " and ".join([*first, *([f"{len(lost) - 1} more rows"] if len(lost) > 1 else [])])
 
 
-def _count(row: tuple[Any, int]) -> int:
-    return row[1]
-
-
-def _rows_of(scene: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str, int, str], int]]:
-    """Yield what tells each policy of a scene in ``summary.json`` apart, and its episodes."""
-    terrain, seed, sampled = scene["terrain"], scene["seed"], scene["conditions"]["hash"]
-    for who in (scene["controller"], *(other["controller"] for other in compared(scene))):
-        yield (terrain, who, seed, sampled), scene["episodes"]
-
-
-def _check_film(path: Path, scenes: int) -> None:
-    from flipperctl.figures.film import FILM
-
-    if scenes != 1:
-        raise RequestError(f"--film shows one scene; {scenes} are evaluated")
-    check_output(path, FILM)
+def _counts(document: Document) -> list[tuple[tuple[str, str, int, str], int]]:
+    """Return what tells each policy of a ``summary.json`` apart, and its episodes."""
+    return [
+        ((scene["terrain"], one["controller"], scene["seed"], scene["conditions"]["hash"]), count)
+        for scene in document["scenes"]
+        for count in (scene["episodes"],)
+        for one in (scene, *compared(scene))
+    ]
 
 
 def _attempt(steps: Sequence[Callable[[], None]]) -> None:

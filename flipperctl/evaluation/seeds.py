@@ -134,9 +134,6 @@ def _pair(ours: NDArray[np.bool_], theirs: NDArray[np.bool_]) -> PairedSuccess:
     return paired_success(int(np.sum(ours & ~theirs)), int(np.sum(theirs & ~ours)), len(ours))
 
 
-TRIM = 0.25
-"""Fraction of the scores that an interquartile mean leaves out at each end [-]."""
-
 Statistic = Callable[[FloatArray], FloatArray]
 """Returns one number for each matrix of scores, (..., R, T) → (...)."""
 RESAMPLES = 2000
@@ -168,7 +165,7 @@ def mean_interval(scores: Scores) -> Interval:
 
     With one seed it describes the variation over episodes alone.
     """
-    return _interval(float(np.mean(_seed_means(scores))), *_parts(scores))
+    return _interval(float(np.mean(means(scores))), *_parts(scores))
 
 
 def difference_interval(ours: Scores, theirs: Scores) -> tuple[Interval, float]:
@@ -180,7 +177,7 @@ def difference_interval(ours: Scores, theirs: Scores) -> tuple[Interval, float]:
     paired = {k: ours[k].mean(axis=0) - theirs[k].mean(axis=0) for k in ours}
     seeds = [part for part in (mine[0], other[0]) if part is not None]
     rest = mine[2] + other[2]
-    found = float(np.mean(_seed_means(ours)) - np.mean(_seed_means(theirs)))
+    found = float(np.mean(means(ours)) - np.mean(means(theirs)))
     return _tested(found, seeds, _over_episodes(paired), rest)
 
 
@@ -191,7 +188,8 @@ def better_interval(ours: Scores, theirs: Scores) -> Interval:
     Two to four seeds have none: where seeds differ much, all win or none, which says nothing of
     the variation of others. Nor have episodes that all say the same.
     """
-    wins = {k: _wins(ours[k], theirs[k]) for k in ours}  # (S, S', E)
+    gaps = {k: theirs[k][None, :, :] - ours[k][:, None, :] for k in ours}  # (S, S', E)
+    wins = {k: (gap > 0) + 0.5 * (gap == 0) for k, gap in gaps.items()}
     found = float(np.mean([w.mean() for w in wins.values()]))
     mine = _parts({k: w.mean(axis=1) for k, w in wins.items()})
     other = _parts({k: w.mean(axis=0) for k, w in wins.items()})
@@ -213,29 +211,16 @@ def statistic_interval(
     times S / (S - 1), since a bootstrap of few values is too narrow; the part of the episodes is
     that of the jackknife in each scene.
     """
-    means = _seed_means(scores)
-    count = len(means)
-    found = float(statistic(means))
+    own = means(scores)
+    count = len(own)
+    found = float(statistic(own))
     _, _, rest = _parts(scores)
     seeds: Part | None = None
     if count > 1:
         rows = rng.integers(count, size=(resamples, count))
-        spread = float(np.var(statistic(means[rows]))) * count / (count - 1)
+        spread = float(np.var(statistic(own[rows]))) * count / (count - 1)
         seeds = Part(spread, count - 1)
     return _interval(found, seeds, _jackknifed(scores, statistic), rest)
-
-
-def bootstrap(
-    scores: Scores, statistic: Statistic, rng: np.random.Generator, resamples: int = RESAMPLES
-) -> Interval:
-    """Return a statistic with the percentile interval of the bootstrap: seeds, then episodes.
-
-    Each sample draws whole seeds with replacement, and in each scene episodes with replacement,
-    the same for all seeds. It contains the truth too rarely below ten seeds: 72 % at three.
-    """
-    values = statistic(resampled(scores, rng, resamples))
-    low, high = np.percentile(values, [2.5, 97.5])
-    return Interval(float(statistic(_seed_means(scores))), float(low), float(high))
 
 
 def resampled(scores: Scores, rng: np.random.Generator, resamples: int) -> FloatArray:
@@ -255,22 +240,18 @@ def resampled(scores: Scores, rng: np.random.Generator, resamples: int) -> Float
     return np.stack(columns, axis=-1)
 
 
-def _seed_means(scores: Scores) -> FloatArray:
-    return np.column_stack([values.mean(axis=1) for values in scores.values()])
-
-
 def _parts(scores: Scores) -> tuple[Part | None, Part | None, float]:
     """Return the parts of the mean's variance: over seeds, over episodes, and of both.
 
     The first two contain the third each; it is the variance of what neither seed nor episode
     explains. A part is None where there is one seed, or where episodes are too few.
     """
-    means = _seed_means(scores)
-    count, scenes = means.shape
+    own = means(scores)
+    count, scenes = own.shape
     episodes = _over_episodes({k: values.mean(axis=0) for k, values in scores.items()})
     if count < 2:
         return None, episodes, 0.0
-    seeds = Part(float(np.var(means.mean(axis=1), ddof=1)) / count, count - 1)
+    seeds = Part(float(np.var(own.mean(axis=1), ddof=1)) / count, count - 1)
     rest = 0.0
     for values in scores.values():
         if (size := values.shape[1]) > 1:
@@ -293,12 +274,12 @@ def _over_episodes(values: Mapping[str, FloatArray]) -> Part | None:
 
 def _jackknifed(scores: Scores, statistic: Statistic) -> Part | None:
     """Return the variance of the statistic over episodes by the jackknife in each scene."""
-    means, each = _seed_means(scores), []
+    own, each = means(scores), []
     for at, values in enumerate(scores.values()):
         size = values.shape[1]
         if size < FEWEST_EPISODES:
             return None
-        without = np.repeat(means[None], size, axis=0)  # (E, S, K)
+        without = np.repeat(own[None], size, axis=0)  # (E, S, K)
         without[:, :, at] = ((values.sum(axis=1, keepdims=True) - values) / (size - 1)).T
         found = statistic(without)
         spread = (size - 1) / size * float(np.sum((found - found.mean()) ** 2))
@@ -365,16 +346,6 @@ def _cautious(found: float, parts: Sequence[Part], rest: float) -> tuple[float, 
     return half(0.05), high
 
 
-def _wins(ours: FloatArray, theirs: FloatArray) -> FloatArray:
-    gap = theirs[None, :, :] - ours[:, None, :]
-    return np.asarray((gap > 0) + 0.5 * (gap == 0))
-
-
-def mean(scores: FloatArray) -> FloatArray:
-    """Return the mean over runs and tasks, (..., R, T) → (...)."""
-    return np.asarray(scores.mean(axis=(-2, -1)))
-
-
 def interquartile_mean(scores: FloatArray) -> FloatArray:
     """Return the mean of the middle half of all runs and tasks, (..., R, T) → (...).
 
@@ -382,7 +353,7 @@ def interquartile_mean(scores: FloatArray) -> FloatArray:
     for up to three scores.
     """
     flat = np.sort(scores.reshape(*scores.shape[:-2], -1), axis=-1)
-    cut = int(TRIM * flat.shape[-1])
+    cut = flat.shape[-1] // 4
     return np.asarray(flat[..., cut : flat.shape[-1] - cut].mean(axis=-1))
 
 

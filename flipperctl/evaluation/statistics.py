@@ -57,9 +57,6 @@ def interval(values: Sequence[float]) -> Interval:
 
     It is exact for normal data; ``benchmarks/coverage.py`` estimates it for others. Fewer than
     ``FEWEST`` values have no interval: its ends are None.
-
-    Raises:
-        ValueError: there are no values.
     """
     if len(values) == 0:
         raise ValueError("an interval needs at least one value")
@@ -91,9 +88,6 @@ def proportion(count: int, total: int) -> Interval:
     """Return the rate ``count / total`` with its 95 % score interval (Wilson 1927).
 
     It exists for any number of outcomes: five of five give a lower end of 0.566.
-
-    Raises:
-        ValueError: there are no outcomes.
     """
     if total == 0:
         raise ValueError("a rate needs at least one outcome")
@@ -128,9 +122,6 @@ def paired_success(won: int, lost: int, total: int) -> PairedSuccess:
     positive even if both are 0: [-0.434, 0.434] for five seeds. ``p`` is that of McNemar's exact
     test: the probability, if both are equally good, that the seeds with which only one succeeded
     are split at least as unevenly. ``views.summary.correct`` corrects ``p_holm``.
-
-    Raises:
-        ValueError: ``total`` is 0.
     """
     if total == 0:
         raise ValueError("a difference needs at least one pair")

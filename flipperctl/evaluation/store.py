@@ -13,7 +13,7 @@ import io
 import json
 import subprocess
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import version
@@ -59,11 +59,7 @@ class StoreKey:
 
     @classmethod
     def of(cls, config: EvalConfig, policy: PolicyIdentity) -> StoreKey:
-        """Return the key of a policy's episodes under a configuration.
-
-        Raises:
-            PluginError: a setting of the terrain cannot be written as JSON.
-        """
+        """Return the key of a policy's episodes under a configuration."""
         return cls(policy, ground(config), _digest(_scoring(config)), config)
 
     @property
@@ -71,11 +67,6 @@ class StoreKey:
         """The name of a block without its range of episodes."""
         training = "x" if self.policy.training_seed is None else self.policy.training_seed
         return f"{self.policy.digest[:_LONG]}.{training}.{self.ground}.{self.scoring[:_SHORT]}"
-
-    @property
-    def versions(self) -> dict[str, str]:
-        """Versions of the packages on which episodes that are played here depend, by name."""
-        return versions_here(self.config)
 
     def header(self, first: int, last: int) -> dict[str, Any]:
         """Return the header of the block with the episodes from ``first`` to ``last``."""
@@ -96,7 +87,7 @@ class StoreKey:
             "first": first,
             "last": last,
             "settings": {**conditions.settings, **_scoring(self.config)},
-            "versions": self.versions,
+            "versions": versions_here(self.config),
             "commit": commit(),
         }
 
@@ -190,12 +181,7 @@ class EpisodeStore:
         return dict(self._rows.get(key.text, {}))
 
     def add(self, key: StoreKey, block: Sequence[Row]) -> None:
-        """Keep the episodes of a block, whose indices have no gap.
-
-        Raises:
-            OutputError: the block cannot be written.
-            WriteError: writing it failed half way.
-        """
+        """Keep the episodes of a block, whose indices have no gap."""
         kept = self._rows.setdefault(key.text, {})
         for row in block:
             kept.setdefault(row["episode"], {n: v for n, v in row.items() if n != RECORDED})
@@ -208,11 +194,7 @@ class FolderStore(EpisodeStore):
     """Blocks as files in a folder; earlier ones are read when they are asked for."""
 
     def __init__(self, folder: Path, tell: Callable[[str], None] = lambda text: None) -> None:
-        """``tell`` is called with a line about blocks that are damaged.
-
-        Raises:
-            OutputError: the folder cannot be created or written.
-        """
+        """``tell`` is called with a line about blocks that are damaged."""
         super().__init__()
         self._folder, self._tell = make_folder(folder), tell
         self._files: dict[str, list[Path]] = {}
@@ -231,7 +213,7 @@ class FolderStore(EpisodeStore):
                     damaged.append(file)
                     continue
                 header, rows = block
-                self.count_versions(header, key.versions)
+                self.count_versions(header, versions_here(key.config))
                 super().add(key, rows)
             for file in damaged:
                 if self._holds(key, file):  # other blocks have its episodes
@@ -252,8 +234,15 @@ class FolderStore(EpisodeStore):
         """Write the block's file; see ``EpisodeStore.add``."""
         first, last = block[0]["episode"], block[-1]["episode"]
         name = block_name(key.text, first, last)
-        lines = [key.header(first, last), *(_record(name, row) for row in block)]
-        texts = (json.dumps(one, separators=(",", ":"), default=_plain) + "\n" for one in lines)
+        lines = [key.header(first, last)]
+        for row in block:
+            own = {DIGEST: row[DIGEST]} if DIGEST in row else {}
+            rest = {n: value for n, value in row.items() if n not in (DIGEST, RECORDED)}
+            lines.append({"record": "episode", "cell": name, **own, **rest})
+        texts = (
+            json.dumps(one, separators=(",", ":"), default=lambda number: number.item()) + "\n"
+            for one in lines
+        )
         file = self._folder / f"{name}{_BLOCK}"
         write_bytes(file, "".join(texts).encode())
         self._files.setdefault(key.text, []).append(file)
@@ -317,7 +306,13 @@ def read_block(file: Path) -> tuple[dict[str, Any], list[Row]] | None:
         whole = [row["episode"] for row in records] == indices and header["format"] == FORMAT
         if not whole or f"{header['cell']}{_BLOCK}" != file.name:
             return None
-        return header, list(map(_row, records))
+        rows = []
+        for record in records:
+            if not {"seed", "outcome", "terrain", *CORE, "return"} <= record.keys():
+                return None  # it is no episode
+            own = {DIGEST: record.pop(DIGEST)} if DIGEST in record else {}
+            rows.append({n: v for n, v in record.items() if n not in ("record", "cell")} | own)
+        return header, rows
     except _DAMAGE:
         return None
 
@@ -326,29 +321,22 @@ def write_view(results: Path) -> None:
     """Write the table of all stored episodes below a folder of results, if there are any.
 
     The blocks are read one after the other, so that their number needs no memory.
-
-    Raises:
-        OutputError: the table cannot be written.
-        WriteError: writing failed half way; an earlier table, if any, is kept.
     """
     files = sorted((results / FOLDER).glob(f"*{_BLOCK}"))
-    if not files:
-        return
     columns = dict.fromkeys(name for file in files for row in _viewed(file) for name in row)
-    write_chunks(results / VIEW, _csv_chunks(map(_viewed, files), list(columns)))
 
+    def chunks() -> Iterator[bytes]:
+        text = io.StringIO()
+        writer = csv.DictWriter(text, list(columns))
+        writer.writeheader()
+        for file in files:
+            writer.writerows(_viewed(file))
+            yield text.getvalue().encode()
+            text.seek(0)
+            text.truncate()
 
-def _csv_chunks(
-    parts: Iterable[Iterable[Mapping[str, Any]]], columns: Sequence[str]
-) -> Iterator[bytes]:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, columns)
-    writer.writeheader()
-    for rows in parts:
-        writer.writerows(rows)
-        yield text.getvalue().encode()
-        text.seek(0)
-        text.truncate()
+    if files:
+        write_chunks(results / VIEW, chunks())
 
 
 def _viewed(file: Path) -> Iterator[Row]:
@@ -360,25 +348,6 @@ def _viewed(file: Path) -> Iterator[Row]:
             yield who | {n: value for n, value in row.items() if n != DIGEST}
 
 
-def _record(name: str, row: Row) -> Row:
-    """Return the record of an episode in a block."""
-    own = {DIGEST: row[DIGEST]} if DIGEST in row else {}
-    rest = {n: value for n, value in row.items() if n not in (DIGEST, RECORDED)}
-    return {"record": "episode", "cell": name, **own, **rest}
-
-
-def _row(record: Row) -> Row:
-    """Return the episode of a record, without what describes the record.
-
-    Raises:
-        LookupError: it is no episode.
-    """
-    row = {n: value for n, value in record.items() if n not in ("record", "cell", DIGEST)}
-    for name in ("seed", "outcome", "terrain", *CORE, "return"):
-        row[name]  # raises if it is missing
-    return row | ({DIGEST: record[DIGEST]} if DIGEST in record else {})
-
-
-def _plain(value: Any) -> Any:
+def _item(value: Any) -> Any:
     """Return a number of numpy as Python's."""
     return value.item()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Collection, Container, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ import numpy as np
 from flipperctl.api import Outcome
 from flipperctl.api.plugin import registered_names
 from flipperctl.errors import RequestError
-from flipperctl.evaluation.plan import BEST_KNOWN
+from flipperctl.evaluation.plan import is_best_known
 from flipperctl.evaluation.seeds import Method
 from flipperctl.evaluation.store import FOLDER, PlayedPolicy, played_policies
 from flipperctl.messages import close_match
@@ -37,27 +37,24 @@ def _policies(path: Path, measure: str) -> dict[str, Episodes]:
     try:
         with path.open(newline="") as file:
             reader = csv.DictReader(file)
-            columns = reader.fieldnames or ()
-            for key in (*_KEYS, measure):
-                if key not in columns:
-                    raise RequestError(
-                        f"{path}: there is no column {key!r}{close_match(key, columns)}"
-                    )
-            for row in reader:
-                if row["controller"].startswith(f"{BEST_KNOWN} ("):
-                    continue  # it stands only where it beats all others
-                scene = f"{row['scene']} {row['conditions_hash']}"
-                value = float(row[measure])
-                if not np.isfinite(value):
-                    raise ValueError(f"{measure} {row[measure]!r}")
-                played = found.setdefault(row["controller"], {}).setdefault(scene, {})
-                found_here = value, row["outcome"] == Outcome.REACHED
-                if played.setdefault(row["seed"], found_here) != found_here:
-                    raise RequestError(
-                        f"{path}: {row['controller']} has several results on {scene}, seed "
-                        f"{row['seed']}, as with several of its settings; a folder of "
-                        "eval --output for each of them, named as in METHOD=DIR, is allowed"
-                    )
+            columns, rows = reader.fieldnames or (), list(reader)
+        for key in (*_KEYS, measure):
+            if key not in columns:
+                raise RequestError(f"{path}: there is no column {key!r}{close_match(key, columns)}")
+        for row in rows:
+            label, scene = row["controller"], f"{row['scene']} {row['conditions_hash']}"
+            if is_best_known(label):
+                continue  # it stands only where it beats all others
+            result = float(row[measure]), row["outcome"] == Outcome.REACHED
+            if not np.isfinite(result[0]):
+                raise ValueError(f"{measure} {row[measure]!r}")
+            played = found.setdefault(label, {}).setdefault(scene, {})
+            if played.setdefault(row["seed"], result) != result:
+                raise RequestError(
+                    f"{path}: {label} has several results on {scene}, seed {row['seed']}, as with "
+                    "several of its settings; a folder of eval --output for each of them, named as "
+                    "in METHOD=DIR, is allowed"
+                )
     except (OSError, UnicodeDecodeError, csv.Error, ValueError, TypeError) as error:
         raise RequestError(f"{path}: cannot be read: {error}") from error
     if not found:
@@ -65,20 +62,11 @@ def _policies(path: Path, measure: str) -> dict[str, Episodes]:
     return dict(found)
 
 
-def _played(folder: Path) -> dict[str, set[PlayedPolicy]]:
-    """Return the policies whose cells lie beside the episodes of a folder, by label."""
-    found: dict[str, set[PlayedPolicy]] = {}
-    for (label, _), policies in played_policies(folder / FOLDER).items():
-        found.setdefault(label, set()).update(policies)
-    return found
-
-
 def _methods(folder: Path) -> dict[str, str]:
     """Return the method of each policy, by label, where one evaluation had several of its seeds."""
+    labels: dict[str, set[str]] = {}
     try:
-        scenes = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))["scenes"]
-        labels: dict[str, set[str]] = {}
-        for scene in scenes:
+        for scene in json.loads((folder / SUMMARY).read_text(encoding="utf-8"))["scenes"]:
             if method := scene.get("method"):
                 labels.setdefault(method, set()).add(scene["controller"])
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
@@ -141,19 +129,15 @@ def read(words: Sequence[str], measure: str) -> Stored:
     reader, seen = _Reader(measure), set[Path]()
     for word in words:
         name, folder = _named(word)
-        folders = list(_folders(folder))
-        below = len(folders) > 1 or folders[0] != folder
-        if below:
-            name = name or folder.resolve().name
+        folders = [folder] if (folder / FILE).is_file() else _below(folder)
+        below = folders != [folder]
         for one in folders:
             if (place := one.resolve()) in seen:
                 reader.notices.append(f"{one} is named twice and counts once")
                 continue
             seen.add(place)
-            reader.read(one, name, is_seed=below)
-    reader.tell_equal_seeds()
-    reader.tell_other_settings()
-    return _shared(reader.runs, reader.rules, reader.untrained, reader.notices)
+            reader.read(one, name or (folder.resolve().name if below else None), is_seed=below)
+    return reader.shared()
 
 
 class _Reader:
@@ -162,11 +146,11 @@ class _Reader:
     def __init__(self, measure: str) -> None:
         self._measure = measure
         self._rulers = registered_names("controller")  # they have no training seeds
-        self.runs: dict[str, list[_Run]] = {}
+        self._runs: dict[str, list[_Run]] = {}
         """By method."""
-        self.rules: set[str] = set()
+        self._rules: set[str] = set()
         """Methods that count once if their episodes are equal."""
-        self.untrained: set[str] = set()
+        self._untrained: set[str] = set()
         """Methods without a training."""
         self.notices: list[str] = []
 
@@ -175,22 +159,30 @@ class _Reader:
 
         ``is_seed``: whether the folder is one of those of a method's training seeds.
         """
-        played, methods = _played(folder), _methods(folder)
+        methods, played = _methods(folder), dict[str, set[PlayedPolicy]]()
+        for (label, _), found in played_policies(folder / FOLDER).items():
+            played.setdefault(label, set()).update(found)
         policies = _policies(folder / FILE, self._measure)
         first = next(iter(policies))
         for label, episodes in policies.items():
-            of_sweep = label in methods
-            leads = label == first or (of_sweep and methods[label] == methods.get(first))
+            cells = played.get(label, set())
+            leads = label == first or (label in methods and methods[label] == methods.get(first))
             method = name if name and leads else methods.get(label, label)
-            is_rule = label in self._rulers or _untrained(label, played.get(label, ()))
-            if is_seed and label == first:
-                self._check_kind(method, label, folder, is_rule=is_rule)
+            # A rule of a plugin is known by its cells; files have no seed either.
+            seedless = bool(cells) and all(one.training_seed is None for one in cells)
+            is_rule = label in self._rulers or (seedless and not Path(label).suffix)
+            mixed = method in self._runs and is_rule != (method in self._untrained)
+            if is_seed and label == first and mixed:
+                raise RequestError(
+                    f"{folder}: {method} has a rule, {label if is_rule else 'of another folder'}, "
+                    "beside trained policies; a rule is no training seed"
+                )
             if is_rule:
-                self.untrained.add(method)
-            if is_rule or not (leads or of_sweep):
-                self.rules.add(method)
-            known = self.runs.setdefault(method, [])
-            run = _run(folder, episodes, played.get(label, ()))
+                self._untrained.add(method)
+            if is_rule or not (leads or label in methods):
+                self._rules.add(method)
+            known = self._runs.setdefault(method, [])
+            run = _run(folder, episodes, cells)
             same = [at for at, other in enumerate(known) if run.is_of(other)]
             against = known if is_rule else [known[at] for at in same]
             if any(_contradict(episodes, other.episodes) for other in against):
@@ -205,33 +197,59 @@ class _Reader:
             if leads:
                 self.notices.append(f"{folder} has a policy of another folder, which counts once")
 
-    def _check_kind(self, method: str, label: str, folder: Path, *, is_rule: bool) -> None:
-        """Refuse a rule among the training seeds of a method."""
-        if method in self.runs and is_rule != (method in self.untrained):
-            rule = label if is_rule else "of another folder"
-            raise RequestError(
-                f"{folder}: {method} has a rule, {rule}, beside trained policies; a rule is no "
-                "training seed"
-            )
+    def shared(self) -> Stored:
+        """Return the methods on the scenes and episodes that every run has."""
+        self.notices += [*self._equal_seeds(), *self._other_settings()]
+        every = [run for known in self._runs.values() for run in known]
+        shared: dict[str, list[str]] = {}
+        for scene in dict.fromkeys(scene for run in every for scene in run.episodes):
+            played = [set(run.episodes.get(scene, ())) for run in every]
+            common = set.intersection(*played)
+            if common:
+                shared[scene] = [seed for seed in every[0].episodes[scene] if seed in common]
+            counts = list(map(len, played))
+            if (most := max(counts)) > len(common):
+                fewest = every[counts.index(min(counts))].folder
+                self.notices.append(
+                    f"{scene}: {len(common)} of up to {most} episodes were played by all; "
+                    f"{fewest} has {min(counts)}"
+                )
+        if not shared:
+            text = "no episode was played by all methods and seeds"
+            raise RequestError(f"{text}: {_unlike(every)}")
+        names = _short(list(shared))
+        methods = []
+        for method, known in self._runs.items():
+            reduced = [
+                {names[k]: [run.episodes[k][seed] for seed in seeds] for k, seeds in shared.items()}
+                for run in known
+            ]
+            if method in self._rules:
+                reduced = [one for at, one in enumerate(reduced) if one not in reduced[:at]]
+            pairs = {name: np.array([run[name] for run in reduced]) for name in reduced[0]}
+            values = {name: found[..., 0].copy() for name, found in pairs.items()}
+            reached = {name: found[..., 1] > 0 for name, found in pairs.items()}
+            methods.append(Method(method, values, reached, trained=method not in self._untrained))
+        episodes = {names[scene]: len(seeds) for scene, seeds in shared.items()}
+        return Stored(tuple(methods), episodes, tuple(self.notices))
 
-    def tell_equal_seeds(self) -> None:
-        """Add a notice on each method with two policies of one training seed."""
-        for method, known in self.runs.items():
+    def _equal_seeds(self) -> Iterator[str]:
+        """Yield a notice on each method with two policies of one training seed."""
+        for method, known in self._runs.items():
             seeds = [run.training_seed for run in known if run.training_seed is not None]
             again = next((seed for seed in seeds if seeds.count(seed) > 1), None)
             if again is not None:
-                self.notices.append(
+                yield (
                     f"{method}: {len(seeds)} policies, but training seed {again} counts "
                     f"{seeds.count(again)} times; trainings of one method differ in their seeds"
                 )
 
-    def tell_other_settings(self) -> None:
-        """Add a notice on each method whose policies were trained with different settings."""
-        for method, known in self.runs.items():
-            if told := unlike_trainings(
-                [run.training for run in known if run.training is not None]
-            ):
-                self.notices.append(f"{method}: {told}")
+    def _other_settings(self) -> Iterator[str]:
+        """Yield a notice on each method whose policies were trained with different settings."""
+        for method, known in self._runs.items():
+            trainings = [run.training for run in known if run.training is not None]
+            if told := unlike_trainings(trainings):
+                yield f"{method}: {told}"
 
 
 def _run(folder: Path, episodes: Episodes, played: Collection[PlayedPolicy]) -> _Run:
@@ -239,11 +257,6 @@ def _run(folder: Path, episodes: Episodes, played: Collection[PlayedPolicy]) -> 
     digests = frozenset(one.digest for one in played)
     training = next((one.training for one in played if one.training is not None), None)
     return _Run(folder, episodes, digests, seeds.pop() if len(seeds) == 1 else None, training)
-
-
-def _untrained(label: str, played: Collection[PlayedPolicy]) -> bool:
-    """Return whether cells are of a rule, perhaps one of a plugin; files have no seed either."""
-    return bool(played) and not Path(label).suffix and all(p.training_seed is None for p in played)
 
 
 def _contradict(one: Episodes, other: Episodes) -> bool:
@@ -265,69 +278,19 @@ def _named(word: str) -> tuple[str | None, Path]:
     return name, Path(path)
 
 
-def _folders(folder: Path) -> Iterator[Path]:
-    if (folder / FILE).is_file():
-        yield folder
-        return
-    inner = sorted(file.parent for file in folder.glob(f"*/{FILE}"))
-    if not inner:
+def _below(folder: Path) -> list[Path]:
+    if not (inner := sorted(file.parent for file in folder.glob(f"*/{FILE}"))):
         raise RequestError(
             f"{folder}: there is no {FILE}, nor one in a folder below it; a folder of "
             "flipperctl eval --output is allowed"
         )
-    yield from inner
+    return inner
 
 
-def _shared(
-    found: Mapping[str, Sequence[_Run]],
-    rules: Container[str],
-    untrained: Container[str],
-    notices: list[str],
-) -> Stored:
-    """Return the methods on the scenes and episodes that every run has.
-
-    ``rules``: those that count once if these episodes are equal; ``untrained``: those without a
-    training.
-    """
-    runs = {method: [run.episodes for run in known] for method, known in found.items()}
-    every = [run for known in runs.values() for run in known]
-    folders = [run.folder for known in found.values() for run in known]
-    shared: dict[str, list[str]] = {}
-    for scene in dict.fromkeys(scene for run in every for scene in run):
-        played = [set(run.get(scene, ())) for run in every]
-        common = set.intersection(*played)
-        if common:
-            shared[scene] = [seed for seed in every[0][scene] if seed in common]
-        counts = list(map(len, played))
-        if (most := max(counts)) > len(common):
-            fewest = folders[counts.index(min(counts))]
-            notices.append(
-                f"{scene}: {len(common)} of up to {most} episodes were played by all; "
-                f"{fewest} has {min(counts)}"
-            )
-    if not shared:
-        raise RequestError(f"no episode was played by all methods and seeds: {_unlike(found)}")
-    names = _short(list(shared))
-    methods = []
-    for method, known in runs.items():
-        reduced = [
-            {names[scene]: [run[scene][seed] for seed in seeds] for scene, seeds in shared.items()}
-            for run in known
-        ]
-        if method in rules:
-            reduced = [one for at, one in enumerate(reduced) if one not in reduced[:at]]
-        pairs = {name: [run[name] for run in reduced] for name in reduced[0]}
-        values = {k: np.array([[v for v, _ in row] for row in rows]) for k, rows in pairs.items()}
-        reached = {k: np.array([[r for _, r in row] for row in rows]) for k, rows in pairs.items()}
-        methods.append(Method(method, values, reached, trained=method not in untrained))
-    episodes = {names[scene]: len(seeds) for scene, seeds in shared.items()}
-    return Stored(tuple(methods), episodes, tuple(notices))
-
-
-def _unlike(found: Mapping[str, Sequence[_Run]]) -> str:
+def _unlike(runs: Sequence[_Run]) -> str:
     """Return in which folders others were played."""
     scenes: dict[str, dict[str, None]] = {}
-    for run in (run for known in found.values() for run in known):
+    for run in runs:
         scenes.setdefault(", ".join(run.episodes), {})[str(run.folder)] = None
     if len(scenes) == 1:
         return "their conditions are equal, but not their episodes, as with another --seed"

@@ -57,17 +57,12 @@ class Suite:
 
 def shipped_suites() -> dict[str, Traversable]:
     """Return the files of the suites that come with flipperctl, by name."""
-    folder = files("flipperctl.configs.suite")
-    found = sorted(folder.iterdir(), key=lambda file: file.name)
+    found = sorted(files("flipperctl.configs.suite").iterdir(), key=lambda file: file.name)
     return {f.name.removesuffix(_SUFFIX): f for f in found if f.name.endswith(_SUFFIX)}
 
 
-def plugin_suites() -> dict[str, Path]:
-    """Return the suites of plugins by name: the files in ``suite`` beside each plugin.
-
-    Raises:
-        ConfigError: two suites have the same name.
-    """
+def _plugin_suites() -> dict[str, Path]:
+    """Return the suites of plugins by name: the files in ``suite`` beside each plugin."""
     found: dict[str, Path] = {}
     for folder in plugins.folders():
         for file in sorted((folder / "suite").glob(f"*{_SUFFIX}")):
@@ -80,35 +75,22 @@ def plugin_suites() -> dict[str, Path]:
 
 
 def find_suite(name: str) -> Suite:
-    """Return a suite by its name, or from a file.
-
-    Raises:
-        ConfigError: there is no such suite, or the file is no suite.
-    """
-    shipped, others = shipped_suites(), plugin_suites()
-    if name in shipped:
-        return _read(name, shipped[name])
-    if name not in others and not name.endswith((_SUFFIX, ".yml")):
+    """Return a suite by its name, or from a file."""
+    shipped, others = shipped_suites(), _plugin_suites()
+    file: Traversable = shipped.get(name) or others.get(name) or Path(name)
+    if name not in shipped | others and not name.endswith((_SUFFIX, ".yml")):
         known = [*shipped, *others]
         raise ConfigError(
             f"suite: there is no suite {name!r}{close_match(name, known)}; known: "
             f"{', '.join(known)}, or a file as in suite=mine.yaml"
         )
-    file = others.get(name, Path(name))
-    return _read(file.stem, file, str(file))
-
-
-def _read(name: str, file: Traversable, shown: str | None = None) -> Suite:
-    where = f"suite {shown or name}"
+    where = f"suite {name if name in shipped else file}"
     document = strict_yaml.read(file, where)
     scenes = document.get("scenes") if isinstance(document, dict) else None
     if not isinstance(scenes, dict) or not scenes or not set(document) <= {"about", "scenes"}:
         raise ConfigError(f"{where}: {_ALLOWED}")
-    return Suite(
-        name,
-        str(document.get("about") or ""),
-        tuple(_scene(where, scene, words) for scene, words in scenes.items()),
-    )
+    made = tuple(_scene(where, scene, words) for scene, words in scenes.items())
+    return Suite(Path(file.name).stem, str(document.get("about") or ""), made)
 
 
 def _scene(where: str, name: str, overrides: object) -> SuiteScene:
@@ -129,9 +111,7 @@ def split_suite(words: list[str]) -> tuple[Suite | None, list[str]]:
         ConfigError: there is no such suite, or several are given.
     """
     chosen = [word for word in words if key_of(word) == "suite" and "=" in word]
-    if not chosen:
-        return None, words
     if len(chosen) > 1:
         raise ConfigError(f"suite is given twice: {chosen[0]} and {chosen[1]}; one is allowed")
-    name = chosen[0].partition("=")[2]
-    return find_suite(name), [word for word in words if word != chosen[0]]
+    suite = find_suite(chosen[0].partition("=")[2]) if chosen else None
+    return suite, [word for word in words if word not in chosen]

@@ -60,9 +60,6 @@ class EpisodeRunner:
 
         ``seed`` is the seed of the evaluation. ``report_progress`` is called with the finished
         fraction of an episode's search. ``record``: whether rows include the decisions.
-
-        Raises:
-            FlipperctlError: the policy cannot be built (see ``PolicySource.build``).
         """
         self.env = FlipperEnv(config=config)
         self._report_progress = report_progress
@@ -156,32 +153,32 @@ class EpisodeWorkers:
             FlipperctlError: the policy cannot be built or failed, or an episode killed its workers.
         """
         if self.count > 1 and len(indices) > 1:
-            requests = self.play_many([(config, source, indices)], record=record)
-            for _, rows in requests:
+            for rows in self.play_many([(config, source, indices)], record=record):
                 yield from rows
-            return
-        if indices and self.stop():
-            self.interrupted = True
-            return
-        if not indices:
-            return
-        runner = EpisodeRunner(config, source, config.eval.seed, report_progress, record=record)
-        for index in indices:
-            if self.stop():
-                self.interrupted = True
-                return
-            yield runner.play(index)
+        elif indices and not self._stopped():
+            runner = EpisodeRunner(config, source, config.eval.seed, report_progress, record=record)
+            for at, index in enumerate(indices):
+                if at and self._stopped():
+                    return
+                yield runner.play(index)
+
+    def _stopped(self) -> bool:
+        self.interrupted = self.interrupted or self.stop()
+        return self.interrupted
 
     def play_many(
         self,
         requests: Sequence[tuple[EvalConfig, PolicySource, Sequence[int]]],
         *,
         record: bool = False,
-    ) -> Iterator[tuple[int, Iterator[Row]]]:
-        """Yield the number of each request and its rows; all requests share the processes at once.
+    ) -> Iterator[Iterator[Row]]:
+        """Yield the rows of each request; several processes share all requests at once.
 
         See ``play``. The rows of a request must be taken before those of the next one.
         """
+        if self.count == 1:
+            yield from (self.play(*request, record=record) for request in requests)
+            return
         if self._pool is None:
             self._pool = worker_pool(self.count)
         pool = self._pool
@@ -190,8 +187,8 @@ class EpisodeWorkers:
             task = Task.of(config, source, record=record)
             waiting += ((task, i, pool.submit(_play_in_worker, task, i)) for i in indices)
         try:
-            for number, (_, _, indices) in enumerate(requests):
-                yield number, self._rows(pool, waiting, len(indices))
+            for _, _, indices in requests:
+                yield self._rows(pool, waiting, len(indices))
         finally:  # after a failure, another policy's episodes come next
             for _, _, job in waiting:
                 job.cancel()
@@ -259,22 +256,14 @@ def _worker_runner(task: Task) -> EpisodeRunner:
 
 
 def play_block(task: Task, block: Sequence[int], digest: str) -> list[Row]:
-    """Play the episodes of a block in a worker on another machine.
-
-    Raises:
-        CheckpointError: the policy is missing there, or is another one than that of ``digest``.
-    """
+    """Play the episodes of a block in a worker on another machine, which must have the policy."""
     runner = _worker_runner(task)
     require_unchanged(task.source, digest)
     return [runner.play(index) for index in block]
 
 
 def require_unchanged(source: PolicySource, digest: str) -> None:
-    """Refuse a policy that has not the ``digest`` any more, since its episodes would mix two.
-
-    Raises:
-        CheckpointError: its file was replaced, as a run that is trained replaces its best policy.
-    """
+    """Refuse a policy that has not the ``digest`` any more, since its episodes would mix two."""
     if PolicyIdentity.of(source).digest != digest:
         raise CheckpointError(
             f"{source.label()} has changed since the evaluation began; is it still being trained? "

@@ -15,12 +15,11 @@ from flipperctl.evaluation.evaluate import Interruption, PolicyError, Result
 from flipperctl.evaluation.policies import Entrant, controllers, entrants
 from flipperctl.evaluation.run import episode_rows
 from flipperctl.evaluation.views import strata
-from flipperctl.evaluation.views.evaluation import csv_rows, parse_columns
+from flipperctl.evaluation.views.evaluation import csv_rows, parse_columns, print_result
 from flipperctl.evaluation.views.summary import Document, rate_text
 from flipperctl.scripting import progress as shown
 from flipperctl.scripting.policy import LoadedPolicy
 from flipperctl.scripting.settings import Paths, begin, check_evaluation, short_errors, words
-from flipperctl.terminal.results import print_result
 
 if TYPE_CHECKING:
     from pandas import DataFrame

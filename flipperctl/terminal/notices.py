@@ -22,11 +22,7 @@ def begin() -> None:
 
 
 def print_notices(config: EnvConfig) -> None:
-    """Print the notices on a configuration that this command has not printed yet.
-
-    Raises:
-        PluginFailedError: a plugin's code failed.
-    """
+    """Print the notices on a configuration that this command has not printed yet."""
     for plugin in _plugins(config):
         for notice in _notices(plugin):
             _print(f"{guard.plugin_label(plugin)}: {notice}")

@@ -1,4 +1,4 @@
-"""Live progress of a training and of episodes: a bar on a terminal, else lines for a training."""
+"""Live progress of trainings, episodes and measures: a bar on a terminal, else lines at times."""
 
 from __future__ import annotations
 
@@ -11,10 +11,9 @@ from typing import Any
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from flipperctl.api import Listener
-from flipperctl.terminal.console import console
+from flipperctl.show import console
 
 HEADING, PAPERS_HEADING = "θ̂_R [rad]", "θ̂_R at decisions [rad]"
 """Headings of the two columns in tables, in this order."""
@@ -26,14 +25,9 @@ def pitch_variation_text(measures: Mapping[str, Any], digits: int) -> str:
     return f"θ̂_R {at_100hz:.{digits}f} rad ({papers:.{digits}f} at decisions)"
 
 
-_PLAIN_EVERY = 10.0  # [s]
+_PLAIN_EVERY = 10.0  # [s] between two lines where there is no terminal
 _KNOWN_AFTER = 3.0  # [s] after the first episode, before which compilation and workers start
 _RECENT = 20.0  # [s] over which a rate is taken; updates begin later than decisions
-
-
-def progress(total: int, done: int) -> Listener:
-    """Return a bar if stderr is a terminal, else lines; ``total`` and ``done`` are decisions."""
-    return Bar(total, done) if sys.stderr.isatty() else Lines(total)
 
 
 @contextmanager
@@ -153,72 +147,77 @@ def state_text(row: Mapping[str, Any], rate: float | None) -> str:
     return "  ".join(words)
 
 
-class Bar:
-    """A rich progress bar with the state of the training, and its validations above it."""
+class TrainingProgress:
+    """The state of a training and its validations: a bar on a terminal, else a line at times."""
 
     def __init__(self, total: int, done: int) -> None:
-        self._rate = Rate()
-        self._progress = Progress(
+        """``total`` and ``done`` are decisions."""
+        self._rate, self._total, self._last = Rate(), total, time.perf_counter()
+        self._bar = Progress(
             TextColumn("{task.completed}/{task.total} decisions"),
             BarColumn(bar_width=24),
             TaskProgressColumn(),
             TextColumn("{task.fields[left]}"),
             TextColumn("{task.description}"),
             console=console(stderr=True),
+            disable=not sys.stderr.isatty(),
         )
-        self._total = total
-        self._task = self._progress.add_task("", total=total, completed=done, left="")
-        self._progress.start()
+        self._task = self._bar.add_task("", total=total, completed=done, left="")
+        self._bar.start()
 
     def episode(self, row: Mapping[str, Any]) -> None:
-        """Move the bar."""
-        decision = row["decision"]
+        """Move the bar, or print a line if the last is ten seconds old."""
+        decision, now = row["decision"], time.perf_counter()
         self._rate.take(decision)
+        state = state_text(row, self._rate.per_second)
         left = self._rate.left_text(decision, self._total)
-        text = state_text(row, self._rate.per_second)
-        self._progress.update(self._task, completed=decision, description=text, left=left)
+        self._bar.update(self._task, completed=decision, description=state, left=left)
+        if self._bar.disable and now - self._last >= _PLAIN_EVERY:
+            self._last = now
+            self.note("  ".join(filter(None, [f"{decision}/{self._total} decisions", state, left])))
 
     def validation(self, row: Mapping[str, Any]) -> None:
         """Print a line above the bar."""
-        self._progress.update(self._task, completed=row["decision"])
-        self._progress.console.print(validation_text(row), highlight=False)
+        self.note(validation_text(row))
 
     def note(self, text: str) -> None:
         """Print the text above the bar."""
-        self._progress.console.print(text, highlight=False, markup=False)
+        if self._bar.disable:
+            print(text, file=sys.stderr, flush=True)
+        else:
+            self._bar.console.print(text, highlight=False, markup=False)
 
     def close(self) -> None:
         """Stop the bar."""
-        self._progress.stop()
+        self._bar.stop()
 
 
-class Lines:
-    """Progress as a line every ten seconds and at each validation."""
+@contextmanager
+def steps_progress(label: str) -> Iterator[Callable[[str, float], None]]:
+    """Yield a function of the current step of a measure and of the finished fraction.
 
-    def __init__(self, total: int) -> None:
-        self._rate = Rate()
-        self._total = total
-        self._last = time.perf_counter()
+    It moves a bar with the remaining time on a terminal, and prints a line at times elsewhere.
+    """
+    begun = last = time.perf_counter()
+    with Progress(
+        TextColumn(f"[bold]{label}[/]"),
+        BarColumn(bar_width=24),
+        TaskProgressColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.description}"),
+        console=console(stderr=True),
+        transient=True,
+        disable=not sys.stderr.isatty(),
+    ) as bar:
+        task = bar.add_task("", total=1.0)
 
-    def episode(self, row: Mapping[str, Any]) -> None:
-        """Print a line if the last is ten seconds old."""
-        decision, now = row["decision"], time.perf_counter()
-        self._rate.take(decision)
-        if now - self._last < _PLAIN_EVERY:
-            return
-        self._last = now
-        state = state_text(row, self._rate.per_second)
-        words = [f"{decision}/{self._total} decisions", state]
-        words += filter(None, [self._rate.left_text(decision, self._total)])
-        print("  ".join(words), file=sys.stderr, flush=True)
+        def report(what: str, fraction: float) -> None:
+            nonlocal last
+            bar.update(task, completed=fraction, description=escape(what))
+            now = time.perf_counter()
+            if bar.disable and now - last >= _PLAIN_EVERY:
+                last = now
+                left = f", {(now - begun) * (1 / fraction - 1):.0f} s left" if fraction > 0 else ""
+                print(f"{label}: {fraction:.0%}{left}  {what}", file=sys.stderr, flush=True)
 
-    def validation(self, row: Mapping[str, Any]) -> None:
-        """Print a line."""
-        print(validation_text(row), file=sys.stderr, flush=True)
-
-    def note(self, text: str) -> None:
-        """Print the text."""
-        print(text, file=sys.stderr, flush=True)
-
-    def close(self) -> None:
-        """Do nothing; lines need no clean-up."""
+        yield report

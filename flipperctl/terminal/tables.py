@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 import math
-import sys
-import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from rich.markup import escape
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
 from flipperctl.api import Robot
 from flipperctl.messages import unit
-from flipperctl.show import NONE, Column, Table, print_table
+from flipperctl.show import NONE, Column, Table, console, print_table
 from flipperctl.spelling import spell_plainly
-from flipperctl.terminal.console import console
 
 _SETTINGS = (
     Column("path", "setting", named=True),
@@ -130,9 +124,10 @@ _PROFILES = (
 
 def print_terrain(name: str, numbers: list[dict[str, Any]], picture: Path | None) -> None:
     """Print a row for each profile (``figures.terrain.sample``), and the picture's name."""
-    rows = [
-        row | {"points": len(row["points"]), "drawn": _drawn_text(row["drawn"])} for row in numbers
-    ]
+    rows = []
+    for row in numbers:
+        drawn = ", ".join(f"{name} {value:.4g}" for name, value in row["drawn"].items())
+        rows.append(row | {"points": len(row["points"]), "drawn": drawn})
     if len(numbers) > 1 and all(row["points"] == numbers[0]["points"] for row in numbers):
         rows = [rows[0] | {"seed": "any"}]  # nothing about the terrain is random
     columns = _PROFILES if any(row["drawn"] for row in rows) else _PROFILES[:-1]
@@ -144,26 +139,22 @@ def print_terrain(name: str, numbers: list[dict[str, Any]], picture: Path | None
         print(f"picture: {picture}")
 
 
-def _drawn_text(drawn: Mapping[str, float]) -> str:
-    return ", ".join(f"{name} {value:.4g}" for name, value in drawn.items())
-
-
-_HEIGHTS = (Column("what", "what", named=True), Column("found", "found", wrapped=True))
+_FOUND = (Column("what", "what", named=True), Column("found", "found", wrapped=True))
+_POSES = {
+    "true": "the poses of the recording",
+    "belts": "odometry by belts and inertial unit",
+    "matched": "odometry, corrected by matching",
+}
 
 
 def print_perception(found: dict[str, Any], output: Path | None) -> None:
     """Print how a robot's sensing fared on its recording; ``output`` was written."""
-    topics = ", ".join(f"{device} {topic}" for device, topic in found["topics"].items())
-    print(f"{found['source']}: {found['seconds']:.1f} s; {topics}")
-    rows: dict[str, str] = {}
-    refused = sum(one["count"] for one in found["refused"].values())
-    rows["scans used"] = str(found["scans"])
-    rows["scans refused"] = str(refused)
+    rows = {"scans used": str(found["scans"])}
+    rows["scans refused"] = str(sum(one["count"] for one in found["refused"].values()))
     for name, one in found["refused"].items():
         rows[f"  {name}"] = f"{one['count']}: {one['reason']}"
     rows["estimates"] = str(found["decisions"])
-    for name, count in found["held"].items():
-        rows[f"  would hold: {name}"] = str(count)
+    rows |= {f"  would hold: {name}": str(count) for name, count in found["held"].items()}
     coverage, deviation = found["coverage"], found["deviation"]
     rows["bins seen"] = f"{coverage['mean']:.0%}, at least {coverage['least']:.0%}"
     rows["ground filled"] = f"{found['filled']:.0%}"
@@ -171,51 +162,38 @@ def print_perception(found: dict[str, Any], output: Path | None) -> None:
     for name, key in (("an estimate", "estimate_ms"), ("a scan", "scan_ms")):
         times = found[key]
         rows[f"{name} takes"] = f"{times['p50']:.1f} ms, p99 {times['p99']:.1f} ms"
-    rows["scans enter at"] = _pose(found)
-    if found["drift"] is not None:
-        rows["drift"] = _drift(found["drift"])
-    _print("perception", rows)
-    for remark in found["remarks"]:
-        print(remark)
-    if output is not None:
-        print(f"written: {output}")
-
-
-def _print(title: str, rows: Mapping[str, str]) -> None:
-    table = Table(_HEIGHTS, [{"what": what, "found": text} for what, text in rows.items()], title)
-    print_table(table, console())
-
-
-def _pose(found: dict[str, Any]) -> str:
-    return {
-        "true": "the poses of the recording",
-        "belts": "odometry by belts and inertial unit",
-        "matched": "odometry, corrected by matching",
-    }[found["pose"]]
-
-
-def _drift(drift: dict[str, float | None]) -> str:
-    share = "" if drift["share"] is None else f" ({drift['share']:.1%} of {drift['way']:.2f} m)"
-    heading = math.degrees(drift["heading"] or 0.0)
-    return (
-        f"{1000 * (drift['horizontal'] or 0.0):.0f} mm{share}, height "
-        f"{1000 * (drift['height'] or 0.0):+.0f} mm, heading {heading:+.1f}° against the recording"
-    )
+    rows["scans enter at"] = _POSES[found["pose"]]
+    if (drift := found["drift"]) is not None:
+        share = drift["share"]
+        of = "" if share is None else f" ({share:.1%} of {drift['way']:.2f} m)"
+        rows["drift"] = (
+            f"{1000 * (drift['horizontal'] or 0.0):.0f} mm{of}, height "
+            f"{1000 * (drift['height'] or 0.0):+.0f} mm, heading "
+            f"{math.degrees(drift['heading'] or 0.0):+.1f}° against the recording"
+        )
+    last = None if output is None else f"written: {output}"
+    _print_recording("perception", str(found["source"]), found, rows, last)
 
 
 def print_shadow(found: dict[str, Any]) -> None:
     """Print how a policy fared on a recording in shadow mode, and where its log is."""
-    topics = ", ".join(f"{device} {topic}" for device, topic in found["topics"].items())
-    print(f"{found['policy']} on {found['source']}: {found['seconds']:.1f} s; {topics}")
     rows = {"decisions": str(found["decisions"])}
-    for state, seconds in found["states"].items():
-        rows[state] = f"{seconds:.1f} s"
+    rows |= {state: f"{seconds:.1f} s" for state, seconds in found["states"].items()}
     for name, fault in found["faults"].items():
         rows[f"  {name}"] = f"{fault['count']} ×, {fault['seconds']:.1f} s: {fault['reason']}"
-    _print("shadow mode", rows)
-    for remark in found["remarks"]:
-        print(remark)
-    print(f"log: {found['output']}")
+    who = f"{found['policy']} on {found['source']}"
+    _print_recording("shadow mode", who, found, rows, f"log: {found['output']}")
+
+
+def _print_recording(
+    title: str, who: str, found: dict[str, Any], rows: Mapping[str, str], last: str | None
+) -> None:
+    topics = ", ".join(f"{device} {topic}" for device, topic in found["topics"].items())
+    print(f"{who}: {found['seconds']:.1f} s; {topics}")
+    cells = [{"what": what, "found": text} for what, text in rows.items()]
+    print_table(Table(_FOUND, cells, title), console())
+    for line in (*found["remarks"], *([] if last is None else [last])):
+        print(line)
 
 
 def print_export(target: Path, source: Path, found: dict[str, Any]) -> None:
@@ -227,8 +205,15 @@ def print_export(target: Path, source: Path, found: dict[str, Any]) -> None:
         f"{found['largest_difference']:.2g} (allowed {found['allowed_difference']:.2g}), "
         f"the chosen action agrees on {found['action_agreement']:.2%}"
     )
-    if changes := found["robot_changes"]:
-        print(f"for another robot than that of the training: {_describe(changes)}")
+    parts = []
+    for name, values in found["robot_changes"].items():
+        setting = name in Robot.model_fields
+        label = f"robot.{name}" if setting else name.replace("_", " ")
+        own, training = ("null" if v is None else f"{v:.6g}"
+                         for v in (values["file"], values["training"]))  # fmt: skip
+        parts.append(f"{label} {own} {unit(Robot, name) if setting else 's'} (training {training})")
+    if parts:
+        print(f"for another robot than that of the training: {', '.join(parts)}")
 
 
 def print_scene(found: dict[str, Any]) -> None:
@@ -267,84 +252,12 @@ def print_ground(found: dict[str, Any]) -> None:
     )
 
 
-def _describe(changes: dict[str, dict[str, float | None]]) -> str:
-    parts = []
-    for name, values in changes.items():
-        setting = name in Robot.model_fields
-        label = f"robot.{name}" if setting else name.replace("_", " ")
-        of = unit(Robot, name) if setting else "s"
-        parts.append(
-            f"{label} {_number(values['file'])} {of} (training {_number(values['training'])})"
-        )
-    return ", ".join(parts)
-
-
-def _number(value: float | None) -> str:
-    return "null" if value is None else f"{value:.6g}"
-
-
-_PLAIN_EVERY = 10.0  # [s]
 _RATIOS = (
     Column("what", "quantity", named=True),
     Column("median", "median"),
     Column("range", "quartiles"),
     Column("unit", "unit"),
 )
-
-
-class Bar:
-    """A rich progress bar with the current step of a measure."""
-
-    def __init__(self, measure: str) -> None:
-        self._progress = Progress(
-            TextColumn(f"[bold]{measure}[/]"),
-            BarColumn(bar_width=24),
-            TaskProgressColumn(),
-            TimeRemainingColumn(),
-            TextColumn("{task.description}"),
-            console=console(stderr=True),
-            transient=True,
-        )
-        self._task = self._progress.add_task("", total=1.0)
-        self._progress.start()
-
-    def __call__(self, what: str, fraction: float) -> None:
-        """Move the bar."""
-        self._progress.update(self._task, completed=fraction, description=escape(what))
-
-    def close(self) -> None:
-        """Remove the bar from the terminal."""
-        self._progress.stop()
-
-
-class Lines:
-    """Progress as a line every ten seconds."""
-
-    def __init__(self, measure: str) -> None:
-        self._measure = measure
-        self._begun = self._last = time.perf_counter()
-
-    def __call__(self, what: str, fraction: float) -> None:
-        """Print a line if the last is ten seconds old."""
-        now = time.perf_counter()
-        if now - self._last < _PLAIN_EVERY:
-            return
-        self._last = now
-        left = f", {(now - self._begun) * (1 / fraction - 1):.0f} s left" if fraction > 0 else ""
-        print(f"{self._measure}: {fraction:.0%}{left}  {what}", file=sys.stderr, flush=True)
-
-    def close(self) -> None:
-        """Do nothing; lines need no clean-up."""
-
-
-@contextmanager
-def shown_progress(label: str) -> Iterator[Bar | Lines]:
-    """Show a bar with the remaining time on a terminal, occasional lines elsewhere."""
-    shown = Bar(label) if sys.stderr.isatty() else Lines(label)
-    try:
-        yield shown
-    finally:
-        shown.close()
 
 
 def print_measures(document: dict[str, Any]) -> None:
@@ -360,40 +273,27 @@ def tables(document: dict[str, Any]) -> Iterator[Table]:
     The text ``unfinished`` of a measure replaces a median that falls on an unfinished run.
     """
     for name, found in document["measures"].items():
+        missing = found.get("unfinished", NONE)
         rows = [
-            {
-                "what": what,
-                "median": _measure_text(q["median"], found.get("unfinished", NONE)),
-                "range": _range(q),
-                "unit": q["unit"],
-            }
-            for what, q in found["quantities"].items()
+            {"what": what, "median": _number(one["median"], missing), "unit": one["unit"]}
+            | {"range": _range(one)}
+            for what, one in found["quantities"].items()
         ]
-        for at, (what, r) in enumerate(found["ratios"].items()):
-            row = {
-                "what": what,
-                "median": _measure_text(r["ratio"]),
-                "range": _range(r),
-                "unit": "×",
-            }
-            rows.append(row | {"line": at == 0})
+        rows += [
+            {"what": what, "median": _number(one["ratio"]), "unit": "×", "line": at == 0}
+            | {"range": _range(one)}
+            for at, (what, one) in enumerate(found["ratios"].items())
+        ]
         yield Table(_RATIOS, rows, f"{name}: {found['about']}")
 
 
-def _measure_text(value: float | None, missing: str = NONE) -> str:
-    return missing if value is None else number(value)
-
-
-def number(value: float) -> str:
-    """Return a number with three significant digits, or as an integer from 100 upwards."""
-    if value == 0:
-        return "0"
-    if abs(value) >= 100:
-        return f"{value:,.0f}"
-    return f"{value:.3g}"
-
-
 def _range(found: dict[str, Any]) -> str:
-    if found["low"] is None and found["high"] is None:
-        return NONE
-    return f"{_measure_text(found['low'])} … {_measure_text(found['high'])}"
+    low, high = found["low"], found["high"]
+    return NONE if low is None and high is None else f"{_number(low)} … {_number(high)}"
+
+
+def _number(value: float | None, missing: str = NONE) -> str:
+    """Return a number with three significant digits, or as an integer from 100 upwards."""
+    if value is None:
+        return missing
+    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"

@@ -12,22 +12,18 @@ from flipperctl.config import TrainConfig
 from flipperctl.evaluation.views import regret, risk
 from flipperctl.session import command
 from flipperctl.terminal.notices import print_notices
-from flipperctl.terminal.progress import progress, way_text
+from flipperctl.terminal.progress import TrainingProgress, way_text
 from flipperctl.terminal.streams import print_note
 from flipperctl.training.run import Finished, Reports, check_device
 
 
 def reports() -> Reports:
     """Return callbacks that show a training on stderr."""
-    return Reports([progress], print_note)
+    return Reports([TrainingProgress], print_note)
 
 
 def check_resumed(config: TrainConfig) -> None:
-    """Refuse what a resumed run cannot use, and print the notices of its configuration.
-
-    Raises:
-        ConfigError: torch cannot use the device.
-    """
+    """Refuse what a resumed run cannot use, and print the notices of its configuration."""
     check_device(config)
     print_notices(config)
 

@@ -130,7 +130,7 @@ def test_eval_json_is_one_document_on_stdout(run: Path, tmp_path: Path) -> None:
 
 def test_eval_compares_with_a_baseline_on_equal_draws(tmp_path: Path) -> None:
     arguments = ["terrain=flat", "--episodes", "5", "--baseline", "level", "--json"]
-    done = call("eval", "--controller", "level", *arguments, cwd=tmp_path)
+    done = call("eval", "--controller", "okada", *arguments, cwd=tmp_path)
     difference = json.loads(done.out)["scenes"][0]["baseline"]["difference"]
     assert difference["t_cost"] == {"mean": 0.0, "low": 0.0, "high": 0.0, "episodes": 5}
     success = difference["success"]

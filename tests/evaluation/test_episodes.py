@@ -3,7 +3,6 @@
 import os
 import signal
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +10,11 @@ import pytest
 
 from flipperctl import checkpoint
 from flipperctl.api import Outcome
-from flipperctl.api.plugin import registered_names
 from flipperctl.config import EnvConfig, EvalConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.rows import DIGEST, RECORDED, Row, arranged
-from flipperctl.evaluation.workers import EpisodeRunner, EpisodeWorkers
+from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import play
 from flipperctl.rollout.pool import WorkerPool
@@ -56,14 +54,6 @@ def test_two_processes_give_the_results_of_one() -> None:
     assert level == list(play_episodes(config, LEVEL, episodes=4, seed=3))
     assert [result["episode"] for result in one] == [0, 1, 2, 3]
     assert [result["seed"] for result in one] == EvaluationSeeds.of(3, config.terrain).first(4)
-
-
-def test_chosen_episodes_are_those_of_the_whole_evaluation() -> None:
-    config = EnvConfig(terrain="flat")
-    whole = list(play_episodes(config, LEVEL, episodes=4, seed=3))
-    assert list(play_episodes(config, LEVEL, episodes=[3, 1], seed=3)) == [whole[3], whole[1]]
-    with EpisodeWorkers(2) as workers:
-        assert list(play_episodes(config, LEVEL, episodes=[], seed=3, workers=workers)) == []
 
 
 def test_an_evaluation_survives_its_workers_and_keeps_its_numbers(
@@ -135,27 +125,6 @@ def test_a_policy_refuses_another_observation_layout(short_run: Path) -> None:
     config = EnvConfig(terrain="flat", perception={"bins": 11})
     with pytest.raises(CheckpointError, match=r"15 bins of 0\.15 m.*ask for 11"):
         list(play_episodes(config, source, episodes=1, seed=0))
-
-
-def test_every_controller_is_a_source_by_its_name_and_crosses_flat_ground() -> None:
-    for name in registered_names("controller"):
-        little = {"budget": 200, "width": 2} if name == "planner" else {}
-        source = PolicySource(settings={"name": name, **little})
-        assert source.label() == name
-        (result,) = play_episodes(EnvConfig(terrain="flat"), source, episodes=1, seed=0)
-        assert result["outcome"] == Outcome.REACHED, name
-
-
-def test_a_trace_is_the_episode_at_its_decisions() -> None:
-    runner = EpisodeRunner(EnvConfig(terrain="step"), OKADA, 3)
-    result = runner.play(2)
-    made, profile = runner.transitions(2)
-    states = [made[0].before, *(t.after for t in made)]
-    assert len(states) == result["decisions"] + 1
-    assert (states[0].time, states[-1].time) == (0.0, result["t_cost"])
-    assert profile.label == "step"
-    swing = sum(abs(b.pitch - a.pitch) for a, b in pairwise(states))
-    assert swing == pytest.approx(result["pitch_variation"])
 
 
 def test_what_a_search_reports_stands_in_the_result_of_the_episode() -> None:

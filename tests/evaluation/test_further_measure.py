@@ -21,7 +21,7 @@ EXAMPLE = str(Path(__file__).parents[2] / "examples" / "highest.py")
 
 def test_eval_shows_it_everywhere(tmp_path: Path) -> None:
     flat = ["eval", "--controller", "level", "terrain=flat", "--episodes", "5"]
-    more = ["--baseline", "level", "--output", "out", "--columns", "highest", "--plugins", EXAMPLE]
+    more = ["--baseline", "okada", "--output", "out", "--columns", "highest", "--plugins", EXAMPLE]
     done = call(*flat, *more, cwd=tmp_path)
     assert done.code == 0, done.err
     for text in ("highest [m]", "0.100 [0.100, 0.100]"):

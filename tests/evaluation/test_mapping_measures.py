@@ -19,7 +19,7 @@ MAPPING = {"map_error", "map_error_below", "drift", "unseen"}
 
 
 def measured(**perception: object) -> dict[str, float]:
-    env = FlipperEnv("flat", perception=perception)
+    env = FlipperEnv({"name": "flat", "length": 0.5}, perception=perception)
     env.reset(seed=1)
     while True:
         *_, terminated, truncated, info = env.step(4)

@@ -1,4 +1,4 @@
-"""Intervals over training seeds and episodes."""
+"""Intervals over training seeds and episodes, and aggregates worked by hand."""
 
 import math
 
@@ -6,12 +6,16 @@ import numpy as np
 import pytest
 
 from flipperctl.evaluation.seeds import (
+    PRICE,
+    Method,
     better_interval,
-    bootstrap,
     difference_interval,
+    improvement,
     interquartile_mean,
-    mean,
     mean_interval,
+    means,
+    profile,
+    resampled,
     statistic_interval,
 )
 from flipperctl.evaluation.statistics import interval
@@ -81,17 +85,53 @@ def test_few_seeds_have_their_own_quantile_and_p_value() -> None:
 
 
 @pytest.mark.parametrize("seeds", [3, 5])
-def test_the_percentile_bootstrap_misses_where_the_interval_holds(seeds: int) -> None:
+def test_intervals_of_few_seeds_hold_the_truth(seeds: int) -> None:
     rng = np.random.default_rng(3)
-    held = missed = iqm = 0
+    held = iqm = 0
     for _ in range(200):
         scores = {"a": crossed(rng, seeds, 0.5, 0.1, 0.1)}
-        ours, other = mean_interval(scores), bootstrap(scores, mean, rng, 100)
+        ours = mean_interval(scores)
         middle = statistic_interval(scores, interquartile_mean, rng, 100)
         held += ours.low <= 0 <= ours.high
-        missed += not other.low <= 0 <= other.high
         iqm += middle.low <= 0 <= middle.high
     deviation = math.sqrt(200 * 0.95 * 0.05)
     assert held > 190 - 4 * deviation
     assert iqm > 190 - 4 * deviation
-    assert missed > 20
+
+
+def test_samples_draw_the_same_seeds_in_every_scene_and_the_same_episodes_for_every_seed() -> None:
+    first = np.array([[1.0, 2.0, 4.0], [11.0, 12.0, 14.0]])  # the seeds differ by 10
+    second = np.repeat([[3.0], [13.0]], 5, axis=1)
+    drawn = resampled({"a": first, "b": second}, np.random.default_rng(0), 500)
+    assert drawn.shape == (500, 2, 2)
+    assert set(drawn[..., 1].round(9).ravel().tolist()) == {3.0, 13.0}
+    own = drawn[..., 0] - (drawn[..., 1] - 3.0)  # of the episodes alone
+    assert own[:, 0] == pytest.approx(own[:, 1])
+    assert own.mean() == pytest.approx(7 / 3, abs=0.1)
+    assert resampled({"a": np.zeros((2, 3, 4))}, np.random.default_rng(0), 5).shape == (5, 2, 4, 1)
+
+
+def test_the_interquartile_mean_leaves_out_a_quarter_at_each_end() -> None:
+    scores = np.array([[0.0, 100.0], [1.0, 2.0], [3.0, 4.0], [5.0, 6.0]])
+    assert interquartile_mean(scores) == 3.5  # of 2, 3, 4, 5
+    assert interquartile_mean(np.array([[1.0], [2.0], [9.0]])) == 4.0
+
+
+def test_ties_are_half_an_improvement() -> None:
+    ours, theirs = np.array([[1.0, 5.0], [2.0, 5.0]]), np.array([[1.0, 5.0], [1.5, 6.0]])
+    # Task 1: 1 = 1, 1 < 1.5, 2 > both: 2.5 of 4; task 2: two ties of 4: 1 of 4.
+    assert improvement(ours, theirs) == (2.5 / 4 + 1 / 4) / 2
+
+
+def test_the_profile_counts_what_is_above_a_level() -> None:
+    levels = np.array([0.0, 1.0, 2.5])
+    assert profile(np.array([[1.0, 2.0], [3.0, 1.0]]), levels) == pytest.approx([1.0, 0.5, 0.25])
+
+
+def test_an_episode_that_is_not_reached_costs_the_price() -> None:
+    values = {"stair": np.array([[1.0, 0.2], [7.0, 2.0]])}
+    method = Method("m", values, {"stair": np.array([[True, False], [True, True]])})
+    assert method.scores(PRICE)["stair"].tolist() == [[1.0, 2 * math.pi], [7.0, 2.0]]
+    assert means(method.scores(5.0)).tolist() == [[3.0], [4.5]]
+    assert method.above(PRICE) == 1
+    assert method.seeds == 2

@@ -21,7 +21,7 @@ from flipperctl.evaluation import play as playing
 from flipperctl.evaluation.evaluate import Result
 from flipperctl.evaluation.evaluate import evaluate as play_plan
 from flipperctl.evaluation.plan import Entry, Plan
-from flipperctl.evaluation.rows import DIGEST, Row
+from flipperctl.evaluation.rows import Row
 from flipperctl.evaluation.store import (
     FOLDER,
     VIEW,
@@ -240,20 +240,11 @@ def test_a_damaged_cell_is_told_and_played_again(tmp_path: Path, played: list[in
     assert played == [2, 3]
     assert told == [f"{cell} is damaged; its episodes are played again"]
     assert contents(tmp_path) == before
-
-
-def test_a_damaged_cell_whose_episodes_other_cells_have_is_removed(
-    tmp_path: Path, played: list[int]
-) -> None:
-    first = evaluate([(config(4), OKADA)], store=FolderStore(tmp_path))
-    cell = sorted(tmp_path.iterdir())[1]
+    # One whose episodes other cells have is removed.
     wide = cell.with_name(cell.name.replace("000002-000003", "000000-000003"))
     wide.write_text("half a ce")
-    played.clear()
-    told: list[str] = []
-    again = evaluate([(config(4), OKADA)], store=FolderStore(tmp_path, told.append))
-    assert again.played == first.played
-    assert (played, told, wide.exists()) == ([], [], False)
+    assert evaluate([(config(4), OKADA)], store=FolderStore(tmp_path)).played == first.played
+    assert (played, wide.exists()) == ([2, 3], False)
 
 
 def test_the_table_of_all_episodes_has_every_cell(tmp_path: Path) -> None:
@@ -270,16 +261,6 @@ def test_the_table_of_all_episodes_has_every_cell(tmp_path: Path) -> None:
     assert {row["record"] for row in rows} == {"episode"}
     mine = [row for row in table if row["cell"] == header["cell"]]
     assert [str(row["max_pitch"]) for row in rows] == [row["max_pitch"] for row in mine]
-
-
-def test_a_stored_episode_keeps_its_digest(tmp_path: Path) -> None:
-    """A record of its failure is made of it again whenever the results are read."""
-    (first,), (again,) = (
-        [one.episodes for one in evaluate([(config(2), OKADA)], store=store).rows]
-        for store in (FolderStore(tmp_path), FolderStore(tmp_path))
-    )
-    assert [e[DIGEST] for e in again] == [e[DIGEST] for e in first]
-    assert all(len(e[DIGEST]) == 64 for e in again)
 
 
 def test_cells_of_other_versions_are_used_and_counted(tmp_path: Path) -> None:
@@ -309,3 +290,28 @@ def test_a_file_that_a_reward_reads_is_part_of_what_is_stored(
         played.clear()
         evaluate([(config(1), OKADA)], store=FolderStore(tmp_path / "cells"))
         assert played == expected, content
+
+
+def test_a_policy_that_is_replaced_meanwhile_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As by a run that is still trained and finds a better policy."""
+    shipped, file = shipped_policies(), tmp_path / "best.safetensors"
+    file.write_bytes(shipped["mpc_value"].read_bytes())
+    play = EpisodeRunner.play
+
+    def replaced(self: EpisodeRunner, index: int) -> Row:
+        if index == 3:
+            file.write_bytes(shipped["generalist"].read_bytes())
+        return play(self, index)
+
+    monkeypatch.setattr(EpisodeRunner, "play", replaced)
+    learner = PolicySource(checkpoint=file)
+    scenes = [(config(5), learner), (config(5, seed=5), learner), (config(5), LEVEL)]
+    found = evaluate(scenes, store=FolderStore(tmp_path / "cells"))
+    assert [(one.entry.label, len(one.episodes)) for one in found.rows] == [("level", 5)]
+    assert len(found.failures) == 2
+    assert all("has changed since the evaluation began" in str(f.error) for f in found.failures)
+    names = [file.name for file in (tmp_path / "cells").iterdir()]
+    stored = [n for n in names if ".x." not in n and "failed" not in n]
+    assert [name.split(".")[5] for name in stored] == ["000000-000001"]

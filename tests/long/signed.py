@@ -15,6 +15,7 @@ import torch
 from flipperctl import checkpoint
 from flipperctl.agent.learner import arrays
 from flipperctl.checkpoint.contents import contents
+from flipperctl.cli.inspect.checkpoint import print_checkpoint as show
 from flipperctl.config import with_overrides
 from flipperctl.export.policy import export
 from flipperctl.policies.exported import exported_config
@@ -22,7 +23,6 @@ from flipperctl.policies.trained import policy_module
 from flipperctl.rollout.steps import RolloutRequest
 from flipperctl.runtime import OnnxPolicy
 from flipperctl.runtime.session import CHECKSUM, PLACEHOLDER, add_checksum
-from flipperctl.terminal.checkpoint import print_checkpoint as show
 from flipperctl.training.trainer import Trainer
 from tests.long.mutations import BYTES, Rng, document
 from tests.short import short_config, trainer

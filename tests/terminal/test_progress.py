@@ -16,7 +16,7 @@ def test_the_time_left_is_that_of_the_recent_rate_and_not_told_before_it_is_know
     """Of a minute's training, it is known after a few seconds; see 20 s of 30 before."""
     now = [100.0]
     monkeypatch.setattr(progress.time, "perf_counter", lambda: now[0])
-    lines = progress.Lines(1000)
+    lines = progress.TrainingProgress(1000, 0)
     # The first episode comes late. Then 10 decisions a second, from 23 s on 20.
     for seconds, decision in ((11, 20), (14, 50), (23, 140), (34, 360), (45, 580)):
         now[0] = 100.0 + seconds
@@ -34,7 +34,8 @@ def test_a_bar_is_quiet_about_what_it_does_not_know(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setenv("COLUMNS", "200")
-    bar = progress.Bar(1000, 0)
+    monkeypatch.setattr(progress.sys.stderr, "isatty", lambda: True)
+    bar = progress.TrainingProgress(1000, 0)
     bar.episode({**ROW, "decision": 500})
     bar.close()
     assert "500/1000 decisions" in (shown := capsys.readouterr().err)

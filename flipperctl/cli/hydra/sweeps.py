@@ -24,14 +24,26 @@ from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config.words import literal_override
 from flipperctl.errors import InterruptedRunError
 from flipperctl.rollout.cluster import is_connected, join
-from flipperctl.session import sweep_command
+from flipperctl.session import quote_path, sweep_command
+from flipperctl.show import NONE, Column, Table, console, print_table
+from flipperctl.terminal.progress import HEADING, PAPERS_HEADING
 from flipperctl.terminal.streams import print_note
-from flipperctl.terminal.sweep import print_comparison
-from flipperctl.training.sweep import Job, JobResult, Sweep
+from flipperctl.training.sweep import FILE, Job, JobResult, Sweep, SweepRun
 
 _OBJECT_STORE = 75 * 2**20
 """Memory for objects of a cluster of the launcher's own, which is its default [B]."""
 _MODULE = "hydra_plugins.hydra_ray_launcher.ray_launcher"
+_ROWS = 40
+"""Largest number of runs in the table; the file holds all."""
+_COLUMNS = (
+    Column("success", "success"),
+    Column("pitch_variation_100hz", HEADING, 3),
+    Column("pitch_variation", PAPERS_HEADING, 3),
+    Column("t_cost", "t_cost [s]", 1),
+    Column("decisions", "decisions"),
+    Column("seconds", "seconds", 0),
+    Column("folder", "folder", named=True),
+)
 
 
 def connect(launcher: Launcher) -> None:
@@ -169,3 +181,32 @@ class ListSweep:
                     f"interrupted; {done} of {self._jobs.jobs} runs are finished. "
                     f"Continue with: {sweep_command(self._jobs.folder)}"
                 ) from error
+
+
+def print_comparison(folder: Path, runs: Sequence[SweepRun]) -> None:
+    """Print a row for each run of the sweep in ``folder``, and the path of the file.
+
+    Print nothing without runs.
+    """
+    if not runs:
+        return
+    keys = list(dict.fromkeys(key for run in runs for key in run.swept))
+    columns = [*(Column(f"swept {key}", key, named=True) for key in keys), *_COLUMNS]
+    rows = []
+    for run in runs[:_ROWS]:
+        row = run.row()
+        success = row["success_rate"]
+        rows.append(
+            row
+            | {f"swept {key}": run.swept.get(key, "") for key in keys}
+            | {
+                "success": NONE if success is None else f"{success:.1%}",
+                "folder": run.folder.name + ("" if run.state == "finished" else f" ({run.state})"),
+            }
+        )
+    out = console(stderr=True)
+    print_table(Table(columns, rows, f"{quote_path(folder)}: {len(runs)} runs"), out)
+    left = len(runs) - _ROWS
+    more = f"{left} more runs and the table" if left > 0 else "the table"
+    text = f"{more}: {quote_path(folder / FILE)}"
+    out.print(text, highlight=False, markup=False, soft_wrap=True)

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import shlex
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from flipperctl.cli import options
 from flipperctl.errors import RequestError
+
+if TYPE_CHECKING:
+    from flipperctl.checkpoint import Checkpoint
 
 HELP = """Describe a checkpoint. Nothing in the file is executed, and no plugin is needed.
 
@@ -45,7 +48,6 @@ def run(
     from flipperctl import checkpoint
     from flipperctl.checkpoint.contents import contents
     from flipperctl.policies.exported import is_exported
-    from flipperctl.terminal.checkpoint import print_checkpoint
     from flipperctl.terminal.streams import show
 
     file = checkpoint.find(path)
@@ -65,6 +67,39 @@ def run(
     show(found, lambda: print_checkpoint(found, saved), as_json=as_json)
 
 
+def print_checkpoint(found: dict[str, Any], saved: Checkpoint) -> None:
+    """Print a line for each part of a checkpoint (``checkpoint.contents``)."""
+    from flipperctl.terminal.progress import pitch_variation_text
+
+    config, versions = found["config"], found["versions"]
+    kind = "the best policy" if found["kind"] == "best" else "a whole run to resume"
+    rewards = ", ".join(
+        f"{name} (weight {term['weight']:g})" for name, term in config["rewards"].items()
+    )
+    state = found.get("state")
+    document = saved.document
+    best = document.validation or (document.state.best if document.state else None)
+    lines = {
+        "file": f"{found['path']} ({found['bytes']} bytes, SHA-256 matches)",
+        "content": f"SHA-256 {found['content_sha256']}",
+        "holds": f"{kind}, format {found['format']}",
+        "trained on": f"{config['terrain']['name']}, seed {config['seed']}",
+        "network": f"{config['network']['name']}",
+        "rewards": rewards,
+        "decision": str(found.get("decision") or (state or {}).get("decision")),
+        "numbers": ", ".join(f"{name} {count}" for name, count in found["numbers"].items()),
+        "versions": ", ".join(f"{name} {version}" for name, version in versions.items()),
+        "plugins": ", ".join(f"{p.kind} {p.name} ({p.file or p.module})" for p in document.plugins),
+    }
+    if best:
+        lines["best"] = (
+            f"at decision {best.decision}: success {best.success_rate:.1%}, "
+            f"{pitch_variation_text(best.model_dump(), 3)}, t_cost {best.t_cost:.1f} s"
+        )
+    for name, text in lines.items():
+        print(f"{name:<11}{text}")
+
+
 def _check(file: Path, overrides: list[str], *, as_json: bool) -> None:
     from flipperctl import checkpoint
     from flipperctl.cli.hydra import config_store
@@ -72,8 +107,7 @@ def _check(file: Path, overrides: list[str], *, as_json: bool) -> None:
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.config.words import with_engine
     from flipperctl.policies.exported import exported_config, is_exported
-    from flipperctl.show import print_table
-    from flipperctl.terminal.console import console
+    from flipperctl.show import console, print_table
     from flipperctl.terminal.streams import show
     from flipperctl.testing.conventions import probe, require_conventions, table
 

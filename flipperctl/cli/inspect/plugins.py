@@ -61,12 +61,13 @@ def run(
 
 
 def _check(plugins: list[type[Plugin]], pictures: Path | None, *, as_json: bool) -> None:
+    from flipperctl.terminal.progress import steps_progress
     from flipperctl.terminal.streams import show
-    from flipperctl.terminal.tables import print_checks, shown_progress
+    from flipperctl.terminal.tables import print_checks
     from flipperctl.testing import checks
     from flipperctl.testing.check import require_passed, run_checks
 
-    with shown_progress("check") as report:
+    with steps_progress("check") as report:
         rows = run_checks(checks(*plugins, pictures=pictures), report)
     show(rows, lambda: print_checks(rows), as_json=as_json)
     require_passed(rows)

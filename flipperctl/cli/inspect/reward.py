@@ -94,8 +94,7 @@ def run(
     from flipperctl.cli.scenes import scenes
     from flipperctl.evaluation.conditions import Conditions
     from flipperctl.evaluation.views.audit import audit, table
-    from flipperctl.show import print_table
-    from flipperctl.terminal.console import console
+    from flipperctl.show import console, print_table
     from flipperctl.terminal.progress import episodes_progress
     from flipperctl.terminal.streams import show
 
@@ -112,8 +111,7 @@ def run(
 def _compare(names: str, overrides: list[str], as_json: bool) -> None:
     from flipperctl.cli.reward_scenes import policies, reward_scenes
     from flipperctl.evaluation.views import ranking
-    from flipperctl.show import print_table
-    from flipperctl.terminal.console import console, print_lines
+    from flipperctl.show import console, print_lines, print_table
     from flipperctl.terminal.streams import show
 
     sources, others = policies(names, overrides)
@@ -139,8 +137,7 @@ def _regret(
     from flipperctl.cli.reward_scenes import regret_scenes
     from flipperctl.errors import InterruptedRunError
     from flipperctl.evaluation.views import regret
-    from flipperctl.show import print_table
-    from flipperctl.terminal.console import console, print_lines
+    from flipperctl.show import console, print_lines, print_table
     from flipperctl.terminal.streams import show
 
     scenes = regret_scenes(words, checkpoint, controller, against)

@@ -82,11 +82,7 @@ def parse_axes(text: str, config: EvalConfig, option: str = "--over") -> tuple[A
 
 
 def grid_config(config: EvalConfig, axes: tuple[Axis, Axis], at: tuple[int, int]) -> EvalConfig:
-    """Return the configuration of the grid point at two indices, one for each axis.
-
-    Raises:
-        ConfigError: a value is out of the bounds of its setting, or not possible with the others.
-    """
+    """Return the configuration of the grid point at two indices, one for each axis."""
     overrides: dict[str, float] = {}
     for axis, index in zip(axes, at, strict=True):
         overrides |= axis.at(index)

@@ -11,7 +11,6 @@ import json
 import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,11 +25,25 @@ from flipperctl.errors import ConfigError, RequestError
 from flipperctl.evaluation.store import FOLDER, played_policies
 from flipperctl.evaluation.stored import SUMMARY
 from flipperctl.evaluation.views import risk
-from flipperctl.evaluation.views.markdown import StoredRow, ends_text, markdown_table, read_rows
+from flipperctl.evaluation.views.summary import compared
 from flipperctl.files import OutputKind
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource
+from flipperctl.show import NONE, Column, Table, markdown
 
+MEASURES = ("pitch_variation_100hz", "pitch_variation", "t_cost", "max_pitch", "flipper_travel")
+"""Measures of a row; those over the episodes that reached the finish, but ``max_pitch``."""
+RISK = (
+    *("horizon", "threshold", "failures", "announced", "reached"),
+    *("false_alarms", "false_warnings"),
+)
+"""What a row keeps of how a policy's risk fits the ends of its episodes."""
+Ends = Sequence[float | None]
+"""Mean, and the ends of its 95 % interval, None for fewer than five values."""
+StoredRow = dict[str, Any]
+"""One method on one scene: ``terrain``, ``conditions`` and their ``hash``, ``engine``, ``seed``,
+``method``, ``is_policy``, ``episodes``, ``outcomes``, ``success`` and ``measures`` as ends, the
+policy's ``difference`` from a baseline in θ̂_R at 100 Hz, and counts of its ``risk``."""
 _OVERRIDES = Path(".hydra") / "overrides.yaml"
 """Where a run keeps the words of its command."""
 CARD = OutputKind("a card", (".md",), re.compile(rb"\A---\nlibrary_name: flipperctl\n"))
@@ -42,186 +55,22 @@ _METRICS = {
     "t_cost": "time to the finish [s]",
 }
 _COLUMNS = (
-    "terrain",
-    "conditions",
-    "method",
-    "n",
-    "reached",
-    "success",
-    "swing+",
-    "decisions+",
-    "time+",
+    Column("terrain", "terrain"),
+    Column("conditions", "conditions"),
+    Column("method", "policy"),
+    Column("episodes", "episodes"),
+    Column("reached", "reached"),
+    Column("success", "success"),
+    Column("pitch_variation_100hz", "θ̂_R [rad]"),
+    Column("pitch_variation", "θ̂_R at decisions [rad]"),
+    Column("t_cost", "t_cost [s]"),
 )
-
-
-@dataclass(frozen=True)
-class CardFacts:
-    """What a card tells."""
-
-    name: str
-    content: str
-    """SHA-256 of the policy's content."""
-    version: str
-    """Version of the package that trained it."""
-    network: str
-    terrain: str
-    """Terrain of the training."""
-    seed: int
-    """Seed of the training."""
-    decisions: int | None
-    seconds: float | None
-    """Duration of the training [s]; None if the run's summary is missing."""
-    robot: str
-    """The robot's settings in words."""
-    training: str | None
-    """Command of the training; None if it is not known."""
-    settings: Mapping[str, Any]
-    """Settings of the training that differ from the defaults, by path."""
-    rows: Sequence[StoredRow]
-    """Results of the policy and its baselines."""
-    commands: Sequence[str]
-    """Commands that make the results again."""
-
-
-def card_text(facts: CardFacts) -> str:
-    """Return the whole card."""
-    parts = [
-        _front_matter(facts),
-        f"# {facts.name}\n",
-        *_use(facts),
-        *_training(facts),
-        *_results(facts),
-        *_limits(facts),
-        *_commands(facts),
-    ]
-    return "\n".join(parts)
-
-
-def model_index(facts: CardFacts) -> list[dict[str, Any]]:
-    """Return the ``model-index`` of the policy's own results."""
-    results = [_result(row) for row in facts.rows if row["is_policy"]]
-    return [{"name": facts.name, "results": results}]
-
-
-def _front_matter(facts: CardFacts) -> str:
-    head: dict[str, Any] = {"library_name": "flipperctl", "tags": list(TAGS)}
-    if facts.rows:
-        head["model-index"] = model_index(facts)
-    text = yaml.safe_dump(head, sort_keys=False, allow_unicode=True, width=100)
-    return f"---\n{text}---\n"
-
-
-def _result(row: StoredRow) -> dict[str, Any]:
-    metrics: list[dict[str, Any]] = [
-        {"type": "success_rate", "value": row["success"][0], "name": "success rate"}
-    ]
-    for name, words in _METRICS.items():
-        if (ends := row["measures"][name]) is not None:
-            metrics.append({"type": name, "value": ends[0], "name": words})
-    return {
-        "task": dict(_TASK),
-        "dataset": {
-            "name": f"{row['terrain']}, conditions {row['conditions']} {row['hash']}",
-            "type": f"flipperctl/{row['terrain']}",
-            "args": {"episodes": row["episodes"], "seed": row["seed"], "engine": row["engine"]},
-        },
-        "metrics": metrics,
-    }
-
-
-def _use(facts: CardFacts) -> Iterator[str]:
-    yield "## What it is for\n"
-    yield (
-        f"It controls the flippers of a tracked robot ({facts.robot}): at each decision it maps "
-        "terrain heights, flipper angles and pitch to one of nine turns of the flippers. It was "
-        "trained in simulation; nothing here says how it does on a robot.\n"
-    )
-
-
-def _training(facts: CardFacts) -> Iterator[str]:
-    yield "## How it was trained\n"
-    decisions = "" if facts.decisions is None else f", {facts.decisions:,} decisions"
-    seconds = "" if facts.seconds is None else f" in {facts.seconds:,.0f} s"
-    yield (
-        f"Network `{facts.network}` on the terrain `{facts.terrain}`, seed {facts.seed}{decisions}"
-        f"{seconds}, with flipperctl {facts.version}.\n"
-    )
-    if facts.training is not None:
-        yield f"```sh\n{facts.training}\n```\n"
-    if facts.settings:
-        yield "Settings that differ from the defaults:\n"
-        yield "| setting | value |\n|---|---|"
-        yield from (f"| `{path}` | {value} |" for path, value in facts.settings.items())
-        yield ""
-    yield f"SHA-256 of configuration and weights: `{facts.content}`\n"
-
-
-def _results(facts: CardFacts) -> Iterator[str]:
-    yield "## Results\n"
-    if not facts.rows:
-        yield "None yet: `flipperctl card POLICY RESULT_DIR` adds those of `eval --output`.\n"
-        return
-    yield (
-        "θ̂_R is the sum of the absolute pitch changes, at 100 Hz and at decisions, over the "
-        "episodes that reached the finish; 95 % intervals. The last table has paired differences.\n"
-    )
-    for label, rows in _by_conditions(facts.rows).items():
-        yield f"Conditions {label}:\n"
-        yield from markdown_table(rows, _COLUMNS)
-        yield ""
-    differences = [row for row in facts.rows if row["difference"] is not None]
-    if differences:
-        yield "| terrain | conditions | θ̂_R minus that of | difference [rad] |\n|---|---|---|---|"
-        for row in differences:
-            text = ends_text(row["difference"], 2)
-            where = f"`{row['terrain']}` | {row['conditions']} {row['hash']}"
-            yield f"| {where} | `{row['method']}` | {text} |"
-        yield ""
-
-
-def _by_conditions(rows: Sequence[StoredRow]) -> dict[str, list[StoredRow]]:
-    """Return the rows by the name of their conditions, engine and seed, in their order."""
-    found: dict[str, list[StoredRow]] = {}
-    for row in rows:
-        label = f"`{row['conditions']}`, engine `{row['engine']}`, seed {row['seed']}"
-        found.setdefault(label, []).append(row)
-    return found
-
-
-def _limits(facts: CardFacts) -> Iterator[str]:
-    yield "## Limits\n"
-    own = [row for row in facts.rows if row["is_policy"]]
-    failed = [row for row in own if row["outcomes"]["reached"] < row["episodes"]]
-    for row in failed:
-        causes = ", ".join(
-            f"{count} {outcome}"
-            for outcome, count in row["outcomes"].items()
-            if count and outcome != "reached"
-        )
-        missed = row["episodes"] - row["outcomes"]["reached"]
-        where = f"`{row['terrain']}` ({row['hash']})"
-        yield f"- {where}: {missed} of {row['episodes']} not reached: {causes}."
-    if own and not failed:
-        yield "- Every evaluated episode reached the finish."
-    for row in facts.rows:
-        low = row["difference"][1] if row["difference"] is not None else None
-        if low is not None and low > 0:
-            yield (
-                f"- `{row['terrain']}` ({row['hash']}): a larger θ̂_R than `{row['method']}`, by "
-                f"{ends_text(row['difference'], 2)} rad."
-            )
-    for row in own:
-        if "risk" in row:
-            yield f"- Its risk on `{row['terrain']}` ({row['hash']}): {risk.text(row['risk'])}."
-    yield "- Other robots, terrains and conditions than those above were not evaluated.\n"
-
-
-def _commands(facts: CardFacts) -> Iterator[str]:
-    if facts.commands:
-        yield "## Commands\n"
-        yield "```sh\n" + "\n".join(facts.commands) + "\n```\n"
-
-
+_DIFFERENCES = (
+    Column("terrain", "terrain"),
+    Column("conditions", "conditions"),
+    Column("method", "θ̂_R minus that of"),
+    Column("difference", "difference [rad]"),
+)
 _SECTIONS = (
     *("agent", "network", "rewards", "teacher", "train"),
     *("episode", "perception", "robot", "sim", "randomise"),
@@ -229,35 +78,81 @@ _SECTIONS = (
 """Sections whose changed settings the card lists."""
 
 
-def card_facts(
-    policy: Path, file: Path, results: Sequence[Path], commands: Sequence[str] = ()
-) -> CardFacts:
-    """Return the facts about a policy; ``policy`` is the name or path, ``file`` its checkpoint.
+def rows_of(document: Mapping[str, Any]) -> Iterator[StoredRow]:
+    """Yield the rows of a document of ``eval --json``; in each scene the policy's is the first.
 
     Raises:
-        CheckpointError: the checkpoint cannot be read.
-        RequestError: a folder holds no results, or those of another policy.
+        KeyError: the document has another form.
     """
-    saved = checkpoints.read(file)
-    config, document = saved.policy_config(), saved.document
-    robot = config.robot
-    label = PolicySource(checkpoint=file).label()
-    return CardFacts(
-        name=policy.name if policy.is_dir() else Path(label).stem,
-        content=saved.content,
-        version=document.versions["flipperctl"],
-        network=config.network.plugin_name,
-        terrain=config.terrain.plugin_name,
-        seed=config.seed,
-        decisions=_decisions(saved),
-        seconds=_seconds(policy),
-        robot=f"chassis {robot.chassis_length:g} m, flippers {robot.flipper_length:g} m, tracks "
-        f"{robot.track_speed:g} m/s",
-        training=_command(policy),
-        settings=_changed(config),
-        rows=policy_rows(file, results),
-        commands=commands,
-    )
+    for scene in document["scenes"]:
+        for method in (scene, *compared(scene)):
+            yield _row(scene, method, is_policy=method is scene)
+
+
+def _row(scene: Mapping[str, Any], method: Mapping[str, Any], *, is_policy: bool) -> StoredRow:
+    conditions, told = scene["conditions"], method.get("risk")
+    return {
+        "terrain": scene["terrain"],
+        "conditions": conditions["name"],
+        "hash": conditions["hash"],
+        "engine": conditions["sim"]["name"],
+        "seed": scene["seed"],
+        "method": method["controller"],
+        "is_policy": is_policy,
+        "episodes": method["episodes"],
+        "outcomes": dict(method["outcomes"]),
+        "success": _ends(method["success"]),
+        "measures": {name: _ends(method[name]) for name in MEASURES},
+        "difference": None if is_policy else _ends(method["difference"]["pitch_variation_100hz"]),
+        **({} if told is None else {"risk": {name: told[name] for name in RISK}}),
+    }
+
+
+def _ends(interval: Mapping[str, Any] | None) -> Ends | None:
+    """Return mean and ends, with the six digits that tables need at most."""
+    if interval is None:
+        return None
+    ends = (interval[name] for name in ("mean", "low", "high"))
+    return tuple(None if end is None else float(f"{end:.6g}") for end in ends)
+
+
+def ends_text(ends: Ends | None, digits: int, *, interval: bool = True) -> str:
+    """Return a mean with ``digits`` decimals and, if there is one, its interval."""
+    if ends is None:
+        return NONE
+    mean, low, high = ends
+    text = f"{mean:.{digits}f}"
+    if not interval or low is None or high is None:
+        return text
+    return f"{text} [{low:.{digits}f}, {high:.{digits}f}]"
+
+
+def read_document(folder_or_file: Path) -> dict[str, Any]:
+    """Return the results of a folder of ``eval --output``, or of its file, with their ``rows``.
+
+    Raises:
+        RequestError: there is no such file, it holds no results of ``eval``, or not all of them.
+    """
+    path = folder_or_file / SUMMARY if folder_or_file.is_dir() else folder_or_file
+    try:
+        document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        if document.get("interrupted"):
+            raise RequestError(
+                f"{path}: its evaluation was interrupted; eval with the same words and --output "
+                "goes on"
+            )
+        if failed := document.get("failed"):
+            raise RequestError(
+                f"{path}: results are missing, since {failed[0]['controller']} failed on "
+                f"{failed[0]['terrain']}"
+            )
+        return document | {"rows": list(rows_of(document))}
+    except OSError as error:
+        raise RequestError(f"{path}: it cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise RequestError(f"{path}: it is no JSON document: {error}") from error
+    except (KeyError, TypeError, AttributeError) as error:
+        raise RequestError(f"{path}: it holds no results of eval; it lacks {error}") from error
 
 
 def policy_rows(file: Path, results: Sequence[Path]) -> list[StoredRow]:
@@ -268,7 +163,7 @@ def policy_rows(file: Path, results: Sequence[Path]) -> list[StoredRow]:
     """
     found = []
     for folder in results:
-        rows, played = read_rows(folder), played_policies(folder / FOLDER)
+        rows, played = read_document(folder)["rows"], played_policies(folder / FOLDER)
         policies = list(dict.fromkeys(row["method"] for row in rows if row["is_policy"]))
         others = [method for method in policies if not _is(method, file)]
         if others == policies:
@@ -278,9 +173,7 @@ def policy_rows(file: Path, results: Sequence[Path]) -> list[StoredRow]:
                 f"{folder}: it holds results of {', '.join(others)}, too; a card is of one policy "
                 "and its baselines: evaluate it with --baseline okada,level, alone"
             )
-        for row in rows:
-            if not row["is_policy"]:
-                continue
+        for row in (row for row in rows if row["is_policy"]):
             digests = {one.digest for one in played.get((row["method"], row["hash"]), ())}
             if digests and PolicyIdentity.of(PolicySource(checkpoint=file)).digest not in digests:
                 raise RequestError(
@@ -299,29 +192,91 @@ def _is(label: str, file: Path) -> bool:
     return other.is_file() and content_digest(other) == content_digest(file)
 
 
-def _decisions(saved: Checkpoint) -> int | None:
-    document = saved.document
-    if document.decision is not None:
-        return document.decision
-    return document.state.decision if document.state is not None else None
+def card_text(
+    policy: Path, file: Path, rows: Sequence[StoredRow] = (), commands: Sequence[str] = ()
+) -> str:
+    """Return the card of a policy; ``policy`` is the name or path, ``file`` its checkpoint.
+
+    ``rows``: results of ``policy_rows``; ``commands``: those that make the results again.
+
+    Raises:
+        CheckpointError: the checkpoint cannot be read.
+    """
+    saved = checkpoints.read(file)
+    label = PolicySource(checkpoint=file).label()
+    name = policy.name if policy.is_dir() else Path(label).stem
+    parts = [front_matter(name, rows), f"# {name}\n", *_training(policy, saved)]
+    parts += [*results(rows), *limits(rows)]
+    if commands:
+        parts += ["## Commands\n", "```sh\n" + "\n".join(commands) + "\n```\n"]
+    return "\n".join(parts)
+
+
+def front_matter(name: str, rows: Sequence[StoredRow]) -> str:
+    """Return the front matter, whose ``model-index`` has the policy's own results."""
+    head: dict[str, Any] = {"library_name": "flipperctl", "tags": list(TAGS)}
+    if rows:
+        own = [_result(row) for row in rows if row["is_policy"]]
+        head["model-index"] = [{"name": name, "results": own}]
+    text = yaml.safe_dump(head, sort_keys=False, allow_unicode=True, width=100)
+    return f"---\n{text}---\n"
+
+
+def _result(row: StoredRow) -> dict[str, Any]:
+    success = {"type": "success_rate", "value": row["success"][0], "name": "success rate"}
+    measured = [(key, words, row["measures"][key]) for key, words in _METRICS.items()]
+    metrics = [{"type": key, "value": e[0], "name": words} for key, words, e in measured if e]
+    return {
+        "task": dict(_TASK),
+        "dataset": {
+            "name": f"{row['terrain']}, conditions {row['conditions']} {row['hash']}",
+            "type": f"flipperctl/{row['terrain']}",
+            "args": {"episodes": row["episodes"], "seed": row["seed"], "engine": row["engine"]},
+        },
+        "metrics": [success, *metrics],
+    }
+
+
+def _training(policy: Path, saved: Checkpoint) -> Iterator[str]:
+    """Yield what the policy is for, and how it was trained."""
+    config, document = saved.policy_config(), saved.document
+    robot = config.robot
+    yield "## What it is for\n"
+    yield (
+        f"It controls the flippers of a tracked robot (chassis {robot.chassis_length:g} m, "
+        f"flippers {robot.flipper_length:g} m, tracks {robot.track_speed:g} m/s): at each decision "
+        "it maps terrain heights, flipper angles and pitch to one of nine turns of the flippers. "
+        "It was trained in simulation; nothing here says how it does on a robot.\n"
+    )
+    yield "## How it was trained\n"
+    state = document.state
+    count = document.decision if state is None or document.decision is not None else state.decision
+    seconds = _seconds(policy)
+    decisions = "" if count is None else f", {count:,} decisions"
+    yield (
+        f"Network `{config.network.plugin_name}` on the terrain `{config.terrain.plugin_name}`, "
+        f"seed {config.seed}{decisions}{'' if seconds is None else f' in {seconds:,.0f} s'}, with "
+        f"flipperctl {document.versions['flipperctl']}.\n"
+    )
+    try:
+        words = strict_yaml.read(policy / _OVERRIDES, _OVERRIDES.parent.name)
+        yield f"```sh\n{shlex.join(['flipperctl', 'train', *map(str, words or ())])}\n```\n"
+    except ConfigError:
+        pass  # the command is not known
+    if changed := _changed(config):
+        yield "Settings that differ from the defaults:\n"
+        yield "| setting | value |\n|---|---|"
+        yield from (f"| `{path}` | {value} |" for path, value in changed.items())
+        yield ""
+    yield f"SHA-256 of configuration and weights: `{saved.content}`\n"
 
 
 def _seconds(run: Path) -> float | None:
     """Return the duration of a run's training [s], if its summary is there."""
     try:
-        found: Any = json.loads((run / SUMMARY).read_text(encoding="utf-8"))["seconds"]
+        return float(json.loads((run / SUMMARY).read_text(encoding="utf-8"))["seconds"])
     except (OSError, ValueError, KeyError, TypeError):
         return None
-    return float(found)
-
-
-def _command(run: Path) -> str | None:
-    """Return the command of a run, from the overrides that were stored with it."""
-    try:
-        words = strict_yaml.read(run / _OVERRIDES, _OVERRIDES.parent.name)
-    except ConfigError:
-        return None
-    return shlex.join(["flipperctl", "train", *map(str, words or ())])
 
 
 def _changed(config: TrainConfig) -> dict[str, Any]:
@@ -333,3 +288,66 @@ def _changed(config: TrainConfig) -> dict[str, Any]:
         if chosen and not plugin and setting.value not in (setting.field.default, {}):
             found[setting.path] = json.dumps(setting.value)
     return found
+
+
+def results(rows: Sequence[StoredRow]) -> Iterator[str]:
+    """Yield the tables of the policy and its baselines, and that of their differences."""
+    yield "## Results\n"
+    if not rows:
+        yield "None yet: `flipperctl card POLICY RESULT_DIR` adds those of `eval --output`.\n"
+        return
+    yield (
+        "θ̂_R is the sum of the absolute pitch changes, at 100 Hz and at decisions, over the "
+        "episodes that reached the finish; 95 % intervals. The last table has paired differences.\n"
+    )
+    together: dict[str, list[StoredRow]] = {}
+    for row in rows:
+        label = f"`{row['conditions']}`, engine `{row['engine']}`, seed {row['seed']}"
+        together.setdefault(label, []).append(_texts(row))
+    for label, found in together.items():
+        yield f"Conditions {label}:\n"
+        yield from (*markdown(Table(_COLUMNS, found)), "")
+    if gaps := [_texts(row) for row in rows if row["difference"] is not None]:
+        yield from (*markdown(Table(_DIFFERENCES, gaps)), "")
+
+
+def _texts(row: StoredRow) -> StoredRow:
+    """Return a row with the texts of the card's tables."""
+    digits = {"pitch_variation_100hz": 2, "pitch_variation": 2, "t_cost": 1}
+    return {
+        **{name: ends_text(row["measures"][name], n) for name, n in digits.items()},
+        "terrain": f"`{row['terrain']}`",
+        "conditions": f"{row['conditions']} {row['hash']}",
+        "method": f"`{row['method']}`",
+        "episodes": row["episodes"],
+        "reached": row["outcomes"]["reached"],
+        "success": ends_text(row["success"], 3),
+        "difference": ends_text(row["difference"], 2),
+    }
+
+
+def limits(rows: Sequence[StoredRow]) -> Iterator[str]:
+    """Yield where the policy fails, and where it is worse than a baseline."""
+    yield "## Limits\n"
+    own = [row for row in rows if row["is_policy"]]
+    failed = [row for row in own if row["outcomes"]["reached"] < row["episodes"]]
+    for row in failed:
+        outcomes = row["outcomes"].items()
+        causes = ", ".join(
+            f"{n} {outcome}" for outcome, n in outcomes if n and outcome != "reached"
+        )
+        missed = f"{row['episodes'] - row['outcomes']['reached']} of {row['episodes']}"
+        yield f"- `{row['terrain']}` ({row['hash']}): {missed} not reached: {causes}."
+    if own and not failed:
+        yield "- Every evaluated episode reached the finish."
+    for row in rows:
+        low = row["difference"][1] if row["difference"] is not None else None
+        if low is not None and low > 0:
+            yield (
+                f"- `{row['terrain']}` ({row['hash']}): a larger θ̂_R than `{row['method']}`, by "
+                f"{ends_text(row['difference'], 2)} rad."
+            )
+    for row in own:
+        if "risk" in row:
+            yield f"- Its risk on `{row['terrain']}` ({row['hash']}): {risk.text(row['risk'])}."
+    yield "- Other robots, terrains and conditions than those above were not evaluated.\n"

@@ -8,13 +8,13 @@ rate, since an episode that is not reached costs the price.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from flipperctl.api import FloatArray, Measure
+from flipperctl.api import Measure
 from flipperctl.config import resolver
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.seeds import (
@@ -54,6 +54,21 @@ _STYLES = ("-", "--", "-.")
 """Lines of methods beside each other; with ten colours, 30 methods differ."""
 _RESAMPLES = 400
 """Number of bootstrap samples of a band [-]."""
+_METHODS = (
+    Column("name", "method", named=True),
+    Column("success_text", "success"),
+    Column("score", "mean score", 3),
+    Column("iqm", "IQM", 3),
+    Column("reached_mean", "mean of reached", 3),
+)
+_GAPS = (
+    Column("name", "method", named=True),
+    Column("other", "against", named=True),
+    Column("score", "Δ score", 3, "+"),
+    Column("p_text", "p (Holm)"),
+    Column("success_text", "Δ success [%] (p)"),
+    Column("better", "better, episodes", 2),
+)
 
 
 @dataclass(frozen=True)
@@ -190,50 +205,24 @@ def difference(method: Method, other: Method, price: float) -> Document:
 def tables(found: Document, label: str) -> Iterator[Table]:
     """Yield the table of methods and that of their differences; ``label``: of the measure."""
     episodes = ", ".join(f"{scene} {count}" for scene, count in found["episodes"].items())
-    rows = []
+    rows: list[Document] = []
+    gaps: list[Document] = []
     for one in found["methods"]:
+        name = short(one["method"])
         seeds = f" ({one['seeds']} seeds)" if one["seeds"] > 1 else ""
-        rows.append(one | {"name": f"{short(one['method'])}{seeds}", **_success(one)})
-        if len(found["episodes"]) > 1:
-            rows += [
-                {"name": f"  {scene}", "score": score, "success_text": "", "dim": True}
-                | {"iqm": "", "reached_mean": ""}
-                for scene, score in one["by_scene"].items()
-            ]
-    columns = (
-        Column("name", "method", named=True),
-        Column("success_text", "success"),
-        Column("score", "mean score", 3),
-        Column("iqm", "IQM", 3),
-        Column("reached_mean", "mean of reached", 3),
-    )
+        rows.append(one | {"name": f"{name}{seeds}", "success_text": rate_text(one["success"])})
+        parts = one["by_scene"].items() if len(found["episodes"]) > 1 else ()
+        empty = {"success_text": "", "iqm": "", "reached_mean": "", "dim": True}
+        rows += [{"name": f"  {scene}", "score": score, **empty} for scene, score in parts]
+        for gap in one.get("comparisons", [one["comparison"]] if one["comparison"] else []):
+            mean, p = gap["success"]["mean"], gap["p_success_holm"]
+            success = "±0" if mean == 0 else f"{100 * mean:+.3g} (p {p_text(p)})"
+            texts = {"p_text": p_text(gap["p_holm"]), "success_text": success}
+            gaps.append(gap | {"name": name, "other": short(gap["against"]), **texts})
     notes = [f"Score: {label}; a failed episode counts {found['price']:.4g}."]
-    yield Table(columns, rows, f"Episodes of each seed: {episodes}", notes)
-    gaps = [
-        gap | {"name": short(one["method"]), "other": short(gap["against"]), **_gap(gap)}
-        for one in found["methods"]
-        for gap in one.get("comparisons", [one["comparison"]] if one["comparison"] else [])
-    ]
+    yield Table(_METHODS, rows, f"Episodes of each seed: {episodes}", notes)
     if gaps:
-        compared = (
-            Column("name", "method", named=True),
-            Column("other", "against", named=True),
-            Column("score", "Δ score", 3, "+"),
-            Column("p_text", "p (Holm)"),
-            Column("success_text", "Δ success [%] (p)"),
-            Column("better", "better, episodes", 2),
-        )
-        yield Table(compared, gaps, "Differences on the same episodes; a smaller score is better")
-
-
-def _success(one: Mapping[str, Any]) -> Document:
-    return {"success_text": rate_text(one["success"])}
-
-
-def _gap(gap: Mapping[str, Any]) -> Document:
-    mean, p = gap["success"]["mean"], gap["p_success_holm"]
-    text = "±0" if mean == 0 else f"{100 * mean:+.3g} (p {p_text(p)})"
-    return {"p_text": p_text(gap["p_holm"]), "success_text": text}
+        yield Table(_GAPS, gaps, "Differences on the same episodes; a smaller score is better")
 
 
 def price_warnings(found: Document) -> Iterator[str]:
@@ -275,7 +264,11 @@ def figure(found: Comparison) -> Figure:
     levels = np.linspace(0.0, price, _LEVELS, endpoint=False)
     colours = matplotlib.colormaps["tab10"].colors  # type: ignore[attr-defined]  # it is listed
     for index, method in enumerate(methods):
-        curve, low, high = profile_band(method, price, levels)
+        scores = method.scores(price)
+        curve = np.mean([1.0 - profile(values, levels) for values in scores.values()], axis=0)
+        below = {k: (v[:, :, None] <= levels).astype(np.float64) for k, v in scores.items()}
+        drawn_means = resampled(below, np.random.default_rng(0), _RESAMPLES).mean(axis=(1, 3))
+        low, high = np.percentile(drawn_means, [2.5, 97.5], axis=0)  # each (L,)
         colour, style = colours[index % len(colours)], _STYLES[index % len(_STYLES)]
         name = f"{method.name}, {method.seeds} seeds" if method.seeds > 1 else method.name
         axes.step(levels, curve, style, where="post", color=colour, linewidth=1.8, label=name)
@@ -285,15 +278,3 @@ def figure(found: Comparison) -> Figure:
     style_axes(axes, "", found.label, "share of episodes at or below")
     legend_above(axes)
     return drawn
-
-
-def profile_band(
-    method: Method, price: float, levels: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the profile and the ends of its band at each level, (L,), the mean over scenes."""
-    scores = method.scores(price)
-    curve = np.mean([1.0 - profile(values, levels) for values in scores.values()], axis=0)
-    below = {k: (values[:, :, None] <= levels).astype(np.float64) for k, values in scores.items()}
-    drawn = resampled(below, np.random.default_rng(0), _RESAMPLES).mean(axis=(1, 3))  # (B, L)
-    low, high = np.percentile(drawn, [2.5, 97.5], axis=0)
-    return curve, low, high

@@ -31,7 +31,7 @@ from flipperctl.evaluation.views.summary import (
 )
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import Decision, play
-from flipperctl.show import Column, Table
+from flipperctl.show import NONE, Column, Table
 
 Config = TypeVar("Config", bound=EnvConfig)
 _SHARED: tuple[SharedSetting, ...] = ("friction", "gravity")
@@ -66,11 +66,7 @@ class Cause(StrEnum):
 
 
 def in_default_engine(config: Config) -> Config:
-    """Return the configuration in the default engine, with the same friction and gravity.
-
-    Raises:
-        ConfigError: it samples what that engine does not have.
-    """
+    """Return the configuration in the default engine, with the same friction and gravity."""
     sim = config.sim
     if sim.plugin_name == DEFAULT_ENGINE:
         return config
@@ -138,7 +134,16 @@ def _groups(result: Result) -> Iterator[list[Played]]:
 def _document(group: Sequence[Played]) -> Document:
     ours, theirs, *rest = group
     entry, last = theirs.entry, group[-1]
-    failed = [_failure(ours, row) for row in last.episodes.failed]
+    failed = [
+        {
+            **{name: row[name] for name in ("episode", "seed", "terrain", "outcome")},
+            "cause": row[CAUSE],
+            "default_outcome": before["outcome"],
+            "time": row["t_cost"],
+            **{name: row[column] for name, column in END.items()},
+        }
+        for row, before in last.episodes.failed.paired(ours.episodes)
+    ]
     counts = Counter(one["cause"] for one in failed).most_common()
     found: Document = {
         "terrain": entry.terrain,
@@ -170,17 +175,6 @@ def _kept(first: Played, then: Played) -> float | None:
     return sum(crossed) / len(crossed) if crossed else None
 
 
-def _failure(first: Played, row: Row) -> Document:
-    ((_, before),) = Episodes((row,)).paired(first.episodes)
-    return {
-        **{name: row[name] for name in ("episode", "seed", "terrain", "outcome")},
-        "cause": row[CAUSE],
-        "default_outcome": before["outcome"],
-        "time": row["t_cost"],
-        **{name: row[column] for name, column in END.items()},
-    }
-
-
 def _explain(config: EvalConfig, source: PolicySource, row: Row) -> Row:
     """Play a failed episode again; return its cause and the robot's posture at its end."""
     states: list[RobotState] = []
@@ -195,7 +189,10 @@ def _explain(config: EvalConfig, source: PolicySource, row: Row) -> Row:
         cause = Cause(sensing)
     else:
         cause = _cause(end, row["outcome"], config)
-        if cause is Cause.STUCK and _reached_with_friction(config, source, row["seed"]):
+        more = with_friction(config) if cause is Cause.STUCK else None
+        if more is not None and reached(
+            play(FlipperEnv(config=more), source.build(more), row["seed"])
+        ):
             cause = Cause.TRACTION
     posture = float(end.position[0]), end.pitch, end.roll, end.yaw, end.side
     return {CAUSE: str(cause), **dict(zip(END.values(), posture, strict=True))}
@@ -211,14 +208,6 @@ def _cause(end: RobotState, outcome: str, config: EvalConfig) -> Cause:
         return Cause.ROLL if rolled else Cause.HEADING
     astray = abs(end.yaw) > _OFF_HEADING or abs(end.side) > _OFF_SIDE
     return Cause.HEADING if astray else Cause.STUCK
-
-
-def _reached_with_friction(config: EvalConfig, source: PolicySource, seed: int) -> bool:
-    """Return whether the episode reaches the finish with more friction."""
-    changed = with_friction(config)
-    if changed is None:
-        return False
-    return reached(play(FlipperEnv(config=changed), source.build(changed), seed))
 
 
 def with_friction(config: EvalConfig) -> EvalConfig | None:
@@ -251,25 +240,25 @@ def tables(found: Sequence[Mapping[str, Any]]) -> Iterator[Table]:
     """Yield the table of losses; a row for each step of each policy on each terrain."""
     rows = []
     for one in found:
-        first, second = one["engines"]
-        who = {"terrain": one["terrain"], "policy": short(one["controller"])}
         causes = ", ".join(f"{cause} {count}" for cause, count in one["causes"].items())
-        sensed = one.get("sensed")
-        last = "" if sensed else causes
-        rows.append({**who, "step": f"{first} → {second}", "causes": last, **_gap(one)})
-        if sensed:
-            rows.append({**who, "step": sensed["sensor"], "causes": causes, **_gap(sensed)})
+        steps = {" → ".join(one["engines"]): one}
+        if "sensed" in one:
+            steps[one["sensed"]["sensor"]] = one["sensed"]
+        for at, (step, lost) in enumerate(steps.items(), 1):
+            kept = lost["kept"]
+            rows.append(
+                {
+                    "terrain": one["terrain"],
+                    "policy": short(one["controller"]),
+                    "step": step,
+                    "causes": causes if at == len(steps) else "",
+                    "success": gap_text(lost["gap"]["success"]),
+                    "variation": lost["gap"]["pitch_variation_100hz"],
+                    "kept": NONE if kept is None else f"{100 * kept:.3g} %",
+                }
+            )
     if rows:
         yield Table(_COLUMNS, rows, "From engine to engine, same episodes")
-
-
-def _gap(one: Mapping[str, Any]) -> Document:
-    gap, kept = one["gap"], one["kept"]
-    return {
-        "success": gap_text(gap["success"]),
-        "variation": gap["pitch_variation_100hz"],
-        "kept": "–" if kept is None else f"{100 * kept:.3g} %",
-    }
 
 
 def failure_lines(found: Sequence[Mapping[str, Any]]) -> Iterator[str]:

@@ -10,14 +10,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
-from flipperctl.api import Measure, Outcome
+from flipperctl.api import Outcome, Terrain
+from flipperctl.config import resolver, to_dict
 from flipperctl.env.metrics import heading, other_measures
 from flipperctl.errors import RequestError
-from flipperctl.evaluation.evaluate import Played, Result
-from flipperctl.evaluation.plan import BEST_KNOWN
+from flipperctl.evaluation.evaluate import Result
+from flipperctl.evaluation.plan import is_best_known
 from flipperctl.evaluation.rows import Row
 from flipperctl.evaluation.sensing import counts
-from flipperctl.evaluation.views import engines, pooled, strata, summary
+from flipperctl.evaluation.views import engines, risk, strata, summary
 from flipperctl.evaluation.views.summary import (
     VARIATION,
     Document,
@@ -30,10 +31,19 @@ from flipperctl.evaluation.views.summary import (
     short,
 )
 from flipperctl.messages import close_match
-from flipperctl.show import Column, Table
+from flipperctl.show import Column, Table, console, print_lines, print_table
+from flipperctl.terminal.streams import print_note
 
 _LINES = 6
 """Largest number of differences that are lines; more are a table."""
+_PUBLISHED = (
+    Column("terrain", "scene", named=True),
+    Column("policy", "of", named=True),
+    Column("success", "success"),
+    Column("time", "time [s]"),
+    Column("variation", "pitch variation at decisions [rad]"),
+    Column("range", "its range [rad]"),
+)
 
 
 def document(result: Result, by: Sequence[strata.Names] = ()) -> Document:
@@ -41,13 +51,27 @@ def document(result: Result, by: Sequence[strata.Names] = ()) -> Document:
 
     ``by``: numbers whose combinations are groups (see ``strata``).
     """
-    scenes = [_scene(one, result.baselines(one)) for one in result.rows]
+    scenes = []
+    for one in result.rows:
+        entry, others = one.entry, {o.entry.label: o.episodes for o in result.baselines(one)}
+        failed = counts(one.episodes)
+        scenes.append(
+            {
+                **summary.summary(entry.terrain, one.episodes),
+                "controller": entry.label,
+                "seed": entry.config.eval.seed,
+                "conditions": entry.conditions.to_dict(),
+                **({"failed_by": failed} if failed else {}),
+                **entry.names,
+                **baselines(entry.terrain, one.episodes, others),
+            }
+        )
     correct(scenes)
     if by:
         for scene, one in zip(scenes, result.rows, strict=True):
             scene["by"] = strata.groups(one, result.baselines(one), by)
         correct([group for scene in scenes for found in scene["by"].values() for group in found])
-    methods = pooled.methods(result)
+    methods = summary.pooled(result)
     correct(methods)
     controllers = dict.fromkeys(one.entry.label for one in result.rows)
     stopped = result.interruption
@@ -58,19 +82,6 @@ def document(result: Result, by: Sequence[strata.Names] = ()) -> Document:
         "scenes": scenes,
         **({"methods": methods} if methods else {}),
         **({"engines": engines.document(result)} if result.plan.engines else {}),
-    }
-
-
-def _scene(one: Played, others: Sequence[Played]) -> Document:
-    entry = one.entry
-    return {
-        **summary.summary(entry.terrain, one.episodes),
-        "controller": entry.label,
-        "seed": entry.config.eval.seed,
-        "conditions": entry.conditions.to_dict(),
-        **({"failed_by": failed} if (failed := counts(one.episodes)) else {}),
-        **entry.names,
-        **baselines(entry.terrain, one.episodes, {o.entry.label: o.episodes for o in others}),
     }
 
 
@@ -94,6 +105,8 @@ def tables(found: Document, title: str, columns: Sequence[str] = ()) -> Iterator
     for name, scene in named(found):
         yield from strata.tables(name, scene)
     yield from engines.tables(found.get("engines", ()))
+    if beside := published(found):
+        yield beside
 
 
 def policies(found: Document, title: str, columns: Sequence[str] = ()) -> Table:
@@ -141,25 +154,27 @@ def _without_repeats(rows: Sequence[Row]) -> Iterator[Row]:
         yield row | {"scene": "" if repeated else row["scene"], "line": new}
 
 
-def _rows(found: Document) -> Iterator[Row]:
-    """Yield the rows of the table of policies; parts of a mix are dim."""
-    methods = {pooled.key_of(one): one for one in found.get("methods", ())}
+def _policies(found: Document) -> Iterator[tuple[str, str, Document]]:
+    """Yield scene, policy and numbers of each policy; a method is pooled over its seeds."""
+    methods = {summary.key_of(one): one for one in found.get("methods", ())}
     shown: set[object] = set()
     for name, scene in named(found):
-        key = pooled.key_of(scene)
-        if key in methods and "training_seed" in scene:
-            if key not in shown:
-                shown.add(key)
-                one = methods[key]
-                label = f"{short(one['method'])} ({one['seeds']} seeds)"
-                yield _row(name, label, one)
-            continue
-        label = scene.get("method") or scene["controller"]
-        yield _row(name, short(label), scene)
-        for part, inner in scene.get("parts", {}).items():
-            yield _row(f"  {part}", short(label), inner) | {"dim": True}
-        if "method" not in scene:  # else they have rows of their own
-            for other in compared(scene):
+        key = summary.key_of(scene)
+        pooled = methods.get(key) if "training_seed" in scene else None
+        if pooled is None or key not in shown:
+            yield name, short(scene.get("method") or scene["controller"]), pooled or scene
+        shown.add(key)
+
+
+def _rows(found: Document) -> Iterator[Row]:
+    """Yield the rows of the table of policies; parts of a mix are dim."""
+    for name, policy, one in _policies(found):
+        seeds = f" ({one['seeds']} seeds)" if "seeds" in one else ""
+        yield _row(name, f"{policy}{seeds}", one)
+        for part, inner in one.get("parts", {}).items():
+            yield _row(f"  {part}", policy, inner) | {"dim": True}
+        if "method" not in one:  # else they have rows of their own
+            for other in compared(one):
                 yield _row(name, other["controller"], other)
 
 
@@ -208,12 +223,9 @@ _OPTIONAL = {
 
 def known_columns() -> dict[str, Column]:
     """Return the columns that ``--columns`` chooses, by name, further measures included."""
-    further = {m.plugin_name: _measure_column(m) for m in other_measures()}
+    measures = other_measures()
+    further = {m.plugin_name: Column(m.plugin_name, heading(m), m.digits) for m in measures}
     return {**_OPTIONAL, **further}
-
-
-def _measure_column(measure: type[Measure]) -> Column:
-    return Column(measure.plugin_name, heading(measure), measure.digits)
 
 
 def parse_columns(text: str | None) -> list[str]:
@@ -245,23 +257,14 @@ def _chosen(found: Document, names: Sequence[str]) -> Iterator[Column]:
 
 def _difference_rows(found: Document, with_scene: bool) -> Iterator[Row]:
     """Yield a row for each difference of a policy to a baseline."""
-    methods = {pooled.key_of(one): one for one in found.get("methods", ())}
-    shown: set[object] = set()
-    for name, scene in named(found):
-        key = pooled.key_of(scene)
-        one = methods.get(key) if "training_seed" in scene else None
-        if one is not None and key in shown:
-            continue
-        shown.add(key)
-        label = scene.get("method") or scene["controller"]
-        for other in compared(scene if one is None else one):
-            gap = other["difference"]
+    for name, policy, one in _policies(found):
+        for other in compared(one):
             yield {
                 "scene": name if with_scene else "",
-                "policy": short(label),
+                "policy": policy,
                 "against": other["controller"],
-                "variation": gap["pitch_variation_100hz"],
-                "success": gap["success"],
+                "variation": other["difference"]["pitch_variation_100hz"],
+                "success": other["difference"]["success"],
             }
 
 
@@ -288,6 +291,88 @@ def _differences(rows: Sequence[Row]) -> Table:
     return Table(head, list(_without_repeats(shown)), "Differences on the same episodes")
 
 
+def published(found: Document) -> Table | None:
+    """Return our results beside published ones; None if no scene repeats their experiment."""
+    rows: list[Row] = []
+    for scene in found["scenes"]:
+        terrain = resolver.get("terrain", scene["terrain"], "terrain")
+        assert issubclass(terrain, Terrain)
+        known, conditions = terrain.published, scene["conditions"]
+        own = {"name": scene["terrain"], **to_dict(terrain())}
+        if not known or known.conditions != conditions["name"] or conditions["terrain"] != own:
+            continue
+        variation = scene["pitch_variation"] or {}
+        ours = {
+            "terrain": scene["terrain"],
+            "policy": short(scene.get("method") or scene["controller"]),
+            "success": rate_text(scene["success"]),
+            "time": (scene["t_cost"] or {}).get("mean"),
+            "variation": variation.get("mean"),
+            "range": variation.get("range"),
+        }
+        theirs = {
+            "terrain": "",
+            "policy": known.source,
+            "success": "",
+            "time": known.t_cost,
+            "variation": known.pitch_variation,
+            "range": known.pitch_variation_range,
+        }
+        rows += [ours, theirs]
+    return Table(_PUBLISHED, rows, "Beside published results, where reached") if rows else None
+
+
+def print_result(result: Result, found: Document, columns: Sequence[str] = ()) -> None:
+    """Print the tables of a document, with further ``columns``, and the notes of its result."""
+    for text in _alike(result):
+        print_note(text)
+    out = console()
+    for at, table in enumerate(tables(found, result.plan.title, columns)):
+        if at:
+            out.print()
+        print_table(table, out)
+    failures = engines.failure_lines(found.get("engines", ()))
+    more = () if columns else ("95 % intervals. More columns: --columns all",)
+    print_lines(out, (*failures, *_conditions(result), *_risks(found), *more))
+
+
+def _alike(result: Result) -> Iterator[str]:
+    """Yield a line for each scene whose outcomes and measures are all identical, once for all."""
+    names = ("outcome", "t_cost", "pitch_variation_100hz", "max_pitch", "return")
+    told: set[str] = set()
+    for one in result.rows:
+        entry, count = one.entry, len(one.episodes)
+        measured = {tuple(row[name] for name in names) for row in one.episodes}
+        if count > 1 == len(measured) and not (entry.method and entry.conditions.hash in told):
+            told.add(entry.conditions.hash)
+            yield (
+                f"{entry.terrain}: all {count} episodes are identical, since nothing is random; "
+                "their intervals are meaningless (episode.start_noise, perception.noise, randomise "
+                "or conditions=varied make episodes differ)"
+            )
+
+
+def _conditions(result: Result) -> Iterator[str]:
+    """Yield a line for each set of conditions with a setting that is not the default."""
+    found: dict[str, dict[str, None]] = {}
+    for one in result.rows:
+        conditions = one.entry.conditions
+        if words := conditions.line():
+            text = f"conditions {conditions.name}: {words}"
+            found.setdefault(text, {})[one.entry.terrain] = None
+    for text, terrains in found.items():
+        yield text if len(found) == 1 else f"{', '.join(terrains)}: {text}"
+
+
+def _risks(found: Document) -> Iterator[str]:
+    """Yield a line for each policy that told its risk, if it failed or warned."""
+    for name, scene in named(found):
+        told = scene.get("risk")
+        if told is not None and (told["failures"] or told["false_alarms"]):
+            who = short(scene.get("method") or scene["controller"])
+            yield f"risk, {who} on {name}: {risk.text(told)}"
+
+
 # Files
 
 
@@ -300,7 +385,7 @@ def csv_rows(found: Document, digits: int | None = None) -> Iterator[Row]:
     names = ("success", "t_cost", "pitch_variation_100hz", "pitch_variation", "max_pitch")
     for scene in found["scenes"]:
         method = scene.get("method", "")
-        stored = method.startswith(f"{BEST_KNOWN} (")
+        stored = is_best_known(method)
         others = [] if method else compared(scene)
         first = method if stored else scene["controller"]
         for label, one in ((first, scene), *((other["controller"], other) for other in others)):
@@ -322,9 +407,7 @@ def csv_rows(found: Document, digits: int | None = None) -> Iterator[Row]:
 
 def _ends(name: str, found: Mapping[str, Any] | None, digits: int | None) -> Row:
     """Return the mean and the ends of its interval, each None where there is none."""
-    ends = {n: None if found is None else found[n] for n in ("mean", "low", "high")}
-    keys = (name, f"{name}_low", f"{name}_high")
-    return {
-        key: value if value is None or digits is None else round(value, digits)
-        for key, value in zip(keys, ends.values(), strict=True)
-    }
+    values = [None if found is None else found[end] for end in ("mean", "low", "high")]
+    if digits is not None:
+        values = [None if value is None else round(value, digits) for value in values]
+    return dict(zip((name, f"{name}_low", f"{name}_high"), values, strict=True))

@@ -8,9 +8,9 @@ ones are interpolated and marked as such.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,6 +35,8 @@ Index = tuple[int, int]
 Play = Callable[[Sequence[Index], str], Iterator[tuple[Index, Episodes]]]
 """Plays the episodes of grid points, shown under a label, and yields them as they are finished;
 fewer points if it was stopped."""
+Block = tuple[Index, Index]
+"""A rectangle of points: the first and last index along the horizontal and the vertical axis."""
 NAMES = ("map.json", "map.csv", "map.png", "failure_map_*.json")
 """Names of the files of a map."""
 EPISODES = 10
@@ -69,12 +71,9 @@ class GridPoint:
     def of(cls, episodes: Episodes) -> GridPoint:
         """Return the result of a point's episodes."""
         reached = episodes.reached.values("pitch_variation_100hz")
-        return cls(
-            len(episodes),
-            len(reached) / len(episodes),
-            sum(reached) / len(reached) if reached else None,
-            dict(Counter(row["outcome"] for row in episodes)),
-        )
+        mean = sum(reached) / len(reached) if reached else None
+        outcomes = dict(Counter(row["outcome"] for row in episodes))
+        return cls(len(episodes), len(reached) / len(episodes), mean, outcomes)
 
 
 @dataclass(frozen=True)
@@ -101,6 +100,11 @@ class CapabilityMap:
         """Number of values along the horizontal and along the vertical axis."""
         first, second = self.axes
         return len(first.values), len(second.values)
+
+    @property
+    def title(self) -> str:
+        """Policy and scene."""
+        return f"{self.entry.label} on {self.entry.terrain}"
 
     def rows(self) -> Iterator[dict[str, Any]]:
         """Yield a flat row for each point, from the lowest values on."""
@@ -147,13 +151,9 @@ def capability_map(entry: Entry, axes: tuple[Axis, Axis], player: Player) -> Cap
         InterruptedRunError: it was stopped before any point was finished.
         FlipperctlError: the policy cannot be built or failed, or a point killed its workers.
     """
-    first, second = axes
-    size = len(first.values), len(second.values)
-    configs = {
-        (i, j): grid_config(entry.config, axes, (i, j))
-        for i in range(size[0])
-        for j in range(size[1])
-    }
+    size = len(axes[0].values), len(axes[1].values)
+    every = product(range(size[0]), range(size[1]))
+    configs = {point: grid_config(entry.config, axes, point) for point in every}
     failures: dict[Index, Row] = {}
     entry.source.build(configs[0, 0])  # raises for a wrong layout or robot
 
@@ -185,35 +185,6 @@ def notes(entry: Entry, axes: tuple[Axis, Axis]) -> Iterator[str]:
         yield f"in a part of the map, such as {where}: {note}{more}"
 
 
-@dataclass(frozen=True)
-class _Block:
-    """A rectangle of points, with the indices of its sides."""
-
-    left: int
-    right: int
-    low: int
-    high: int
-
-    @property
-    def corners(self) -> tuple[Index, Index, Index, Index]:
-        """Lower left, lower right, upper left and upper right point."""
-        left, right, low, high = self.left, self.right, self.low, self.high
-        return (left, low), (right, low), (left, high), (right, high)
-
-    @property
-    def divisible(self) -> bool:
-        return self.right - self.left > 1 or self.high - self.low > 1
-
-    def contains(self, index: Index) -> bool:
-        return self.left <= index[0] <= self.right and self.low <= index[1] <= self.high
-
-    def parts(self) -> Iterator[_Block]:
-        """Yield the two or four blocks into which the block is divided."""
-        for left, right in _halves(self.left, self.right):
-            for low, high in _halves(self.low, self.high):
-                yield _Block(left, right, low, high)
-
-
 def _sample(
     size: Index, play: Play, tolerance: float = TOLERANCE
 ) -> tuple[dict[Index, GridPoint], bool]:
@@ -221,81 +192,80 @@ def _sample(
 
     The grid is divided into blocks, whose corners are played. A block is divided further unless
     the success of all its played points is within ``tolerance`` of 1, or of all within it of 0; a
-    negative tolerance plays every cell. The other points are interpolated between the corners of
+    negative tolerance plays every point. The other points are interpolated between the corners of
     their block. If the playing was stopped, only points that were played are returned.
     """
     points: dict[Index, GridPoint] = {}
-    columns, rows = (_coarse(count) for count in size)
-    blocks = [_Block(*column, *row) for column in columns for row in rows]
+    blocks: list[Block] = list(product(_coarse(size[0]), _coarse(size[1])))
     while True:
-        missing = sorted({c for block in blocks for c in block.corners if c not in points})
+        missing = sorted({c for block in blocks for c in _corners(block) if c not in points})
         label = f"map, {len(points)} of at most {size[0] * size[1]} points played"
         points |= {index: GridPoint.of(episodes) for index, episodes in play(missing, label)}
         if any(index not in points for index in missing):
             return points, False
-        divided = [b for b in blocks if b.divisible and _changes(b, points, tolerance)]
+        divided = [b for b in blocks if _divides(b, points, tolerance)]
         if not divided:
             return points | _interpolated(blocks, points), True
-        blocks = [b for b in blocks if b not in divided] + [p for b in divided for p in b.parts()]
+        parts = [
+            part for columns, rows in divided for part in product(*map(_half, (columns, rows)))
+        ]
+        blocks = [b for b in blocks if b not in divided] + parts
 
 
-def _coarse(count: int) -> list[tuple[int, int]]:
+def _coarse(count: int) -> list[Index]:
     """Return the intervals of the coarse grid along an axis of ``count`` values."""
     step = 1
     while 2 * step * _COARSE <= count - 1:
         step *= 2
-    ends = [*range(0, count - 1, step), count - 1]
-    return list(pairwise(ends))
+    return list(pairwise([*range(0, count - 1, step), count - 1]))
 
 
-def _halves(first: int, last: int) -> list[tuple[int, int]]:
+def _half(interval: Index) -> list[Index]:
+    """Return the halves of an interval, or the interval if nothing lies between its ends."""
+    first, last = interval
     middle = (first + last) // 2
-    return [(first, middle), (middle, last)] if last - first > 1 else [(first, last)]
+    return [(first, middle), (middle, last)] if last - first > 1 else [interval]
 
 
-def _changes(block: _Block, points: Mapping[Index, GridPoint], tolerance: float) -> bool:
+def _corners(block: Block) -> list[Index]:
+    """Return the lower left, lower right, upper left and upper right point."""
+    columns, rows = block
+    return [(i, j) for j in rows for i in columns]
+
+
+def _divides(block: Block, points: Mapping[Index, GridPoint], tolerance: float) -> bool:
     """Return whether success changes within a block, where neighbours may have played points."""
-    found = [point.success for index, point in points.items() if block.contains(index)]
-    return not (min(found) >= 1 - tolerance or max(found) <= tolerance)
+    (left, right), (low, high) = block
+    found = [p.success for (i, j), p in points.items() if left <= i <= right and low <= j <= high]
+    changes = not (min(found) >= 1 - tolerance or max(found) <= tolerance)
+    return changes and (right - left > 1 or high - low > 1)
 
 
 def _interpolated(
-    blocks: Iterable[_Block], points: Mapping[Index, GridPoint]
+    blocks: Sequence[Block], points: Mapping[Index, GridPoint]
 ) -> dict[Index, GridPoint]:
     """Return the points that were not played, each linear between the corners of its block."""
     found = {}
     for block in blocks:
-        corners = [points[corner] for corner in block.corners]
-        for i in range(block.left, block.right + 1):
-            for j in range(block.low, block.high + 1):
-                if (i, j) not in points:
-                    found[i, j] = _between(corners, _weights(block, i, j))
+        (left, right), (low, high) = block
+        corners = [points[corner] for corner in _corners(block)]
+        for i, j in product(range(left, right + 1), range(low, high + 1)):
+            if (i, j) not in points:
+                x, y = (i - left) / (right - left), (j - low) / (high - low)
+                weights = [(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y]
+                pairs = list(zip(corners, weights, strict=True))
+                success = sum(point.success * weight for point, weight in pairs)
+                near = [(c.pitch_variation, weight) for c, weight in pairs if weight > 0]
+                known = [value * weight for value, weight in near if value is not None]
+                variation = sum(known) if len(known) == len(near) else None
+                found[i, j] = GridPoint(0, success, variation)
     return found
 
 
-def _weights(block: _Block, i: int, j: int) -> list[float]:
-    """Return the weights of the corners of a block at the point (i, j); their sum is 1."""
-    x = (i - block.left) / (block.right - block.left)
-    y = (j - block.low) / (block.high - block.low)
-    return [(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y]
-
-
-def _between(corners: Sequence[GridPoint], weights: Sequence[float]) -> GridPoint:
-    pairs = list(zip(corners, weights, strict=True))
-    success = sum(point.success * weight for point, weight in pairs)
-    near = [(c.pitch_variation, weight) for c, weight in pairs if weight > 0]
-    swings = [value * weight for value, weight in near if value is not None]
-    return GridPoint(0, success, sum(swings) if len(swings) == len(near) else None)
-
-
-def write(folder: Path, found: CapabilityMap) -> int:
-    """Write all files of a map into an existing folder; return the number of recorded failures.
+def write(folder: Path, found: CapabilityMap) -> None:
+    """Write all files of a map into an existing folder.
 
     Failures nearest to the boundary come first: at points whose success is closest to one half.
-
-    Raises:
-        OutputError: a file cannot be written.
-        WriteError: writing failed half way.
     """
     from flipperctl.figures.figure import save
 
@@ -308,7 +278,6 @@ def write(folder: Path, found: CapabilityMap) -> int:
         record = EpisodeRecord.of(config, found.entry.source, row)
         name = f"failure_map_{i}_{j}_{row['episode']}.json"
         write_json(folder / name, record.model_dump(mode="json"))
-    return len(points[:MOST_FAILURES])
 
 
 def lines(found: CapabilityMap) -> Iterator[str]:
@@ -317,10 +286,10 @@ def lines(found: CapabilityMap) -> Iterator[str]:
     columns, rows = found.size
     heads, below = _heads(second.values), _heads(first.values)
     indent, width = max(map(len, heads)), max(4, 1 + max(map(len, below)))
-    yield f"{found.entry.label} on {found.entry.terrain}: success [%]"
+    yield f"{found.title}: success [%]"
     yield f"columns: {first.label}; rows: {second.label}"
     for j in reversed(range(rows)):
-        texts = "".join(f"{_text(found, i, j):>{width}}" for i in range(columns))
+        texts = "".join(f"{_text(found.points.get((i, j))):>{width}}" for i in range(columns))
         yield f"{heads[j]:>{indent}} {texts}"
     yield f"{'':{indent}} " + "".join(f"{value:>{width}}" for value in below)
     yield (
@@ -333,51 +302,53 @@ def lines(found: CapabilityMap) -> Iterator[str]:
 
 def _heads(values: Sequence[float]) -> list[str]:
     """Return the values with the fewest digits, two or more, that tell them apart."""
-    for digits in range(2, _DIGITS):
-        heads = [f"{value:.{digits}g}" for value in values]
-        if len(set(heads)) == len(heads):
-            return heads
-    return [f"{value:.{_DIGITS}g}" for value in values]
+    every = ([f"{value:.{n}g}" for value in values] for n in range(2, _DIGITS))
+    apart = (heads for heads in every if len(set(heads)) == len(heads))
+    return next(apart, [f"{value:.{_DIGITS}g}" for value in values])
 
 
-def _text(found: CapabilityMap, i: int, j: int) -> str:
-    point = found.points.get((i, j))
-    if point is None:
-        return "–"
-    mark = "" if point.episodes else "·"
-    return f"{mark}{100 * point.success:.0f}"
+def _text(point: GridPoint | None) -> str:
+    return "–" if point is None else f"{'' if point.episodes else '·'}{100 * point.success:.0f}"
 
 
 def figure(found: CapabilityMap) -> Figure:
-    """Draw success and θ̂_R of a map side by side; points without a value are grey.
-
-    Raises:
-        ValueError: the map has no point.
-    """
-    if not found.points:
-        raise ValueError("a map needs at least one point")
+    """Draw success and θ̂_R of a map side by side; points without a value are grey."""
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
 
     from flipperctl.figures.figure import WIDTH
     from flipperctl.figures.render import INK
 
     drawn = Figure(figsize=(WIDTH, 4.6), layout="constrained")
-    left, right = drawn.subplots(1, 2)
-    success = _grid(found, lambda point: point.success)
-    swing = _grid(found, lambda point: point.pitch_variation)
-    _panel(drawn, left, found, success, "success", "viridis", (0.0, 1.0))
-    finite = swing[np.isfinite(swing)]
-    limits = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
-    _panel(drawn, right, found, swing, "pitch variation where reached [rad]", "magma_r", limits)
-    lines = boundary(found.axes, success)
-    for axes in (left, right):
-        for line in lines:
-            axes.plot(line[:, 0], line[:, 1], color=_LINE, linewidth=2)
+    panels = drawn.subplots(1, 2)
     columns, rows = found.size
-    _explain(drawn, found, bool(lines), missing=int(np.isnan(swing).sum()))
-    title = f"{found.entry.label} on {found.entry.terrain}"
-    if found.interrupted:
-        title += f", interrupted: {len(found.points)} of {columns * rows} points"
+    success, variation = np.full((2, rows, columns), np.nan)
+    for (i, j), point in found.points.items():
+        success[j, i] = point.success
+        variation[j, i] = np.nan if point.pitch_variation is None else point.pitch_variation
+    _panel(panels[0], found, success, "success", "viridis", (0.0, 1.0))
+    finite = variation[np.isfinite(variation)]
+    limits = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+    name = "pitch variation where reached [rad]"
+    _panel(panels[1], found, variation, name, "magma_r", limits)
+    dots = f"{found.entry.config.eval.episodes} episodes played"
+    handles: list[Any] = [
+        Line2D([], [], color="white", markeredgecolor=INK, marker="o", ls="", label=dots)
+    ]
+    if lines := boundary(found.axes, success):
+        for panel, line in product(panels, lines):
+            panel.plot(line[:, 0], line[:, 1], color=_LINE, linewidth=2)
+        handles.append(Line2D([], [], color=_LINE, linewidth=2, label=f"success {BOUNDARY:g}"))
+    partly = len(found.points) < columns * rows
+    if np.isnan(variation).any():
+        label = "none reached, or not played" if partly else "none reached"
+        handles.append(Patch(color=_EMPTY, label=label))
+    drawn.legend(
+        handles=handles, loc="outside lower center", ncols=len(handles), fontsize=8, frameon=False
+    )
+    count = f", interrupted: {len(found.points)} of {columns * rows} points"
+    title = found.title + (count if found.interrupted else "")
     drawn.suptitle(title, fontsize=11, color=INK, wrap=True)
     return drawn
 
@@ -397,40 +368,7 @@ def boundary(axes: tuple[Axis, Axis], success: FloatArray) -> list[FloatArray]:
     return [np.asarray(line, np.float64) for line in lines.allsegs[0] if len(line) > 1]
 
 
-def _explain(figure: Figure, found: CapabilityMap, bounded: bool, missing: int) -> None:
-    """Add a legend of the panels; ``missing``: number of points without a pitch variation."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    from flipperctl.figures.render import INK
-
-    dots = f"{found.entry.config.eval.episodes} episodes played"
-    handles: list[Any] = [
-        Line2D([], [], color="white", markeredgecolor=INK, marker="o", ls="", label=dots)
-    ]
-    if bounded:
-        handles.append(Line2D([], [], color=_LINE, linewidth=2, label=f"success {BOUNDARY:g}"))
-    if missing:
-        columns, rows = found.size
-        unplayed = len(found.points) < columns * rows
-        label = "none reached, or not played" if unplayed else "none reached"
-        handles.append(Patch(color=_EMPTY, label=label))
-    figure.legend(
-        handles=handles, loc="outside lower center", ncols=len(handles), fontsize=8, frameon=False
-    )
-
-
-def _grid(found: CapabilityMap, value: Callable[[GridPoint], float | None]) -> FloatArray:
-    columns, rows = found.size
-    grid = np.full((rows, columns), np.nan)
-    for (i, j), point in found.points.items():
-        number = value(point)
-        grid[j, i] = np.nan if number is None else number
-    return grid
-
-
 def _panel(
-    figure: Figure,
     panel: Axes,
     found: CapabilityMap,
     grid: FloatArray,
@@ -444,12 +382,11 @@ def _panel(
 
     first, second = found.axes
     panel.set_facecolor(_EMPTY)
-    masked = np.ma.masked_invalid(grid)
     mesh = panel.pcolormesh(
-        _edges(first.values), _edges(second.values), masked, cmap=colours,
-        vmin=limits[0], vmax=limits[1],
+        first.values, second.values, np.ma.masked_invalid(grid), cmap=colours,
+        vmin=limits[0], vmax=limits[1], shading="nearest",
     )  # fmt: skip
-    figure.colorbar(mesh, ax=panel)
+    panel.figure.colorbar(mesh, ax=panel)
     played = [index for index, point in found.points.items() if point.episodes]
     panel.scatter(
         [first.values[i] for i, _ in played], [second.values[j] for _, j in played], s=5,
@@ -457,10 +394,3 @@ def _panel(
     )  # fmt: skip
     style_axes(panel, title, first.label, second.label)
     panel.grid(False)
-
-
-def _edges(values: tuple[float, ...]) -> FloatArray:
-    """Return the K + 1 edges of areas whose centres are K values."""
-    centres = np.asarray(values, np.float64)
-    middle = (centres[1:] + centres[:-1]) / 2
-    return np.concatenate([[2 * centres[0] - middle[0]], middle, [2 * centres[-1] - middle[-1]]])

@@ -10,9 +10,8 @@ all rewards, since the environment computes the terms of all of them.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from enum import StrEnum
-from itertools import combinations
+from itertools import combinations, product
 from typing import Any
 
 from flipperctl.api import RewardTerm
@@ -45,14 +44,8 @@ class Verdict(StrEnum):
     """Every policy crossed fewer than ``FEWEST`` common seeds, or ``decide`` was not called."""
 
 
-@dataclass(frozen=True)
-class RewardScene:
-    """A scene, and the rewards by which policies are ranked on it."""
-
-    config: EvalConfig
-    """``config.eval`` holds the number of episodes and the seed."""
-    rewards: Mapping[str, Rewards]
-    """Reward terms by the label of their set."""
+RewardScene = tuple[EvalConfig, Mapping[str, Rewards]]
+"""A scene, whose ``eval`` has the number of episodes and the seed, and sets of rewards by label."""
 
 
 def rank_policies(
@@ -65,23 +58,27 @@ def rank_policies(
     Raises:
         FlipperctlError: a policy does not fit a scene, found before the first episode, or failed.
     """
-    for scene in scenes:
-        for label, source in policies.items():
-            source.build(scene.config)  # raises for a wrong layout or robot
-            if len(scene.rewards) > 1 and source.plans_for_rewards:
-                raise ConfigError(
-                    f"--compare: {label} drives otherwise for each of the rewards "
-                    f"{', '.join(scene.rewards)}; one of them is allowed"
-                )
-    return decide([_scene(scene, policies, player) for scene in scenes])
+    for (config, rewards), (label, source) in product(scenes, policies.items()):
+        source.build(config)  # raises for a wrong layout or robot
+        if len(rewards) > 1 and source.plans_for_rewards:
+            raise ConfigError(
+                f"--compare: {label} drives otherwise for each of the rewards "
+                f"{', '.join(rewards)}; one of them is allowed"
+            )
+    return decide([_scene(*scene, policies, player) for scene in scenes])
 
 
-def _scene(scene: RewardScene, policies: Mapping[str, PolicySource], player: Player) -> Document:
-    config, terrain = scene.config, scene.config.terrain.plugin_name
-    every = {f"{at}.{n}": t for at, terms in scene.rewards.items() for n, t in terms.items()}
-    with_every_term = config.model_copy(update={"rewards": every})
+def _scene(
+    config: EvalConfig,
+    rewards: Mapping[str, Rewards],
+    policies: Mapping[str, PolicySource],
+    player: Player,
+) -> Document:
+    terrain = config.terrain.plugin_name
+    every = {f"{at}.{n}": term for at, terms in rewards.items() for n, term in terms.items()}
+    whole = config.model_copy(update={"rewards": every})
     played = {
-        label: player.play(with_every_term, source, f"{terrain}, {label}")
+        label: player.play(whole, source, f"{terrain}, {label}")
         for label, source in policies.items()
     }
     measured = measures(played)
@@ -93,9 +90,7 @@ def _scene(scene: RewardScene, policies: Mapping[str, PolicySource], player: Pla
         "common": len(next(iter(common_episodes(played).values()))),
         "by_pitch_variation_100hz": list(measured),
         "policies": measured,
-        "rankings": [
-            rank(label, terms, played, prefix=f"{label}.") for label, terms in scene.rewards.items()
-        ],
+        "rankings": [rank(at, terms, played, f"{at}.") for at, terms in rewards.items()],
     }
 
 
@@ -119,12 +114,8 @@ def measures(played: Mapping[str, Episodes]) -> dict[str, Document]:
         }
         for label, episodes in played.items()
     }
-
-    def variation(label: str) -> float:
-        known = found[label][_MEASURES[0]]
-        return float(known["mean"]) if known else 0.0
-
-    return {label: found[label] for label in sorted(found, key=variation)}
+    means = {label: (one[_MEASURES[0]] or {"mean": 0.0})["mean"] for label, one in found.items()}
+    return {label: found[label] for label in sorted(found, key=means.__getitem__)}
 
 
 def rank(label: str, terms: Rewards, played: Mapping[str, Episodes], prefix: str = "") -> Document:
@@ -214,6 +205,7 @@ def _contradiction(
 
 
 def _mean(values: Sequence[float]) -> Document | None:
+    """Return the mean of (K,) values with its interval; None without values."""
     return interval(values).to_dict() if values else None
 
 
@@ -221,21 +213,18 @@ def table(scenes: Sequence[Document]) -> Table:
     """Return a table with a row for each policy on each scene, smallest θ̂_R first."""
     labels = dict.fromkeys(one["rewards"] for s in scenes for one in s["rankings"])
     rows: list[dict[str, Any]] = []
-    for name, scene in _named(scenes):
-        paid = {one["rewards"]: one["returns"] for one in scene["rankings"]}
+    for name, scene in named({"scenes": scenes}):
+        paid = {f"return_{one['rewards']}": one["returns"] for one in scene["rankings"]}
         for at, (label, one) in enumerate(scene["policies"].items()):
-            own = {
-                f"return_{reward}": found[label] and found[label]["mean"]
-                for reward, found in paid.items()
-            }
+            numbers = {key: one[key] for key in _MEASURES}
+            numbers |= {key: found[label] for key, found in paid.items()}
             rows.append(
                 {
                     "scene": f"{name} ({scene['common']} of {scene['episodes']})" if not at else "",
                     "line": not at,
                     "policy": short(label),
                     "success": f"{100 * one['success_rate']:.3g} %",
-                    **{key: one[key] and one[key]["mean"] for key in _MEASURES},
-                    **own,
+                    **{key: found and found["mean"] for key, found in numbers.items()},
                 }
             )
     columns = (
@@ -251,33 +240,25 @@ def table(scenes: Sequence[Document]) -> Table:
 
 def verdict_lines(scenes: Sequence[Document]) -> Iterator[str]:
     """Yield a line for each contradiction, and then the verdict on each set of reward terms."""
+    words = {
+        Verdict.CONTRADICTS: "CONTRADICTS pitch variation on",
+        Verdict.AGREES: "no contradiction to pitch variation on",
+        Verdict.UNDECIDED: f"undecided (fewer than {FEWEST} common episodes) on",
+    }
     verdicts: dict[str, dict[str, list[str]]] = {}
-    for name, scene in _named(scenes):
+    for name, scene in named({"scenes": scenes}):
         for ranking in scene["rankings"]:
             known = verdicts.setdefault(ranking["rewards"], {})
             known.setdefault(ranking["verdict"], []).append(name)
             for found in ranking["contradictions"]:
-                yield f"{ranking['rewards']} on {name}: {_describe(found)}"
+                term, part = next(iter(found["terms"].items()))
+                gain = interval_text(found["return_difference"])
+                variation = interval_text(found["pitch_variation_100hz_difference"])
+                yield (
+                    f"{ranking['rewards']} on {name}: the reward of {found['paid']} is {gain} "
+                    f"larger than that of {found['calm']}, but its pitch variation is {variation} "
+                    f"rad larger (p {found['p_holm']:.2g}); the term {term} contributes {part:+.2f}"
+                )
     for label, by_verdict in verdicts.items():
-        words = {
-            Verdict.CONTRADICTS: "CONTRADICTS pitch variation on",
-            Verdict.AGREES: "no contradiction to pitch variation on",
-            Verdict.UNDECIDED: f"undecided (fewer than {FEWEST} common episodes) on",
-        }
         parts = [f"{words[v]} {', '.join(on)}" for v in words if (on := by_verdict.get(v))]
         yield f"{label}: {'; '.join(parts)}"
-
-
-def _named(scenes: Sequence[Document]) -> list[tuple[str, Document]]:
-    return named({"scenes": scenes})
-
-
-def _describe(found: Mapping[str, Any]) -> str:
-    term, part = next(iter(found["terms"].items()))
-    gain = interval_text(found["return_difference"])
-    variation = interval_text(found["pitch_variation_100hz_difference"])
-    return (
-        f"the reward of {found['paid']} is {gain} larger than that of {found['calm']}, but its "
-        f"pitch variation is {variation} rad larger (p {found['p_holm']:.2g}); the term {term} "
-        f"contributes {part:+.2f}"
-    )

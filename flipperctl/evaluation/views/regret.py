@@ -80,32 +80,24 @@ def measure(scene: RegretScene, player: Player) -> Document | None:
     Raises:
         FlipperctlError: a policy cannot be built or failed, or no reward term is left to judge by.
     """
-    terms = paying_terms(scene.config.rewards)
-    if not terms:
+    config, terrain = scene.config, scene.config.terrain.plugin_name
+    if not (terms := paying_terms(config.rewards)):
         raise ConfigError(f"rewards: {scene.rewards!r} leaves no term to judge a policy by")
-    terrain = scene.config.terrain.plugin_name
     for source in scene.references.values():
-        source.build(scene.config)  # raises for a wrong layout or robot
-
-    def play(name: str, source: PolicySource) -> Episodes:
-        return player.play(scene.config, source, f"{terrain}, {name}")
-
+        source.build(config)  # raises for a wrong layout or robot
     sources = {LEVEL: PolicySource.of_plugin(LEVEL, "controller"), **scene.references}
-    own = play(scene.name, scene.policy)
-    others = {
-        name: play(name, source)
-        for name, source in sources.items()
-        if name == LEVEL or source != scene.policy
-    }
+    every = [(scene.name, scene.policy)]
+    every += [(n, one) for n, one in sources.items() if n == LEVEL or one != scene.policy]
+    own, *others = (player.play(config, one, f"{terrain}, {name}") for name, one in every)
     if player.workers.interrupted:
         return None
-    conditions = Conditions.of(scene.config)
+    played = dict(zip([name for name, _ in every[1:]], others, strict=True))
     return {
         "terrain": terrain,
         "rewards": scene.rewards,
-        "seed": scene.config.eval.seed,
-        "conditions": conditions.to_dict(),
-        **regret(scene.name, own, others, terms),
+        "seed": config.eval.seed,
+        "conditions": Conditions.of(config).to_dict(),
+        **regret(scene.name, own, played, terms),
     }
 
 
@@ -134,11 +126,13 @@ def regret(
         }
 
     ordered = sorted(theirs, key=lambda label: -float(theirs[label].mean()))
-    top = ordered[0]
-    policy = measured(ours, own)
+    top, policy = ordered[0], measured(ours, own)
+    low, high = (policy["above_level"][end] for end in ("low", "high"))
+    more = Verdict.MORE if low is not None and low > 0 else Verdict.UNDECIDED
+    verdict = Verdict.LESS if high is not None and high < 0 else more
     return {
         "episodes": len(ours),
-        "verdict": str(_verdict(policy["above_level"])),
+        "verdict": str(verdict),
         "name": name,
         "policy": policy,
         "references": {label: measured(theirs[label], others[label]) for label in ordered},
@@ -153,13 +147,6 @@ def regret(
 
 def _interval(values: FloatArray) -> Document:
     return interval(values.tolist()).to_dict()
-
-
-def _verdict(found: Mapping[str, Any]) -> Verdict:
-    if found["high"] is not None and found["high"] < 0:
-        return Verdict.LESS
-    more = found["low"] is not None and found["low"] > 0
-    return Verdict.MORE if more else Verdict.UNDECIDED
 
 
 def _fraction(values: FloatArray, best: FloatArray, level: FloatArray) -> float | None:
@@ -205,7 +192,9 @@ def sentences(scenes: Sequence[Document]) -> Iterator[tuple[str, bool]]:
     for name, scene in _named(scenes):
         few = f" (fewer than {FEWEST} episodes)" if scene["episodes"] < FEWEST else ""
         above, best = scene["policy"]["above_level"], scene["best_reference"]
-        gap = interval_text(_negative(best["regret"]), sign="+")
+        lacks = best["regret"]
+        low, high = (None if lacks[end] is None else -lacks[end] for end in ("high", "low"))
+        gap = interval_text({"mean": -lacks["mean"], "low": low, "high": high}, sign="+")
         verdict = Verdict(scene["verdict"])
         yield (
             f"{scene['name']} on {name}: {_WORDS[verdict]}{few}, difference "
@@ -220,11 +209,6 @@ def sentences(scenes: Sequence[Document]) -> Iterator[tuple[str, bool]]:
     if len(scenes) > 1 and less:
         text = f"{scenes[0]['name']} {_WORDS[Verdict.LESS]} in {less} of {len(scenes)} comparisons"
         yield text, True
-
-
-def _negative(found: Mapping[str, Any]) -> Document:
-    low, high = (None if found[end] is None else -found[end] for end in ("high", "low"))
-    return {"mean": -found["mean"], "low": low, "high": high}
 
 
 def _named(scenes: Sequence[Document]) -> Iterator[tuple[str, Document]]:

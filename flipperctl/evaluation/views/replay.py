@@ -12,16 +12,23 @@ from itertools import zip_longest
 from pathlib import Path
 from typing import Any
 
+from flipperctl import __version__
 from flipperctl.api import DrawingWorld, Profile, Transition
 from flipperctl.config import EvalConfig
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.evaluation.episode_record import EpisodeRecord, measures, read_record, risks
+from flipperctl.evaluation.episode_record import (
+    EpisodeRecord,
+    measures,
+    read_record,
+    risks,
+    used_versions,
+)
 from flipperctl.evaluation.play import Progress, no_progress
 from flipperctl.evaluation.rows import DIGEST, Row, arranged
 from flipperctl.evaluation.workers import EpisodeDigest
 from flipperctl.files import check_output, write_json
 from flipperctl.policies.source import PolicySource
-from flipperctl.results import ResultFolder, result_folder
+from flipperctl.results import result_folder
 from flipperctl.rollout.episode import Decision, play
 
 NAMES = ("replay.json", "replay.png")
@@ -43,22 +50,26 @@ class Replay:
     @property
     def differences(self) -> list[str]:
         """What differs from the record; empty if the episode is bit-identical."""
-        recorded, episode = self.record, self.episode
-        found = []
-        if episode["outcome"] != recorded.outcome:
-            found.append(f"outcome {episode['outcome']} ({recorded.outcome})")
-        ours = measures(episode)
-        found += [
-            f"{name} {ours.get(name)} ({value})"
-            for name, value in recorded.measures.items()
-            if ours.get(name) != value
-        ]
-        if recorded.digest is not None and episode[DIGEST] != recorded.digest:
-            found.append(f"digest {episode[DIGEST]} ({recorded.digest})")
+        recorded, episode, ours = self.record, self.episode, measures(self.episode)
+        pairs: dict[str, Any] = {"outcome": (episode["outcome"], str(recorded.outcome))}
+        pairs |= {name: (ours.get(name), value) for name, value in recorded.measures.items()}
+        if recorded.digest is not None:
+            pairs["digest"] = episode[DIGEST], recorded.digest
+        found = [f"{name} {us} ({it})" for name, (us, it) in pairs.items() if us != it]
         if recorded.risks is not None:
-            pairs = zip_longest(risks(episode) or (), recorded.risks)
-            found += [f"risk {t}: {us} ({it})" for t, (us, it) in enumerate(pairs) if us != it][:1]
+            told = zip_longest(risks(episode) or (), recorded.risks)
+            found += [f"risk {t}: {us} ({it})" for t, (us, it) in enumerate(told) if us != it][:1]
         return found
+
+    @property
+    def title(self) -> str:
+        """One line about the episode: policy, terrain, conditions, index and outcome."""
+        record = self.record
+        conditions = f"{record.conditions['name']} {record.conditions['hash']}"
+        return (
+            f"{record.policy.label} on {self.config.terrain.plugin_name}, conditions {conditions}, "
+            f"episode {record.episode}: {self.episode['outcome']}"
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
@@ -77,18 +88,13 @@ class Replay:
 
 
 def replay(path: Path, checkpoint: Path | None = None, progress: Progress = no_progress) -> Replay:
-    """Play the episode of a record; ``checkpoint`` replaces the path of its policy.
-
-    Raises:
-        RequestError: the file is no record, its versions, conditions or plugins differ from those
-            here, or its policy is missing or has another content.
-        FlipperctlError: the policy failed.
-    """
+    """Play the episode of a record; ``checkpoint`` replaces the path of its policy."""
     record = read_record(path)
-    record.check_package(path)
+    # The package first, since its policies and settings need not be known here.
+    record.check_versions(path, {**record.versions, "flipperctl": __version__})
     source = record.policy.find(path, checkpoint)
     config = record.evaluation(path)
-    record.check_versions(path, source, config)
+    record.check_versions(path, used_versions(config, source))
     environment = config.environment()
     env, policy = FlipperEnv(config=environment), source.build(environment)
     digest, transitions = EpisodeDigest(), list[Transition]()
@@ -122,11 +128,11 @@ def replay_file(
         FlipperctlError: the policy failed, or a file could not be written.
     """
     with ExitStack() as stack:
-        folder: ResultFolder | None = None
         if film is not None:
             from flipperctl.figures.film import FILM
 
             check_output(film, FILM)
+        folder = None
         if output is not None:
             folder = stack.enter_context(result_folder(output, "replay", NAMES))
         found = replay(path, checkpoint, progress)
@@ -145,10 +151,10 @@ def _write(folder: Path, found: Replay) -> None:
     from flipperctl.figures.film import samples
 
     write_json(folder / "replay.json", found.to_dict())
-    states = [found.transitions[0].before, *(t.after for t in found.transitions)]
-    robot, fine = found.transitions[0].robot, samples(found.transitions)
-    figure = episode_figure(states, found.profile, robot, title(found), samples=fine)
-    save(figure, folder / "replay.png")
+    made = found.transitions
+    states = [made[0].before, *(t.after for t in made)]
+    drawn = episode_figure(states, found.profile, made[0].robot, found.title, samples=samples(made))
+    save(drawn, folder / "replay.png")
 
 
 def _film(path: Path, found: Replay, progress: Progress) -> None:
@@ -157,31 +163,20 @@ def _film(path: Path, found: Replay, progress: Progress) -> None:
     if found.draws:  # the side view does not show why a robot rolls or leaves its heading
         film(found.config, found.source, found.record.seed, path)
         return
-
+    made, speed = list(found.transitions), found.config.robot.track_speed
     with progress(f"{found.config.terrain.plugin_name}, film", 1) as report:
-        made, speed = list(found.transitions), found.config.robot.track_speed
-        save_film(path, made, found.profile, made[0].robot, title(found), report, speed=speed)
-
-
-def title(found: Replay) -> str:
-    """Return one line about the episode: policy, terrain, conditions, index and outcome."""
-    record = found.record
-    conditions = f"{record.conditions['name']} {record.conditions['hash']}"
-    return (
-        f"{record.policy.label} on {found.config.terrain.plugin_name}, conditions {conditions}, "
-        f"episode {record.episode}: {found.episode['outcome']}"
-    )
+        save_film(path, made, found.profile, made[0].robot, found.title, report, speed=speed)
 
 
 def lines(found: Replay) -> Iterator[str]:
     """Yield outcome and measures of the episode, and whether it is bit-identical."""
     episode = found.episode
-    yield title(found)
+    yield found.title
     yield (
         f"{episode['decisions']} decisions, {episode['t_cost']:.2f} s, pitch variation "
         f"{episode['pitch_variation_100hz']:.3f} rad, largest pitch {episode['max_pitch']:.3f} rad"
     )
-    if found.record.digest is None and not found.differences:
-        yield "equal to the recorded episode by its measures; it has no digest of the poses"
-    elif not found.differences:
-        yield f"bit-identical to the recorded episode, digest {episode[DIGEST]:.16}…"
+    if not found.differences:
+        digest = f"bit-identical to the recorded episode, digest {episode[DIGEST]:.16}…"
+        none = "equal to the recorded episode by its measures; it has no digest of the poses"
+        yield none if found.record.digest is None else digest

@@ -6,12 +6,23 @@ In: the episodes of policies on one scene. Out: what ``eval --json`` has of the 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from flipperctl.api import Outcome
+import numpy as np
+
+from flipperctl.api import FloatArray, Outcome
 from flipperctl.env.metrics import CORE
+from flipperctl.evaluation.conditions import numbered
+from flipperctl.evaluation.evaluate import Played, Result
 from flipperctl.evaluation.rows import Episodes, Row, reached
+from flipperctl.evaluation.seeds import (
+    Method,
+    difference_interval,
+    mean_interval,
+    success_difference,
+    success_interval,
+)
 from flipperctl.evaluation.statistics import holm, interval, paired_success, proportion
 from flipperctl.evaluation.views import risk
 from flipperctl.rollout.episode import SEARCH
@@ -42,11 +53,7 @@ def compared(scene: Mapping[str, Any]) -> list[Document]:
 
 
 def summary(terrain: str, episodes: Episodes) -> Document:
-    """Return the summary of one policy's episodes on a terrain, with that of each kind of a mix.
-
-    Raises:
-        ValueError: there are no episodes.
-    """
+    """Return the summary of one policy's episodes on a terrain, with that of each kind of a mix."""
     parts = {label: _summary(label, part) for label, part in episodes.kinds().items()}
     return _summary(terrain, episodes) | ({"parts": parts} if parts else {})
 
@@ -123,11 +130,7 @@ def _search(episodes: Episodes) -> Document:
 
 
 def difference(ours: Episodes, theirs: Sequence[Row]) -> Document:
-    """Return the mean differences of success and measures at equal seeds, ours minus theirs.
-
-    Raises:
-        ValueError: the episodes have no seed in common.
-    """
+    """Return the mean differences of success and measures at equal seeds, ours minus theirs."""
     pairs = {label: part.paired(theirs) for label, part in ours.kinds().items()}
     parts = {label: _difference(found) for label, found in pairs.items() if found}
     return _difference(ours.paired(theirs)) | ({"parts": parts} if parts else {})
@@ -165,14 +168,10 @@ def correct(scenes: Sequence[Document]) -> None:
 
 def correct_all(differences: Sequence[Document]) -> None:
     """Correct the p-values of success of differences that are shown together (Holm 1979)."""
-    found = [one["success"] for gap in differences for one in _with_parts(gap)]
+    every = [one for gap in differences for one in (gap, *gap.get("parts", {}).values())]
+    found = [one["success"] for one in every]
     for one, p in zip(found, holm([one["p"] for one in found]), strict=True):
         one["p_holm"] = p
-
-
-def _with_parts(difference: Document) -> Iterator[Document]:
-    yield difference
-    yield from difference.get("parts", {}).values()
 
 
 def named(found: Document) -> list[tuple[str, Document]]:
@@ -194,10 +193,7 @@ def named(found: Document) -> list[tuple[str, Document]]:
         names[key] = ", ".join(parts)
     texts = [names[key] for key in keys]
     if not any("method" in scene for scene in scenes):
-        texts = [
-            text if texts.count(text) == 1 else f"{text} ({texts[: at + 1].count(text)})"
-            for at, text in enumerate(texts)
-        ]
+        texts = numbered(texts)
     return list(zip(texts, scenes, strict=True))
 
 
@@ -210,6 +206,90 @@ def _telling(one: Document, alike: Sequence[Document]) -> list[str]:
 
 def _places(conditions: Document) -> tuple[str, str, str]:
     return conditions["name"], conditions["sim"]["name"], conditions["perception"]["name"]
+
+
+# Methods pooled over their training seeds, with intervals over seeds and episodes
+
+
+def key_of(scene: Mapping[str, Any]) -> tuple[Any, ...]:
+    """Return what tells a method on a scene in a document from others."""
+    names = (scene.get("suite_scene", ""), scene["terrain"], scene.get("method", ""))
+    return *names, scene["conditions"]["hash"], scene["seed"]
+
+
+def pooled(result: Result) -> list[dict[str, Any]]:
+    """Return the summary of each method with several training seeds on each scene."""
+    groups: dict[tuple[Any, ...], list[Played]] = {}
+    for one in result.rows:
+        if one.entry.training_seed is not None:
+            groups.setdefault((one.entry.ground, one.entry.method), []).append(one)
+    return [_pool(result, group) for group in groups.values() if len(group) > 1]
+
+
+def _pool(result: Result, group: Sequence[Played]) -> dict[str, Any]:
+    entry = group[0].entry
+    table = _shared(group)
+    method = _method(entry.method, table)
+    success = success_interval(method)
+    counts = Counter(row["outcome"] for rows in table for row in rows)
+    conditions = entry.conditions
+    return {
+        "terrain": entry.terrain,
+        **{name: text for name, text in entry.names.items() if name != "training_seed"},
+        "seeds": len(group),
+        "episodes": len(table[0]),
+        "success_rate": success.mean,
+        "success": success.to_dict(),
+        "outcomes": {str(outcome): counts[outcome] for outcome in Outcome},
+        **{name: _pooled_measure(table, name) for name in _MEASURED},
+        "seed": entry.config.eval.seed,
+        "conditions": {"name": conditions.name, "hash": conditions.hash},
+        "baselines": [
+            {"controller": other.entry.label, "difference": _pooled_difference(group, other)}
+            for other in result.baselines(group[0])
+        ],
+    }
+
+
+def _shared(group: Sequence[Played]) -> list[list[Row]]:
+    """Return the episodes that all played, in the same order: a list for each of the S seeds."""
+    rows = [{row["seed"]: row for row in one.episodes} for one in group]
+    shared = [seed for seed in rows[0] if all(seed in other for other in rows)]
+    return [[own[seed] for seed in shared] for own in rows]
+
+
+def _method(name: str, table: Sequence[Sequence[Row]]) -> Method:
+    good = np.array([[reached(row) for row in rows] for rows in table])
+    return Method(name, {"": np.zeros(good.shape)}, {"": good})
+
+
+def _crossed(table: Sequence[Sequence[Row]], name: str) -> FloatArray | None:
+    """Return a measure over the episodes that every seed reached, (S, E); None without any."""
+    chosen = [rows for rows in zip(*table, strict=True) if all(map(reached, rows))]
+    return np.array([[row[name] for row in rows] for rows in chosen]).T if chosen else None
+
+
+def _pooled_measure(table: Sequence[Sequence[Row]], name: str) -> dict[str, Any] | None:
+    values = _crossed(table, name)
+    return None if values is None else mean_interval({"": values}).to_dict()
+
+
+def _pooled_difference(group: Sequence[Played], other: Played) -> dict[str, Any]:
+    """Return the method minus a baseline on the same episodes; measures where all reached."""
+    table = _shared([*group, other])
+    ours, theirs = _method("", table[:-1]), _method("", table[-1:])
+    success, p = success_difference(ours, theirs)
+    found: dict[str, Any] = {"success": success.to_dict() | {"p": p, "p_holm": p}}
+    for name in _COMPARED:
+        values = _crossed(table, name)
+        gap = None
+        if values is not None:
+            gap = difference_interval({"": values[:-1]}, {"": values[-1:]})[0].to_dict()
+        found[name] = gap
+    return found
+
+
+# Texts
 
 
 def short(label: str) -> str:

@@ -4,12 +4,14 @@ import csv
 import io
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from flipperctl.cli.scenes import scenes
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.evaluate import Played, Result
-from flipperctl.evaluation.plan import Plan
+from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.statistics import Interval
 from flipperctl.evaluation.views import evaluation
 from flipperctl.evaluation.views.evaluation import csv_rows, document, parse_columns, policies
@@ -133,3 +135,34 @@ def test_scenes_of_a_terrain_are_told_apart_by_what_differs() -> None:
     assert [name for name, _ in named({"scenes": alike})] == ["step, a", "step, b"]
     same = [two[0], two[0]]
     assert [name for name, _ in named({"scenes": same})] == ["step (1)", "step (2)"]
+
+
+ROWS = episodes([sample(i, "reached", v, t_cost=27.5) for i, v in enumerate((1.0, 1.5))])
+
+
+def beside_published(*words: str) -> list[Any]:
+    entries = [Entry(*scene) for scene in scenes(words, None, "okada")]
+    played = tuple(Played(entry, ROWS) for entry in entries)
+    found = evaluation.published(evaluation.document(Result(Plan(tuple(entries)), played)))
+    return [] if found is None else found.texts()
+
+
+def test_the_papers_numbers_stand_below_ours_on_its_scenes() -> None:
+    assert beside_published("conditions=paper", "terrain=paper_step,paper_stair,step") == [
+        ["paper_step", "okada", "100 %", "27.50", "1.25", "0.50"],
+        ["", "paper", "", "28.07", "3.43", "1.11"],
+        ["paper_stair", "okada", "100 %", "27.50", "1.25", "0.50"],
+        ["", "paper", "", "41.21", "4.53", "2.60"],
+    ]
+
+
+def test_other_conditions_or_another_scene_do_not_repeat_the_experiment() -> None:
+    assert beside_published("terrain=paper_step") == []
+    assert beside_published("conditions=paper", "terrain=paper_step", "terrain.platform=1") == []
+
+
+def test_the_papers_conditions_are_three_dimensional_and_map_the_ground() -> None:
+    ((config, _),) = scenes(["conditions=paper", "terrain=paper_step"], None, "okada")
+    assert (config.sim.plugin_name, config.perception.plugin_name) == ("mujoco", "lidar")
+    assert getattr(config.perception, "pose", None) == "matched"
+    assert (config.robot.track_speed, config.conditions) == (0.2, "paper")

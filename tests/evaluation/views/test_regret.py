@@ -120,8 +120,8 @@ def scene(**more: Any) -> RegretScene:
     return RegretScene(config, "own", "okada", sources["okada"], {"okada": sources["okada"]})
 
 
-def measured(of: RegretScene, stopped: bool = False) -> dict[str, Any] | None:
-    with EpisodeWorkers(stop=lambda: stopped) as workers:
+def measured(of: RegretScene) -> dict[str, Any] | None:
+    with EpisodeWorkers() as workers:
         return measure(of, Player(EpisodeStore(), workers))
 
 
@@ -130,10 +130,6 @@ def test_level_is_always_a_reference_and_the_policy_never() -> None:
     assert one is not None
     assert list(one["references"]) == ["level"]
     assert (one["seed"], one["conditions"]["name"], one["name"]) == (0, "nominal", "okada")
-
-
-def test_a_stop_gives_no_result() -> None:
-    assert measured(scene(), stopped=True) is None
 
 
 def test_shaping_alone_is_no_return() -> None:

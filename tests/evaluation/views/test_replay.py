@@ -14,7 +14,7 @@ from flipperctl.evaluation.evaluate import evaluate
 from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.rows import DIGEST
 from flipperctl.evaluation.run import failure_records
-from flipperctl.evaluation.views.replay import replay, title
+from flipperctl.evaluation.views.replay import replay
 from flipperctl.policies.source import PolicySource
 
 LEVEL = PolicySource.of_plugin("level", "here")
@@ -68,10 +68,6 @@ def test_a_replay_is_bit_identical_and_another_episode_is_not(folder: Path) -> N
     assert other.digest != found.record.digest
     differs = replay(changed(folder, digest=found.record.digest, outcome="reached"))
     assert [words.split()[0] for words in differs.differences] == ["outcome", "digest"]
-
-
-def test_the_title_counts_episodes_as_the_files_do(folder: Path) -> None:
-    assert ", episode 0: stuck" in title(replay(folder / "failure_step_0.json"))
 
 
 def test_a_record_without_a_digest_compares_every_measure(folder: Path) -> None:

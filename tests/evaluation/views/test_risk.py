@@ -3,13 +3,10 @@
 import pytest
 
 from flipperctl.core.risk import RiskSign
-from flipperctl.evaluation.views import risk
-from flipperctl.evaluation.views.card import card_text
 from flipperctl.evaluation.views.risk import summarise, threshold_for
 from flipperctl.evaluation.views.summary import summary
 from flipperctl.rollout.episode import EpisodeRisks
 from tests.evaluation.samples import episodes, sample
-from tests.evaluation.views.test_card import FACTS, POLICY, replace
 
 SIGN = RiskSign(horizon=6, threshold=0.5)
 
@@ -71,14 +68,3 @@ def test_a_summary_has_the_risk_of_a_policy_that_tells_one() -> None:
     found = summary("step", episodes(told))["risk"]
     assert (found["false_alarms"], found["announced"], found["threshold"]) == (1, 0, 0.5)
     assert "risk" not in summary("step", episodes([sample(0, "reached", 1.0)]))
-
-
-def test_the_card_has_a_line_on_the_risk() -> None:
-    counts = {"horizon": 10, "threshold": 0.25, "failures": 3, "announced": 2, "reached": 97}
-    row = POLICY | {"risk": {**counts, "false_alarms": 9, "false_warnings": 0.004}}
-    text = (
-        "warned 3 or more decisions before 2 of 3 failures; false alarms in 9 of 97 successes "
-        "(risk of 0.25 or more within 10 decisions)"
-    )
-    assert risk.text(row["risk"]) == text
-    assert f"- Its risk on `stair` (01234567): {text}." in card_text(replace(FACTS, rows=(row,)))

@@ -2,7 +2,6 @@
 
 import pytest
 
-from flipperctl.evaluation.rows import reached
 from flipperctl.evaluation.statistics import paired_success, proportion
 from flipperctl.evaluation.views.summary import difference, estimate, summary
 from tests.evaluation.samples import episodes, sample
@@ -106,11 +105,6 @@ def test_a_mix_is_compared_part_by_part_on_equal_draws() -> None:
     assert (gap["mean"], gap["episodes"]) == (-1.0, 2)
     assert (wave["mean"], wave["episodes"]) == (-6.0, 1)
     assert "parts" not in difference(episodes(ours[:2]), theirs[:2])
-
-
-def test_rows_of_a_training_are_counted_alike() -> None:
-    rows = [{"outcome": "reached"}, {"outcome": "stuck"}, {"outcome": "reached"}, {"outcome": ""}]
-    assert [row for row in rows if reached(row)] == [rows[0], rows[2]]
 
 
 def test_a_part_that_the_other_did_not_play_is_not_compared() -> None:

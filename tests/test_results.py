@@ -4,15 +4,18 @@ import errno
 import json
 import os
 import shutil
+import socket
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from flipperctl import files
-from flipperctl.errors import WriteError
+from flipperctl.errors import RunHeldError, WriteError
 from flipperctl.evaluation import run as evaluation
-from flipperctl.results import ResultFolder, hold, result_folder
+from flipperctl.results import ResultFolder, hold, is_held, result_folder
 from tests.cli.call import Done, call
 
 PLAY = ["eval", "--controller", "level", "--episodes", "2", "--output", "out"]
@@ -131,19 +134,6 @@ def test_a_full_disk_at_a_picture_costs_only_the_picture(
     assert "out/flat.png: writing failed half way (No space left on device)" in error
 
 
-def test_the_table_is_there_before_the_film_is_drawn(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fail(*arguments: Any, **named: Any) -> None:
-        raise WriteError("film.gif: writing failed half way (No space left on device)")
-
-    monkeypatch.setattr("flipperctl.evaluation.pictures.save_film", fail)
-    done = call(*PLAY, "terrain=flat", "--film", "film.gif", cwd=tmp_path)
-    assert done.code == 1
-    assert "100 %" in done.out
-    assert shown(tmp_path / "out") == {*TABLES, *CELLS, "flat.png"}
-
-
 def test_what_a_kill_leaves_is_replaced_whole(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -175,3 +165,74 @@ def test_what_a_kill_leaves_is_replaced_whole(
         folder.replace(write("third", "b.csv"))
     assert shown(tmp_path) == {"b.csv"}
     assert json.loads((tmp_path / ".results.json").read_text()) == {"eval": ["b.csv"]}
+
+
+DIES = """
+import errno, filelock._unix, os, sys
+from pathlib import Path
+def none(*a): raise OSError(errno.ENOLCK, "no locks available")
+if {soft}: filelock._unix.fcntl.flock = none
+from flipperctl.results import hold
+context = hold(Path(sys.argv[1]))
+context.__enter__()
+os._exit(9)
+"""
+
+
+def dies_holding(folder: Path, *, soft: bool) -> None:
+    """Run a process that ends without releasing the lock."""
+    command = [sys.executable, "-c", DIES.format(soft=soft), str(folder)]
+    assert subprocess.run(command, check=False, timeout=60).returncode == 9
+
+
+def without_locks(monkeypatch: pytest.MonkeyPatch) -> None:
+    def none(descriptor: int, operation: int) -> None:
+        raise OSError(errno.ENOLCK, "no locks available")
+
+    monkeypatch.setattr("filelock._unix.fcntl.flock", none)
+
+
+@pytest.mark.parametrize("soft", [False, True])
+def test_the_error_for_a_second_process_names_the_holder(
+    soft: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if soft:
+        without_locks(monkeypatch)
+    with hold(tmp_path):
+        note = json.loads((tmp_path / ".run.lock.json").read_text())
+        before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+        with pytest.raises(RunHeldError) as refused, hold(tmp_path):
+            pass
+        assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+    text = str(refused.value)
+    assert f"process {os.getpid()} on {socket.gethostname()} since {note['since']}" in text
+    assert (".run.softlock" in text) == soft
+    assert len(text.splitlines()) == 1
+    with hold(tmp_path):
+        assert (tmp_path / ".run.lock.json").exists()
+    assert not (tmp_path / ".run.lock.json").exists()
+
+
+@pytest.mark.parametrize("soft", [False, True])
+def test_a_process_that_died_holds_no_lock(
+    soft: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dies_holding(tmp_path, soft=soft)
+    assert (tmp_path / ".run.lock.json").exists()
+    if soft:
+        without_locks(monkeypatch)
+    with hold(tmp_path):
+        assert json.loads((tmp_path / ".run.lock.json").read_text())["pid"] == os.getpid()
+
+
+def test_a_run_is_held_while_its_process_lives(tmp_path: Path) -> None:
+    assert not is_held(tmp_path)
+    with hold(tmp_path):
+        assert is_held(tmp_path)
+        assert not is_held(tmp_path, "sweep")
+    assert not is_held(tmp_path)
+    dies_holding(tmp_path, soft=False)
+    assert not is_held(tmp_path)
+    note = tmp_path / ".run.lock.json"
+    note.write_text(json.dumps({"pid": 1, "host": "elsewhere", "since": "yesterday"}))
+    assert not is_held(tmp_path)  # whoever wrote it, the lock is free

@@ -1,9 +1,11 @@
-"""Ctrl-C at any moment and a reader that goes away: no traceback, and the usual exit codes."""
+"""Ctrl-C and other signals stop a run in one line; a reader that goes away sees no traceback."""
 
+import os
 import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +13,8 @@ import pytest
 
 from flipperctl import entry
 from flipperctl.errors import ConfigError
+from flipperctl.rollout.worker import STOPS
+from flipperctl.session import interrupts
 from tests.runtime.linear import write
 
 pytestmark = pytest.mark.slow
@@ -126,14 +130,10 @@ def test_who_ignores_ctrl_c_goes_on_doing_so(tmp_path: Path) -> None:
 
 
 READ = {
-    "plugins": ("command", ["inspect", "plugins"]),
     "json": ("command", ["inspect", "plugins", "--json"]),
     "help": ("command", ["--help"]),
-    "config": ("command", ["inspect", "config"]),
     "cfg": ("command", ["train", "--cfg", "job"]),
-    "eval": ("command", [*EVAL[:-1], "1"]),
     "eval json": ("command", [*EVAL[:-1], "1", "--json"]),
-    "conventions": ("command", ["inspect", "terrain", "stair"]),
     "runtime": ("runtime", []),
     "clock": ("clock", ["1000", "0"]),
 }
@@ -152,3 +152,54 @@ def test_a_reader_that_goes_away_sees_no_traceback(name: str, tmp_path: Path) ->
     assert "Traceback" not in err
     assert "Exception ignored" not in err
     assert "Broken pipe" not in err
+
+
+REPEATED = [number for number in STOPS if number not in (signal.SIGINT, signal.SIGTERM)]
+
+
+@pytest.fixture(autouse=True)
+def handlers() -> Iterator[None]:
+    """What the tests set is undone."""
+    before = {number: signal.getsignal(number) for number in STOPS}
+    for number in REPEATED:
+        signal.signal(number, signal.SIG_DFL)
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.parametrize("number", STOPS)
+def test_the_first_signal_asks_for_a_stop(
+    number: signal.Signals, capsys: pytest.CaptureFixture[str]
+) -> None:
+    before = [signal.getsignal(number) for number in STOPS]
+    with interrupts("saving …") as stop:
+        assert not stop()
+        os.kill(os.getpid(), number)
+        assert stop()
+    assert capsys.readouterr().err == "\nsaving …\n"
+    assert [signal.getsignal(number) for number in STOPS] == before
+
+
+@pytest.mark.parametrize("number", REPEATED)
+def test_a_signal_that_is_sent_repeatedly_interrupts_nothing(number: signal.Signals) -> None:
+    """A terminal that closes sends SIGHUP twice, and the limit of CPU time SIGXCPU each second."""
+    with interrupts("saving …") as stop:
+        for sent in (number, number, signal.SIGTERM):  # a scheduler's warning, then its first stop
+            os.kill(os.getpid(), sent)
+        assert stop()
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+
+
+@pytest.mark.parametrize("number", REPEATED)
+def test_what_the_caller_ignores_or_handles_stays_so(number: signal.Signals) -> None:
+    received: list[int] = []
+    with interrupts("saving …") as stop:
+        pass
+    for handler in (signal.SIG_IGN, lambda number, frame: received.append(number)):
+        signal.signal(number, handler)
+        with interrupts("saving …") as stop:
+            os.kill(os.getpid(), number)
+            assert not stop()
+    assert received == [number]
