@@ -6,6 +6,7 @@ and from such a document the tables of the terminal, ``table.csv`` and ``table.t
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
@@ -32,7 +33,6 @@ from flipperctl.evaluation.views.summary import (
 )
 from flipperctl.messages import close_match
 from flipperctl.show import Column, Table, console, print_lines, print_table
-from flipperctl.terminal.streams import print_note
 
 _LINES = 6
 """Largest number of differences that are lines; more are a table."""
@@ -325,7 +325,7 @@ def published(found: Document) -> Table | None:
 def print_result(result: Result, found: Document, columns: Sequence[str] = ()) -> None:
     """Print the tables of a document, with further ``columns``, and the notes of its result."""
     for text in _alike(result):
-        print_note(text)
+        print(text, file=sys.stderr)
     out = console()
     for at, table in enumerate(tables(found, result.plan.title, columns)):
         if at:
