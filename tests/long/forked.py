@@ -12,6 +12,7 @@ import signal
 import sys
 import time
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -127,8 +128,18 @@ class Command:
         return True
 
 
-def start(arguments: list[str], folder: Path, log: Path) -> Command:
-    """Fork a process that runs ``flipperctl`` with these arguments in ``folder``."""
+def start(
+    arguments: list[str],
+    folder: Path,
+    log: Path,
+    out: Path | None = None,
+    prepare: Callable[[], None] = lambda: None,
+) -> Command:
+    """Fork a process that runs ``flipperctl`` with these arguments in ``folder``.
+
+    ``log`` gets what it writes, but ``out`` its standard output, if given; ``prepare`` is called
+    in the process.
+    """
     begun = time.monotonic()
     sys.stdout.flush()
     sys.stderr.flush()
@@ -138,13 +149,16 @@ def start(arguments: list[str], folder: Path, log: Path) -> Command:
     code = 70
     try:
         os.setsid()
-        _redirect(log)
+        os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+        for file, number in ((out or log, 1), (log, 2)):
+            os.dup2(os.open(file, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644), number)
         os.chdir(folder)
+        prepare()
         from flipperctl.cli.main import main
 
         main(arguments)
     except SystemExit as left:
-        code = left.code if isinstance(left.code, int) else 70
+        code = left.code if isinstance(left.code, int) else 70 if left.code else 0
     except BaseException:  # noqa: BLE001 (the child must never return into the parent's code)
         import traceback
 
@@ -154,13 +168,6 @@ def start(arguments: list[str], folder: Path, log: Path) -> Command:
             sys.stdout.flush()
             sys.stderr.flush()
         os._exit(code)
-
-
-def _redirect(log: Path) -> None:
-    nothing = os.open(os.devnull, os.O_RDONLY)
-    out = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-    for source, target in ((nothing, 0), (out, 1), (out, 2)):
-        os.dup2(source, target)
 
 
 def _members(group: int) -> list[int]:

@@ -12,14 +12,12 @@ import resource
 import signal
 import sys
 import tempfile
-import time
-import traceback
 from collections import Counter
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from tests.long.forked import Command, preload, start
 from tests.long.odd_plugins import BEFORE, Misbehaviour, sample_misbehaviour
 
 LIMIT = 90.0
@@ -93,17 +91,6 @@ FOR_ALL = {"inspect plugins": ["inspect", "plugins", "odd"]}
 SLOW = ("eval --jobs", "train fast", "export pt2")
 
 
-@dataclass(frozen=True)
-class Done:
-    """The results of a command."""
-
-    code: int | None
-    """Exit code; None if the command did not end in time."""
-    out: str
-    err: str
-    seconds: float
-
-
 def main() -> int:
     """Run the cases and print the table; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -115,7 +102,8 @@ def main() -> int:
     parser.add_argument("--kind", default=",".join(COMMANDS), help="kinds of plugins")
     chosen = parser.parse_args()
     kinds = chosen.kind.split(",")
-    _preload()
+    preload()
+    os.environ.pop("FLIPPERCTL_DEBUG", None)
     tried, reached, violations = Counter(), Counter(), Counter()
     with tempfile.TemporaryDirectory() as folder:
         good = _train_good_network(Path(folder))
@@ -126,34 +114,35 @@ def main() -> int:
             work.mkdir()
             file, marker = work / "odd_plugin.py", work / "marker"
             file.write_text(what.source(marker))
-            done = _run_forked([*command, "--plugins", str(file)], work)
-            key = (what.kind, what.spot, _manner(what), name)
+            done = _run([*command, "--plugins", str(file)], work)
+            manner = "returns" if what.statement.startswith("return ") else "raises"
+            key = (what.kind, what.spot, manner, name)
             tried[key] += 1
             reached[key] += marker.exists()
             for problem in problems(what, done, file, reached=marker.exists()):
                 violations[key] += 1
-                print(f"case {index}: {what}, {name}: {problem}\n  {done.err[-600:]}", flush=True)
+                print(f"case {index}: {what}, {name}: {problem}\n  {done.text[-600:]}", flush=True)
             if index % 100 == 99:
                 print(f"{index + 1} cases, {sum(violations.values())} violations", flush=True)
     _table(tried, reached, violations)
     return 1 if violations else 0
 
 
-def problems(what: Misbehaviour, done: Done, file: Path, *, reached: bool) -> list[str]:
+def problems(what: Misbehaviour, done: Command, file: Path, *, reached: bool) -> list[str]:
     """Return the faults in the exit code and the error of a command."""
-    if done.code is None:
+    if done.code == -signal.SIGKILL:
         return ["it hangs"]
     if not reached:
         return [] if done.code == 0 else [f"exit code {done.code} though nothing misbehaved"]
     found = []
     if done.code not in (1, 2):
         found.append(f"exit code {done.code}")
-    lines = done.err.partition("error: ")[2].strip().splitlines()
-    if not 1 <= len(lines) <= 3 or len(done.err) > 2500:
-        found.append(f"an error of {len(lines)} lines, {len(done.err)} characters")
+    lines = done.text.partition("error: ")[2].strip().splitlines()
+    if not 1 <= len(lines) <= 3 or len(done.text) > 2500:
+        found.append(f"an error of {len(lines)} lines, {len(done.text)} characters")
     foreign = ("Traceback", "an error in flipperctl", "Error executing job")
-    found += [f"the words {words!r}" for words in foreign if words in done.err]
-    return found + unnamed(what, done.err, file)
+    found += [f"the words {words!r}" for words in foreign if words in done.text]
+    return found + unnamed(what, done.text, file)
 
 
 def unnamed(what: Misbehaviour, text: str, file: Path) -> list[str]:
@@ -185,77 +174,29 @@ def _case(
     return what, name, [part.format(good=good) for part in known[name]]
 
 
-def _manner(what: Misbehaviour) -> str:
-    return "returns" if what.statement.startswith("return ") else "raises"
-
-
-def _preload() -> None:
-    """Import the modules that every command needs before children are forked."""
-    import hydra  # noqa: F401
-    import rich.progress  # noqa: F401
-    import tensorboard  # noqa: F401
-    import torch
-
-    torch.set_num_threads(1)
-    os.environ.pop("FLIPPERCTL_DEBUG", None)
-
-
 def _train_good_network(folder: Path) -> Path:
     """Train a network ``odd`` that does not misbehave; return its run directory."""
     file = folder / "odd_plugin.py"
     file.write_text(Misbehaviour("network", "forward", "pass", 10**9).source(folder / "marker"))
     run = folder / "good"
     arguments = [*COMMANDS["network"]["train"], f"hydra.run.dir={run}", "--plugins", str(file)]
-    done = _run_forked(arguments, folder)
+    done = _run(arguments, folder)
     if done.code != 0:
-        raise RuntimeError(done.err)
+        raise RuntimeError(done.text)
     return run
 
 
-def _run_forked(arguments: list[str], folder: Path) -> Done:
+def _run(arguments: list[str], folder: Path) -> Command:
     """Run a command in a child of this process, with limits on its time and memory."""
-    begun = time.perf_counter()
-    child = os.fork()
-    if child == 0:
-        _run_child(arguments, folder)
-    code: int | None = None
-    while time.perf_counter() - begun < LIMIT:
-        ended, status = os.waitpid(child, os.WNOHANG)
-        if ended:
-            code = os.waitstatus_to_exitcode(status)
-            break
-        time.sleep(0.01)
-    else:
-        os.killpg(child, signal.SIGKILL)
-        os.waitpid(child, 0)
-    out, err = (folder / name for name in ("out", "err"))
-    texts = [f.read_text(errors="replace") if f.exists() else "" for f in (out, err)]
-    return Done(code, *texts, time.perf_counter() - begun)
+    command = start(arguments, folder, folder / "err", folder / "out", _limit_memory)
+    command.wait(LIMIT)
+    return command
 
 
-def _run_child(arguments: list[str], folder: Path) -> None:
-    """Run the command line in the child and exit; never return."""
-    code = 99
-    try:
-        os.setsid()
-        os.chdir(folder)
-        for name, number in (("out", 1), ("err", 2)):
-            os.dup2(os.open(name, os.O_CREAT | os.O_WRONLY | os.O_TRUNC), number)
-        pages = int(Path("/proc/self/statm").read_text().split()[0])
-        limit = pages * resource.getpagesize() + ROOM
-        resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
-        from flipperctl.cli.main import main as command
-
-        try:
-            command(arguments)
-        except SystemExit as left:
-            code = left.code if isinstance(left.code, int) else 0 if left.code is None else 98
-    except BaseException:  # noqa: BLE001  # any error shows as a violation
-        traceback.print_exc()
-    finally:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(code)
+def _limit_memory() -> None:
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    limit = pages * resource.getpagesize() + ROOM
+    resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
 
 
 def _table(tried: Counter, reached: Counter, violations: Counter) -> None:
