@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from flipperctl.core.lidar.body import mounting
-from flipperctl.errors import RequestError
 from flipperctl.ros.reading import (
     chosen_topic,
     messages,
@@ -101,19 +100,7 @@ class Recording:
         """Return the chassis in the fixed frame by the bag itself; None if it does not say."""
         if not (self.transforms.has(self.names.base) or self.names.base == self.names.fixed):
             return None
-        try:
-            return self.transforms.pose(self.names.fixed, self.names.base, time)
-        except RequestError as error:
-            raise RequestError(f"{self.path}: {error}") from error
-
-    def mounts(self) -> Iterator[Pose]:
-        """Yield the place of the sensor on the chassis for each cloud for which it is known."""
-        with opened(self.path) as reader:
-            for *_, message in messages(reader, [self.clouds]):
-                header = message.header
-                mount = _placed(self, header.frame_id.lstrip("/"), seconds(header.stamp))
-                if mount is not None:
-                    yield mount
+        return self.transforms.pose(self.names.fixed, self.names.base, time)
 
     def steps(self) -> Iterator[Step]:
         """Yield the messages in the order in which they were recorded, those of one time at once.
@@ -166,7 +153,7 @@ class Recording:
 
     def _cloud(self, message: Any) -> Cloud:
         read = read_points(f"{self.path}: {self.clouds}", message, self.times)
-        mount = _placed(self, read.frame, read.time)
+        mount = self.transforms.on(self.names.base, read.frame, read.time)
         time, ages = read.time, None
         if read.shifts is not None and len(read.shifts):
             # Drivers stamp the beginning or the end of a turn; a cloud of the runtime has its end.
@@ -185,7 +172,7 @@ class Recording:
         turn = np.array([q.x, q.y, q.z, q.w])
         rate = np.array([rates.x, rates.y, rates.z])
         if frame != self.names.base:
-            mount = _placed(self, frame, time)
+            mount = self.transforms.on(self.names.base, frame, time)
             if mount is None:
                 return Attitude(time, frame, 0.0, 0.0, 0.0)  # refused by its frame
             # The chassis in the world is the unit in the world after the chassis in the unit.
@@ -209,21 +196,13 @@ def read_recording(path: Path, names: Names) -> Recording:
         transforms = read_transforms(path, reader)
         times = times_of(path, reader, clouds)
         devices = found_devices(path, reader, names, transforms, remarks)
+        heads = (message.header for *_, message in messages(reader, [clouds]))
+        places = (
+            transforms.on(names.base, head.frame_id, seconds(head.stamp)) for head in heads
+        )  # transforms may begin later than the clouds
+        mount = next((one for one in places if one is not None), Pose.none())
     remarks += transforms.remarks(names.fixed, names.base)
-    recording = Recording(path, names, clouds, devices, transforms, times, Pose.none(), remarks)
-    mount = next(recording.mounts(), None)  # transforms may begin later than the clouds
-    return recording if mount is None else replace(recording, mount=mount)
-
-
-def _placed(recording: Recording, frame: str, time: float) -> Pose | None:
-    """Return the pose of a device's frame on the chassis; None if it is unknown at that time."""
-    base = recording.names.base
-    if frame == base:
-        return Pose.none()
-    try:
-        return recording.transforms.pose(base, frame, time)
-    except RequestError as error:
-        raise RequestError(f"{recording.path}: {error}") from error
+    return Recording(path, names, clouds, devices, transforms, times, mount, remarks)
 
 
 def _stamp(message: Any) -> float:

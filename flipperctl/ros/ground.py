@@ -141,11 +141,8 @@ def _scans(source: Path, names: Names) -> tuple[Scans, list[int], int, list[str]
             count = number + 1
             for part in _parts(read_points(f"{source}: {topic}", message, times)):
                 points += len(part.points)
-                try:
-                    pose = transforms.pose(names.fixed, names.base, part.time)
-                    mount = transforms.pose(names.base, part.frame, part.time)
-                except RequestError as error:
-                    raise RequestError(f"{source}: {error}") from error
+                pose = transforms.pose(names.fixed, names.base, part.time)
+                mount = transforms.pose(names.base, part.frame, part.time)
                 if pose is not None and mount is not None:
                     sizes[number] += len(part.points)
                     scans.append((mount.apply(part.points), pose))

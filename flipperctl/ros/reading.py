@@ -82,7 +82,7 @@ def read_transforms(path: Path, reader: Any) -> Transforms:
     Raises:
         RequestError: several topics tell the pose of one frame, and no transform does.
     """
-    transforms, odometry = Transforms(), list[tuple[str, Any]]()
+    transforms, odometry = Transforms(path), list[tuple[str, Any]]()
     for topic, _, message in messages(reader, kinds=(*_FRAMES, ODOMETRY)):
         if hasattr(message, "pose"):
             odometry.append((topic, message))

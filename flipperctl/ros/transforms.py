@@ -10,6 +10,7 @@ import math
 from bisect import bisect_left, insort
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -113,7 +114,9 @@ _Link = tuple[str, str]
 class Transforms:
     """A tree of frames, or several that share a frame: a frame may have several parents."""
 
-    def __init__(self) -> None:
+    def __init__(self, source: Path | None = None) -> None:
+        """``source``: the recording, for errors."""
+        self._where = "" if source is None else f"{source}: "
         self._tracks: dict[str, dict[str, _Track]] = {}  # child → parent → its poses
         self._known: dict[_Link, list[tuple[list[_Link], list[_Link]]]] = {}
 
@@ -169,10 +172,16 @@ class Transforms:
                 child, first = next(link for link in one if link not in way)
                 second = next((parent for name, parent in way if name == child), way[0][1])
                 raise RequestError(
-                    f"{child!r} has two parents, {first!r} and {second!r}, by which the poses of "
-                    f"{of!r} in {frame!r} differ; a recording with one of them is needed"
+                    f"{self._where}{child!r} has two parents, {first!r} and {second!r}, by which "
+                    f"the poses of {of!r} in {frame!r} differ; a recording with one of them is "
+                    "needed"
                 )
         return told[0][1] if told else None
+
+    def on(self, base: str, frame: str, time: float) -> Pose | None:
+        """Return the pose of a device's frame on the chassis, which needs no transform itself."""
+        same = frame.lstrip("/") == base
+        return Pose.none() if same else self.pose(base, frame, time)
 
     def _ways(self, frame: str, of: str) -> list[tuple[list[_Link], list[_Link]]]:
         """Return the links from ``of`` up to a frame above both, and from ``frame`` up to it.
@@ -183,8 +192,10 @@ class Transforms:
             for name in (frame, of):
                 if name not in self.frames:
                     hint, known = close_match(name, self.frames), ", ".join(self.frames) or "none"
-                    text = f"there is no frame {name!r}{hint}; frames with a transform: {known}"
-                    raise RequestError(text)
+                    raise RequestError(
+                        f"{self._where}there is no frame {name!r}{hint}; frames with a transform: "
+                        f"{known}"
+                    )
             ways = []
             above = list(self._above(frame))
             for up in self._above(of):
@@ -195,7 +206,7 @@ class Transforms:
                     if top == (up[-1][1] if up else of) and not others & passed:
                         ways.append((up, down))
             if not ways:
-                raise RequestError(f"nothing connects the frames {frame!r} and {of!r}")
+                raise RequestError(f"{self._where}nothing connects the frames {frame!r} and {of!r}")
             straight = [way for way in ways if not (way[0] and way[1])]
             self._known[frame, of] = straight or ways
         return self._known[frame, of]

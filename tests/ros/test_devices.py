@@ -112,27 +112,23 @@ def joints_in_parts(topic, message, each, names=JOINTS):
         yield topic, told
 
 
-@pytest.mark.parametrize("each", [1, 2])
-def test_joints_may_come_in_parts(tmp_path, each):
-    recording = recorded(tmp_path, lambda *one: joints_in_parts(*one, each))
-    assert recording.remarks == []
-    told = [s.messages["joints"] for s in recording.steps() if "joints" in s.messages]
-    assert [told[-1].front, told[-1].rear] == pytest.approx([-FRONT, REAR])
-    assert told[-1].time == pytest.approx(_EPOCH + SECONDS)
-
-
-def test_joints_may_come_on_several_topics(tmp_path, monkeypatch):
+@pytest.mark.parametrize("several", [False, True])
+def test_joints_may_come_in_parts_and_on_several_topics(tmp_path, monkeypatch, several):
     for name in JOINTS:
         monkeypatch.setitem(TYPES, f"/{name}", TYPES["/joint_states"])
 
     def change(topic, message):
-        for where, part in joints_in_parts(topic, message, 1):
-            yield (f"/{part.name[0]}" if where == "/joint_states" else where), part
+        for where, part in joints_in_parts(topic, message, 1 if several else 2):
+            own = several and where == "/joint_states"
+            yield (f"/{part.name[0]}" if own else where), part
 
     recording = recorded(tmp_path, change)
-    assert (recording.remarks, list(recording.devices.joints)) == ([], [f"/{n}" for n in JOINTS])
+    assert recording.remarks == []
+    topics = [f"/{name}" for name in JOINTS] if several else ["/joint_states"]
+    assert list(recording.devices.joints) == topics
     told = [s.messages["joints"] for s in recording.steps() if "joints" in s.messages]
     assert [told[-1].front, told[-1].rear] == pytest.approx([-FRONT, REAR])
+    assert told[-1].time == pytest.approx(_EPOCH + SECONDS)
 
 
 def test_a_joint_that_is_missing_is_named(tmp_path):

@@ -251,25 +251,16 @@ def test_two_ways_between_frames_must_agree() -> None:
         tree.pose("map", "base", 0.0)
 
 
-def two_odometries():
-    """Two topics tell the pose of the chassis, and no transform does."""
-    make = Messages()
-    yield Stamped(0.0, "/tf_static", make.mount(MOUNT[0], MOUNT[2], AXIS))
-    for time in TIMES.tolist():
-        for topic in ("/wheel/odom", "/odometry/filtered"):
-            yield Stamped(time, topic, make.odometry(state(time)))
-        points = (in_chassis(time) - MOUNT) @ mounting(AXIS)
-        yield Stamped(time, "/points", make.cloud(time, LIDAR, points))
-
-
 def test_two_odometries_of_one_frame_are_refused(tmp_path, monkeypatch):
-    for topic in ("/wheel/odom", "/odometry/filtered"):
+    make, both = Messages(), ("/wheel/odom", "/odometry/filtered")
+    told = [m for m in messages() if m.topic != "/tf"]
+    for topic in both:
         monkeypatch.setitem(TYPES, topic, TYPES["/odom"])
-    write_bag(tmp_path / "bag", list(two_odometries()))
+        told += [Stamped(time, topic, make.odometry(state(time))) for time in TIMES.tolist()]
+    write_bag(tmp_path / "bag", told)
     with pytest.raises(
         RequestError, match=r"come from /odometry/filtered and /wheel/odom, and from"
     ):
         convert(tmp_path / "bag", tmp_path / "ground.xyz", Robot())
-    one = [m for m in two_odometries() if m.topic != "/wheel/odom"]
-    write_bag(tmp_path / "one", one)
+    write_bag(tmp_path / "one", [m for m in told if m.topic != both[0]])
     check_step(convert(tmp_path / "one", tmp_path / "ground.xyz", Robot()))

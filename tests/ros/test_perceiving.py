@@ -25,7 +25,6 @@ from tests.ros.driving import (
     EDGE,
     FRONT,
     HEIGHT,
-    MOUNT,
     REAR,
     SECONDS,
     SPEED,
@@ -176,17 +175,8 @@ def test_poses_of_the_bag_stand_in_for_an_inertial_unit_without_orientation(tmp_
 
 
 def test_a_folder_of_clouds_needs_stamps(tmp_path):
-    rows = []
-    for index, time in enumerate((0.0, 0.5, 1.0)):
-        turn = [[math.sin(-0.8), 0, math.cos(-0.8)], [0, 1, 0], [-math.cos(-0.8), 0, -0.717356]]
-        np.save(tmp_path / f"{index}.npy", points(time) @ np.array(turn).T + MOUNT)
-        rows.append([time, SPEED * time, 0.0, 0.1, 0.0, 0.0, 0.0, 1.0])
-    np.savetxt(tmp_path / "poses.txt", rows)
-    found = replayed(tmp_path)
-    assert (found.summary["scans"], found.summary["pose"]) == (3, "true")
-    heights = found.instants[-1].ground.heights
-    assert heights[-1] == pytest.approx(HEIGHT - 0.1, abs=0.005)  # the step is 0.96 m ahead
-    np.savetxt(tmp_path / "poses.txt", np.tile(np.eye(3, 4).ravel(), (3, 1)))
+    np.save(tmp_path / "0.npy", points(0.0))
+    np.savetxt(tmp_path / "poses.txt", np.eye(3, 4).reshape(1, 12))
     with pytest.raises(RequestError, match="the clouds have no stamps; 8 numbers a line"):
         replayed(tmp_path)
 
