@@ -25,7 +25,7 @@ from flipperctl.bench.settings import quantity, ratio
 from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.guarded_world import GuardedWorld
-from flipperctl.policies.source import PolicySource
+from flipperctl.policies.source import load_policy
 from flipperctl.reward_sum import RewardSum
 from flipperctl.rollout.episode import decisions
 from flipperctl.rollout.seeds import EvaluationSeeds
@@ -111,7 +111,7 @@ class Recording:
 def record(config: EnvConfig, controller: str, seed: int) -> Recording:
     """Play an episode with a controller plugin and record it."""
     env = FlipperEnv(config=config)
-    policy = PolicySource.of_plugin(controller, "bench.controller").build(config)
+    policy = load_policy(controller, "bench.controller").build(config)
     env.reset(seed=seed)
     start = Start(float(env.state.position[0]), env.state.front, env.state.rear)
     recording = Recording(seed, env.profile, start, [Snapshot.of(_world(env))])

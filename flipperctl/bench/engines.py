@@ -26,7 +26,7 @@ from flipperctl.bench.settings import (
 from flipperctl.config import DEFAULT_ENGINE, EnvConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
-from flipperctl.policies.source import PolicySource
+from flipperctl.policies.source import load_policy
 from flipperctl.rollout.episode import decisions
 from flipperctl.rollout.seeds import EvaluationSeeds
 
@@ -54,7 +54,7 @@ class Clock:
             MissingExtraError: the engine is not installed.
         """
         self._env = FlipperEnv(config=config)
-        policy = PolicySource.of_plugin(controller, "bench.controller").build(config)
+        policy = load_policy(controller, "bench.controller").build(config)
         self._recordings = [
             Recording(seed, [d.action for d in decisions(self._env, policy, seed)])
             for seed in seeds

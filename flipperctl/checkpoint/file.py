@@ -9,7 +9,7 @@ import contextlib
 import difflib
 import json
 import os
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -24,7 +24,7 @@ from flipperctl.config import TrainConfig, parse, resolver, to_dict
 from flipperctl.config.absent import with_stand_ins
 from flipperctl.errors import CheckpointError, ConfigError, OldVersionError
 from flipperctl.files import write_bytes
-from flipperctl.messages import close_match, missing_plugin
+from flipperctl.messages import close_match, missing_name, missing_plugin
 from flipperctl.sim.versions import engine_versions
 
 if TYPE_CHECKING:
@@ -264,23 +264,29 @@ def _check_names(document: Document, tensors: Mapping[str, torch.Tensor]) -> Non
             )
 
 
-def find(run_or_file: Path, prefer: Path = BEST) -> Path:
+def find(run_or_file: Path, prefer: Path = BEST, controllers: Sequence[str] = ()) -> Path:
     """Return the checkpoint file of a run directory, a file or the name of a shipped policy.
 
-    ``prefer``: the file of a run directory that is returned if it exists.
+    ``prefer``: the file of a run directory that is returned if it exists. ``controllers``: further
+    names that are allowed where the path comes from, for the error.
 
     Raises:
         CheckpointError: there is no such checkpoint.
     """
-    if run_or_file.is_file():
+    if os.path.isfile(run_or_file):  # noqa: PTH113  # false for any text, however long
         return run_or_file
-    if not run_or_file.exists():
-        if (known := shipped_policies()) and str(run_or_file) in known:
-            return known[str(run_or_file)]
+    if not os.path.exists(run_or_file):  # noqa: PTH110  # as above
+        if file := shipped_policies().get(str(run_or_file)):
+            return file
+        known = sorted([*shipped_policies(), *controllers])
+        also = ", shipped policy or controller" if controllers else " or shipped policy"
+        hint = _run_beside(run_or_file) or (
+            missing_name("controller", str(run_or_file), known)
+            if controllers
+            else close_match(str(run_or_file), known)
+        )
         raise CheckpointError(
-            f"{run_or_file}: there is no such run or checkpoint file"
-            f"{_suggestion(run_or_file, known)}; policies that come with flipperctl: "
-            f"{', '.join(known) or 'none'}"
+            f"{run_or_file}: there is no such run, file{also}{hint}; names: {', '.join(known)}"
         )
     for name in dict.fromkeys((prefer, BEST, LAST)):
         if (run_or_file / name).is_file():
@@ -310,14 +316,14 @@ def job_order(run: Path) -> tuple[int, str]:
     return (int(first) if first.isdigit() else 2**31, run.name)
 
 
-def _suggestion(missing: Path, shipped: Iterable[str]) -> str:
-    """Return ``; did you mean 'x'?`` for the closest run beside the path, or shipped policy."""
+def _run_beside(missing: Path) -> str:
+    """Return ``; did you mean 'x'?`` for the closest run beside a path; empty without one."""
     folder = missing.parent
     with contextlib.suppress(OSError):  # no suggestion from an unreadable folder
         runs = [run.name for run in runs_in(folder)]
         if found := difflib.get_close_matches(missing.name, runs, n=1):
             return f"; did you mean {str(folder / found[0])!r}?"
-    return close_match(str(missing), shipped)
+    return ""
 
 
 def shipped_policies() -> dict[str, Path]:

@@ -99,18 +99,16 @@ def _policy(
 ) -> None:
     from flipperctl import checkpoint as checkpoints
     from flipperctl.cli.hydra.overrides import Overrides
-    from flipperctl.evaluation.inherited import find_policy
     from flipperctl.export.policy import KINDS, export, robot_fields
     from flipperctl.files import check_output
+    from flipperctl.policies.source import load_policy
     from flipperctl.terminal.streams import print_note, show
     from flipperctl.terminal.tables import print_export
 
-    file = find_policy(checkpoint, print_note)
-    if file.suffix == ".onnx":
-        raise RequestError(f"{file} is already exported; give its run or checkpoint")
-    saved = checkpoints.read(file)
-    shipped = file in checkpoints.shipped_policies().values()
-    name = file.stem if shipped else saved.config().terrain.plugin_name
+    source = load_policy(checkpoint, takes="checkpoint", tell=print_note)
+    saved = checkpoints.read(source.file)
+    shipped = source.label() in checkpoints.shipped_policies()
+    name = source.label() if shipped else saved.config().terrain.plugin_name
     target = output or Path(f"{name}.{kind.value}")
     check_output(target, KINDS[kind.value])
     robot = robot_fields(Overrides.parse(words).values())

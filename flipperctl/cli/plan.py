@@ -10,16 +10,16 @@ from dataclasses import replace
 from pathlib import Path
 
 from flipperctl.cli.scenes import scenes
-from flipperctl.config import DEFAULT_ENGINE, EvalConfig, resolver
+from flipperctl.config import DEFAULT_ENGINE, EvalConfig
 from flipperctl.config.words import key_of
 from flipperctl.errors import RequestError
-from flipperctl.evaluation.inherited import Inherited, find_policy, read_config
+from flipperctl.evaluation.inherited import Inherited, read_config
 from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.policies import Entrant, controllers, standing
 from flipperctl.evaluation.suites import SuiteScene, split_suite
 from flipperctl.evaluation.views.engines import steps
 from flipperctl.evaluation.views.summary import short
-from flipperctl.policies.source import PolicySource
+from flipperctl.policies.source import PolicySource, load_policy
 
 Tell = Callable[[str], None]
 
@@ -127,7 +127,7 @@ def _entries(
     _tell_unlike([entry for rows in found.values() for entry in rows], tell)
     keys = [key_of(word).rpartition("@")[2] for part in sections for word in part]
     chosen = any(key.startswith("rewards") for key in keys)
-    controllers = [(e, PolicySource.of_plugin(e.method, "--baseline")) for e in beside]
+    controllers = [(e, load_policy(e.method, "--baseline")) for e in beside]
     for rows in list(found.values()):
         configs = _of_each_reward(rows)
         if not chosen:  # as when they are asked for by name, so that the same blocks serve
@@ -196,10 +196,9 @@ class _Composer:
         """Return the name, configuration and policy of each scene of an entrant."""
         if entrant.run is None:
             return self._of_controller(entrant.method)
-        file = find_policy(entrant.run, self._tell)
-        inherited = Inherited.of(read_config(file, [], lambda text: None))
+        source = load_policy(entrant.run, takes="file", tell=self._tell)
+        inherited = Inherited.of(read_config(source, [], lambda text: None))
         known = self._find(inherited)
-        source = PolicySource(checkpoint=file)
         if known is None:
             known = [(name, c) for name, c, _ in self._scenes(entrant.run, None)]
             self._known.append((inherited, known))
@@ -221,8 +220,7 @@ class _Composer:
             if not own:
                 self._known.append((None, [(name, config) for name, config, _ in made]))
             return made
-        settings = resolver.to_dict(resolver.create("controller", controller, "--controller"))
-        source = PolicySource(settings=settings)
+        source = load_policy(controller, "--controller", "controller", fields={})
         for _, config in known:
             for note in source.notes(config):
                 self._tell(note)

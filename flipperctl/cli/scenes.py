@@ -13,8 +13,8 @@ from flipperctl.cli.hydra import compose, config_store
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import EvalConfig, resolver
 from flipperctl.config.defaults import CHOICES
-from flipperctl.evaluation.inherited import find_policy, policy_notes, read_config
-from flipperctl.policies.source import PolicySource
+from flipperctl.evaluation.inherited import policy_notes, read_config
+from flipperctl.policies.source import PolicySource, load_policy
 from flipperctl.terminal.streams import print_note
 
 Scene = tuple[EvalConfig, PolicySource]
@@ -51,12 +51,11 @@ def scenes(
 def _scenes_of_file(
     checkpoint: Path, words: Sequence[str], tell: Callable[[str], None]
 ) -> list[Scene]:
-    file = find_policy(checkpoint, tell)
+    source = load_policy(checkpoint, takes="file", tell=tell)
     overrides = Overrides.parse(words)
     terrains = [c.choice("terrain") for c in overrides.combinations(CHOICES)]
-    trained = read_config(file, terrains, tell)
+    trained = read_config(source, terrains, tell)
     primary = config_store.register_trained(trained)
-    source = PolicySource(checkpoint=file)
     configs = [config for config, _ in compose.compose_eval(overrides, primary)]
     # This raises for a wrong layout or robot, before the first episode.
     for config in configs:

@@ -24,7 +24,7 @@ from flipperctl.evaluation.inherited import find_policy
 from flipperctl.messages import close_match, missing_name
 from flipperctl.policies.exported import ExportedPolicy, is_exported
 from flipperctl.policies.identity import method_settings, without_input_paths
-from flipperctl.policies.source import PolicySource
+from flipperctl.policies.source import PolicySource, load_policy
 from flipperctl.results import unfinished
 
 
@@ -71,7 +71,7 @@ def controllers(names: str | None, option: str, default: Sequence[str] = ()) -> 
         RequestError: a name is empty or that of a file, or ``none`` stands beside other names.
         ConfigError: there is no such controller.
     """
-    return [PolicySource.of_plugin(name, option) for name in _controllers(names, option, default)]
+    return [load_policy(name, option) for name in _controllers(names, option, default)]
 
 
 def _controllers(names: str | None, option: str, default: Sequence[str]) -> list[str]:

@@ -1,7 +1,8 @@
-"""Optional abilities of policies and controllers.
+"""What policies of files can do beside acting, and controllers that use such policies.
 
-Collectors and policies that wrap others check for an ability, never for a class. One more ability,
-the cost of every action, is part of the public API: ``flipperctl.api.CostPolicy``.
+The cost of every action is part of the public API: ``flipperctl.api.CostPolicy``. What else a
+policy tells is an attribute that others lack: ``label`` and ``groups`` for a student, ``explored``
+and ``risk``.
 """
 
 from __future__ import annotations
@@ -12,63 +13,11 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.api import (
-    Controller,
-    CostPolicy,
-    Perception,
-    Policy,
-    Simulator,
-    StateGroups,
-)
-from flipperctl.core.risk import RiskSign
+from flipperctl.api import Controller, Perception, Policy, Simulator
 
 
-@runtime_checkable
-class LabellingPolicy(Policy, Protocol):
-    """A policy that labels every decision for a student."""
-
-    @property
-    def label(self) -> NDArray[np.float32]:
-        """Distribution over actions at the last decision, (9,)."""
-
-    @property
-    def groups(self) -> StateGroups | None:
-        """States of the episode's ground with their values; None if they are not known."""
-
-
-@runtime_checkable
-class FollowingPolicy(CostPolicy, Protocol):
-    """A teacher that labels single decisions of others, since it can follow the rest."""
-
-    def follow(self, p: Perception, action: int, /) -> None:
-        """Receive a decision without being asked for its costs."""
-
-
-@runtime_checkable
-class TrainingPolicy(Policy, Protocol):
-    """A policy that takes random actions beside those that it believes best."""
-
-    @property
-    def explored(self) -> bool:
-        """Whether the last action was random."""
-
-
-@runtime_checkable
-class RiskPolicy(Policy, Protocol):
-    """A policy that may tell how likely the episode is about to fail."""
-
-    @property
-    def risk(self) -> float | None:
-        """Risk at the last decision, 0 to 1; None if the policy knows none."""
-
-    @property
-    def risk_sign(self) -> RiskSign | None:
-        """When a risk is a warning; None if the policy knows no risk."""
-
-
-@runtime_checkable
-class ObservationPolicy(Protocol):
-    """A policy that acts on observations alone, as those of files do."""
+class FilePolicy(Protocol):
+    """A policy of a file, which acts by a Q-value of each action, on observations alone."""
 
     def reset(self, simulator: Simulator | None = None, /) -> None:
         """Begin an episode; no simulator is needed."""
@@ -82,26 +31,13 @@ class ObservationPolicy(Protocol):
         They are the newest of the episode, the last one is new to the policy.
         """
 
-
-@runtime_checkable
-class ValuedPolicy(Policy, Protocol):
-    """A policy that acts by a Q-value of each action."""
-
     def q_values(self, p: Perception, /) -> Sequence[float]:
         """Return the Q-values, (9,), without changing what the policy remembers."""
 
 
 @runtime_checkable
-class ValuingPolicy(Policy, Protocol):
-    """A policy that knows the values of states beside its way."""
-
-    def groups(self, rng: np.random.Generator, /) -> StateGroups:
-        """Return groups of states of the episode's ground with the values of their actions."""
-
-
-@runtime_checkable
 class PolicyUser(Protocol):
-    """A controller that uses policies from files."""
+    """A controller that uses policies of files."""
 
     @property
     def named(self) -> Mapping[str, str]:

@@ -26,6 +26,9 @@ from flipperctl.policies.teaching import from_costs, none
 class ExploringPolicy:
     """Takes a random action with probability ε, otherwise the greedy action under new noise."""
 
+    label = None
+    groups = None
+
     def __init__(
         self,
         module: torch.nn.Module,

@@ -72,11 +72,6 @@ class ExportedPolicy:
         return self._policy.act(recent[-1])
 
 
-def is_exported(file: Path) -> bool:
-    """Return whether a file name is that of an exported policy, not of a checkpoint."""
-    return file.suffix == ".onnx"
-
-
 def exported_config(file: Path) -> EvalConfig:
     """Return the file's evaluation configuration: robot, layout and terrain, all as in training.
 

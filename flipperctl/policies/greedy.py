@@ -13,7 +13,7 @@ from pydantic import Field, PrivateAttr
 
 from flipperctl.api import Controller, FloatArray, Perception, Policy, Simulator, controller
 from flipperctl.errors import ConfigError
-from flipperctl.policies.abilities import ValuedPolicy
+from flipperctl.policies.abilities import FilePolicy
 
 
 @controller("greedy")
@@ -36,7 +36,7 @@ class Greedy(Controller):
         description="further policies; the mean of the Q-values of all drives [-]",
     )
 
-    _trained: tuple[Policy, ...] = PrivateAttr(())
+    _trained: tuple[FilePolicy, ...] = PrivateAttr(())
 
     @property
     def named(self) -> Mapping[str, str]:
@@ -44,7 +44,7 @@ class Greedy(Controller):
         others = {f"others[{number}]": name for number, name in enumerate(self.others)}
         return {"policy": self.policy, **others} if self.policy else others
 
-    def starting_from(self, policies: Sequence[Policy]) -> Greedy:
+    def starting_from(self, policies: Sequence[FilePolicy]) -> Greedy:
         """Return these settings with the loaded policies that ``named`` names, in its order."""
         settings = self.model_copy()
         settings._trained = tuple(policies)
@@ -54,21 +54,20 @@ class Greedy(Controller):
         """Return a policy that acts by the Q-values.
 
         Raises:
-            ConfigError: no policy is named, or it was not loaded, or it has no Q-values.
+            ConfigError: no policy is named, or it was not loaded.
         """
-        valued = [policy for policy in self._trained if isinstance(policy, ValuedPolicy)]
-        if not self.policy or len(valued) != len(self.named):
+        if not self.policy or not self._trained:
             raise ConfigError(
                 f"policy: {self.policy!r} is no policy of a file that this command reads; the name "
                 "of a run, a checkpoint, an exported file or a shipped policy is allowed"
             )
-        return GreedyPolicy(valued)
+        return GreedyPolicy(self._trained)
 
 
 class GreedyPolicy:
     """Acts by the mean Q-values of other policies."""
 
-    def __init__(self, valued: Sequence[ValuedPolicy]) -> None:
+    def __init__(self, valued: Sequence[FilePolicy]) -> None:
         """Act by the Q-values of ``valued``, one policy or more."""
         self._valued = valued
 

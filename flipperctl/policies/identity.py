@@ -20,7 +20,7 @@ from flipperctl.config.identity import content_digest, foreign_sources
 from flipperctl.errors import CheckpointError
 from flipperctl.lookahead import Mpc
 from flipperctl.policies.abilities import PolicyUser
-from flipperctl.policies.exported import ExportedPolicy, is_exported
+from flipperctl.policies.exported import ExportedPolicy
 from flipperctl.policies.source import PolicySource
 
 _ATTEMPTS = 10
@@ -65,7 +65,7 @@ class PolicyIdentity:
             before, digest = digest, _required(file, content_digest(file))
             if digest == before:
                 break
-            exported = ExportedPolicy(file).interface if is_exported(file) else None
+            exported = ExportedPolicy(file).interface if source.is_exported else None
             config = read_policy(file).policy_config() if exported is None else None
         else:
             raise CheckpointError(f"{file} is being replaced by another process; try again")

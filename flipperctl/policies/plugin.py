@@ -23,7 +23,6 @@ from flipperctl.config.identity import foreign_plugins
 from flipperctl.env.repeating import require_unmoved
 from flipperctl.env.termination import ALLOWED, action_index
 from flipperctl.guard import naming, refusal, short_repr
-from flipperctl.policies.abilities import FollowingPolicy, ValuingPolicy
 from flipperctl.randomness import global_states
 
 
@@ -42,7 +41,7 @@ class FunctionPolicy:
 
 
 def plugin_policy(controller: Controller) -> PluginPolicy:
-    """Return the policy that a controller builds; it offers costs if the controller's policy does.
+    """Return the policy that a controller builds.
 
     Raises:
         PluginFailedError: the controller's code failed, or it built an object without ``reset``
@@ -51,20 +50,14 @@ def plugin_policy(controller: Controller) -> PluginPolicy:
     with naming(controller, "build"):  # what it returned may fail as well
         policy = controller.build()
         lacks = [n for n in ("reset", "act") if not callable(getattr(policy, n, None))]
-        offers_costs = isinstance(policy, CostPolicy)
-        offers_groups = offers_costs and isinstance(policy, ValuingPolicy)
-        follows = isinstance(policy, FollowingPolicy)
+        found = PluginPolicy(controller, policy)
     if lacks:
         text = (
             f"returned {short_repr(policy)}, which lacks {' and '.join(lacks)}; an object with "
             "reset and act is allowed"
         )
         raise refusal(controller, "build", text)
-    if offers_groups:
-        return PluginValuingPolicy(controller, policy)
-    if follows:
-        return PluginFollowingPolicy(controller, policy)
-    return (PluginCostPolicy if offers_costs else PluginPolicy)(controller, policy)
+    return found
 
 
 class PluginPolicy:
@@ -78,6 +71,12 @@ class PluginPolicy:
         """Run ``policy``, which ``controller`` built."""
         self._controller, self._foreign = controller, foreign_plugins([controller])
         self._policy: Any = policy
+        self.offers_costs = isinstance(policy, CostPolicy)
+        """Whether ``costs`` and ``took`` may be called."""
+        self.follows = self.offers_costs and callable(getattr(policy, "follow", None))
+        """Whether ``follow`` may be called: it can label single decisions of another policy."""
+        self.values_states = self.offers_costs and callable(getattr(policy, "groups", None))
+        """Whether ``state_groups`` may be called."""
 
     def _calling(self, method: str) -> AbstractContextManager[None]:
         """Return a context for a call of ``method``, in which errors name the controller."""
@@ -107,10 +106,6 @@ class PluginPolicy:
             raise refusal(self._controller, "act", text, owner=owner)
         return index
 
-
-class PluginCostPolicy(PluginPolicy):
-    """Runs a policy that offers the cost of each action (``flipperctl.api.CostPolicy``)."""
-
     def costs(self, p: Perception) -> FloatArray:
         """Return the policy's finite cost of each action, (9,) [s]."""
         with self._calling("costs"):
@@ -126,21 +121,13 @@ class PluginCostPolicy(PluginPolicy):
         with self._calling("took"):
             self._policy.took(action)
 
-
-class PluginFollowingPolicy(PluginCostPolicy):
-    """Runs a policy that follows decisions of others."""
-
     def follow(self, p: Perception, action: int) -> None:
         """Tell the policy what another one perceived and did."""
         with self._calling("follow"):
             self._policy.follow(p, action)
 
-
-class PluginValuingPolicy(PluginCostPolicy):
-    """Runs a policy that knows the values of states beside its way."""
-
-    def groups(self, rng: np.random.Generator) -> StateGroups:
-        """Return the policy's groups of states with finite values."""
+    def state_groups(self, rng: np.random.Generator) -> StateGroups:
+        """Return groups of states of the episode's ground with finite values of their actions."""
         with self._calling("groups"):
             found: object = self._policy.groups(rng)
             shaped = isinstance(found, StateGroups) and (

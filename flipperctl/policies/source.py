@@ -1,29 +1,78 @@
-"""A picklable reference to a policy.
+"""Policies by name, and picklable references to them.
 
-In: a file, or the name and settings of a controller plugin. Out: the policy. Torch is imported only
-for a file of torch's: rules need none.
+In: a word, or the name and settings of a controller. Out: the policy. Torch is imported only for a
+file of torch's: rules need none.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from flipperctl.api import Controller, Policy, Robot
-from flipperctl.checkpoint import find, read_policy, shipped_policies
-from flipperctl.config import EnvConfig, resolver
-from flipperctl.errors import CheckpointError
+from flipperctl.api.plugin import registered_names
+from flipperctl.checkpoint import LAST, find, read_policy, shipped_policies
+from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, resolver
+from flipperctl.errors import CheckpointError, ConfigError, RequestError
 from flipperctl.lookahead import Mpc, ValueIteration
-from flipperctl.policies.abilities import PolicyUser
-from flipperctl.policies.exported import (
-    ExportedPolicy,
-    check_robot,
-    exported_config,
-    is_exported,
-)
+from flipperctl.policies.abilities import FilePolicy, PolicyUser
+from flipperctl.policies.exported import ExportedPolicy, check_robot, exported_config
 from flipperctl.policies.plugin import PluginPolicy, plugin_policy
+
+Takes = Literal["any", "file", "checkpoint", "controller"]
+"""What a word may name: any policy, one of a file, one of a checkpoint, or a controller."""
+
+
+def load_policy(
+    word: str | os.PathLike[str],
+    where: str = "",
+    takes: Takes = "any",
+    fields: Mapping[str, Any] | None = None,
+    tell: Callable[[str], None] = lambda line: None,
+) -> PolicySource:
+    """Return the policy that a word names: the rule of all commands, settings and functions.
+
+    The name of a registered controller means it, though a folder is called so; ``./okada`` is the
+    folder. Else the word is a run, a checkpoint or an exported file, or the name of a shipped
+    policy. A controller has its ``reference_settings``, or the ``fields`` if they are given.
+    ``tell`` is called with a line if no validation has chosen the best policy of a run.
+
+    Raises:
+        CheckpointError: no file is where the word points, or it is an exported one and has to be a
+            checkpoint. Errors begin with ``where``, the option or setting that holds the word.
+        ConfigError: there is no policy of this name, or a field is wrong.
+        RequestError: it is a file, and a controller is asked for.
+    """
+    if not isinstance(word, str | os.PathLike):
+        raise ConfigError(f"{where}: a path or a name is allowed; the value is {word!r}")
+    name, prefix = os.fspath(word), f"{where}: " if where else ""
+    known = registered_names("controller") if takes in ("any", "controller") else []
+    if name in known:
+        own = resolver.reference(name, where) if fields is None else {"name": name, **fields}
+        return PolicySource(settings=resolver.to_dict(resolver.create("controller", own, where)))
+    if takes == "controller":
+        if name in shipped_policies() or os.path.exists(name):  # noqa: PTH110  # of any length
+            raise RequestError(
+                f"{prefix}controllers are allowed, and {name} is none; add --checkpoint {name}, "
+                "which may be repeated: policies stand in one table, on the same episodes"
+            )
+        resolver.get("controller", name, where)
+    try:
+        file = find(Path(name), controllers=known)
+    except CheckpointError as error:
+        named = known and len(Path(name).parts) == 1 and not Path(name).suffix
+        raise (ConfigError if named else CheckpointError)(f"{prefix}{error}") from error
+    source = PolicySource(checkpoint=file)
+    if takes == "checkpoint" and source.is_exported:
+        raise CheckpointError(
+            f"{prefix}{file}: an exported file holds no training; give its run or checkpoint"
+        )
+    if Path(name).is_dir() and file == Path(name) / LAST:
+        tell(f"{name}: no validation has chosen a best policy yet; this is the last one, {LAST}")
+    return source
 
 
 @dataclass(frozen=True)
@@ -35,17 +84,16 @@ class PolicySource:
     settings: dict[str, Any] | None = None
     """``name`` and fields of a controller plugin."""
 
-    @classmethod
-    def of_plugin(cls, name: str, path: str) -> PolicySource:
-        """Return the source of a registered controller at its ``reference_settings``.
+    @property
+    def is_exported(self) -> bool:
+        """Whether the policy is that of an exported file."""
+        return self.checkpoint is not None and self.checkpoint.suffix == ".onnx"
 
-        ``path``: the option or configuration key that asks for it, for the error.
-
-        Raises:
-            ConfigError: there is no such controller, or its defaults are not valid.
-        """
-        found = resolver.create("controller", resolver.reference(name, path), path)
-        return cls(settings=resolver.to_dict(found))
+    @property
+    def file(self) -> Path:
+        """The file of a policy that is no controller."""
+        assert self.checkpoint is not None
+        return self.checkpoint
 
     def label(self) -> str:
         """Return the name that tables and files use.
@@ -64,22 +112,22 @@ class PolicySource:
 
     def baselines(self) -> tuple[str, ...]:
         """Return the controllers that this policy is compared with by default."""
-        if self.checkpoint is not None:
-            return ()
-        return self.controller().baselines
+        return () if self.checkpoint is not None else self.controller().baselines
 
-    def robot(self) -> Robot | None:
-        """Return the robot that a file's policy was made for; None for a controller plugin.
+    def config(self) -> TrainConfig | EvalConfig:
+        """Return the configuration of a file's training, or the part that an exported file holds.
 
         Raises:
             CheckpointError: the file is missing or damaged.
             PolicyError: the exported file is damaged.
         """
-        if self.checkpoint is None:
-            return None
-        if is_exported(self.checkpoint):
-            return exported_config(self.checkpoint).robot
-        return read_policy(self.checkpoint).policy_config().robot
+        if self.is_exported:
+            return exported_config(self.file)
+        return read_policy(self.file).policy_config()
+
+    def robot(self) -> Robot | None:
+        """Return the robot that a file's policy was made for; None for a controller plugin."""
+        return None if self.checkpoint is None else self.config().robot
 
     def build(self, config: EnvConfig) -> Policy:
         """Build the policy for an environment of this configuration.
@@ -93,9 +141,11 @@ class PolicySource:
         """
         if self.checkpoint is None:
             return controller_policy(self.controller(), config)
-        if is_exported(self.checkpoint):
-            return _exported(self.checkpoint, config)
-        return _trained(self.checkpoint, config)
+        return self.build_file(config)
+
+    def build_file(self, config: EnvConfig) -> FilePolicy:
+        """Build the policy of a file; see ``build``."""
+        return (_exported if self.is_exported else _trained)(self.file, config)
 
     @property
     def plans_for_rewards(self) -> bool:
@@ -146,8 +196,9 @@ def with_files(controller: Controller, config: EnvConfig, path: str = "controlle
         CheckpointError: a file is missing or damaged, or does not fit the environment.
     """
     if isinstance(controller, PolicyUser) and controller.named:
-        policies = [_named(f"{path}.{key}", name, config) for key, name in controller.named.items()]
-        controller = controller.starting_from(policies)
+        named = controller.named.items()
+        sources = [load_policy(name, f"{path}.{key}", "file") for key, name in named]
+        controller = controller.starting_from([source.build_file(config) for source in sources])
     if isinstance(controller, Mpc) and controller.value:
         from flipperctl.policies.values import learned_value
 
@@ -181,16 +232,7 @@ def controller_notes(
             )
 
 
-def _named(path: str, name: str, config: EnvConfig) -> Policy:
-    """Return the policy that a setting at ``path`` names."""
-    from flipperctl.policies.values import naming
-
-    with naming(path):
-        file = find(Path(name))
-    return PolicySource(file).build(config)
-
-
-def _exported(file: Path, config: EnvConfig) -> Policy:
+def _exported(file: Path, config: EnvConfig) -> FilePolicy:
     """Return the policy of an exported file for an environment with a matching robot."""
     policy = ExportedPolicy(file)
     interface = policy.interface
@@ -199,7 +241,7 @@ def _exported(file: Path, config: EnvConfig) -> Policy:
     return policy
 
 
-def _trained(file: Path, config: EnvConfig) -> Policy:
+def _trained(file: Path, config: EnvConfig) -> FilePolicy:
     """Return the policy of a checkpoint for an environment."""
     from flipperctl.policies.trained import TrainedPolicy, policy_module, policy_risk
 

@@ -8,13 +8,13 @@ of each action or the action that a policy takes.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.api import (
     ACTIONS,
-    CostPolicy,
     FloatArray,
     Perception,
     Policy,
@@ -24,7 +24,7 @@ from flipperctl.api import (
 from flipperctl.config import Teacher
 from flipperctl.core.risk import RiskSign
 from flipperctl.errors import ConfigError
-from flipperctl.policies.abilities import FollowingPolicy, RiskPolicy, TrainingPolicy, ValuingPolicy
+from flipperctl.policies.plugin import PluginPolicy
 
 TEMPERATURE = 0.3
 """Default cost difference that makes an action e times less probable [s]."""
@@ -57,15 +57,15 @@ class Labeller:
     def __init__(self, policy: Policy, temperature: float = TEMPERATURE) -> None:
         """``temperature``: difference of costs [s]; see ``from_costs``."""
         self._policy, self._temperature = policy, temperature
-        # Checked once: a check against a protocol takes longer than parts of a decision.
-        self._costs = policy if isinstance(policy, CostPolicy) else None
+        offers = isinstance(policy, PluginPolicy) and policy.offers_costs
+        self._costs: Any = policy if offers else None
 
     def choose(self, p: Perception) -> tuple[int, NDArray[np.float32]]:
         """Return the policy's action, the cheapest if it offers costs, and the label, (9,)."""
         if self._costs is None:
             action = self._policy.act(p)
             return action, from_action(action)
-        costs = self._costs.costs(p)
+        costs: FloatArray = self._costs.costs(p)
         return int(costs.argmin()), from_costs(costs, self._temperature)
 
     def took(self, action: int) -> None:
@@ -78,21 +78,18 @@ class DemonstratingPolicy:
     """Acts as its policy; labels each decision by action costs, or by the action without costs."""
 
     def __init__(self, policy: Policy) -> None:
-        self._policy, self._labeller = policy, Labeller(policy)
+        self._policy: Any = policy
+        self._labeller = Labeller(policy)
         self.label = from_action(0)
         """The distribution over actions at the last decision, (9,)."""
         self.groups = None
-        self._risks = policy if isinstance(policy, RiskPolicy) else None
+        self.risk_sign: RiskSign | None = getattr(policy, "risk_sign", None)
+        """When the policy's risk is a warning; None if it knows none."""
 
     @property
     def risk(self) -> float | None:
         """Risk at the policy's last decision; None if it knows none."""
-        return self._risks.risk if self._risks is not None else None
-
-    @property
-    def risk_sign(self) -> RiskSign | None:
-        """When the policy's risk is a warning; None if it knows none."""
-        return self._risks.risk_sign if self._risks is not None else None
+        return None if self.risk_sign is None else self._policy.risk
 
     def reset(self, simulator: Simulator) -> None:
         """Begin an episode."""
@@ -114,7 +111,7 @@ class DaggerPolicy:
     def __init__(
         self,
         student: Policy,
-        teacher: Policy,
+        teacher: PluginPolicy,
         settings: Teacher,
         student_learns: Callable[[], bool],
         rng: np.random.Generator,
@@ -124,10 +121,8 @@ class DaggerPolicy:
         ``rng`` chooses who acts, and the random actions of the teacher's episodes.
         """
         self._student, self._teacher, self._settings = student, teacher, settings
-        self._exploring = student if isinstance(student, TrainingPolicy) else None
         self._labeller = Labeller(teacher, settings.temperature)
-        self._following = teacher if isinstance(teacher, FollowingPolicy) else None
-        if settings.label_share < 1 and self._following is None:
+        if settings.label_share < 1 and not teacher.follows:
             raise ConfigError(
                 f"teacher.label_share: {settings.label_share:g} needs a teacher that follows "
                 "decisions which it does not label, such as mpc; 1 is allowed"
@@ -149,8 +144,8 @@ class DaggerPolicy:
         if self._settings.privileged:
             simulator.restart()  # the policies may have simulated in it
             self._simulator = simulator
-        if isinstance(self._teacher, ValuingPolicy):
-            self.groups = self._teacher.groups(self._rng)
+        if self._teacher.values_states:
+            self.groups = self._teacher.state_groups(self._rng)
         share = self._settings.student_share if self._student_learns() else 0.0
         self._student_acts = self._rng.random() < share
 
@@ -166,9 +161,8 @@ class DaggerPolicy:
     def _decided(self, p: Perception, seen: Perception) -> int:
         """Return the action taken; the teacher has ``seen`` the state, and labels or follows."""
         if self._student_acts and self._skips():
-            assert self._following is not None  # else every decision is labelled
             action, self.label = self._student_action(p), none()
-            self._following.follow(seen, action)
+            self._teacher.follow(seen, action)
             return action
         choice, self.label = self._labeller.choose(seen)
         action = self._chosen(p, choice)
@@ -182,7 +176,7 @@ class DaggerPolicy:
 
     def _student_action(self, p: Perception) -> int:
         action = self._student.act(p)
-        self.explored = self._exploring is not None and self._exploring.explored
+        self.explored = getattr(self._student, "explored", False)
         return action
 
     def _chosen(self, p: Perception, choice: int) -> int:

@@ -15,11 +15,11 @@ import torch
 from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray, RobotGeometry
-from flipperctl.checkpoint import find, read, shipped_policies
+from flipperctl.checkpoint import read, shipped_policies
 from flipperctl.config import TrainConfig
 from flipperctl.errors import CheckpointError
 from flipperctl.lookahead.settings import TOLERANCE, LearnedValue
-from flipperctl.policies.exported import is_exported
+from flipperctl.policies.source import load_policy
 from flipperctl.policies.trained import policy_module
 
 
@@ -39,13 +39,7 @@ def learned_value(name: str, path: str) -> LearnedValue:
         CheckpointError: the file is missing, damaged or an exported one, or its network tells no
             values of single observations. The text begins with ``path``.
     """
-    with naming(path):
-        file = find(Path(name))
-        if is_exported(file):
-            raise CheckpointError(
-                f"{file}: an exported file has no rewards and no discount; give its run or "
-                "checkpoint"
-            )
+    file = load_policy(name, path, "checkpoint").file
     if file in shipped_policies().values():  # each policy that is built would read it again
         return _cached(name, path, file)
     return _read(name, path, file)

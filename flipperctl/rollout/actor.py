@@ -19,10 +19,11 @@ from flipperctl import plugins
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.networks import build_network, naming_network
 from flipperctl.agent.risk import RiskNetwork, plain_risk, split_weights
-from flipperctl.api import ACTIONS, Policy
+from flipperctl.api import ACTIONS
 from flipperctl.config import TrainConfig, parse
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.exploring import ExploringPolicy, SamplingPolicy
+from flipperctl.policies.plugin import PluginPolicy
 from flipperctl.policies.source import controller_policy
 from flipperctl.policies.teaching import DaggerPolicy
 from flipperctl.policies.trained import TrainedPolicy
@@ -71,7 +72,7 @@ class Actor:
         return list(made)
 
 
-def teacher_of(config: TrainConfig) -> Policy | None:
+def teacher_of(config: TrainConfig) -> PluginPolicy | None:
     """Return the teacher's policy, if the training has one that acts."""
     teacher = config.teacher.controller
     if teacher is None:
@@ -82,7 +83,7 @@ def teacher_of(config: TrainConfig) -> Policy | None:
 def training_policy(
     config: TrainConfig,
     module: torch.nn.Module,
-    teacher: Policy | None,
+    teacher: PluginPolicy | None,
     epsilon: Callable[[], float],
     *,
     temperature: Callable[[], float],

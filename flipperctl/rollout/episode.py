@@ -21,7 +21,6 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.pictures import Observer
 from flipperctl.env.termination import ALLOWED, action_index
 from flipperctl.errors import FlipperctlError
-from flipperctl.policies.abilities import RiskPolicy
 
 NO_LABEL = np.zeros(len(ACTIONS), np.float32)
 
@@ -172,7 +171,8 @@ def decisions(
     simulator = env.simulator(report_progress)
     policy.reset(simulator)
     ending: Row | None = None
-    risks, told = _risk_policy(policy), list[float]()
+    sign: RiskSign | None = getattr(policy, "risk_sign", None)
+    told: list[float] = []
     while ending is None:
         if pace is not None:
             pace(env.state.time)
@@ -180,14 +180,14 @@ def decisions(
         action = policy.act(perception)
         if action_index(action) is None:
             raise FlipperctlError(f"{type(policy).__name__}.act returned {action!r}; {ALLOWED}")
-        if risks is not None and risks.risk is not None:
-            told.append(risks.risk)
+        if sign is not None and (risk := getattr(policy, "risk", None)) is not None:
+            told.append(risk)
         _, reward, terminated, truncated, info = env.step(action)
         if terminated or truncated:
             ending = {"seed": seed, "outcome": str(info["outcome"]), **info["metrics"]}
             ending |= {f"{SEARCH}{name}": value for name, value in simulator.results.items()}
-            if risks is not None and risks.risk_sign is not None:
-                ending |= EpisodeRisks.of(risks.risk_sign, told).to_row()
+            if sign is not None:
+                ending |= EpisodeRisks.of(sign, told).to_row()
         yield Decision(
             perception=perception,
             action=action,
@@ -197,10 +197,6 @@ def decisions(
             next_perception=env.perception,
             ending=ending,
         )
-
-
-def _risk_policy(policy: Policy) -> RiskPolicy | None:
-    return policy if isinstance(policy, RiskPolicy) and policy.risk_sign is not None else None
 
 
 def play(

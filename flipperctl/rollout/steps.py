@@ -13,7 +13,6 @@ from flipperctl.agent.frames import stacked
 from flipperctl.api import Policy, StateGroups
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.privileged import PrivilegedStates
-from flipperctl.policies.abilities import LabellingPolicy, TrainingPolicy
 from flipperctl.rollout.episode import Row, decisions
 
 Weights = Mapping[str, NDArray[Any]]
@@ -75,8 +74,6 @@ def steps(
     the steps have privileged states.
     """
     states = PrivilegedStates(env) if privileged else None
-    labelling = policy if isinstance(policy, LabellingPolicy) else None
-    exploring = policy if isinstance(policy, TrainingPolicy) else None
     before: NDArray[np.float32] | None = None
     for d in decisions(env, policy, seed, difficulty=difficulty):
         after = stacked(d.next_perception.recent, frames)
@@ -88,9 +85,9 @@ def steps(
             reward=d.reward,
             next_observation=after,
             ending=None if d.ending is None else {**d.ending, "difficulty": difficulty},
-            label=None if labelling is None else labelling.label,
-            groups=None if labelling is None or d.ending is None else labelling.groups,
-            explored=exploring is not None and exploring.explored,
+            label=getattr(policy, "label", None),
+            groups=None if d.ending is None else getattr(policy, "groups", None),
+            explored=getattr(policy, "explored", False),
             privileged=None if states is None else states.rows[-2],
             next_privileged=None if states is None else states.rows[-1],
         )

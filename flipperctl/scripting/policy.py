@@ -9,14 +9,12 @@ from __future__ import annotations
 import os
 from collections import deque
 from collections.abc import Mapping
-from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from flipperctl import checkpoint as checkpoints
 from flipperctl.api import (
     MAX_HISTORY,
     ObservationLayout,
@@ -25,15 +23,13 @@ from flipperctl.api import (
     Robot,
     registry,
 )
-from flipperctl.api.plugin import registered_names
 from flipperctl.cli.hydra.compose import with_preset
-from flipperctl.config import EnvConfig, resolver
+from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.errors import ConfigError, NonFiniteError, PolicyError, RequestError
-from flipperctl.evaluation.inherited import find_policy, read_config
-from flipperctl.messages import close_match
-from flipperctl.policies.abilities import ObservationPolicy
-from flipperctl.policies.source import PolicySource
+from flipperctl.errors import NonFiniteError, PolicyError, RequestError
+from flipperctl.evaluation.inherited import read_config
+from flipperctl.policies.abilities import FilePolicy
+from flipperctl.policies.source import PolicySource, load_policy
 from flipperctl.scripting.settings import Paths, begin, short_errors
 from flipperctl.terminal.streams import print_note
 
@@ -53,41 +49,15 @@ def load(policy: str | os.PathLike[str], *, plugins: Paths = (), **fields: objec
         RequestError: fields are given for a file, whose settings are fixed.
     """
     begin(plugins)
-    path, controller = find(policy)
-    if controller is not None:
-        own = with_preset({"name": controller, **fields}, "controller")
-        made = resolver.create("controller", own, "controller")
-        return LoadedPolicy(PolicySource(settings=resolver.to_dict(made)), None, fields)
-    assert path is not None  # find returns one of the two
+    if ("controller", str(policy)) in registry:
+        own = with_preset({"name": str(policy), **fields}, "controller")
+        return LoadedPolicy(load_policy(policy, "controller", fields=own), None, fields)
+    source = load_policy(policy, "policy", tell=print_note)
     if fields:
         raise RequestError(
-            f"{path}: {', '.join(fields)}: settings are those of a controller; a file has its own"
+            f"{policy}: {', '.join(fields)}: settings are those of a controller; a file has its own"
         )
-    file = find_policy(path, print_note)
-    return LoadedPolicy(PolicySource(checkpoint=file), read_config(file, (), print_note))
-
-
-def find(policy: str | os.PathLike[str]) -> tuple[Path | None, str | None]:
-    """Return the path of a policy, or else the name of a controller.
-
-    Raises:
-        CheckpointError: it can only be a path, and nothing is there.
-        ConfigError: there is no such policy.
-    """
-    if not isinstance(policy, str | os.PathLike):
-        raise ConfigError(f"policy: a path or a name is allowed; the value is {policy!r}")
-    text, path = os.fspath(policy), Path(policy)
-    if path.exists() or text in checkpoints.shipped_policies():
-        return path, None
-    if ("controller", text) in registry:
-        return None, text
-    if path.suffix or len(path.parts) > 1:
-        checkpoints.find(path)  # raises the error that names a close match
-    known = [*checkpoints.shipped_policies(), *registered_names("controller")]
-    raise ConfigError(
-        f"policy: there is no run, file, shipped policy or controller {text!r}"
-        f"{close_match(text, known)}; shipped policies and controllers: {', '.join(sorted(known))}"
-    )
+    return LoadedPolicy(source, read_config(source, (), print_note))
 
 
 class LoadedPolicy:
@@ -184,9 +154,9 @@ class LoadedPolicy:
             print_note(note)
         self._policy, self._config = self.source.build(config), config
 
-    def _observing(self, given: str) -> ObservationPolicy:
-        if isinstance(self._policy, ObservationPolicy):
-            return self._policy
+    def _observing(self, given: str) -> FilePolicy:
+        if self.source.checkpoint is not None:
+            return cast("FilePolicy", self._policy)
         raise RequestError(
             f"{self.name} is a controller, which may need more than {given}: points of the ground "
             "or a simulator. Begin its episodes with reset(env), and call "

@@ -9,8 +9,6 @@ from time import perf_counter
 
 from flipperctl.api import ACTIONS, Controller, Perception, Plugin, Simulator
 from flipperctl.config import EnvConfig
-from flipperctl.lookahead import Mpc
-from flipperctl.policies.abilities import PolicyUser
 from flipperctl.rollout.episode import decisions
 from flipperctl.testing.check import require
 from flipperctl.testing.recorded import SCENES, SHORT, Scene
@@ -98,8 +96,6 @@ class _Player:
 
 def _ready(controller: Controller, config: EnvConfig) -> Controller:
     """Return the controller with the files that it names; torch is imported only for these."""
-    if not isinstance(controller, PolicyUser | Mpc):
-        return controller
     from flipperctl.policies.source import with_files
 
     return with_files(controller, config)

@@ -11,7 +11,6 @@ import inspect
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -33,7 +32,8 @@ from flipperctl.env.guarded_world import place as place_guarded
 from flipperctl.env.perceiving import Perceiver
 from flipperctl.errors import ConformanceError
 from flipperctl.evaluation.views.engines import in_default_engine
-from flipperctl.policies.exported import ExportedPolicy, is_exported
+from flipperctl.policies.exported import ExportedPolicy
+from flipperctl.policies.source import PolicySource
 from flipperctl.runtime.interface import Interface
 from flipperctl.show import Column, Table
 
@@ -65,7 +65,7 @@ class Probe:
         return {**asdict(self), "holds": self.holds}
 
 
-def probe(config: EnvConfig, file: Path) -> list[Probe]:
+def probe(config: EnvConfig, source: PolicySource) -> list[Probe]:
     """Return the probes of both engines, of sensing and, if it is exported, of a policy's file.
 
     Raises:
@@ -73,8 +73,9 @@ def probe(config: EnvConfig, file: Path) -> list[Probe]:
         PolicyError: the file is damaged.
     """
     found = [*probe_world(in_default_engine(config)), *probe_world(config), *probe_sensing(config)]
-    if is_exported(file):
-        found += probe_export(ExportedPolicy(file).interface, config.robot, str(file))
+    if source.is_exported:
+        interface = ExportedPolicy(source.file).interface
+        found += probe_export(interface, config.robot, str(source.file))
     return found
 
 

@@ -38,7 +38,7 @@ from flipperctl.evaluation.store import EpisodeStore
 from flipperctl.evaluation.views.regret import LEVEL, RegretScene, measure
 from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.files import make_folder
-from flipperctl.policies.source import PolicySource
+from flipperctl.policies.source import PolicySource, load_policy
 from flipperctl.results import METRICS, finished, hold, holds_run, names
 from flipperctl.reward_sum import paying_terms
 from flipperctl.session import command, interrupts, quote_path
@@ -196,7 +196,7 @@ class FinalRegret:
 
     def _references(self) -> dict[str, PolicySource]:
         """Return the rules, and the teacher if it is another rule; what searches takes too long."""
-        found = {name: PolicySource.of_plugin(name, "controller") for name in _RULES}
+        found = {name: load_policy(name, "controller") for name in _RULES}
         teacher = self._config.teacher.controller
         if teacher is not None and is_rule(teacher):
             source = PolicySource(settings=to_dict(teacher))

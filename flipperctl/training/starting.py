@@ -19,9 +19,8 @@ from flipperctl.checkpoint import LAST, find, read
 from flipperctl.checkpoint.sealed import require_equal_layout
 from flipperctl.config import TrainConfig, to_dict
 from flipperctl.env.privileged import SIZE
-from flipperctl.errors import CheckpointError, ConfigError
-from flipperctl.policies.exported import is_exported
-from flipperctl.policies.source import check_layout
+from flipperctl.errors import ConfigError
+from flipperctl.policies.source import check_layout, load_policy
 from flipperctl.policies.trained import policy_module, policy_risk
 from flipperctl.policies.values import naming
 
@@ -44,12 +43,8 @@ def read_start(config: TrainConfig) -> Start | None:
     name = config.agent.start_from
     if name is None:
         return None
+    file = load_policy(name, _SETTING, "checkpoint").file
     with naming(_SETTING):
-        file = find(Path(name))
-        if is_exported(file):
-            raise CheckpointError(
-                f"{file}: an exported file cannot be trained; give its run or checkpoint"
-            )
         checkpoint = read(file)
         module = policy_module(checkpoint)
         theirs = checkpoint.policy_config().perception

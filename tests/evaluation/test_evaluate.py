@@ -15,11 +15,9 @@ from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.statistics import holm, paired_success, proportion
 from flipperctl.evaluation.views import evaluation
 from flipperctl.evaluation.workers import EpisodeWorkers
-from flipperctl.policies.source import PolicySource
+from flipperctl.policies.source import PolicySource, load_policy
 
-LEVEL, OKADA, RANDOM = (
-    PolicySource.of_plugin(name, "here") for name in ("level", "okada", "random")
-)
+LEVEL, OKADA, RANDOM = (load_policy(name, "here") for name in ("level", "okada", "random"))
 TWO = {"episodes": 2, "seed": 4}
 STEP = EvalConfig(terrain={"name": "step", "low": 0.4, "high": 0.4}, eval=TWO)
 """Flippers held level stop at it, okada climbs it, random ones overturn the robot."""

@@ -35,11 +35,11 @@ from flipperctl.evaluation.store import (
 from flipperctl.evaluation.views import evaluation
 from flipperctl.evaluation.workers import EpisodeRunner
 from flipperctl.policies.identity import PolicyIdentity
-from flipperctl.policies.source import PolicySource
+from flipperctl.policies.source import PolicySource, load_policy
 from flipperctl.rollout import cluster
 from flipperctl.rollout.pool import WorkerDiedError
 
-LEVEL, OKADA = (PolicySource.of_plugin(name, "here") for name in ("level", "okada"))
+LEVEL, OKADA = (load_policy(name, "here") for name in ("level", "okada"))
 
 
 def evaluate(

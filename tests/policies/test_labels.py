@@ -9,12 +9,12 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import PluginFailedError
 from flipperctl.lookahead.mpc import NO_PLAN
 from flipperctl.policies import teaching as labels
-from flipperctl.policies.plugin import PluginCostPolicy, PluginPolicy, plugin_policy
+from flipperctl.policies.plugin import PluginPolicy, plugin_policy
 from flipperctl.policies.teaching import DemonstratingPolicy
 from flipperctl.rollout.steps import steps
 
 
-def policy(name: str, **settings: object) -> PluginPolicy | PluginCostPolicy:
+def policy(name: str, **settings: object) -> PluginPolicy:
     return plugin_policy(resolver.create("controller", {"name": name, **settings}, "controller"))
 
 
@@ -29,8 +29,8 @@ def test_an_action_that_costs_a_temperature_more_is_e_times_less_probable() -> N
 
 
 def test_only_some_controllers_offer_costs() -> None:
-    assert isinstance(policy("mpc", value=""), CostPolicy)
-    assert not isinstance(policy("okada"), CostPolicy)
+    assert policy("mpc", value="").offers_costs
+    assert not policy("okada").offers_costs
 
 
 def test_a_collector_keeps_the_labels_of_any_policy_that_has_them() -> None:

@@ -31,9 +31,9 @@ def test_a_run_is_found_from_the_working_directory(
 @pytest.mark.parametrize(
     ("name", "content", "text"),
     [
-        ("rum", None, "there is no such run or checkpoint file"),
+        ("rum", None, "there is no such run, file or shipped policy"),
         ("generalis", None, "did you mean 'generalist'"),
-        ("exported.onnx", "", "an exported file has no rewards and no discount"),
+        ("exported.onnx", "", "an exported file holds no training"),
         ("damaged.safetensors", "nothing", "is damaged or not a safetensors file"),
         ("generalist", None, "a network of one observation is allowed"),
     ],

@@ -18,7 +18,6 @@ from flipperctl.api import (
 from flipperctl.config import EnvConfig, Teacher, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError, PluginFailedError
-from flipperctl.policies.abilities import ValuingPolicy
 from flipperctl.policies.plugin import plugin_policy
 from flipperctl.policies.source import controller_policy
 from flipperctl.policies.teaching import DaggerPolicy, DemonstratingPolicy
@@ -68,8 +67,8 @@ class Rater(Controller):
 def test_groups_that_are_right_are_passed_on() -> None:
     answer = StateGroups(SEEN, VALUES)
     policy = plugin_policy(Rater(answer=answer))
-    assert isinstance(policy, ValuingPolicy)
-    assert policy.groups(np.random.default_rng(0)) is answer
+    assert policy.values_states
+    assert policy.state_groups(np.random.default_rng(0)) is answer
 
 
 @pytest.mark.parametrize(
@@ -90,9 +89,9 @@ def test_groups_that_are_right_are_passed_on() -> None:
 )
 def test_a_plugin_whose_groups_are_nonsense_is_named(answer: Any, text: str) -> None:
     policy = plugin_policy(Rater(answer=answer))
-    assert isinstance(policy, ValuingPolicy)
+    assert policy.values_states
     with pytest.raises(PluginFailedError, match=rf"(?s)'rater'.*groups.*{text}.*test_valuing\.py"):
-        policy.groups(np.random.default_rng(0))
+        policy.state_groups(np.random.default_rng(0))
 
 
 @pytest.mark.parametrize("name", ["mpc", "okada", "level"])
@@ -100,13 +99,13 @@ def test_most_controllers_value_no_states(name: str) -> None:
     found = resolver.create("controller", name, "controller")
     assert isinstance(found, Controller)
     policy = controller_policy(found, EnvConfig(terrain="flat"))
-    assert not isinstance(policy, ValuingPolicy)
+    assert not policy.values_states
 
 
 def test_value_iteration_gets_the_rewards_of_the_environment() -> None:
     found = resolver.create("controller", "value_iteration", "controller")
     assert isinstance(found, Controller)
-    assert isinstance(controller_policy(found, EnvConfig(terrain="flat")), ValuingPolicy)
+    assert controller_policy(found, EnvConfig(terrain="flat")).values_states
 
 
 def test_value_iteration_follows_the_episode_whoever_asks_for_its_costs() -> None:

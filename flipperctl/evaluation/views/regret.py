@@ -22,7 +22,7 @@ from flipperctl.evaluation.play import Player
 from flipperctl.evaluation.rows import REWARD, Episodes, reached
 from flipperctl.evaluation.statistics import FEWEST, interval
 from flipperctl.evaluation.views.summary import Document, named, short
-from flipperctl.policies.source import PolicySource
+from flipperctl.policies.source import PolicySource, load_policy
 from flipperctl.reward_sum import paying_terms
 from flipperctl.show import Column, Table, interval_text
 
@@ -85,7 +85,7 @@ def measure(scene: RegretScene, player: Player) -> Document | None:
         raise ConfigError(f"rewards: {scene.rewards!r} leaves no term to judge a policy by")
     for source in scene.references.values():
         source.build(config)  # raises for a wrong layout or robot
-    sources = {LEVEL: PolicySource.of_plugin(LEVEL, "controller"), **scene.references}
+    sources = {LEVEL: load_policy(LEVEL, "controller"), **scene.references}
     every = [(scene.name, scene.policy)]
     every += [(n, one) for n, one in sources.items() if n == LEVEL or one != scene.policy]
     own, *others = (player.play(config, one, f"{terrain}, {name}") for name, one in every)

@@ -9,7 +9,7 @@ from flipperctl.config import EvalConfig, with_overrides
 from flipperctl.evaluation.evaluate import evaluate
 from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.views.engines import document, explained, steps, with_friction
-from flipperctl.policies.source import PolicySource
+from flipperctl.policies.source import load_policy
 
 
 @pytest.mark.parametrize("spread", [None, [0, 1], [0.2, 0.4]])
@@ -27,7 +27,7 @@ def test_every_sample_of_the_friction_is_doubled(engine: str, spread: object) ->
 def compared(**settings: Any) -> dict[str, Any]:
     """Return what okada loses from the default engine to ``sim=mujoco``."""
     config = EvalConfig(**settings)
-    okada = PolicySource.of_plugin("okada", "here")
+    okada = load_policy("okada", "here")
     entries = [Entry(one, okada, comparison=0) for one in steps(config)]
     (found,) = document(explained(evaluate(Plan(tuple(entries)))))
     return found

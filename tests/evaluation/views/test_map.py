@@ -23,10 +23,10 @@ from flipperctl.evaluation.views.map import (
     figure,
 )
 from flipperctl.evaluation.workers import EpisodeRunner, EpisodeWorkers
-from flipperctl.policies.source import PolicySource
+from flipperctl.policies.source import load_policy
 from tests.evaluation.samples import episodes, sample
 
-OKADA = PolicySource.of_plugin("okada", "here")
+OKADA = load_policy("okada", "here")
 UPLIFT = EvalConfig(terrain="uplift", eval={"episodes": 2, "seed": 3})
 
 

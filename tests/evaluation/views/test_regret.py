@@ -20,7 +20,7 @@ from flipperctl.evaluation.views.regret import (
     table,
 )
 from flipperctl.evaluation.workers import EpisodeWorkers
-from flipperctl.policies.source import PolicySource
+from flipperctl.policies.source import load_policy
 from flipperctl.reward_sum import paying_terms
 from tests.evaluation.samples import episodes as rows
 from tests.evaluation.samples import sample
@@ -116,7 +116,7 @@ def test_the_sentences_name_scene_difference_and_best_reference() -> None:
 
 def scene(**more: Any) -> RegretScene:
     config = EvalConfig(terrain="flat", eval={"episodes": 2}, **more)
-    sources = {name: PolicySource.of_plugin(name, "x") for name in ("okada", "level")}
+    sources = {name: load_policy(name, "x") for name in ("okada", "level")}
     return RegretScene(config, "own", "okada", sources["okada"], {"okada": sources["okada"]})
 
 

@@ -15,9 +15,9 @@ from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.rows import DIGEST
 from flipperctl.evaluation.run import failure_records
 from flipperctl.evaluation.views.replay import replay
-from flipperctl.policies.source import PolicySource
+from flipperctl.policies.source import PolicySource, load_policy
 
-LEVEL = PolicySource.of_plugin("level", "here")
+LEVEL = load_policy("level", "here")
 STEP = EvalConfig(
     terrain={"name": "step", "low": 0.4, "high": 0.4},
     randomise={"friction": [0.8, 1.0]},
