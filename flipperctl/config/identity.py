@@ -1,7 +1,8 @@
 """The identity of a plugin: its name, non-default settings and the contents of its files.
 
 In: a plugin. Out: plain data that does not depend on the place of a file, the notation of its path,
-or settings with defaults that a later version adds.
+or settings with defaults that a later version adds. Also: the settings in which two plain
+configurations differ.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import ast
 import hashlib
 import importlib.util
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -113,6 +114,36 @@ def _sources(name: str, found: dict[str, Path]) -> Iterable[Path]:
                 for inner in (beside, *(f"{beside}.{alias.name}" for alias in node.names)):
                     _sources(inner, found)
     return found.values()
+
+
+class _Absent:
+    def __str__(self) -> str:
+        return "none"
+
+
+ABSENT = _Absent()
+"""What ``differences`` yields for a key that only the other configuration has."""
+
+
+def differences(here: Any, there: Any, path: str = "") -> Iterator[tuple[str, Any, Any]]:
+    """Yield the path of each setting in which two plain configurations differ, and both values.
+
+    ``path``: that of the two in the whole configuration. Lists of equal length are compared item by
+    item if the items are sections, as in ``terrain.terrains[1].height``. A null counts as absent.
+    """
+    if isinstance(here, Mapping) and isinstance(there, Mapping):
+        for key in {**here, **there}:
+            inner = f"{path}.{key}" if path else str(key)
+            yield from differences(here.get(key, ABSENT), there.get(key, ABSENT), inner)
+    elif _are_sections(here) and _are_sections(there) and len(here) == len(there):
+        for index, (ours, theirs) in enumerate(zip(here, there, strict=True)):
+            yield from differences(ours, theirs, f"{path}[{index}]")
+    elif here != there and not (here in (None, ABSENT) and there in (None, ABSENT)):
+        yield path, here, there
+
+
+def _are_sections(value: object) -> bool:
+    return isinstance(value, list | tuple) and all(isinstance(item, Mapping) for item in value)
 
 
 def _names_files(value: object, names: set[str]) -> bool:

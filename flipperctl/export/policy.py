@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 from flipperctl.agent.frames import input_size
 from flipperctl.api import Robot
 from flipperctl.checkpoint import Checkpoint
-from flipperctl.config import TrainConfig, with_overrides
+from flipperctl.config import TrainConfig, to_dict, with_overrides
+from flipperctl.config.identity import differences
 from flipperctl.config.robots import named_robot
 from flipperctl.errors import ConfigError, ExportError
 from flipperctl.export.onnx import export_onnx, folded, policy_metadata, with_risk
@@ -133,10 +134,8 @@ def robot_fields(changes: Mapping[str, Any], command: str = "export") -> dict[st
 
 def _changes(ours: Robot, trained: Robot) -> dict[str, dict[str, float | None]]:
     """Return the differences of two robots, with the decision period for control_period."""
-    names = [*(name for name in Robot.model_fields if name != "control_period"), "decision_period"]
-    pairs = {name: (getattr(trained, name), getattr(ours, name)) for name in names}
-    return {
-        name: {"training": before, "file": after}
-        for name, (before, after) in pairs.items()
-        if before != after
-    }
+    here, there = (
+        {**to_dict(robot), "control_period": None, "decision_period": robot.decision_period}
+        for robot in (ours, trained)
+    )
+    return {name: {"training": b, "file": a} for name, a, b in differences(here, there)}

@@ -16,7 +16,7 @@ from typing import Any
 from flipperctl.api import Controller
 from flipperctl.checkpoint import find, read_policy
 from flipperctl.config import TrainConfig, identity, to_dict
-from flipperctl.config.identity import content_digest, foreign_sources
+from flipperctl.config.identity import ABSENT, content_digest, differences, foreign_sources
 from flipperctl.errors import CheckpointError
 from flipperctl.lookahead import Mpc
 from flipperctl.policies.abilities import PolicyUser
@@ -125,31 +125,21 @@ def _digest(document: object) -> str:
 
 def unlike_trainings(trainings: Sequence[Mapping[str, Any]]) -> str:
     """Return a sentence on the settings that differ; an empty one if none does."""
-    found = list(_unlike([without_input_paths(training) for training in trainings]))
+    first, *others = map(without_input_paths, trainings)
+    found: dict[str, list[Any]] = {}
+    for other in others:
+        for path, here, there in differences(first, other):
+            # A setting that one lacks is newer than its training; a plugin was left out.
+            if ABSENT not in (here, there) or isinstance(here if there is ABSENT else there, dict):
+                found.setdefault(path, [here]).append(there)
     if not found:
         return ""
-    named = ", ".join(f"{key} ({_shown(values)})" for key, values in found[:_NAMED])
+    named = ", ".join(f"{key} ({_shown(values)})" for key, values in [*found.items()][:_NAMED])
     more = f" and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
     return (
         f"its policies were trained with different settings: {named}{more}; trainings of one "
         "method differ in their seeds alone, and METHOD=DIR gives others a name of their own"
     )
-
-
-def _unlike(values: Sequence[Any], path: str = "") -> Iterator[tuple[str, Sequence[Any]]]:
-    """Yield each key in which values differ, such as ``agent.gamma``, and its values."""
-    if all(isinstance(value, Mapping) for value in values):
-        for key in dict.fromkeys(key for value in values for key in value):
-            inner = [value.get(key) for value in values]
-            absent = [value for value in values if key not in value]
-            # A setting that some lack is newer than their training; a plugin was left out.
-            if not absent or any(isinstance(one, Mapping) for one in inner):
-                yield from _unlike(inner, f"{path}.{key}" if path else key)
-    elif all(isinstance(value, list) and len(value) == len(values[0]) for value in values):
-        for index in range(len(values[0])):
-            yield from _unlike([value[index] for value in values], f"{path}[{index}]")
-    elif any(value != values[0] for value in values):
-        yield path, values
 
 
 def _shown(values: Sequence[Any]) -> str:

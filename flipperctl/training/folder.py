@@ -10,7 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from omegaconf import OmegaConf
 
 from flipperctl import checkpoint, plugins
 from flipperctl.config import TrainConfig, parse, to_dict
+from flipperctl.config.identity import differences
 from flipperctl.errors import CheckpointError, ConfigError, OutputError, RequestError
 from flipperctl.files import make_folder, remove_partial, write_bytes
 from flipperctl.results import CONFIG, HYDRA, METRICS, SUMMARY, holds_run, is_held, read_config
@@ -137,22 +138,10 @@ def differing_settings(there: TrainConfig, here: TrainConfig) -> list[str]:
 
     Loggers may differ: they record a run and do not change it.
     """
-    plain = [to_dict(config.model_copy(update={"logger": {}})) for config in (there, here)]
-    first, second = (dict(_leaves(settings)) for settings in plain)
+    ours, theirs = (to_dict(config.model_copy(update={"logger": {}})) for config in (there, here))
     return [
-        f"{key}: {first.get(key, 'none')} there, {second.get(key, 'none')} here"
-        for key in dict.fromkeys([*first, *second])
-        if first.get(key) != second.get(key)
+        f"{path}: {first} there, {second} here" for path, first, second in differences(ours, theirs)
     ]
-
-
-def _leaves(node: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield the dotted key and the value of each setting."""
-    for key, value in node.items():
-        if isinstance(value, dict) and value:
-            yield from _leaves(value, f"{path}{key}.")
-        else:
-            yield f"{path}{key}", value
 
 
 def clear_leftovers(directory: Path) -> None:

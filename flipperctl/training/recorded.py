@@ -21,6 +21,7 @@ from flipperctl.api import MAX_HISTORY, ObservationLayout, Robot
 from flipperctl.checkpoint import recording
 from flipperctl.checkpoint.recording import PartialEnvironment, Recording
 from flipperctl.config import TrainConfig, to_dict
+from flipperctl.config.identity import ABSENT, differences
 from flipperctl.config.randomise import OMITTED
 from flipperctl.errors import ConfigError
 
@@ -120,7 +121,7 @@ def _check_robot(robot: Robot, path: Path, environment: PartialEnvironment) -> N
     period = theirs["control_period"] or theirs["angle_step"] / theirs["flipper_speed"]
     if period != (own := robot.decision_period):
         texts.append(f"a decision period of {period:.6g} s (here {own:.6g})")
-    settings = [f"robot.{k}={v}" for k, v in theirs.items() if v != ours.get(k)]
+    settings = [f"{path}={there}" for path, _, there in differences(ours, theirs, "robot")]
     raise ConfigError(
         f"teacher.episodes: {path} was recorded with another robot: {', '.join(texts)}; record it "
         f"again with the robot of the training, or train with {' '.join(settings)}"
@@ -145,9 +146,9 @@ def _differing(section: str, ours: Mapping[str, Any], theirs: Mapping[str, Any])
     if theirs.get("name") != ours.get("name"):
         yield f"{section}={theirs.get('name')} (here {ours.get('name')})"
         return
-    for name, value in theirs.items():
-        if name in ours and value != ours[name]:
-            yield f"{section}.{name}={_text(value)} (here {_text(ours[name])})"
+    for path, here, there in differences(ours, theirs, section):
+        if ABSENT not in (here, there):
+            yield f"{path}={_text(there)} (here {_text(here)})"
 
 
 def _text(value: object) -> str:

@@ -18,6 +18,7 @@ from flipperctl.api import ACTIONS
 from flipperctl.checkpoint import LAST, find, read
 from flipperctl.checkpoint.sealed import require_equal_layout
 from flipperctl.config import TrainConfig, to_dict
+from flipperctl.config.identity import differences
 from flipperctl.env.privileged import SIZE
 from flipperctl.errors import ConfigError
 from flipperctl.policies.source import check_layout, load_policy
@@ -74,8 +75,7 @@ def read_values(config: TrainConfig) -> dict[str, torch.Tensor] | None:
             f"its values are those of decision {state.decision}; give {checkpoint.path} in "
             f"{_SETTING}, or leave it at false"
         )
-    before, now = _returns(theirs), _returns(config)
-    if differing := [key for key in before | now if before.get(key) != now.get(key)]:
+    if differing := [path for path, *_ in differences(_returns(theirs), _returns(config))]:
         raise ConfigError(
             f"{_VALUES}: the values of {name} are of other returns, by {', '.join(differing)}; "
             "train with the settings of that run, or leave it at false"

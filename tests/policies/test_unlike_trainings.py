@@ -8,7 +8,7 @@ from flipperctl.policies.identity import unlike_trainings
 @pytest.mark.parametrize(
     ("one", "other", "told"),
     [
-        ({"rewards": {"a": {"name": "a"}}}, {"rewards": {}}, "rewards.a ({'name': 'a'}, None)"),
+        ({"rewards": {"a": {"name": "a"}}}, {"rewards": {}}, "rewards.a ({'name': 'a'}, none)"),
         ({"rewards": {"a": {"n": 1}}}, {"rewards": {"a": {"n": 1, "new": 2}}}, ""),
         ({"teacher": {"episodes": "a"}}, {"teacher": {"episodes": "b"}}, ""),
         ({"t": {"p": [{"n": 1}, {"n": 2}]}}, {"t": {"p": [{"n": 1}, {"n": 3}]}}, "t.p[1].n (2, 3)"),
