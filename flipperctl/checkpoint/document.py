@@ -254,12 +254,7 @@ class Document(Record):
 
 
 def parse(text: str) -> Document:
-    """Parse the JSON text of a document.
-
-    Raises:
-        OldVersionError: it is that of an earlier version.
-        ValueError: the text is not a valid document; the message names the invalid key.
-    """
+    """Parse the JSON text of a document."""
     raw = decode(text)
     if raw.get("kind") == EPISODES:
         raise ValueError("it describes recorded episodes, which hold no policy")

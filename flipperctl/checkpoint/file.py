@@ -51,12 +51,7 @@ class Checkpoint:
     """What ``policy_config`` found with the plugins of that time."""
 
     def config(self) -> TrainConfig:
-        """Return the full training configuration.
-
-        Raises:
-            CheckpointError: a plugin of the configuration is not installed, or the configuration
-                is not valid in this version.
-        """
+        """Return the full training configuration."""
         self._load_trusted()
         self._require_plugins()
         return self._parse(self.document.config.model_dump(mode="json"))
@@ -66,10 +61,6 @@ class Checkpoint:
 
         Stand-ins replace a terrain and reward terms whose plugins are missing (see
         ``config.absent``); a teacher and loggers whose plugins are missing are left out.
-
-        Raises:
-            CheckpointError: another plugin is missing, such as the network's, or the
-                configuration is not valid in this version.
         """
         self._load_trusted()
         known = frozenset(registry.items())
@@ -94,11 +85,7 @@ class Checkpoint:
         return copies[0] if copies else name
 
     def _load_trusted(self) -> None:
-        """Load the run's copies of missing plugins, if it lies in a folder that is trusted.
-
-        Raises:
-            PluginError: a copy does not import.
-        """
+        """Load the run's copies of missing plugins, if it lies in a folder that is trusted."""
         trusted = [folder for folder in os.environ.get(TRUST, "").split(os.pathsep) if folder]
         if not any(self.path.resolve().is_relative_to(Path(f).resolve()) for f in trusted):
             return
@@ -130,6 +117,22 @@ class Checkpoint:
         plain["config"] = {k: v for k, v in plain["config"].items() if k != "logger"}
         kept = {k: v for k, v in plain.items() if k not in ("format", "versions", "plugins")}
         return sealed.digest(json.dumps(kept, sort_keys=True), self.tensors)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the contents as plain data, with the run's state but without its generators."""
+        document = self.document.plain()
+        if state := document.pop("state", None):
+            document["state"] = {
+                k: v for k, v in state.items() if k not in ("generators", "recent")
+            }
+        prefixes = dict.fromkeys(name.partition(".")[0] for name in self.tensors)
+        return {
+            "path": str(self.path),
+            "bytes": self.path.stat().st_size,
+            "content_sha256": self.content,
+            "numbers": {p: sum(t.numel() for t in self.part(p).values()) for p in prefixes},
+            **document,
+        }
 
 
 def describe(
@@ -190,12 +193,7 @@ def plugin_references(config: TrainConfig) -> tuple[PluginReference, ...]:
 
 
 def write(path: Path, document: Document, tensors: Mapping[str, torch.Tensor]) -> None:
-    """Write a checkpoint, completely or not at all.
-
-    Raises:
-        OutputError: the path cannot be written.
-        WriteError: writing failed half way; an earlier file, if any, is kept.
-    """
+    """Write a checkpoint, completely or not at all."""
     write_bytes(path, sealed.serialize(document.text(), tensors))
 
 
@@ -302,11 +300,7 @@ def holds(folder: Path) -> bool:
 
 
 def runs_in(folder: Path) -> list[Path]:
-    """Return the runs with a checkpoint in a folder, as that of a sweep, in the order of jobs.
-
-    Raises:
-        OSError: the folder cannot be read.
-    """
+    """Return the runs with a checkpoint in a folder, as that of a sweep, in the order of jobs."""
     return sorted(filter(holds, folder.iterdir()), key=job_order)
 
 

@@ -184,11 +184,7 @@ def write(
 
 
 def require_one_layout(path: Path, configs: Sequence[EnvConfig]) -> None:
-    """Check that episodes in these environments fit into one file.
-
-    Raises:
-        ConfigError: the environments have different observation layouts.
-    """
+    """Check that episodes in these environments fit into one file."""
     if len({(config.perception.bins, config.perception.bin_width) for config in configs}) > 1:
         raise ConfigError(
             f"{path}: a {NOUN} has one observation layout; perception.bins or "
@@ -247,11 +243,7 @@ def _parse(text: str) -> RecordingDocument:
 
 
 def _check(document: RecordingDocument, tensors: Mapping[str, torch.Tensor]) -> None:
-    """Check the tensors against the document, and their values.
-
-    Raises:
-        ValueError: a tensor is missing or unknown, or has another shape, type or range.
-    """
+    """Check the tensors against the document, and their values."""
     import torch
 
     count = sum(episode.decisions for episode in document.episodes)

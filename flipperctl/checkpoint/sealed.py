@@ -22,11 +22,7 @@ if TYPE_CHECKING:
 
 
 def decode(text: str) -> dict[str, Any]:
-    """Return the mapping of a JSON text whose keys are unique and whose numbers are finite.
-
-    Raises:
-        ValueError: the text is not such a mapping.
-    """
+    """Return the mapping of a JSON text whose keys are unique and whose numbers are finite."""
     try:
         raw = json.loads(
             text,
@@ -65,9 +61,6 @@ def require_equal_layout(
     """Check that tensors have the expected names, shapes and types and hold finite numbers.
 
     A number may be infinite where the expected one is infinite, as in a mask.
-
-    Raises:
-        ValueError: a tensor differs; the message names the first one.
     """
     if missing := sorted(expected.keys() - found.keys()):
         raise ValueError(f"{missing[0]} is missing")
@@ -109,9 +102,6 @@ def read(path: Path, noun: str) -> tuple[str, dict[str, torch.Tensor]]:
     """Return the text of the document and the tensors of a sealed file.
 
     ``noun``: kind of file for the errors, such as "checkpoint".
-
-    Raises:
-        CheckpointError: the file is missing, truncated or changed, or not from flipperctl.
     """
     import safetensors.torch  # noqa: F401  # takes a second, before the file is opened
 

@@ -14,7 +14,6 @@ from flipperctl.api import Logger, Measure, registry
 from flipperctl.api.plugin import registered_names
 from flipperctl.config import resolver
 from flipperctl.config.agent import Teacher
-from flipperctl.config.loggers import METRICS_ALONE
 from flipperctl.config.models import EnvConfig, EvalConfig, TrainConfig
 from flipperctl.config.sections import LocalCollector, RayCollector
 from flipperctl.errors import ConfigError
@@ -47,9 +46,6 @@ def refuse_ineffective(config: EnvConfig, given: Mapping[str, str]) -> None:
 
     With ``randomise.spread``, samples lie around the value of the setting, which then has one. All
     settings of the robot at once are those of a file, ``robot=FILE``, of which some may be sampled.
-
-    Raises:
-        ConfigError: an override sets a randomised setting; the text has the range.
     """
     if config.randomise.spread is not None:
         return
@@ -87,7 +83,7 @@ def entries() -> Iterator[tuple[str, str, dict[str, Any]]]:
     yield "teacher", "none", teaching
     # The empty name is refused with what to give, so that teacher=recorded never means no teacher.
     yield "teacher", "recorded", {**teaching, "episodes": ""}
-    yield Logger.kind, METRICS_ALONE, {}
+    yield Logger.kind, resolver.METRICS_ALONE, {}
     for (kind, name), cls in registry.items():
         if kind == Measure.kind:
             continue  # every measure is taken of every episode; none is chosen

@@ -49,12 +49,7 @@ class Setting:
 
 
 def fields(cls: type[Settings]) -> list[Field]:
-    """Return the fields of a class of settings.
-
-    Raises:
-        ConfigError: the defaults of a plugin are not valid.
-        PluginError: a plugin's own code failed.
-    """
+    """Return the fields of a class of settings."""
     complete = not any(info.is_required() for info in cls.model_fields.values())
     defaults = _defaults(cls) if complete else {}
     found = []
@@ -91,11 +86,7 @@ def settings(config: Settings, path: str = "") -> Iterator[Setting]:
 
 
 def plugin_keys(name: str | None) -> list[tuple[str, str]]:
-    """Return kind and name of each plugin of this name, or of all plugins for None.
-
-    Raises:
-        PluginError: there is no plugin of this name.
-    """
+    """Return kind and name of each plugin of this name, or of all plugins for None."""
     known = {plugin for _, plugin in registry}
     if name is not None and name not in known:
         raise PluginError(f"there is no plugin {name!r}{missing_name('', name, known)}")

@@ -28,10 +28,6 @@ def identity(plugin: Plugin) -> dict[str, Any]:
 
     A setting that names files that the plugin reads (same last component of the path) is left out;
     the SHA-256 of each file is included instead. Plugins in settings are described in the same way.
-
-    Raises:
-        PluginError: a setting cannot be written as JSON.
-        PluginFailedError: ``files_read`` failed.
     """
     files, plain = read_files(plugin), to_dict(plugin)
     names = {file.name for file in files}
@@ -46,11 +42,7 @@ def identity(plugin: Plugin) -> dict[str, Any]:
 
 
 def read_files(plugin: Plugin) -> tuple[Path, ...]:
-    """Return the files that the plugin reads.
-
-    Raises:
-        PluginFailedError: ``files_read`` failed, or returned anything but paths.
-    """
+    """Return the files that the plugin reads."""
     with guard.naming(plugin, "files_read"):  # iterating over the result may fail as well
         found = tuple(plugin.files_read())
     if not all(isinstance(file, Path) for file in found):
@@ -60,11 +52,7 @@ def read_files(plugin: Plugin) -> tuple[Path, ...]:
 
 
 def all_files_read(plugins: Iterable[Plugin]) -> list[Path]:
-    """Return the files that the plugins and those in their settings read, in order.
-
-    Raises:
-        PluginFailedError: ``files_read`` failed, or returned anything but paths.
-    """
+    """Return the files that the plugins and those in their settings read, in order."""
     return [file for one in plugins for part in nested_plugins(one) for file in read_files(part)]
 
 

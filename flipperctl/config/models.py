@@ -14,6 +14,7 @@ from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 
 from flipperctl.api import (
     NAME_RULE,
+    SAMPLE_PERIOD,
     Engine,
     Logger,
     Network,
@@ -27,10 +28,8 @@ from flipperctl.api import (
     is_plugin_name,
 )
 from flipperctl.config.agent import Agent, Teacher
-from flipperctl.config.combinations import check_decisions, check_episode
-from flipperctl.config.loggers import by_name
 from flipperctl.config.randomise import Randomise
-from flipperctl.config.resolver import create, to_dict
+from flipperctl.config.resolver import create, loggers_by_name, to_dict
 from flipperctl.config.robots import robot_or_name
 from flipperctl.config.sampled import check_ranges, replace_settings, sample
 from flipperctl.config.sections import (
@@ -44,47 +43,40 @@ from flipperctl.errors import ConfigError
 from flipperctl.messages import close_match
 
 
-def _terrain(value: object) -> object:
-    return create("terrain", value, "terrain")
+def _plugin(kind: str) -> tuple[BeforeValidator, PlainSerializer]:
+    """Return what reads and writes the plugin of the section ``kind``."""
+
+    def read(value: object) -> object:
+        if kind in ("sim", "perception") and isinstance(value, Mapping) and "name" not in value:
+            value = {"name": DEFAULT_ENGINE, **value}
+        return create(kind, value, kind)
+
+    return BeforeValidator(read), PlainSerializer(to_dict)
 
 
-def _network(value: object) -> object:
-    return create("network", value, "network")
-
-
-def _engine(value: object) -> object:
-    return create("sim", _with_default_name(value), "sim")
-
-
-def _sensor(value: object) -> object:
-    return create("perception", _with_default_name(value), "perception")
-
-
-def _with_default_name(value: object) -> object:
-    """Return the settings with a name: that of the default where there is none."""
-    if isinstance(value, Mapping) and "name" not in value:
-        return {"name": DEFAULT_ENGINE, **value}
-    return value
+def _complete(value: Mapping[Any, Any]) -> list[str]:
+    """Return the names of entries that are no fields of entries that are missing."""
+    return [str(k) for k, v in value.items() if not isinstance(v, Mapping) or "name" in v]
 
 
 def _rewards(value: object) -> object:
     if not isinstance(value, Mapping):
         raise ConfigError(f"rewards: a mapping of terms is allowed; got {value!r}")
-    complete = [str(k) for k, v in value.items() if not isinstance(v, Mapping) or "name" in v]
-    for key in value:
-        if str(key) not in complete:  # a field of an unknown term
+    complete = _complete(value)
+    for key in map(str, value):
+        if key not in complete:  # a field of an unknown term
             raise ConfigError(
-                f"rewards.{key}: there is no such term{close_match(str(key), complete)}; "
+                f"rewards.{key}: there is no such term{close_match(key, complete)}; "
                 f"known: {', '.join(complete)}; a new one needs a name"
             )
     return {str(k): create("reward", v, f"rewards.{k}") for k, v in value.items()}
 
 
 def _loggers(value: object) -> object:
-    found = by_name(value)
+    found = loggers_by_name(value)
     if not isinstance(found, Mapping):
         raise ConfigError(f"logger: names, or a mapping of loggers, are allowed; got {value!r}")
-    complete = [str(k) for k, v in found.items() if not isinstance(v, Mapping) or "name" in v]
+    complete = _complete(found)
     for key in map(str, found):
         if key not in complete:  # a field of a logger that was not chosen
             raise ConfigError(
@@ -100,11 +92,11 @@ def _to_dicts(value: Mapping[str, Plugin]) -> dict[str, Any]:
     return {name: to_dict(plugin) for name, plugin in value.items()}
 
 
-ConfiguredTerrain = Annotated[Terrain, BeforeValidator(_terrain), PlainSerializer(to_dict)]
+ConfiguredTerrain = Annotated[Terrain, *_plugin("terrain")]
 NamedRobot = Annotated[Robot, BeforeValidator(robot_or_name)]
-AnyNetwork = Annotated[Network, BeforeValidator(_network), PlainSerializer(to_dict)]
-AnyEngine = Annotated[Engine, BeforeValidator(_engine), PlainSerializer(to_dict)]
-AnySensor = Annotated[Sensor, BeforeValidator(_sensor), PlainSerializer(to_dict)]
+AnyNetwork = Annotated[Network, *_plugin("network")]
+AnyEngine = Annotated[Engine, *_plugin("sim")]
+AnySensor = Annotated[Sensor, *_plugin("perception")]
 AnyRewards = Annotated[dict[str, RewardTerm], BeforeValidator(_rewards), PlainSerializer(_to_dicts)]
 AnyLoggers = Annotated[dict[str, Logger], BeforeValidator(_loggers), PlainSerializer(_to_dicts)]
 
@@ -131,9 +123,48 @@ class EnvConfig(Settings):
     @model_validator(mode="after")
     def _check_combinations(self) -> EnvConfig:
         check_ranges(self._sampled_sections, self.randomise)
-        check_decisions(self.robot, self.perception, self.randomise)
-        check_episode(self.robot, self.episode, self.randomise)
+        self._check_decisions()
+        self._check_episode()
         return self
+
+    def _check_decisions(self) -> None:
+        """Refuse decisions shorter than a sample period, and delays longer than a decision."""
+        period = self.robot.decision_period
+        if period < SAMPLE_PERIOD:
+            given = self.robot.control_period is not None
+            cause = "control_period:" if given else "angle_step: angle_step / flipper_speed,"
+            raise ConfigError(
+                f"robot.{cause} a decision would take {period:.3g} s; at least "
+                f"{SAMPLE_PERIOD:g} s, the sampling time of the pitch, is allowed"
+            )
+        delays = (
+            ("robot", "actuator_delay", self.robot.actuator_delay),
+            ("perception", "delay", self.perception.delay),
+        )
+        for section, name, own in delays:
+            sampled = self.randomise.find(section, name)
+            longest, key = (sampled.ends[1], sampled.key) if sampled else (own, f"{section}.{name}")
+            if longest > period:
+                raise ConfigError(f"{key}: {longest:g} s is longer than a decision, {period:g} s")
+
+    def _check_episode(self) -> None:
+        """Refuse a start angle beyond the limit, and a rule by which every robot is stuck."""
+        robot, episode = self.robot, self.episode
+        if abs(episode.start_angle) > robot.angle_limit:
+            raise ConfigError(
+                f"episode.start_angle: {episode.start_angle:g} rad is beyond robot.angle_limit, "
+                f"{robot.angle_limit:g} rad"
+            )
+        sampled = self.randomise.find("robot", "track_speed")
+        slowest = sampled.ends[0] if sampled else robot.track_speed
+        window = episode.stuck_decisions(robot.decision_period)
+        farthest = slowest * window * robot.decision_period
+        if episode.stuck_progress > farthest:
+            raise ConfigError(
+                f"episode.stuck_progress: {episode.stuck_progress:g} m in {window} "
+                f"decisions is more than a robot of {slowest:g} m/s drives on level ground; at "
+                f"most {farthest:.3g} m is allowed, or every robot is stuck"
+            )
 
     @property
     def _sampled_sections(self) -> dict[str, Settings]:
@@ -144,11 +175,7 @@ class EnvConfig(Settings):
         return sample(self._sampled_sections, self.randomise, rng)
 
     def with_sampled_values(self, values: Mapping[str, float]) -> tuple[Engine, Robot, Sensor]:
-        """Return the engine, robot and sensor of an episode with the sampled ``values``.
-
-        Raises:
-            ConfigError: the values are not possible together.
-        """
+        """Return the engine, robot and sensor of an episode with the sampled ``values``."""
         found = replace_settings(self._sampled_sections, values)
         robot = found["robot"]
         if robot != self.robot:  # the policy decides in the rhythm of the configured one

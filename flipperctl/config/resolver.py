@@ -18,7 +18,6 @@ from flipperctl import guard
 from flipperctl.api import Plugin, Settings
 from flipperctl.api.plugin import mapping, registered_names, selected
 from flipperctl.config.guarded import guard_class
-from flipperctl.config.loggers import by_name
 from flipperctl.config.robots import named_robot
 from flipperctl.errors import ConfigError, FlipperctlError, PluginError
 from flipperctl.messages import explain, missing_name
@@ -26,12 +25,20 @@ from flipperctl.messages import explain, missing_name
 SettingsT = TypeVar("SettingsT", bound=Settings)
 
 
-def get(kind: str, name: object, where: str) -> type[Plugin]:
-    """Return the class registered under ``name``.
+METRICS_ALONE = "csv"
+"""Choice of loggers that adds nothing to ``metrics.csv``, which every run writes."""
 
-    Raises:
-        ConfigError: no plugin of that kind has the name; the text has a close match.
-    """
+
+def loggers_by_name(value: object) -> object:
+    """Return a mapping of settings for a name or a list of names; other values unchanged."""
+    names = [value] if isinstance(value, str) else value
+    if not isinstance(names, list | tuple) or not all(isinstance(name, str) for name in names):
+        return value
+    return {name: {"name": name} for name in names if name != METRICS_ALONE}
+
+
+def get(kind: str, name: object, where: str) -> type[Plugin]:
+    """Return the class registered under ``name``."""
     try:
         return selected(kind, {"name": name})[0]
     except LookupError as error:
@@ -71,21 +78,12 @@ def create(kind: str, settings: object, where: str) -> Any:
 
 
 def reference(name: str, where: str) -> dict[str, Any]:
-    """Return name and fields of a controller that is named beside another policy.
-
-    Raises:
-        ConfigError: there is no such controller.
-    """
+    """Return name and fields of a controller that is named beside another policy."""
     return {"name": name, **getattr(get("controller", name, where), "reference_settings", {})}
 
 
 def construct(cls: type[Plugin], fields: Mapping[str, Any]) -> Plugin:
-    """Return an instance of a plugin, whose methods are guarded (``config.guarded``).
-
-    Raises:
-        ValidationError: a field is unknown, of the wrong type or out of bounds.
-        PluginError: the plugin's own code raised anything else.
-    """
+    """Return an instance of a plugin, whose methods are guarded (``config.guarded``)."""
     try:
         plugin = cls(**fields)
     except BaseException as error:
@@ -126,9 +124,6 @@ def with_overrides(config: SettingsT, overrides: Mapping[str, Any]) -> SettingsT
     named again.
 
     A reward term set to None is dropped; an empty mapping of rewards drops all terms.
-
-    Raises:
-        ConfigError: there is no such setting, or a value is of the wrong type or out of bounds.
     """
     result = to_dict(config)
     for key, value in sorted(overrides.items(), key=lambda item: not _is_named(*item)):
@@ -138,7 +133,7 @@ def with_overrides(config: SettingsT, overrides: Mapping[str, Any]) -> SettingsT
             result[key] = {}
             continue
         if key == "logger" and not isinstance(value, Mapping):  # names replace all loggers
-            result[key] = by_name(value)
+            result[key] = loggers_by_name(value)
             continue
         if key == "collector" and isinstance(value, str):  # a name alone, as on the command line
             kept = result.get(key)
@@ -182,9 +177,6 @@ def to_dict(settings: Settings, *, brief: bool = False) -> dict[str, Any]:
 
     ``brief``: a plugin inside a plugin is written as its name alone if all its fields have their
     defaults.
-
-    Raises:
-        PluginError: a field of a plugin cannot be written as JSON.
     """
     if isinstance(settings, Plugin):
         try:
@@ -209,10 +201,6 @@ def defaults(cls: type[Plugin]) -> dict[str, Any]:
     """Return the brief plain data of a plugin at its defaults.
 
     A default of null stays null, also if the plugin then chooses by its other fields.
-
-    Raises:
-        ConfigError: a field has no default, or a default that is not valid.
-        PluginError: the plugin's own code raised anything else.
     """
     try:
         found = to_dict(construct(cls, {}), brief=True)

@@ -37,11 +37,7 @@ def is_file(name: str) -> bool:
 
 
 def named_robot(name: str) -> Robot:
-    """Return the robot of a preset or of a file; those that a file leaves out are nubot's.
-
-    Raises:
-        ConfigError: there is no such robot or file, or a setting in it is unknown or not allowed.
-    """
+    """Return the robot of a preset or of a file; those that a file leaves out are nubot's."""
     if is_file(name):
         return read_robot(Path(name))
     if name not in (known := known_robots()):
@@ -56,11 +52,7 @@ def named_robot(name: str) -> Robot:
 
 
 def read_robot(file: Path) -> Robot:
-    """Return the robot that a file describes.
-
-    Raises:
-        ConfigError: the file cannot be read, is not a mapping, or a setting in it is not allowed.
-    """
+    """Return the robot that a file describes."""
     return _checked(strict_yaml.read(file, str(file)), str(file))
 
 
@@ -104,9 +96,6 @@ def expand_files(words: Sequence[str]) -> list[str]:
 
     All settings of the robot are written out, in place of those of a policy's training too; one
     that another word sets is left to that word.
-
-    Raises:
-        ConfigError: a list names files, or a file is not one of a robot.
     """
     given = {word.lstrip("+~").partition("=")[0] for word in words}
     return [found for word in words for found in _expand(word, given)]

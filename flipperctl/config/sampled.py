@@ -71,11 +71,7 @@ def _configured(settings: Settings, field: str, low: float, high: float) -> floa
 
 
 def replace_settings(sections: Sections, sampled: Mapping[str, float]) -> dict[str, Any]:
-    """Return the sections with the sampled values in place of their own.
-
-    Raises:
-        ConfigError: the values are not possible together.
-    """
+    """Return the sections with the sampled values in place of their own."""
     result = dict(sections)
     for section in {target(name)[0]: None for name in sampled}:
         values = {name: value for name, value in sampled.items() if target(name)[0] == section}
@@ -87,12 +83,7 @@ def replace_settings(sections: Sections, sampled: Mapping[str, float]) -> dict[s
 
 
 def check_ranges(sections: Sections, randomise: Randomise) -> None:
-    """Check that each setting can be sampled and that all combinations of range ends are valid.
-
-    Raises:
-        ConfigError: a setting is unknown or cannot be sampled, or a combination is not valid; the
-            error names the ranges that make it so.
-    """
+    """Check that each setting can be sampled and that all combinations of range ends are valid."""
     ends: dict[str, dict[str, list[float]]] = {}
     for one in randomise.sampled():
         low, high = _check(one, sections[one.section])
@@ -118,11 +109,7 @@ def _check_combinations(settings: Settings, ends: Mapping[str, list[float]]) -> 
 
 
 def _check(one: Sampled, settings: Settings) -> tuple[float, float]:
-    """Return the ends of the samples of a setting that exists and can be sampled.
-
-    Raises:
-        ConfigError: it does not exist or cannot be sampled, or a probability is not within 0 and 1.
-    """
+    """Return the ends of the samples of a setting that exists and can be sampled."""
     cls, known = type(settings), sorted({*type(settings).model_fields, *type(settings).factors})
     chosen = f"{one.section}={cls.plugin_name}" if issubclass(cls, Plugin) else one.section
     if one.field not in known:
@@ -185,9 +172,6 @@ def _with_values(settings: Settings, sampled: Mapping[str, float]) -> Settings:
     """Return the settings with the sampled values, which are given by name.
 
     A factor multiplies the settings of ``Settings.factors``, after these were sampled themselves.
-
-    Raises:
-        ValidationError: the values are not possible.
     """
     cls, values = type(settings), {target(name)[1]: value for name, value in sampled.items()}
     factors = {name: values.pop(name) for name in cls.factors if name in values}

@@ -41,11 +41,7 @@ def read(file: Traversable, where: str) -> Any:
 
 
 def read_text(file: Traversable, where: str) -> str:
-    """Return the text of a file, which errors call ``where``.
-
-    Raises:
-        ConfigError: the file cannot be read.
-    """
+    """Return the text of a file, which errors call ``where``."""
     try:
         return file.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
@@ -57,11 +53,7 @@ def read_text(file: Traversable, where: str) -> str:
 
 
 def parse(text: str, where: str) -> Any:
-    """Return the data of a text in YAML, which errors call ``where``.
-
-    Raises:
-        ConfigError: it is no YAML, or a key is given twice.
-    """
+    """Return the data of a text in YAML, which errors call ``where``."""
     try:
         return yaml.load(text, _Loader)  # noqa: S506  # a SafeLoader
     except RecursionError as error:

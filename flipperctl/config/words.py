@@ -20,11 +20,7 @@ def key_of(word: str) -> str:
 
 
 def check_once(overrides: Iterable[str]) -> None:
-    """Refuse a key with two values, of which Hydra would take the last.
-
-    Raises:
-        ConfigError: a key is given twice.
-    """
+    """Refuse a key with two values, of which Hydra would take the last."""
     given: dict[str, str] = {}
     for override in overrides:
         key = key_of(override)
@@ -34,23 +30,14 @@ def check_once(overrides: Iterable[str]) -> None:
 
 
 def check_different(where: str, values: Sequence[object]) -> None:
-    """Refuse a list that names something twice.
-
-    Raises:
-        ConfigError: a value equals an earlier one.
-    """
+    """Refuse a list that names something twice."""
     for index, value in enumerate(values):
         if value in values[:index]:
             raise ConfigError(f"{where}: {value} is given twice; once is allowed")
 
 
 def check_words(overrides: Sequence[str]) -> None:
-    """Refuse a word that is not an override, because of the shell or a typing mistake.
-
-    Raises:
-        ConfigError: a word has no key, or no ``=``, for instance after a space in a value; or a
-            key is given twice.
-    """
+    """Refuse a word that is not an override, because of the shell or a typing mistake."""
     before = ""
     for word, after in zip_longest(overrides, overrides[1:], fillvalue=""):
         key, equals, _ = word.lstrip("+~").partition("=")
@@ -108,11 +95,7 @@ def quote_override(key: str, value: str) -> str:
 def with_flags(
     overrides: Sequence[str] | None, section: str = "eval", **flags: str | None
 ) -> list[str]:
-    """Return the overrides, and those of ``section`` that the given flags stand for.
-
-    Raises:
-        RequestError: an override sets what a flag sets.
-    """
+    """Return the overrides, and those of ``section`` that the given flags stand for."""
     found = list(overrides or [])
     keys = {key_of(override): override for override in found}
     for name, value in flags.items():

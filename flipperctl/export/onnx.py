@@ -178,12 +178,7 @@ OPSET = 18
 def export_onnx(
     module: torch.nn.Module, config: TrainConfig, metadata: dict[str, str]
 ) -> tuple[bytes, Outputs]:
-    """Return the bytes of the model, and a function that computes its outputs.
-
-    Raises:
-        MissingExtraError: a package that ONNX needs is not installed.
-        ExportError: torch returned no model.
-    """
+    """Return the bytes of the model, and a function that computes its outputs."""
     onnx, runtime = (_import_package(name) for name in ("onnx", "onnxruntime"))
     _import_package("onnxscript")
     example = torch.zeros(2, input_size(config.network, config.perception))
@@ -220,10 +215,6 @@ def compare_onnx(
     """Export a network as ONNX without writing a file, and compare it with torch.
 
     Returns the result of ``compare``.
-
-    Raises:
-        MissingExtraError: a package that ONNX needs is not installed.
-        ExportError: torch cannot export the network, or the exported one disagrees with torch.
     """
     try:
         _, outputs = export_onnx(folded(module), config, {})

@@ -64,10 +64,6 @@ def compare(
 
     ``risk``: the network of the risk, if it was exported too; the result then has the largest
     difference of the risks.
-
-    Raises:
-        ExportError: the Q-values or risks differ by more than rounding, or an action differs for
-            another reason.
     """
     with torch.inference_mode():
         expected = module(torch.from_numpy(observations)).numpy()  # (M, 9)

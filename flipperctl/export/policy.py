@@ -111,9 +111,6 @@ def robot_fields(changes: Mapping[str, Any], command: str = "export") -> dict[st
     """Return the fields of the robot among changes of settings, by their paths.
 
     ``robot`` names a robot, which has all fields. ``command`` takes them, for the error.
-
-    Raises:
-        ConfigError: a path is not that of a field of the robot, or there is no such robot.
     """
     own = dict(changes)
     chosen = {}

@@ -34,11 +34,7 @@ class ExportedPolicy:
     """Acts greedily on the Q-values of an exported file."""
 
     def __init__(self, file: Path) -> None:
-        """Read the file.
-
-        Raises:
-            PolicyError: the file is missing, damaged or not from flipperctl.
-        """
+        """Read the file."""
         self._policy = OnnxPolicy(file)
         self.interface = self._policy.interface
 
@@ -76,9 +72,6 @@ def exported_config(file: Path) -> EvalConfig:
     """Return the file's evaluation configuration: robot, layout and terrain, all as in training.
 
     A stand-in replaces a terrain whose plugin is missing (see ``config.absent``).
-
-    Raises:
-        PolicyError: flipperctl did not export the file, or this version lacks one of its settings.
     """
     interface = OnnxPolicy(file).interface
     settings = {
@@ -98,9 +91,6 @@ def check_robot(interface: Interface, robot: Robot, file: Path) -> None:
 
     On the real robot, the file's own action table, target limit and decision period apply,
     whatever the simulator's settings. All other properties are the robot's own.
-
-    Raises:
-        ConfigError: one of them differs; the message has the command that exports a matching file.
     """
     found = list(_disagreements(interface, robot))
     if not found:

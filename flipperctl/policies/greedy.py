@@ -51,11 +51,7 @@ class Greedy(Controller):
         return settings
 
     def build(self) -> Policy:
-        """Return a policy that acts by the Q-values.
-
-        Raises:
-            ConfigError: no policy is named, or it was not loaded.
-        """
+        """Return a policy that acts by the Q-values."""
         if not self.policy or not self._trained:
             raise ConfigError(
                 f"policy: {self.policy!r} is no policy of a file that this command reads; the name "

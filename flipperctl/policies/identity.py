@@ -50,13 +50,7 @@ class PolicyIdentity:
 
     @classmethod
     def of(cls, source: PolicySource) -> PolicyIdentity:
-        """Return the identity of a policy.
-
-        Raises:
-            CheckpointError: a file is missing or damaged.
-            PolicyError: the exported file is damaged.
-            ConfigError: there is no such controller, or its settings are not possible.
-        """
+        """Return the identity of a policy."""
         if source.checkpoint is None:
             return cls(source.label(), _of_controller(source.controller()), None)
         file = source.checkpoint

@@ -41,12 +41,7 @@ class FunctionPolicy:
 
 
 def plugin_policy(controller: Controller) -> PluginPolicy:
-    """Return the policy that a controller builds.
-
-    Raises:
-        PluginFailedError: the controller's code failed, or it built an object without ``reset``
-            and ``act``.
-    """
+    """Return the policy that a controller builds."""
     with naming(controller, "build"):  # what it returned may fail as well
         policy = controller.build()
         lacks = [n for n in ("reset", "act") if not callable(getattr(policy, n, None))]

@@ -115,12 +115,7 @@ class PolicySource:
         return () if self.checkpoint is not None else self.controller().baselines
 
     def config(self) -> TrainConfig | EvalConfig:
-        """Return the configuration of a file's training, or the part that an exported file holds.
-
-        Raises:
-            CheckpointError: the file is missing or damaged.
-            PolicyError: the exported file is damaged.
-        """
+        """Return the configuration of a file's training, of an exported file the part it holds."""
         if self.is_exported:
             return exported_config(self.file)
         return read_policy(self.file).policy_config()
@@ -153,20 +148,12 @@ class PolicySource:
         return self.checkpoint is None and isinstance(self.controller(), ValueIteration)
 
     def notes(self, config: EnvConfig) -> Iterator[str]:
-        """Yield what a controller does otherwise than its settings name in this environment.
-
-        Raises:
-            CheckpointError: a file is missing or damaged.
-        """
+        """Yield what a controller does otherwise than its settings name in this environment."""
         if self.checkpoint is None:
             yield from controller_notes(self.controller(), config)
 
     def controller(self) -> Controller:
-        """Return the controller plugin, for a source without a file.
-
-        Raises:
-            ConfigError: there is no such controller, or its settings are not possible.
-        """
+        """Return the controller plugin, for a source without a file."""
         found = resolver.create("controller", self.settings, "controller")
         assert isinstance(found, Controller)
         return found
@@ -178,11 +165,6 @@ def controller_policy(
     """Return the policy of a controller with the files and rewards that it uses.
 
     ``path``: section of the controller, for errors.
-
-    Raises:
-        CheckpointError: a file is missing or damaged, or does not fit the environment.
-        ConfigError: the controller's settings are not possible.
-        PluginFailedError: the controller's code failed.
     """
     return plugin_policy(with_files(controller, config, path))
 
@@ -191,9 +173,6 @@ def with_files(controller: Controller, config: EnvConfig, path: str = "controlle
     """Return a controller with the files and rewards that it uses, ready to be built.
 
     ``path``: section of the controller, for errors.
-
-    Raises:
-        CheckpointError: a file is missing or damaged, or does not fit the environment.
     """
     if isinstance(controller, PolicyUser) and controller.named:
         named = controller.named.items()
@@ -215,11 +194,7 @@ def with_files(controller: Controller, config: EnvConfig, path: str = "controlle
 def controller_notes(
     controller: Controller, config: EnvConfig, path: str = "controller"
 ) -> Iterator[str]:
-    """Yield a line if ``with_files`` replaces the values of a controller by its own cost.
-
-    Raises:
-        CheckpointError: the file is missing or damaged.
-    """
+    """Yield a line if ``with_files`` replaces the values of a controller by its own cost."""
     if isinstance(controller, Mpc) and controller.value and controller.fallback:
         from flipperctl.policies.values import learned_value
 
@@ -254,11 +229,7 @@ def _trained(file: Path, config: EnvConfig) -> FilePolicy:
 
 
 def check_layout(file: Path, bins: int, bin_width: float, config: EnvConfig) -> None:
-    """Check that an environment has the observation layout of a policy; ``bin_width`` [m].
-
-    Raises:
-        CheckpointError: it has another one; the text names ``file``.
-    """
+    """Check that an environment has the observation layout of a policy; ``bin_width`` [m]."""
     layout = config.perception
     if (bins, bin_width) != (layout.bins, layout.bin_width):
         raise CheckpointError(

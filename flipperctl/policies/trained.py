@@ -79,9 +79,6 @@ def policy_module(checkpoint: Checkpoint) -> torch.nn.Module:
     """Return the network of a checkpoint with its trained weights, on the CPU, in ``eval()`` mode.
 
     It maps observations (B, F · (N + 3)) of F frames in SI units to Q-values (B, 9).
-
-    Raises:
-        CheckpointError: the network's plugin is missing, or the weights do not fit the network.
     """
     config = checkpoint.policy_config()
     try:
@@ -105,9 +102,6 @@ def policy_risk(checkpoint: Checkpoint) -> Risk | None:
     """Return the network of a policy's risk with its calibration; None if it learnt none.
 
     It maps observations (B, F · (N + 3)) of F frames in SI units to probabilities (B, 1).
-
-    Raises:
-        CheckpointError: a plugin is missing, or the weights or the calibration are not valid.
     """
     config = checkpoint.policy_config()
     if not config.agent.risk:

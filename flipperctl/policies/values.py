@@ -33,12 +33,7 @@ def naming(path: str) -> Iterator[None]:
 
 
 def learned_value(name: str, path: str) -> LearnedValue:
-    """Return the values of a run, a checkpoint or a shipped policy; ``path``: the setting.
-
-    Raises:
-        CheckpointError: the file is missing, damaged or an exported one, or its network tells no
-            values of single observations. The text begins with ``path``.
-    """
+    """Return the values of a run, a checkpoint or a shipped policy; ``path``: the setting."""
     file = load_policy(name, path, "checkpoint").file
     if file in shipped_policies().values():  # each policy that is built would read it again
         return _cached(name, path, file)

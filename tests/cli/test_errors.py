@@ -136,7 +136,7 @@ QUICK = [f"{key}={value}" for key, value in RUN.items()]
         (["train", "--resume", "nowhere"], ["nowhere", "no such run"]),
         (["train", "--plugins", "nowhere.py"], ["nowhere.py", "does not exist"]),
         (["eval"], ["name a policy, as in: flipperctl eval generalist terrain=stair"]),
-        (["eval", "--controller", "okado"], ["'okado'", "'okada'"]),
+        (["eval", "--controller", "okado"], ["okado: there is no", "'okada'"]),
         (["eval", "--controller", "okada", "--baseline", "levl"], ["'levl'", "'level'"]),
         *(
             (["eval", "--controller", "okada", f"randomise.{key}=true"], [key, "rue"])
@@ -161,7 +161,7 @@ QUICK = [f"{key}={value}" for key, value in RUN.items()]
             ["eval", "--controller", "okada", "conditions=wet.yaml"],
             ["'wet'", "conditions of your own are overrides", "suite=FILE.yaml"],
         ),
-        (["eval", "--checkpoint", "nowhere"], ["no run", "controller 'nowhere'", "generalist"]),
+        (["eval", "--checkpoint", "nowhere"], ["nowhere: there is no", "controller", "generalist"]),
         (["export", "onxx", "--checkpoint", "x"], ["onxx", "onnx"]),
         (["export", "onnx", "--checkpoint", "nowhere"], ["nowhere"]),
         (["inspect", "plugins", "stiar"], ["'stiar'", "'stair'"]),

@@ -57,7 +57,7 @@ def test_the_values_of_a_policy_gradient_go_on_if_asked_for(tmp_path: Path) -> N
     assert not all(torch.equal(a, b) for a, b in zip(fresh, first, strict=True))
     other = {"agent.gamma": 0.9, "rewards.end.weight": 2.0}
     with pytest.raises(
-        ConfigError, match=r"of other returns, by agent\.gamma, rewards\.end; train"
+        ConfigError, match=r"of other returns, by agent\.gamma, rewards\.end\.weight; train"
     ):
         values("other", **later, **{VALUES: True}, **other)
     best = checkpoint.read(tmp_path / "first" / checkpoint.BEST)
