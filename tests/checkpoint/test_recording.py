@@ -89,14 +89,6 @@ def test_one_file_has_one_observation_layout(tmp_path: Path) -> None:
         recording.write(tmp_path / "x", "okada", [(STEP, []), (other, [])])
 
 
-def test_every_flipped_bit_is_found(file: Path) -> None:
-    data = file.read_bytes()
-    for at in (0, 9, 100, 2000, len(data) // 2, len(data) - 1):
-        file.write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
-        with pytest.raises(CheckpointError, match=r"damaged|no file of recorded episodes"):
-            recording.read(file)
-
-
 def test_a_checkpoint_is_no_recording_and_the_reverse(short_run: Path, file: Path) -> None:
     with pytest.raises(CheckpointError, match=r"its kind is 'best'.*is it a checkpoint"):
         recording.read(short_run / checkpoint.BEST)
@@ -123,15 +115,11 @@ LABELS = torch.full((6, 9), 1 / 9)
     ("changes", "tensors", "text"),
     [
         ({"format": 2}, {}, "its format is 2; this version reads 1"),
-        ({"format": True}, {}, "its format is True"),
-        ({"driver": 3}, {}, r"document\.driver"),
         ({"more": 3}, {}, r"document\.more: there is no such key"),
         ({"environments": []}, {}, "environment is 0; there are 0"),
         ({"episodes": []}, {}, r"observation is float32 \(\d+, \d+\); float32 \(0, "),
         ({}, {"more": LABELS}, "there is no tensor 'more'"),
         ({}, {"action": torch.full((6,), 9)}, "action lies outside of 0 to 8"),
-        ({}, {"action": torch.zeros(6)}, r"action is float32 \(6,\); int64 \(6,\) is needed"),
-        ({}, {"reward": torch.full((6,), torch.nan).double()}, "reward holds numbers that are not"),
         ({}, {"label": LABELS / 2}, "neither a distribution nor zeros"),
         ({}, {"label": LABELS + torch.eye(6, 9) - torch.eye(9)[1:7]}, "neither a distribution"),
     ],

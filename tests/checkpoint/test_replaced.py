@@ -66,10 +66,3 @@ def test_a_file_that_never_stays_as_it_is_is_not_called_damaged(
         with pytest.raises(kind, match=r"a\.onnx is being replaced by another process; try again"):
             read()
         steps.clear()
-
-
-def test_a_truncated_file_that_nobody_writes_is_damaged(tmp_path: Path) -> None:
-    path = written(tmp_path / "a", 50)
-    path.write_bytes(path.read_bytes()[:-8])
-    with pytest.raises(CheckpointError, match="damaged"):
-        sealed.read(path, "file")

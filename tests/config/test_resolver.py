@@ -1,9 +1,13 @@
 """From names and overrides to settings: every way in gives the same settings, or the same words."""
 
+from pathlib import Path
+from typing import Any
+
 import pytest
 
 from flipperctl.config import (
     EnvConfig,
+    EvalConfig,
     RayCollector,
     Teacher,
     TrainConfig,
@@ -12,7 +16,20 @@ from flipperctl.config import (
     to_dict,
     with_overrides,
 )
+from flipperctl.config.absent import with_stand_ins
+from flipperctl.config.defaults import notes_on_budget
 from flipperctl.errors import ConfigError
+from tests.cli.call import refused
+from tests.short import short_config
+
+PLAIN = to_dict(TrainConfig(terrain="flat", network="mlp"))
+GRADIENT = {
+    "agent.learner": "policy_gradient",
+    "agent.n_step": 1,
+    "agent.policy_gradient.decisions": 100,
+    "agent.policy_gradient.warm_up": 2,
+}
+OKADA = {"teacher.controller": {"name": "okada"}, "teacher.td_weight": 0.0}
 
 
 def test_an_unknown_name_gives_a_close_match_and_all_that_is_registered() -> None:
@@ -21,12 +38,6 @@ def test_an_unknown_name_gives_a_close_match_and_all_that_is_registered() -> Non
     assert str(error.value).startswith("terrain: there is no terrain plugin 'stairs'")
     assert "did you mean 'stair'?" in str(error.value)
     assert "paper_step" in str(error.value)
-
-
-@pytest.mark.parametrize("settings", [3, None, {}, {"rise": 0.1}])
-def test_settings_without_a_name_are_an_error(settings: object) -> None:
-    with pytest.raises(ConfigError, match="terrain: a plugin's name, or a mapping with 'name'"):
-        resolver.create("terrain", settings, "terrain")
 
 
 def test_a_plugins_container_makes_an_equal_plugin() -> None:
@@ -92,11 +103,6 @@ def test_fields_of_what_is_named_count_in_any_order(named: dict[str, object]) ->
     assert getattr(getattr(found[0], section), fields[section]) == 0.31
 
 
-def test_an_override_inside_a_value_names_the_value() -> None:
-    with pytest.raises(ConfigError, match=r"terrain\.rise\.x: rise is a value, not a section"):
-        with_overrides(EnvConfig(terrain="stair"), {"terrain.rise.x": 1})
-
-
 @pytest.mark.parametrize("kind", ["sim", "perception"])
 def test_an_engine_that_is_not_found_may_need_a_reinstall(kind: str) -> None:
     with pytest.raises(ConfigError, match=r"reinstalled \(pip install -e \.\)"):
@@ -106,7 +112,99 @@ def test_an_engine_that_is_not_found_may_need_a_reinstall(kind: str) -> None:
     assert "reinstalled" not in str(error.value)
 
 
-@pytest.mark.parametrize("name", ["temperature", "q_temperature"])
-def test_a_teacher_s_temperature_that_overflows_is_refused(name: str) -> None:
-    with pytest.raises(ConfigError, match=rf"{name}: .* greater than or equal to 0.000001"):
-        parse(Teacher, {name: 1e-323})
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (lambda: resolver.create("terrain", {"rise": 0.1}, "terrain"), "a mapping with 'name'"),
+        (
+            lambda: with_overrides(EnvConfig(terrain="stair"), {"terrain.rise.x": 1}),
+            r"terrain\.rise\.x: rise is a value, not a section",
+        ),
+        (lambda: parse(Teacher, {"temperature": 1e-323}), "greater than or equal to 0.000001"),
+        (lambda: parse(Teacher, {"q_temperature": 1e-323}), "greater than or equal to 0.000001"),
+    ],
+)
+def test_a_wrong_setting_says_what_is_allowed(call: Any, text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        call()
+
+
+@pytest.mark.parametrize(
+    ("given", "names"),
+    [
+        ("wandb", ["wandb"]),
+        (["tensorboard", "wandb"], ["tensorboard", "wandb"]),
+        ("csv", []),
+        ({}, []),
+        ({"second": {"name": "wandb", "mode": "offline"}}, ["second"]),
+    ],
+)
+def test_loggers_are_chosen_by_name(given: Any, names: list[str]) -> None:
+    assert list(parse(TrainConfig, {**PLAIN, "logger": given}).logger) == names
+
+
+def test_a_resumed_run_may_have_other_loggers() -> None:
+    config = parse(TrainConfig, PLAIN)
+    both = with_overrides(config, {"logger": ["csv", "wandb"], "logger.wandb.project": "stairs"})
+    assert to_dict(both)["logger"]["wandb"]["project"] == "stairs"
+    assert list(both.logger) == ["wandb"]
+    later = with_overrides(config, {"logger.wandb.project": "stairs", "logger": ["csv", "wandb"]})
+    assert later.logger == both.logger
+    one = with_overrides(both, {"logger.wandb.mode": "offline"})
+    assert to_dict(one)["logger"]["wandb"] == to_dict(both)["logger"]["wandb"] | {"mode": "offline"}
+
+
+@pytest.mark.parametrize(
+    ("overrides", "text"),
+    [
+        ({"logger": "wandbb"}, r"logger\.wandbb: .*did you mean 'wandb'"),
+        ({"logger.wandb.project": "x"}, r"logger\.wandb: .*chosen: tensorboard; logger=wandb"),
+        ({"logger": "trackio"}, r"logger\.trackio: .*'trackio'; it is gone: logger=wandb"),
+        ({"logger": 3}, "logger: names, or a mapping"),
+        ({"logger": {"../x": {"name": "wandb"}}}, r"logger\.\.\./x: lower-case letters"),
+    ],
+)
+def test_a_wrong_logger_says_what_is_allowed(overrides: dict[str, Any], text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        with_overrides(parse(TrainConfig, PLAIN), overrides)
+
+
+def test_a_policy_is_judged_without_the_plugins_of_its_loggers() -> None:
+    mine = {"mine": {"name": "mine", "server": "here"}, **PLAIN["logger"]}
+    assert with_stand_ins({**PLAIN, "logger": mine}, {})["logger"] == PLAIN["logger"]
+
+
+def test_a_setting_that_is_gone_is_left_out_at_its_last_value(tmp_path: Path) -> None:
+    config = parse(TrainConfig, to_dict(TrainConfig(terrain="flat", network="mlp", sim="mujoco")))
+    plain = to_dict(config)
+    plain["sim"] |= {"roll_gain": 0.0, "ground_width": 4.0, "rotor_inertia": 1.0}
+    plain["agent"] |= {"act_with": "target"}
+    plain["agent"]["policy_gradient"] |= {"value_rate": 0.001, "value_passes": 8}
+    assert parse(TrainConfig, plain) == config
+    mpc = resolver.create("controller", {"name": "mpc", "averaging": 0.5}, "controller")
+    assert mpc == resolver.create("controller", "mpc", "controller")
+    with pytest.raises(ConfigError, match=r"gone; its value was 30\.0; it is 5"):
+        parse(EvalConfig, {"terrain": "flat", "perception": {"name": "lidar", "wander_time": 5}})
+    for words, text in (
+        ("train agent.policy_gradient.value_passes=8", "value_passes is gone; its value was 8\n"),
+        ("eval mpc controller.averaging=0", "controller.averaging is gone; its value was 0.5\n"),
+    ):
+        assert text in refused(*words.split(), cwd=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("settings", "decisions", "words"),
+    [
+        ({"agent.learning_starts": 500}, 499, "after agent.learning_starts=500 decisions"),
+        ({"agent.learning_starts": 500}, 500, ""),
+        ({"agent.learning_starts": 500, "teacher.final_updates": 5, **OKADA}, 499, ""),
+        (GRADIENT, 299, "it learns from 300 decisions on"),
+        (GRADIENT, 300, ""),
+    ],
+)
+def test_a_training_that_learns_nothing_is_told(
+    settings: dict[str, Any], decisions: int, words: str
+) -> None:
+    notes = list(notes_on_budget(short_config(**{**settings, "train.decisions": decisions})))
+    assert len(notes) == bool(words)
+    assert all(words in note and f"train.decisions={decisions} " in note for note in notes)

@@ -11,7 +11,7 @@ from flipperctl.cli.hydra.compose import compose_environment
 from flipperctl.cli.hydra.config_store import register_robot
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.scenes import scenes
-from flipperctl.config import EnvConfig, EvalConfig, to_dict
+from flipperctl.config import EnvConfig
 from flipperctl.config.randomise import Randomise
 from flipperctl.config.robots import (
     expand_files,
@@ -22,19 +22,17 @@ from flipperctl.config.robots import (
 )
 from flipperctl.errors import ConfigError
 from flipperctl.export.policy import robot_fields
-from tests.cli.call import call
+from tests.cli.call import call, refused
 
 PRESETS = Path(__file__).parents[2] / "configs/robot"
-
-
-def test_the_default_preset_is_the_default_robot():
-    assert named_robot("nubot") == Robot()
 
 
 @pytest.mark.parametrize("name", known_robots())
 def test_a_preset_states_every_setting(name):
     stated = yaml.safe_load((PRESETS / f"{name}.yaml").read_text(encoding="utf-8"))
     assert set(stated) == set(Robot.model_fields)  # Hydra overrides only keys that exist
+    if name == "nubot":
+        assert named_robot(name) == Robot()
 
 
 def test_the_reach_of_absolem_is_the_published_one():
@@ -54,13 +52,6 @@ def test_a_file_becomes_settings_that_other_words_win_over(tmp_path):
     assert "robot.flipper_length=0.536" in words
     assert [word for word in words if "track_speed" in word] == ["robot.track_speed=0.1"]
     assert len(words) == len(Robot.model_fields) + 1
-
-
-def test_python_takes_the_same_names(tmp_path):
-    file = tmp_path / "mine.yml"
-    file.write_text("chassis_length: 0.7\n")
-    assert EnvConfig(terrain="step", robot="absolem").robot == named_robot("absolem")
-    assert EnvConfig(terrain="step", robot=str(file)).robot == Robot(chassis_length=0.7)
 
 
 @pytest.mark.parametrize(
@@ -87,9 +78,7 @@ def test_unknown_robots_and_lists_of_files_are_refused(tmp_path):
         expand_files(["robot=a.yaml,b.yaml"])
     with pytest.raises(ConfigError, match="did you mean 'absolem'"):
         named_robot("absolen")
-    done = call("inspect", "config", "robot=absolen", cwd=tmp_path)
-    assert done.code == 2
-    assert "there is no robot 'absolen'; did you mean 'absolem'?; known: absolem, nubot" in done.err
+    assert "known: absolem, nubot" in refused("inspect", "config", "robot=absolen", cwd=tmp_path)
 
 
 def test_commands_take_names_and_files(tmp_path):
@@ -97,8 +86,6 @@ def test_commands_take_names_and_files(tmp_path):
     done = call("inspect", "config", "robot=absolem", "robot.track_speed=0.3", cwd=tmp_path)
     shown = yaml.safe_load(done.out)["robot"]
     assert Robot(**shown) == named_robot("absolem").model_copy(update={"track_speed": 0.3})
-    done = call("inspect", "config", "robot=mine.yaml", cwd=tmp_path)
-    assert Robot(**yaml.safe_load(done.out)["robot"]) == Robot(chassis_length=0.7)
     done = call("train", "--cfg", "job", "robot=mine.yaml", cwd=tmp_path)
     assert Robot(**yaml.safe_load(done.out)["robot"]) == Robot(chassis_length=0.7)
 
@@ -126,11 +113,6 @@ def test_conditions_for_nubot_are_remarked_on():
     assert not list(notes_on_samples(Robot(), randomise))
     (note,) = notes_on_samples(named_robot("absolem"), randomise)
     assert "robot.flipper_length=0.448" in note
-
-
-def test_the_conditions_of_nubot_are_those_of_before():
-    without = EvalConfig(terrain="step")
-    assert to_dict(without) == to_dict(EvalConfig(terrain="step", robot="nubot"))
 
 
 def test_a_body_that_hides_less_than_the_chassis_is_noted() -> None:

@@ -1,39 +1,71 @@
-"""Ranges of sampled settings: their combinations are validated once for equal sections."""
+"""``randomise.spread``: how far an episode's values may lie from the configured ones."""
 
 from typing import Any
 
+import numpy as np
 import pytest
 
-from flipperctl.api import Robot
-from flipperctl.config import EnvConfig, sampled
-from flipperctl.config.randomise import Randomise
+from flipperctl.config import EnvConfig, Randomise
 from flipperctl.errors import ConfigError
 
+RANGES: dict[str, Any] = {
+    "friction": (0.4, 1.2),
+    "noise": (0.005, 0.02),
+    "horizon": (0.8, 1.0),
+    "occlusion": 0.5,
+    "robot": {"size": (0.9, 1.1), "payload": (0.0, 10.0), "track_force": (350.0, 700.0)},
+}
+"""Of settings that are configured inside the range, below and above it, as null, or as a switch."""
+CONFIGURED = {
+    "friction": 1.0,
+    "noise": 0.005,
+    "horizon": 1.0,
+    "occlusion": 0.0,
+    "robot.size": 1.0,
+    "robot.payload": 0.0,
+    "robot.track_force": 700.0,  # null is no limit
+}
 
-def test_equal_ranges_of_an_equal_robot_are_validated_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    validated = []
-    build = sampled._with_values
 
-    def counted(*given: Any) -> Any:
-        validated.append(given)
-        return build(*given)
+def samples(spread: Any, count: int = 200) -> list[dict[str, float]]:
+    config = EnvConfig(terrain="flat", randomise=Randomise(**RANGES, spread=spread))
+    rng = np.random.default_rng(0)
+    return [config.sample(rng) for _ in range(count)]
 
-    monkeypatch.setattr(sampled, "_with_values", counted)
-    monkeypatch.setattr(sampled, "_possible", type(sampled._possible)(maxlen=8))
-    sections = {**EnvConfig(terrain="flat")._sampled_sections}
 
-    def check(robot: Robot, **ranges: Any) -> int:
-        """Return how many combinations are validated."""
-        validated.clear()
-        nothing = dict.fromkeys(("friction", "track_speed"))
-        sampled.check_ranges({**sections, "robot": robot}, Randomise(**{**nothing, **ranges}))
-        return len(validated)
+def test_none_of_the_way_is_the_configured_robot_as_far_as_the_ranges_allow() -> None:
+    for found in samples((0, 0), 20):
+        assert found == pytest.approx(CONFIGURED)
 
-    masses = {"chassis_mass": (21.0, 27.0), "flipper_mass": (2.5, 3.5)}
-    assert check(Robot(), **masses) == 4
-    assert check(Robot(), **masses) == 0
-    assert check(Robot(), **{**masses, "flipper_mass": (2.5, 3.6)}) == 4
-    assert check(Robot(chassis_mass=25.0), **masses) == 4
-    for _ in range(2):  # what is refused is refused again
-        with pytest.raises(ConfigError, match=r"^randomise\.track_radius"):
-            check(Robot(), track_radius=(0.05, 0.5))
+
+def test_the_whole_way_is_the_whole_range() -> None:
+    found = samples((1, 1))
+    for name, low, high in (("friction", 0.4, 1.2), ("noise", 0.005, 0.02)):
+        values = [one[name] for one in found]
+        assert low <= min(values) < low + 0.05 * (high - low)
+        assert high - 0.05 * (high - low) < max(values) <= high
+    assert 0.35 < np.mean([one["occlusion"] for one in found]) < 0.65
+
+
+def test_one_share_holds_for_all_settings_of_an_episode() -> None:
+    half = samples((0.5, 0.5))
+    assert all(0.7 <= one["friction"] <= 1.1 and one["robot.payload"] <= 5 for one in half)
+    assert max(one["friction"] for one in half) > 1.08
+    assert 0.15 < np.mean([one["occlusion"] for one in half]) < 0.35
+    found = samples((0, 1), 2000)
+    names = ("friction", "robot.payload", "robot.track_force")
+    far = np.array([[abs(one[name] - CONFIGURED[name]) for name in names] for one in found])
+    assert (np.corrcoef(far.T) > 0.1).all()  # independent ranges have none
+
+
+@pytest.mark.parametrize("wrong", [(-0.1, 1), (0, 1.5), (0.7, 0.2)])
+def test_other_shares_are_refused(wrong: tuple[float, float]) -> None:
+    with pytest.raises((ConfigError, ValueError), match=r"0 to 1 is allowed|low ≤ high"):
+        Randomise(spread=wrong)
+
+
+def test_a_number_up_to_which_an_engine_samples_lies_on_the_way_too() -> None:
+    ranges = Randomise(sim={"yaw": 0.1, "offset": 0.05}, spread=(0.5, 0.5), friction=None)
+    config = EnvConfig(terrain="flat", sim="mujoco", randomise=ranges)
+    found = config.sample(np.random.default_rng(0))
+    assert (found["sim.yaw"], found["sim.offset"]) == pytest.approx((0.05, 0.025))

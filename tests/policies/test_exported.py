@@ -1,19 +1,23 @@
-"""An exported policy in the simulator: it acts as its checkpoint, with its own settings."""
+"""An exported policy in the simulator: acts as its checkpoint, on a robot that agrees with it."""
 
+import json
+import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from flipperctl import checkpoint
 from flipperctl.api import Robot
-from flipperctl.config import EnvConfig, EvalConfig
-from flipperctl.errors import CheckpointError, PluginError, PolicyError
+from flipperctl.config import EnvConfig, EvalConfig, Randomise
+from flipperctl.config.randomise import SECTION_OF
+from flipperctl.errors import CheckpointError, ConfigError, PluginError, PolicyError
 from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.export.policy import export
 from flipperctl.policies.exported import exported_config
 from flipperctl.policies.source import PolicySource
-from tests.cli.call import call
+from tests.cli.call import call, refused
 from tests.played import play_episodes
 from tests.runtime import linear
 
@@ -30,7 +34,6 @@ def test_the_exported_policy_acts_as_the_trained_one(short_run: Path, exported: 
     trained = PolicySource(checkpoint=short_run / checkpoint.BEST)
     robot = PolicySource(checkpoint=exported)
     expected = play_episodes(config, trained, episodes=3, seed=1)
-    assert play_episodes(config, robot, episodes=3, seed=1) == expected
     with EpisodeWorkers(2) as workers:
         assert list(workers.play(config, robot, range(3))) == expected
 
@@ -45,16 +48,6 @@ def test_the_file_holds_its_terrain_robot_and_layout(exported: Path, tmp_path: P
     assert config.terrain.plugin_name == "flat"
     assert config.robot.chassis_length == 0.9
     assert config.perception.bin_width == 0.1
-
-
-def test_a_policy_of_a_mix_is_evaluated_on_that_mix(tmp_path: Path) -> None:
-    mix = {
-        "name": "mix",
-        "parts": [{"name": "step", "low": 0.1, "high": 0.2}, {"name": "ramp", "length_low": 0.9}],
-        "weights": [1.0, 2.0],
-    }
-    path = linear.write(tmp_path / "p.onnx", terrain="mix", terrain_config=mix)
-    assert exported_config(path).terrain == EnvConfig(terrain=mix).terrain
 
 
 def test_another_layout_is_refused(exported: Path) -> None:
@@ -72,18 +65,11 @@ def test_a_terrain_that_is_not_installed_is_named_and_not_needed_on_another(tmp_
     for name in ("p.onnx", "mix.onnx"):
         with pytest.raises(PluginError, match="there is no terrain plugin 'moon'; install it or"):
             exported_config(tmp_path / name).terrain.generate(np.random.default_rng(0))
-        evaluate = ("eval", "--checkpoint", name, "--episodes", "1")
-        done = call(*evaluate, cwd=tmp_path)
-        assert (done.code, done.err.count("\n")) == (2, 1)
-        assert done.err.startswith(f"error: {name}: there is no terrain plugin 'moon'; install it")
-        assert call(*evaluate, "terrain=flat", cwd=tmp_path).code == 0
-    # Of the mix only a part is missing; the mix at its own defaults is another terrain.
-    assert (
-        call(
-            "eval", "--checkpoint", "mix.onnx", "terrain=mix", "--episodes", "1", cwd=tmp_path
-        ).code
-        == 0
-    )
+    evaluate = ("eval", "--checkpoint", "mix.onnx", "--episodes", "1")
+    done = call(*evaluate, cwd=tmp_path)
+    assert (done.code, done.err.count("\n")) == (2, 1)
+    assert done.err.startswith("error: mix.onnx: there is no terrain plugin 'moon'; install it")
+    assert call(*evaluate, "terrain=flat", cwd=tmp_path).code == 0
 
 
 def test_a_terrain_with_wrong_settings_is_still_refused(tmp_path: Path) -> None:
@@ -93,15 +79,7 @@ def test_a_terrain_with_wrong_settings_is_still_refused(tmp_path: Path) -> None:
         exported_config(path)
 
 
-def test_eval_takes_an_exported_file(exported: Path, tmp_path: Path) -> None:
-    done = call("eval", "--checkpoint", str(exported), "--episodes", "1", "--json", cwd=tmp_path)
-    assert done.code == 0, done.err
-    assert '"terrain": "step"' in done.out
-    (tmp_path / "no.onnx").write_text("no")
-    done = call("eval", "--checkpoint", "no.onnx", cwd=tmp_path)
-    assert done.code == 2
-    assert done.err.startswith("error: no.onnx is damaged, or not a file of flipperctl export")
-    assert done.err.count("\n") == 1
+def test_a_damaged_file_is_refused(exported: Path, tmp_path: Path) -> None:
     damaged = bytearray(exported.read_bytes())
     damaged[len(damaged) // 2] ^= 1
     (tmp_path / "damaged.onnx").write_bytes(damaged)
@@ -110,4 +88,112 @@ def test_eval_takes_an_exported_file(exported: Path, tmp_path: Path) -> None:
     assert done.err == (
         "error: damaged.onnx is damaged, or was changed since its export: "
         "its SHA-256 does not match its contents\n"
+    )
+
+
+STEP, LIMIT = math.pi / 12, math.pi / 3
+OWN = {
+    "robot": Robot().model_dump(exclude_none=True),
+    "targets": {"meaning": "x", "window": STEP, "limit": LIMIT},
+}
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return linear.write(tmp_path / "p.onnx", **OWN)
+
+
+def build(file: Path, robot: dict[str, Any], **settings: Any) -> None:
+    PolicySource(checkpoint=file).build(EnvConfig(terrain="flat", robot=robot, **settings))
+
+
+@pytest.mark.parametrize(
+    ("robot", "text", "export"),
+    [
+        (
+            {"angle_limit": 0.3},
+            r"a limit of 1\.0472 rad \(robot\.angle_limit asks for 0\.3\)",
+            "robot.angle_limit=0.3",
+        ),
+        (
+            {"angle_step": 0.2, "flipper_speed": 0.5},
+            r"turns of 0\.261799 rad \(robot\.angle_step asks for 0\.2\), a decision period of "
+            r"0\.6 s \(.* asks for 0\.4\)",
+            "robot.angle_step=0.2 robot.flipper_speed=0.5",
+        ),
+        (  # the same period by another way is still another table
+            {"angle_step": STEP / 2, "flipper_speed": Robot().flipper_speed / 2},
+            r"turns of 0\.261799 rad \(robot\.angle_step asks for 0\.1309\), also on the real",
+            f"robot.angle_step={STEP / 2!r} robot.flipper_speed={Robot().flipper_speed / 2!r}",
+        ),
+        (
+            {"flipper_speed": 0.5},
+            r"a decision period of 0\.6 s .* asks for 0\.523599\)",
+            "robot.flipper_speed=0.5, or keep the file's period with randomise.flipper_speed=0.5",
+        ),
+        (
+            {"control_period": 0.3},
+            r"a decision period of 0\.6 s \(robot\.control_period asks for 0\.3\)",
+            "robot.control_period=0.3",
+        ),
+    ],
+)
+def test_what_the_file_applies_itself_is_not_overridden(
+    file: Path, robot: dict[str, float], text: str, export: str
+) -> None:
+    with pytest.raises(ConfigError, match=text) as caught:
+        build(file, robot)
+    line = str(caught.value)
+    assert line.startswith(f"{file} applies ")
+    assert line.endswith(f"flipperctl export onnx --checkpoint RUN {export}")
+    assert "\n" not in line
+
+
+APPLIED = {"angle_step", "angle_limit", "control_period"}
+
+
+def test_what_the_robot_is_like_may_be_overridden(file: Path) -> None:
+    build(file, {}, randomise={"flipper_speed": [0.3, 0.6]})  # the decision period stays
+    for field in sorted(set(Robot.model_fields) - APPLIED - {"flipper_speed"}):
+        default = getattr(Robot(), field)
+        build(file, {field: 0.05 + 1.01 * (1.0 if default is None else default)})
+
+
+def test_randomise_has_nothing_that_a_file_applies() -> None:
+    assert not APPLIED & (SECTION_OF.keys() | Randomise.model_fields.keys())
+    assert Robot.not_sampled >= APPLIED
+
+
+def test_a_file_that_contradicts_its_own_robot_is_refused(tmp_path: Path) -> None:
+    degrees = [[i * 15.0, j * 15.0] for i in (-1, 0, 1) for j in (-1, 0, 1)]
+    path = linear.write(tmp_path / "p.onnx", **OWN, actions=degrees)
+    with pytest.raises(ConfigError, match=r"turns of 15 rad .*unlike the robot in its own"):
+        build(path, {})
+
+
+def test_eval_drives_the_file_s_own_robot_and_refuses_another(tmp_path: Path) -> None:
+    robot = {**Robot().model_dump(exclude_none=True), "angle_limit": 0.3}
+    targets = {"meaning": "x", "window": STEP, "limit": 0.3}
+    flat = {"terrain": "flat", "terrain_config": {"name": "flat"}}
+    linear.write(tmp_path / "p.onnx", robot=robot, targets=targets, **flat)
+    evaluate = ("eval", "--checkpoint", "p.onnx", "--episodes", "1", "--json")
+    done = call(*evaluate, cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert json.loads(done.out)["scenes"][0]["conditions"]["robot"]["angle_limit"] == 0.3
+    for command in (evaluate, ("map", "p.onnx", "--over", "sim.friction,sim.gravity")):
+        text = refused(*command, "robot.angle_limit=0.9", cwd=tmp_path)
+        assert "error: p.onnx applies a limit of 0.3 rad" in text
+
+
+def test_policies_compared_by_reward_drive_the_robot_of_their_files(tmp_path: Path) -> None:
+    robot = {**Robot().model_dump(exclude_none=True), "angle_limit": 0.3}
+    targets = {"meaning": "x", "window": STEP, "limit": 0.3}
+    linear.write(tmp_path / "p.onnx", robot=robot, targets=targets)
+    compare = ("inspect", "reward", "--episodes", "1", "--json", "terrain=flat", "--compare")
+    done = call(*compare, "level,p.onnx", cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert json.loads(done.out)["scenes"][0]["conditions"]["robot"]["angle_limit"] == 0.3
+    assert refused(*compare, "p.onnx,generalist", cwd=tmp_path) == (
+        "error: --compare: p.onnx is for robot.angle_limit=0.3, generalist for 1.0472; "
+        "give robot.angle_limit=… to choose the robot\n"
     )
