@@ -12,7 +12,7 @@ import importlib
 import json
 import logging
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from itertools import pairwise
@@ -35,8 +35,7 @@ from flipperctl.core.risk import ESCAPE_MEANING as MEANING_OF_ESCAPE
 from flipperctl.core.risk import LAGS, SCALE, RiskSign
 from flipperctl.core.risk import MEANING as MEANING_OF_RISK
 from flipperctl.core.targets import MEANING
-from flipperctl.errors import ExportError, FlipperctlError, MissingExtraError
-from flipperctl.export.parity import Outputs, compare
+from flipperctl.errors import ExportError, MissingExtraError
 from flipperctl.runtime.session import FORMAT_VERSION, PREFIX
 from flipperctl.sim.lidar.sensor import LidarSensor
 
@@ -172,6 +171,9 @@ def describe_observation(layout: ObservationLayout) -> list[dict[str, str]]:
     ]
 
 
+Outputs = Callable[[NDArray[np.float32]], tuple[NDArray[np.float32], ...]]
+"""Maps inputs of the network (M, F · (N + 3)) to Q-values (M, 9), and if it has a risk, to what the
+network of the risk returns."""
 OPSET = 18
 
 
@@ -207,26 +209,6 @@ def export_onnx(
         return tuple(session.run(list(output_names(module)), {"observation": observations}))
 
     return data, outputs
-
-
-def compare_onnx(
-    module: torch.nn.Module, config: TrainConfig, observations: NDArray[np.float32]
-) -> dict[str, Any]:
-    """Export a network as ONNX without writing a file, and compare it with torch.
-
-    Returns the result of ``compare``.
-    """
-    try:
-        _, outputs = export_onnx(folded(module), config, {})
-    except FlipperctlError:
-        raise
-    except Exception as error:  # the exporter's errors have no common type
-        raise ExportError(f"torch cannot export it as ONNX: {_first_line(error)}") from error
-    return compare(module, outputs, observations)
-
-
-def _first_line(error: Exception) -> str:
-    return next((line.strip() for line in str(error).splitlines() if line.strip()), repr(error))
 
 
 @contextmanager

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -16,18 +16,20 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from flipperctl.agent.frames import input_size
-from flipperctl.api import Robot
+from flipperctl.agent.frames import input_size, stacked
+from flipperctl.api import Perception, Robot
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.config import TrainConfig, to_dict, with_overrides
 from flipperctl.config.identity import differences
 from flipperctl.config.robots import named_robot
-from flipperctl.errors import ConfigError, ExportError
-from flipperctl.export.onnx import export_onnx, folded, policy_metadata, with_risk
-from flipperctl.export.parity import Outputs, compare, rollout_observations
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import ConfigError, ExportError, FlipperctlError
+from flipperctl.export.onnx import Outputs, export_onnx, folded, policy_metadata, with_risk
 from flipperctl.files import OutputKind, check_output, write_bytes
 from flipperctl.guard import naming
-from flipperctl.policies.trained import policy_module, policy_risk
+from flipperctl.policies.trained import TrainedPolicy, policy_module, policy_risk
+from flipperctl.rollout.episode import play
+from flipperctl.rollout.seeds import EvaluationSeeds
 from flipperctl.runtime.session import CHECKSUM, PLACEHOLDER, add_checksum
 
 
@@ -136,3 +138,111 @@ def _changes(ours: Robot, trained: Robot) -> dict[str, dict[str, float | None]]:
         for robot in (ours, trained)
     )
     return {name: {"training": b, "file": a} for name, a, b in differences(here, there)}
+
+
+TOLERANCE = 1e-4
+"""Largest difference of Q-values that counts as rounding, relative to the largest |Q|."""
+
+
+class _RecordingPolicy(TrainedPolicy):
+    """Acts like a trained policy and keeps the inputs of its network."""
+
+    def __init__(self, module: torch.nn.Module, frames: int) -> None:
+        super().__init__(module, frames)
+        self.inputs: list[NDArray[np.float32]] = []
+
+    def act(self, p: Perception) -> int:
+        self.inputs.append(stacked(p.recent, self.frames))
+        return super().act(p)
+
+
+def rollout_observations(
+    config: TrainConfig, module: torch.nn.Module, count: int
+) -> NDArray[np.float32]:
+    """Return at least ``count`` network inputs from the policy's own episodes, (M, F · (N + 3))."""
+    env = FlipperEnv(config=config.environment())
+    policy = _RecordingPolicy(module, config.network.frames)
+    seeds, episode = EvaluationSeeds.of(config.seed, config.terrain), 0
+    while len(policy.inputs) < count:
+        play(env, policy, seeds(episode))
+        episode += 1
+    return np.stack(policy.inputs)
+
+
+def compare(
+    module: torch.nn.Module,
+    exported: Outputs,
+    observations: NDArray[np.float32],
+    risk: torch.nn.Module | None = None,
+) -> dict[str, Any]:
+    """Return the largest difference of the Q-values and the agreement of the chosen actions.
+
+    ``risk``: the network of the risk, if it was exported too; the result then has the largest
+    difference of the risks.
+    """
+    with torch.inference_mode():
+        expected = module(torch.from_numpy(observations)).numpy()  # (M, 9)
+    actual, *others = exported(observations)
+    if actual.shape != expected.shape:
+        raise ExportError(f"the exported policy returns {actual.shape}, torch {expected.shape}")
+    difference = float(np.abs(expected - actual).max())
+    largest = float(np.abs(expected).max())
+    limit = TOLERANCE * max(1.0, largest)
+    agreement = float((expected.argmax(1) == actual.argmax(1)).mean())
+    ordered = np.sort(expected, axis=1)
+    decided = ordered[:, -1] - ordered[:, -2] > 2 * limit  # no tie within rounding
+    differs = decided & (expected.argmax(1) != actual.argmax(1))
+    if not difference <= limit or differs.any():
+        raise ExportError(
+            f"the exported policy disagrees with torch: Q-values differ by up to {difference:g} "
+            f"(allowed {limit:g}), actions agree on {agreement:.2%} of {len(observations)} "
+            "observations; nothing was written"
+        )
+    return {
+        "observations": len(observations),
+        "largest_difference": difference,
+        "largest_q_value": largest,
+        "allowed_difference": limit,
+        "action_agreement": agreement,
+        **({} if risk is None else _compared_risks(risk, others, observations)),
+    }
+
+
+def _compared_risks(
+    risk: torch.nn.Module, others: Sequence[NDArray[np.float32]], observations: NDArray[np.float32]
+) -> dict[str, float]:
+    with torch.inference_mode():
+        expected = [tensor.numpy() for tensor in risk(torch.from_numpy(observations))]
+    shapes, wanted = ([array.shape for array in found] for found in (others, expected))
+    if shapes != wanted:
+        raise ExportError(f"the exported risk has the shapes {shapes}, torch {wanted}")
+    both = list(zip(expected, others, strict=True))
+    difference = max(float(np.abs(a - b).max()) for a, b in both)
+    largest = max(float(np.abs(a).max()) for a in expected)
+    limit = TOLERANCE * max(1.0, largest)
+    if not difference <= limit:
+        raise ExportError(
+            f"the exported policy disagrees with torch: risks differ by up to {difference:g} "
+            f"(allowed {limit:g}); nothing was written"
+        )
+    return {"largest_risk_difference": difference}
+
+
+def compare_onnx(
+    module: torch.nn.Module, config: TrainConfig, observations: NDArray[np.float32]
+) -> dict[str, Any]:
+    """Export a network as ONNX without writing a file, and compare it with torch.
+
+    Returns the result of ``compare``.
+    """
+    try:
+        _, outputs = export_onnx(folded(module), config, {})
+    except FlipperctlError:
+        raise
+    except Exception as error:  # the exporter's errors have no common type
+        raise ExportError(f"torch cannot export it as ONNX: {_first_line(error)}") from error
+    return compare(module, outputs, observations)
+
+
+def _first_line(error: Exception) -> str:
+    return next((line.strip() for line in str(error).splitlines() if line.strip()), repr(error))

@@ -13,7 +13,7 @@ from pydantic import Field, PrivateAttr
 
 from flipperctl.api import Controller, FloatArray, Perception, Policy, Simulator, controller
 from flipperctl.errors import ConfigError
-from flipperctl.policies.abilities import FilePolicy
+from flipperctl.policies.source import FilePolicy
 
 
 @controller("greedy")

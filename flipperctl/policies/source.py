@@ -7,20 +7,58 @@ file of torch's: rules need none.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Protocol, runtime_checkable
 
-from flipperctl.api import Controller, Policy, Robot
+import numpy as np
+from numpy.typing import NDArray
+
+from flipperctl.api import Controller, Perception, Policy, Robot, Simulator
 from flipperctl.api.plugin import registered_names
 from flipperctl.checkpoint import LAST, find, read_policy, shipped_policies
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, resolver
 from flipperctl.errors import CheckpointError, ConfigError, RequestError
 from flipperctl.lookahead import Mpc, ValueIteration
-from flipperctl.policies.abilities import FilePolicy, PolicyUser
+from flipperctl.lookahead.settings import LearnedValue
 from flipperctl.policies.exported import ExportedPolicy, check_robot, exported_config
 from flipperctl.policies.plugin import PluginPolicy, plugin_policy
+
+
+class FilePolicy(Protocol):
+    """A policy of a file, which acts by a Q-value of each action, on observations alone."""
+
+    def reset(self, simulator: Simulator | None = None, /) -> None:
+        """Begin an episode; no simulator is needed."""
+
+    def act(self, p: Perception, /) -> int:
+        """Return the index into ``ACTIONS`` of the next action."""
+
+    def act_on(self, recent: Sequence[NDArray[np.float32]], /) -> int:
+        """Return the next action after these observations, each (N + 3,) in SI units.
+
+        They are the newest of the episode, the last one is new to the policy.
+        """
+
+    def q_values(self, p: Perception, /) -> Sequence[float]:
+        """Return the Q-values, (9,), without changing what the policy remembers."""
+
+
+@runtime_checkable
+class PolicyUser(Protocol):
+    """A controller that uses policies of files."""
+
+    @property
+    def named(self) -> Mapping[str, str]:
+        """Runs, checkpoints, exported files or shipped policies, by the settings that name them.
+
+        A key is a field, or an entry of one that holds several: ``policy``, ``others[0]``.
+        """
+
+    def starting_from(self, policies: Sequence[Policy], /) -> Controller:
+        """Return the same settings with the loaded policies, in the order of ``named``."""
+
 
 Takes = Literal["any", "file", "checkpoint", "controller"]
 """What a word may name: any policy, one of a file, one of a checkpoint, or a controller."""
@@ -179,8 +217,6 @@ def with_files(controller: Controller, config: EnvConfig, path: str = "controlle
         sources = [load_policy(name, f"{path}.{key}", "file") for key, name in named]
         controller = controller.starting_from([source.build_file(config) for source in sources])
     if isinstance(controller, Mpc) and controller.value:
-        from flipperctl.policies.values import learned_value
-
         learned = learned_value(controller.value, f"{path}.value")
         if controller.fallback and any(learned.misfits(config.robot, config.perception.layout)):
             controller = controller.without_value()
@@ -191,13 +227,18 @@ def with_files(controller: Controller, config: EnvConfig, path: str = "controlle
     return controller
 
 
+def learned_value(name: str, path: str) -> LearnedValue:
+    """Return the values of a run, a checkpoint or a shipped policy; ``path``: the setting."""
+    from flipperctl.policies.trained import read_value
+
+    return read_value(load_policy(name, path, "checkpoint").file, name, path)
+
+
 def controller_notes(
     controller: Controller, config: EnvConfig, path: str = "controller"
 ) -> Iterator[str]:
     """Yield a line if ``with_files`` replaces the values of a controller by its own cost."""
     if isinstance(controller, Mpc) and controller.value and controller.fallback:
-        from flipperctl.policies.values import learned_value
-
         learned = learned_value(controller.value, f"{path}.value")
         found = list(learned.misfits(config.robot, config.perception.layout))
         if found:

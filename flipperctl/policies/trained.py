@@ -1,11 +1,14 @@
-"""A trained network as a policy.
+"""A trained network as a policy, and its values for searches that end with them.
 
-In: a checkpoint. Out: its network with the trained weights, and the policy that acts by it.
+In: a checkpoint. Out: its network with the trained weights, the policy that acts by it, and the
+value of observations with the rewards and the discount of the training.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -14,11 +17,13 @@ from numpy.typing import NDArray
 from flipperctl.agent.frames import input_size, stacked
 from flipperctl.agent.networks import best, build_network, q_values
 from flipperctl.agent.risk import Risk, RiskNetwork, uncalibrated
-from flipperctl.api import ACTIONS, Perception, Simulator
-from flipperctl.checkpoint import Checkpoint
+from flipperctl.api import ACTIONS, FloatArray, Perception, RobotGeometry, Simulator
+from flipperctl.checkpoint import Checkpoint, read_policy
 from flipperctl.checkpoint.sealed import require_equal_layout
+from flipperctl.config import TrainConfig
 from flipperctl.core.risk import Escape, EscapeRule, Recurrence, RiskCalibration
 from flipperctl.errors import CheckpointError, ConfigError
+from flipperctl.lookahead.settings import TOLERANCE, LearnedValue
 
 
 class TrainedPolicy:
@@ -126,3 +131,66 @@ def _calibration(checkpoint: Checkpoint, horizon: int) -> RiskCalibration:
     if validation is None:
         return uncalibrated(horizon)
     return RiskCalibration.of(validation.__pydantic_extra__)
+
+
+@contextmanager
+def naming(path: str) -> Iterator[None]:
+    """Begin the texts of errors about a file with ``path``, the setting that names the file."""
+    try:
+        yield
+    except CheckpointError as error:
+        raise CheckpointError(f"{path}: {error}") from error
+
+
+def read_value(file: Path, name: str, path: str) -> LearnedValue:
+    """Return the values of a checkpoint, which the setting at ``path`` calls ``name``."""
+    with naming(path):
+        checkpoint = read_policy(file)
+        config = checkpoint.policy_config()
+    if config.network.frames > 1:
+        raise CheckpointError(
+            f"{path}={name}: its network {config.network.plugin_name} takes "
+            f"{config.network.frames} observations, of which a plan predicts one; a network of one "
+            "observation is allowed"
+        )
+    teacher = config.teacher
+    named = (checkpoint.document.config.model_extra or {}).get("teacher")
+    taught = isinstance(named, Mapping) and named.get("controller") is not None  # missing here
+    if (teacher.teaches or taught) and not teacher.td_weight and teacher.loss != "values":
+        raise CheckpointError(
+            f"{path}={name}: it only imitated its teacher, so that its values estimate no return; "
+            "train with teacher.td_weight above 0, or with experiment=searched"
+        )
+    if config.agent.is_policy_gradient:
+        raise CheckpointError(
+            f"{path}={name}: it learnt by a policy gradient, so that its values order the actions "
+            "and estimate no return; train with agent.learner=d3qn, or with experiment=searched"
+        )
+    return value_of(policy_module(checkpoint), config)
+
+
+def value_of(module: torch.nn.Module, config: TrainConfig) -> LearnedValue:
+    """Return the values of a network of one observation, in ``eval()`` mode, and its training."""
+    scale = config.agent.reward_scale
+
+    def value(observations: NDArray[np.float32]) -> FloatArray:
+        with torch.inference_mode():
+            best = module(torch.from_numpy(observations)).amax(dim=1)
+        return np.asarray(best.numpy(), np.float64) / scale
+
+    layout, sizes = config.perception.layout, dict(_sizes(config))
+    return LearnedValue(value, config.rewards, config.agent.gamma, layout, sizes)
+
+
+def _sizes(config: TrainConfig) -> Iterator[tuple[str, tuple[float, float]]]:
+    """Yield each dimension of the training's robots with its smallest and largest size [m, rad]."""
+    for name in RobotGeometry.model_fields:
+        own, sampled = getattr(config.robot, name), config.randomise.find("robot", name)
+        low, high = (1 - TOLERANCE) * own, (1 + TOLERANCE) * own
+        if sampled is not None:
+            low, high = sampled.ends
+        for factor, scaled in config.robot.factors.items():
+            by = config.randomise.find("robot", factor)
+            if by is not None and name in scaled:
+                low, high = low * by.ends[0], high * by.ends[1]
+        yield name, (low, high)

@@ -28,8 +28,7 @@ from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import NonFiniteError, PolicyError, RequestError
 from flipperctl.evaluation.inherited import read_config
-from flipperctl.policies.abilities import FilePolicy
-from flipperctl.policies.source import PolicySource, load_policy
+from flipperctl.policies.source import FilePolicy, PolicySource, load_policy
 from flipperctl.scripting.settings import Paths, begin, short_errors
 from flipperctl.terminal.streams import print_note
 

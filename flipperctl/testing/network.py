@@ -107,7 +107,7 @@ def exportable(network: Network) -> None:
         NotChecked: a package that the export needs is not installed.
     """
     from flipperctl.config import TrainConfig
-    from flipperctl.export.onnx import compare_onnx
+    from flipperctl.export.policy import compare_onnx
 
     config = TrainConfig(terrain=Ground(), rewards={"none": NoReward()}, network=network)
     module = _built(network).eval().requires_grad_(False)

@@ -22,8 +22,7 @@ from flipperctl.config.identity import differences
 from flipperctl.env.privileged import SIZE
 from flipperctl.errors import ConfigError
 from flipperctl.policies.source import check_layout, load_policy
-from flipperctl.policies.trained import policy_module, policy_risk
-from flipperctl.policies.values import naming
+from flipperctl.policies.trained import naming, policy_module, policy_risk
 
 _SETTING = "agent.start_from"
 _VALUES = "agent.policy_gradient.start_values"

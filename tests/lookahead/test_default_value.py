@@ -17,8 +17,7 @@ from flipperctl.lookahead import planner
 from flipperctl.lookahead.controllers import Mpc, Planner
 from flipperctl.lookahead.mpc import MpcPolicy, ReturnPolicy
 from flipperctl.lookahead.settings import HAND_SET
-from flipperctl.policies.source import PolicySource, with_files
-from flipperctl.policies.values import learned_value
+from flipperctl.policies.source import PolicySource, learned_value, with_files
 from tests.short import short_config, trainer
 
 FLAT = EnvConfig(terrain="flat")

@@ -19,8 +19,14 @@ from flipperctl.errors import CheckpointError, ConfigError, RequestError
 from flipperctl.evaluation.rows import reached
 from flipperctl.policies.identity import PolicyIdentity, unlike_trainings
 from flipperctl.policies.plugin import PluginPolicy
-from flipperctl.policies.source import PolicySource, Takes, controller_policy, load_policy
-from flipperctl.policies.values import learned_value, value_of
+from flipperctl.policies.source import (
+    PolicySource,
+    Takes,
+    controller_policy,
+    learned_value,
+    load_policy,
+)
+from flipperctl.policies.trained import value_of
 from flipperctl.rollout.episode import decisions
 from tests.played import play_episodes
 from tests.short import short_config

@@ -12,7 +12,7 @@ from flipperctl.agent.policy_gradient import PolicyGradient
 from flipperctl.agent.replay import Replay
 from flipperctl.config import with_overrides
 from flipperctl.errors import CheckpointError, ConfigError
-from flipperctl.policies.values import learned_value
+from flipperctl.policies.source import learned_value
 from tests.short import few, trainer
 from tests.training.conftest import GRADIENT, setup
 
