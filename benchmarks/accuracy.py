@@ -18,7 +18,7 @@ from flipperctl.bench.settings import quantity, ratio
 from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError
-from flipperctl.policies.source import PolicySource
+from flipperctl.policies.source import PolicySource, load_policy
 from flipperctl.rollout.episode import Row, play
 from flipperctl.rollout.seeds import EvaluationSeeds
 
@@ -69,7 +69,7 @@ def measure(bench: Benchmark) -> dict[str, Any]:
 
 
 def _rule(bench: Benchmark) -> PolicySource:
-    return PolicySource.of_plugin(bench.settings.controller, "bench.controller")
+    return load_policy(bench.settings.controller, "bench.controller")
 
 
 def _play(

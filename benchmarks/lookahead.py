@@ -30,8 +30,8 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.lookahead.controllers import Mpc, ValueIteration
 from flipperctl.lookahead.model import Model
 from flipperctl.lookahead.mpc import MpcPolicy
-from flipperctl.policies.source import PolicySource
-from flipperctl.policies.values import value_of
+from flipperctl.policies.source import load_policy
+from flipperctl.policies.trained import value_of
 from flipperctl.rollout.episode import Decision, decisions
 from flipperctl.rollout.seeds import EvaluationSeeds
 from flipperctl.testing.network import one_thread
@@ -209,7 +209,7 @@ def prediction_errors(
     The last decision of an episode is left out, since the engine ends it early.
     """
     env, s = FlipperEnv(config=config), Mpc(value="")
-    policy = PolicySource.of_plugin(controller, "bench.controller").build(config)
+    policy = load_policy(controller, "bench.controller").build(config)
     errors: dict[str, list[float]] = {name: [] for name in MEASURES}
     for seed in seeds:
         model = None

@@ -28,11 +28,11 @@ from flipperctl.bench.settings import Bench
 from flipperctl.cli.main import run_app
 from flipperctl.config import EnvConfig, EvalConfig
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.policies.source import PolicySource
+from flipperctl.policies.source import load_policy
 from flipperctl.sim.planar.sensing import correlated
 from tests.bench.small import check, small_bench
 
-OKADA = PolicySource.of_plugin("okada", "--controller")
+OKADA = load_policy("okada", "--controller")
 RATIOS = {
     "physics": "environment_decisions / bare_decisions",
     "accuracy": "paper_step.100hz.5ms / paper_step.100hz.1.25ms",
@@ -121,7 +121,7 @@ def test_a_wall_lifts_level_flippers_from_the_friction_of_statics_on(engine) -> 
         settings = {"name": engine, "friction": friction}
         wall = {"name": "step", "low": 0.4, "high": 0.4}
         env = FlipperEnv(config=EnvConfig(terrain=wall, sim=settings))
-        policy = PolicySource.of_plugin("level", "").build(env.config)
+        policy = load_policy("level", "").build(env.config)
         _, poses, _ = engine_agreement.play(env, policy, 0)
         assert (poses[:, 2].max() > 0.1) == expected, friction
 
