@@ -229,9 +229,13 @@ def with_files(controller: Controller, config: EnvConfig, path: str = "controlle
 
 def learned_value(name: str, path: str) -> LearnedValue:
     """Return the values of a run, a checkpoint or a shipped policy; ``path``: the setting."""
-    from flipperctl.policies.trained import read_value
+    from flipperctl.policies.trained import read_value, read_value_once
 
-    return read_value(load_policy(name, path, "checkpoint").file, name, path)
+    file = load_policy(name, path, "checkpoint").file
+    # Each policy that is built would read a shipped one again.
+    return (read_value_once if file in shipped_policies().values() else read_value)(
+        file, name, path
+    )
 
 
 def controller_notes(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -167,6 +168,9 @@ def read_value(file: Path, name: str, path: str) -> LearnedValue:
             "and estimate no return; train with agent.learner=d3qn, or with experiment=searched"
         )
     return value_of(policy_module(checkpoint), config)
+
+
+read_value_once = cache(read_value)
 
 
 def value_of(module: torch.nn.Module, config: TrainConfig) -> LearnedValue:
