@@ -45,6 +45,7 @@ FORMAT: Final = 1
 NOUN = "file of recorded episodes"
 KIND = OutputKind(f"a {NOUN}", (".safetensors",), re.compile(rb'\\"kind\\": ?\\"episodes\\"'))
 _SUM = 1e-3  # largest error of a label's sum
+_ENTERED = ("number", "seed", "terrain", "outcome")  # fields of an episode in the document
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +149,7 @@ def write(
         WriteError: writing failed half way; an earlier file, if any, is kept.
     """
     require_one_layout(path, [config for config, _ in parts])
-    environments = [_partial(config) for config, _ in parts]
+    environments = [to_dict(config.environment()) for config, _ in parts]
     placed = [(at, episode) for at, (_, episodes) in enumerate(parts) for episode in episodes]
     versions = {"flipperctl": __version__}
     for config, _ in parts:
@@ -158,13 +159,10 @@ def write(
         kind=EPISODES,
         driver=driver,
         versions=versions,
-        environments=tuple(environments),
+        environments=tuple(map(PartialEnvironment.model_validate, environments)),
         episodes=tuple(
             EpisodeEntry(
-                number=episode.number,
-                seed=episode.seed,
-                terrain=episode.terrain,
-                outcome=episode.outcome,
+                **{name: getattr(episode, name) for name in _ENTERED},
                 decisions=len(episode.actions),
                 environment=at,
             )
@@ -190,11 +188,6 @@ def require_one_layout(path: Path, configs: Sequence[EnvConfig]) -> None:
             f"{path}: a {NOUN} has one observation layout; perception.bins or "
             "perception.bin_width differs between the environments"
         )
-
-
-def _partial(config: EnvConfig) -> PartialEnvironment:
-    """Return the part of the configuration that defines an environment."""
-    return PartialEnvironment.model_validate(to_dict(config.environment()))
 
 
 def _joined(
@@ -275,10 +268,7 @@ def _episodes(
         end = begin + entry.decisions
         rows = slice(begin, end)
         yield RecordedEpisode(
-            number=entry.number,
-            seed=entry.seed,
-            terrain=entry.terrain,
-            outcome=entry.outcome,
+            **{name: getattr(entry, name) for name in _ENTERED},
             observations=arrays["observation"][begin + at : end + at + 1],
             actions=arrays["action"][rows],
             rewards=arrays["reward"][rows],

@@ -225,7 +225,12 @@ class Agent(Settings):
         return self.learner == "policy_gradient"
 
     @model_validator(mode="after")
-    def _fits_policy_gradient(self) -> Self:
+    def _check(self) -> Self:
+        if self.escape_temperature and not self.risk:
+            raise ConfigError(
+                f"agent.escape_temperature: {self.escape_temperature:g} needs warnings; set "
+                "agent.risk=true, or leave it at 0"
+            )
         if not self.is_policy_gradient:
             return self
         if self.policy_gradient.start_values and self.start_from is None:
@@ -244,15 +249,6 @@ class Agent(Settings):
                     f"agent.{name}: {getattr(self, name)} does not go with "
                     f"agent.learner=policy_gradient; {allowed} is allowed"
                 )
-        return self
-
-    @model_validator(mode="after")
-    def _escapes_on_warnings(self) -> Self:
-        if self.escape_temperature and not self.risk:
-            raise ConfigError(
-                f"agent.escape_temperature: {self.escape_temperature:g} needs warnings; set "
-                "agent.risk=true, or leave it at 0"
-            )
         return self
 
 

@@ -6,7 +6,7 @@ inside. The sections and their settings are defined in ``sections``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Annotated, Any, cast
 
 import numpy as np
@@ -223,84 +223,71 @@ class TrainConfig(EnvConfig):
             and not (self.teacher.teaches and not self.teacher.td_weight)
         )
 
-    @model_validator(mode="after")
-    def _check_collector(self) -> TrainConfig:
-        if self.train.mode == "exact" and self.collector.name != "local":
-            raise ConfigError(
-                "train.mode: exact plays episodes in the learner's process; "
-                f"collector={self.collector.name} needs train.mode=fast"
-            )
-        return self
-
     @property
     def keeps_distributions(self) -> bool:
         """Whether each decision has a distribution over actions: a teacher's, or its own."""
         return self.agent.is_policy_gradient or self.teacher.teaches
 
     @model_validator(mode="after")
-    def _check_learner(self) -> TrainConfig:
+    def _check(self) -> TrainConfig:
+        for fault in (*self._faults(), *self._faults_of_values(), *self._faults_of_rewards()):
+            raise ConfigError(fault)
+        return self
+
+    def _faults(self) -> Iterator[str]:
+        if self.train.mode == "exact" and self.collector.name != "local":
+            yield (
+                "train.mode: exact plays episodes in the learner's process; "
+                f"collector={self.collector.name} needs train.mode=fast"
+            )
         if self.agent.is_policy_gradient and self.teacher.teaches:
-            raise ConfigError(
+            yield (
                 "teacher: agent.learner=policy_gradient learns from rewards alone; set teacher=none"
             )
-        return self
-
-    @model_validator(mode="after")
-    def _check_values(self) -> TrainConfig:
-        if self.teacher.loss == "values":
-            if self.network.frames > 1:
-                raise ConfigError(
-                    f"network: {self.network.plugin_name} takes {self.network.frames} "
-                    "observations; teacher.loss=values teaches the values of single ones"
-                )
-            if self.teacher.controller is None:
-                raise ConfigError(
-                    "teacher.loss: values are computed by a controller, such as teacher=searched; "
-                    "recorded episodes have none"
-                )
-            gamma = getattr(self.teacher.controller, "gamma", self.agent.gamma)
-            if gamma != self.agent.gamma:
-                raise ConfigError(
-                    f"teacher.controller.gamma: {gamma} is not agent.gamma ({self.agent.gamma}); "
-                    f"set teacher.controller.gamma={self.agent.gamma}"
-                )
-        return self
-
-    @model_validator(mode="after")
-    def _check_recorded(self) -> TrainConfig:
         if self.teacher.episodes is not None and self.learns_privileged_value:
-            raise ConfigError(
+            yield (
                 "agent.privileged_value: the recorded episodes of teacher.episodes hold no "
                 "privileged states; set agent.privileged_value=false"
             )
-        return self
 
-    @model_validator(mode="after")
-    def _check_rewards(self) -> TrainConfig:
-        if not any(term.weight for term in self.rewards.values()):
-            there = ", ".join(self.rewards) if self.rewards else "none"
-            raise ConfigError(
-                f"rewards: a training needs a term whose weight is not 0 (terms: {there}); add one "
-                "with +reward@rewards.pitch=pitch, or leave rewards=paper as it is"
+    def _faults_of_values(self) -> Iterator[str]:
+        if self.teacher.loss != "values":
+            return
+        if self.network.frames > 1:
+            yield (
+                f"network: {self.network.plugin_name} takes {self.network.frames} "
+                "observations; teacher.loss=values teaches the values of single ones"
             )
-        return self
+        if self.teacher.controller is None:
+            yield (
+                "teacher.loss: values are computed by a controller, such as teacher=searched; "
+                "recorded episodes have none"
+            )
+        gamma = getattr(self.teacher.controller, "gamma", self.agent.gamma)
+        if gamma != self.agent.gamma:
+            yield (
+                f"teacher.controller.gamma: {gamma} is not agent.gamma ({self.agent.gamma}); "
+                f"set teacher.controller.gamma={self.agent.gamma}"
+            )
 
-    @model_validator(mode="after")
-    def _check_shaping(self) -> TrainConfig:
+    def _faults_of_rewards(self) -> Iterator[str]:
+        if not any(term.weight for term in self.rewards.values()):
+            yield (
+                "rewards: a training needs a term whose weight is not 0 (terms: "
+                f"{', '.join(self.rewards) or 'none'}); add one with "
+                "+reward@rewards.pitch=pitch, or leave rewards=paper as it is"
+            )
         agent = self.agent
         for name, term in self.rewards.items():
-            if not isinstance(term, Shaping):
-                continue
-            if term.gamma != agent.gamma:
-                raise ConfigError(
+            if isinstance(term, Shaping) and term.gamma != agent.gamma:
+                yield (
                     f"rewards.{name}.gamma: {term.gamma} is not agent.gamma ({agent.gamma}); the "
                     "shaping would change the optimal policy; set "
                     f"rewards.{name}.gamma={agent.gamma}"
                 )
-            if agent.bootstrap_outcomes:
-                raise ConfigError(
+            if isinstance(term, Shaping) and agent.bootstrap_outcomes:
+                yield (
                     f"agent.bootstrap_outcomes: the shaping rewards.{name} ends with the episode, "
                     "so the value must end too; set agent.bootstrap_outcomes=[] or drop the term "
                     f"with ~rewards.{name}"
                 )
-        return self
