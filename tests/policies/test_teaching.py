@@ -24,8 +24,8 @@ from flipperctl.policies import teaching as labels
 from flipperctl.policies.plugin import PluginPolicy, plugin_policy
 from flipperctl.policies.source import controller_policy
 from flipperctl.policies.teaching import DaggerPolicy, DemonstratingPolicy
-from flipperctl.rollout.collect import InProcessCollector
 from flipperctl.rollout.episode import decisions
+from flipperctl.rollout.steps import steps
 
 
 def policy(name: str, **settings: object) -> PluginPolicy:
@@ -55,8 +55,7 @@ def test_a_collector_keeps_the_labels_of_any_policy_that_has_them() -> None:
         (policy("okada"), False),
         (DemonstratingPolicy(policy("okada")), True),
     ):
-        collector = InProcessCollector(FlipperEnv("flat"), acting, lambda: 1)
-        step = next(collector.episode())
+        step = next(steps(FlipperEnv("flat"), acting, 1))
         expected = labels.from_action(step.action).tolist() if labelled else None
         assert (step.label if step.label is None else step.label.tolist()) == expected
 
