@@ -7,13 +7,16 @@ another policy, such as a smaller network.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import Field, PrivateAttr
 
 from flipperctl.api import Controller, FloatArray, Perception, Policy, Simulator, controller
 from flipperctl.errors import ConfigError
-from flipperctl.policies.source import FilePolicy
+
+if TYPE_CHECKING:  # what lists plugins is quick
+    from flipperctl.policies.source import FilePolicy
 
 
 @controller("greedy")

@@ -168,7 +168,7 @@ def test_a_mismatch_fails_and_writes_nothing(
     saved: checkpoint.Checkpoint, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def flipped(module: torch.nn.Module, *rest: object) -> object:
-        return b"", lambda observations: (module(torch.from_numpy(-observations)).numpy(),)
+        return b"", lambda observations: (module(torch.from_numpy(-observations)).detach().numpy(),)
 
     monkeypatch.setattr(policy, "export_pt2", flipped)
     with pytest.raises(ExportError, match=r"disagrees with torch.*nothing was written"):
