@@ -47,15 +47,12 @@ def run(
     plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
-    from flipperctl.errors import RequestError
-    from flipperctl.evaluation.inherited import find_policy
     from flipperctl.evaluation.views.card import CARD, card_text, policy_rows
     from flipperctl.files import check_output, write_bytes
+    from flipperctl.policies.source import load_policy
     from flipperctl.terminal.streams import print_note
 
-    file = find_policy(policy, print_note)
-    if file.suffix == ".onnx":
-        raise RequestError(f"{file} is exported; give its run or checkpoint")
+    file = load_policy(policy, takes="checkpoint", tell=print_note).file
     if output is not None:
         check_output(output, CARD)
     folders = results or []
@@ -80,8 +77,10 @@ def evaluation_commands(policy: Path, file: Path, results: Sequence[Path]) -> li
     from flipperctl.cli.hydra import config_store
     from flipperctl.evaluation.inherited import read_config
     from flipperctl.evaluation.views.card import read_document
+    from flipperctl.policies.source import PolicySource
 
-    primary = config_store.register_trained(read_config(file, ["flat"], lambda line: None))
+    trained = read_config(PolicySource(file), ["flat"], lambda line: None)
+    primary = config_store.register_trained(trained)
     groups: dict[tuple[tuple[str, ...], bool], list[str]] = {}
     for folder in results:
         for scene in read_document(folder)["scenes"]:

@@ -13,13 +13,13 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from flipperctl import checkpoint as checkpoints
 from flipperctl.api import ObservationLayout, registry
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, to_dict
 from flipperctl.config.absent import AbsentReward, AbsentTerrain
+from flipperctl.config.identity import ABSENT, differences
 from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.conditions import Conditions
-from flipperctl.policies.exported import exported_config, is_exported
+from flipperctl.policies.source import PolicySource
 
 NOMINAL, TRAINED = "nominal", "trained"
 """The default conditions, and those of a policy's training."""
@@ -55,26 +55,8 @@ class Inherited:
         return cls(chosen, kept, nominal, own if isinstance(config, TrainConfig) else None)
 
 
-def find_policy(run_or_file: Path, tell: Callable[[str], None]) -> Path:
-    """Return the path of a policy's file, for a run that of its best policy.
-
-    A run without validations has no best policy; its last checkpoint is returned, and ``tell`` is
-    called with a line that says so. Names of shipped policies are allowed, too.
-
-    Raises:
-        CheckpointError: there is no such checkpoint.
-    """
-    file = checkpoints.find(run_or_file)
-    if run_or_file.is_dir() and file == run_or_file / checkpoints.LAST:
-        tell(
-            f"{run_or_file}: no validation has chosen a best policy yet; this is the last one, "
-            f"{checkpoints.LAST}"
-        )
-    return file
-
-
 def read_config(
-    file: Path, terrains: Collection[str | None], tell: Callable[[str], None]
+    source: PolicySource, terrains: Collection[str | None], tell: Callable[[str], None]
 ) -> TrainConfig | EvalConfig:
     """Return the configuration of a checkpoint, or the part of it that an exported file holds.
 
@@ -85,8 +67,7 @@ def read_config(
         CheckpointError: the file is damaged, or its own terrain is to be evaluated and the plugin
             of that is missing.
     """
-    exported = is_exported(file)
-    found = exported_config(file) if exported else checkpoints.read_policy(file).policy_config()
+    file, found = source.file, source.config()
     absent = found.terrain
     if isinstance(absent, AbsentTerrain):
         name = absent.plugin_name
@@ -136,10 +117,10 @@ def _training_line(trained: TrainConfig, config: EvalConfig, keys: Collection[st
     own = EvalConfig(**{name: getattr(trained, name) for name in EnvConfig.model_fields})
     before, here = Conditions.of(own).settings, Conditions.of(config).settings
     texts = [
-        f"{section}.{name}={_short(value)} ({_short(here[section].get(name))})"
+        f"{path}={_short(there)} ({'none' if ours is ABSENT else _short(ours)})"
         for section in _CHOSEN
-        for name, value in before[section].items()
-        if value != here[section].get(name) and not {section, f"{section}.{name}"} & set(keys)
+        for path, there, ours in differences(before[section], here[section], section)
+        if there is not ABSENT and not {section, path} & set(keys)
     ]
     if not texts:
         return ""

@@ -9,20 +9,17 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import product
 from pathlib import Path
 from typing import Any
 
 from flipperctl import checkpoint as checkpoints
-from flipperctl.api import Controller, Robot, registry
-from flipperctl.api.plugin import registered_names
-from flipperctl.checkpoint import shipped_policies
-from flipperctl.config import resolver
+from flipperctl.api import Robot, registry
+from flipperctl.config import resolver, to_dict
+from flipperctl.config.identity import differences
 from flipperctl.config.words import check_different
 from flipperctl.errors import ConfigError, FlipperctlError, RequestError
-from flipperctl.evaluation.inherited import find_policy
-from flipperctl.messages import close_match, missing_name
-from flipperctl.policies.exported import ExportedPolicy, is_exported
+from flipperctl.messages import close_match
+from flipperctl.policies.exported import ExportedPolicy
 from flipperctl.policies.identity import method_settings, without_input_paths
 from flipperctl.policies.source import PolicySource, load_policy
 from flipperctl.results import unfinished
@@ -83,13 +80,7 @@ def _controllers(names: str | None, option: str, default: Sequence[str]) -> list
         raise RequestError(f"{option}: names between commas, or none, are allowed; got {names!r}")
     check_different(option, found)
     for name in found:
-        known = ("controller", name) in registry
-        if not known and (name in shipped_policies() or Path(name).exists()):
-            raise RequestError(
-                f"{option}: controllers are allowed, and {name} is none; add --checkpoint {name}, "
-                "which may be repeated: policies stand in one table, on the same episodes"
-            )
-        resolver.get("controller", name, option)
+        load_policy(name, option, "controller")
     return found
 
 
@@ -129,14 +120,12 @@ def policies(
 def _source(
     label: str, fields: Mapping[str, Any], tell: Callable[[str], None], option: str
 ) -> PolicySource:
-    path = Path(label)
-    if path.exists() or label in shipped_policies():
-        return PolicySource(checkpoint=find_policy(path, tell))
-    known = resolver.get("controller", label, option).model_fields
-    own = {name: value for name, value in fields.items() if name in known}
-    settings = {**resolver.reference(label, option), **own}
-    made: Controller = resolver.create("controller", settings, "controller")
-    return PolicySource(settings=resolver.to_dict(made))
+    source = load_policy(label, option, tell=tell)
+    own = {name: value for name, value in fields.items() if name in (source.settings or {})}
+    if not own:
+        return source
+    reference = resolver.reference(label, option)
+    return load_policy(label, "controller", fields={**reference, **own})
 
 
 def common_robot(sources: Mapping[str, PolicySource], chosen: Collection[str]) -> Robot:
@@ -149,14 +138,14 @@ def common_robot(sources: Mapping[str, PolicySource], chosen: Collection[str]) -
     if not robots:
         return Robot()
     (first, ours), *others = robots.items()
-    for (other, theirs), field in product(others, Robot.model_fields):
-        values, key = (getattr(ours, field), getattr(theirs, field)), f"robot.{field}"
-        if values[0] != values[1] and not {"robot", key} & set(chosen):
-            first_value, value = ("null" if v is None else f"{v:.6g}" for v in values)
-            raise ConfigError(
-                f"--compare: {first} is for {key}={first_value}, {other} for {value}; give {key}=… "
-                "to choose the robot"
-            )
+    for other, theirs in others:
+        for key, *values in differences(to_dict(ours), to_dict(theirs), "robot"):
+            if not {"robot", key} & set(chosen):
+                first_value, value = ("null" if v is None else f"{v:.6g}" for v in values)
+                raise ConfigError(
+                    f"--compare: {first} is for {key}={first_value}, {other} for {value}; give "
+                    f"{key}=… to choose the robot"
+                )
     return ours
 
 
@@ -191,7 +180,7 @@ def entrants(names: Sequence[str], tell: Callable[[str], None]) -> list[Entrant]
         if ("controller", name) in registry:
             found[Entrant(name)] = None
         else:
-            found |= dict.fromkeys(_of_path(_find_path(name), tell))
+            found |= dict.fromkeys(_of_path(Path(name), tell))
     return list(found)
 
 
@@ -203,21 +192,6 @@ def _split(text: str) -> list[str]:
     if not all(names):
         raise RequestError(f"names between commas are allowed, as in okada,level; got {text!r}")
     return names
-
-
-def _find_path(name: str) -> Path:
-    """Return the path of a policy's run or file, or the name of a shipped policy."""
-    path = Path(name)
-    if _exists(name) or name in checkpoints.shipped_policies():
-        return path
-    if path.suffix or len(path.parts) > 1:
-        checkpoints.find(path)  # raises the error that names a close match
-    known = [*checkpoints.shipped_policies(), *registered_names("controller")]
-    hint = missing_name("controller", name, known)
-    raise ConfigError(
-        f"there is no run, file, shipped policy or controller {name!r}{hint}; "
-        f"shipped policies and controllers: {', '.join(sorted(known))}"
-    )
 
 
 def split_policies(words: Sequence[str] | None) -> tuple[list[str], list[str]]:
@@ -241,16 +215,17 @@ def standing(baseline: str | None, present: Sequence[Entrant]) -> list[Entrant]:
 
 
 def _of_path(path: Path, tell: Callable[[str], None]) -> Iterator[Entrant]:
-    if not path.is_dir() or checkpoints.holds(path) or not checkpoints.runs_in(path):
-        file = checkpoints.find(path)
-        yield Entrant(str(path), path, _trained(file)[0])
+    # False for any text, however long.
+    sweep = os.path.isdir(path) and not checkpoints.holds(path)  # noqa: PTH112
+    if not sweep or not checkpoints.runs_in(path):
+        yield Entrant(str(path), path, _trained(load_policy(path))[0])
         return
     trained: list[tuple[Path, int | None, dict[str, Any]]] = []
     for run in sorted((f for f in path.iterdir() if f.is_dir()), key=checkpoints.job_order):
         if not (run / "config.yaml").exists() and not checkpoints.holds(run):
             continue  # no run at all
         try:
-            seed, settings = _trained(checkpoints.find(run))
+            seed, settings = _trained(load_policy(run, takes="file"))
         except FlipperctlError as error:
             tell(f"{run} is left out: {error}")
             continue
@@ -300,9 +275,9 @@ def _swept(run: Path) -> str:
     return ",".join(one for one in values if "=" in one and not one.startswith("seed="))
 
 
-def _trained(file: Path) -> tuple[int | None, dict[str, Any]]:
+def _trained(source: PolicySource) -> tuple[int | None, dict[str, Any]]:
     """Return the seed of a training, and the settings that name its method."""
-    if is_exported(file):
-        return ExportedPolicy(file).interface.seed, {"file": str(file)}
-    config = checkpoints.read_policy(file).policy_config()
+    if source.is_exported:
+        return ExportedPolicy(source.file).interface.seed, {"file": str(source.file)}
+    config = checkpoints.read_policy(source.file).policy_config()
     return config.seed, method_settings(config)

@@ -17,13 +17,13 @@ from flipperctl.evaluation.workers import EpisodeRunner
 from flipperctl.figures.episode import episode_figure, map_points, mapped
 from flipperctl.figures.film import FILM, Shots, film, instants, samples, save_film
 from flipperctl.files import check_output, write_json
-from flipperctl.policies.source import PolicySource
+from flipperctl.policies.source import load_policy
 from flipperctl.rollout.episode import play
 from flipperctl.sim.mujoco import Mujoco, camera
 from flipperctl.sim.mujoco.world import MujocoWorld
 
 STEP = Profile([(0.0, 0.0), (0.0, 0.2), (0.5, 0.2)])
-LEVEL = PolicySource.of_plugin("level", "--controller")
+LEVEL = load_policy("level", "--controller")
 FLAT_3D = EvalConfig(
     terrain={"name": "flat", "length": 0.2}, sim="mujoco", episode={"run_up": 0.4, "run_out": 0.4}
 )

@@ -14,7 +14,6 @@ import torch
 
 from flipperctl import checkpoint
 from flipperctl.agent.learner import arrays
-from flipperctl.checkpoint.contents import contents
 from flipperctl.cli.inspect.checkpoint import print_checkpoint as show
 from flipperctl.config import with_overrides
 from flipperctl.export.policy import export
@@ -61,7 +60,7 @@ def _model(data: bytes) -> tuple[Any, dict[str, str]]:
 def read_checkpoint(path: Path) -> str:
     """Read a checkpoint as the commands do before they run it; return a hash of its contents."""
     saved = checkpoint.read(checkpoint.find(path))
-    found = contents(saved)
+    found = saved.to_dict()
     with contextlib.redirect_stdout(io.StringIO()):
         print(json.dumps(found))
         show(found, saved)

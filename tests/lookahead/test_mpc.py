@@ -27,9 +27,8 @@ from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.lookahead import mpc
 from flipperctl.lookahead.controllers import Mpc
 from flipperctl.lookahead.settings import LearnedValue
-from flipperctl.policies.source import PolicySource
+from flipperctl.policies.source import PolicySource, learned_value
 from flipperctl.policies.trained import policy_module
-from flipperctl.policies.values import learned_value
 from flipperctl.rollout.episode import decisions, play
 from tests.short import short_config, trainer
 

@@ -13,6 +13,7 @@ from flipperctl.errors import RequestError
 
 if TYPE_CHECKING:
     from flipperctl.checkpoint import Checkpoint
+    from flipperctl.policies.source import PolicySource
 
 HELP = """Describe a checkpoint. Nothing in the file is executed, and no plugin is needed.
 
@@ -46,29 +47,29 @@ def run(
 ) -> None:
     """See HELP."""
     from flipperctl import checkpoint
-    from flipperctl.checkpoint.contents import contents
-    from flipperctl.policies.exported import is_exported
+    from flipperctl.policies.source import load_policy
     from flipperctl.terminal.streams import show
 
-    file = checkpoint.find(path)
+    source = load_policy(path, takes="file")
+    file = source.file
     if check:
-        _check(file, list(overrides or []), as_json=as_json)
+        _check(source, list(overrides or []), as_json=as_json)
         return
     if overrides:
         raise RequestError(f"{overrides[0]}: overrides need --check")
-    if is_exported(file):
+    if source.is_exported:
         raise RequestError(
             f"{file} is an exported file, not a checkpoint; "
             f"python -m flipperctl.runtime {shlex.quote(str(file))} prints its interface, "
             "and --check probes it"
         )
     saved = checkpoint.read(file)
-    found = contents(saved)
+    found = saved.to_dict()
     show(found, lambda: print_checkpoint(found, saved), as_json=as_json)
 
 
 def print_checkpoint(found: dict[str, Any], saved: Checkpoint) -> None:
-    """Print a line for each part of a checkpoint (``checkpoint.contents``)."""
+    """Print a line for each part of a checkpoint (``Checkpoint.to_dict``)."""
     from flipperctl.terminal.progress import pitch_variation_text
 
     config, versions = found["config"], found["versions"]
@@ -100,22 +101,19 @@ def print_checkpoint(found: dict[str, Any], saved: Checkpoint) -> None:
         print(f"{name:<11}{text}")
 
 
-def _check(file: Path, overrides: list[str], *, as_json: bool) -> None:
-    from flipperctl import checkpoint
+def _check(source: PolicySource, overrides: list[str], *, as_json: bool) -> None:
     from flipperctl.cli.hydra import config_store
     from flipperctl.cli.hydra.compose import compose_environment
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.config.words import with_engine
-    from flipperctl.policies.exported import exported_config, is_exported
     from flipperctl.show import console, print_table
     from flipperctl.terminal.streams import show
     from flipperctl.testing.conventions import probe, require_conventions, table
 
-    exported = is_exported(file)
-    own = exported_config(file) if exported else checkpoint.read(file).policy_config()
+    own = source.config()
     primary = config_store.register_robot(own.robot, own.perception.layout)
     config = compose_environment(Overrides.parse(with_engine(overrides)), primary)
-    found = probe(config, file)
+    found = probe(config, source)
     holds = all(one.holds for one in found)
     document = {"holds": holds, "probes": [one.to_dict() for one in found]}
     show(document, lambda: print_table(table(found), console()), as_json=as_json)
