@@ -19,7 +19,7 @@ from flipperctl.api import (
 from flipperctl.config import EnvConfig, Teacher, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError, PluginFailedError
-from flipperctl.lookahead.mpc_policy import NO_PLAN
+from flipperctl.lookahead.mpc import NO_PLAN
 from flipperctl.policies import teaching as labels
 from flipperctl.policies.plugin import PluginPolicy, plugin_policy
 from flipperctl.policies.source import controller_policy

@@ -206,9 +206,7 @@ def _sample(
         divided = [b for b in blocks if _divides(b, points, tolerance)]
         if not divided:
             return points | _interpolated(blocks, points), True
-        parts = [
-            part for columns, rows in divided for part in product(*map(_half, (columns, rows)))
-        ]
+        parts = [part for columns, rows in divided for part in product(_half(columns), _half(rows))]
         blocks = [b for b in blocks if b not in divided] + parts
 
 
