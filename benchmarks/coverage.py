@@ -40,10 +40,7 @@ Sample = Callable[[np.random.Generator, tuple[int, int]], FloatArray]
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print a table of coverages; exit with code 2 if an argument or a file is wrong."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.coverage",
-        description="Simulate how often the 95 % intervals of evaluations contain the true value.",
-    )
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.coverage")
     parser.add_argument(
         "files",
         nargs="*",
@@ -51,31 +48,36 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="episodes.csv of eval --output; methods that reached fewer than "
         f"{SMALLEST} episodes of a scene are left out",
     )
-    parser.add_argument("--repetitions", type=int, default=5000, help="samples of each kind [5000]")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the samples [0]")
-    chosen = parser.parse_args(arguments)
-    if chosen.repetitions < 1:
-        parser.error(f"--repetitions: {chosen.repetitions}; 1 or more is allowed")
-    if chosen.seed < 0:
-        parser.error(f"--seed: {chosen.seed}; 0 or more is allowed")
+    chosen = parsed(parser, arguments)
     try:
         recorded = dict(_recorded(chosen.files))
     except (OSError, UnicodeDecodeError, csv.Error, KeyError, ValueError) as error:
         parser.error(f"files: {error}; an episodes.csv that eval --output wrote is allowed")
-    print(_line("mean (Student's t)", [f"n={count}" for count in COUNTS]))
+    print(line("mean (Student's t)", [f"n={count}" for count in COUNTS]))
     distributions = _distributions() | recorded
     for name, (truth, sample) in distributions.items():
         rng = np.random.default_rng(chosen.seed)
         found = [mean_coverage(truth, sample, n, chosen.repetitions, rng) for n in COUNTS]
-        print(_line(name, found), flush=True)
-    print(_line("success rate (Wilson)", [f"n={count}" for count in COUNTS]))
+        print(line(name, found), flush=True)
+    print(line("success rate (Wilson)", [f"n={count}" for count in COUNTS]))
     for rate in RATES:
-        print(_line(f"rate {rate:g}", [rate_coverage(rate, n) for n in COUNTS]))
-    print(_line("difference of paired rates (Tango)", [f"n={count}" for count in COUNTS]))
+        print(line(f"rate {rate:g}", [rate_coverage(rate, n) for n in COUNTS]))
+    print(line("difference of paired rates (Tango)", [f"n={count}" for count in COUNTS]))
     for won, lost in UNEQUAL:
         name = f"first alone {won:g}, second alone {lost:g}"
-        print(_line(name, [paired_coverage(won, lost, n) for n in COUNTS]))
+        print(line(name, [paired_coverage(won, lost, n) for n in COUNTS]))
     return 0
+
+
+def parsed(parser: argparse.ArgumentParser, arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Return the options of a simulation, which exits with code 2 if one is wrong."""
+    parser.add_argument("--repetitions", type=int, default=5000, help="samples of each kind [5000]")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the samples [0]")
+    chosen = parser.parse_args(arguments)
+    for name, least in (("repetitions", 1), ("seed", 0)):
+        if (value := getattr(chosen, name)) < least:
+            parser.error(f"--{name}: {value}; {least} or more is allowed")
+    return chosen
 
 
 def mean_coverage(
@@ -86,7 +88,7 @@ def mean_coverage(
     It is NaN where there is no interval.
     """
     found = [interval(values) for values in sample(rng, (repetitions, count))]
-    return sum(_contains(one, truth) for one in found) / repetitions
+    return sum(contains(one, truth) for one in found) / repetitions
 
 
 def rate_coverage(rate: float, total: int) -> float:
@@ -94,7 +96,7 @@ def rate_coverage(rate: float, total: int) -> float:
     return math.fsum(
         _binomial(count, total, rate)
         for count in range(total + 1)
-        if _contains(proportion(count, total), rate)
+        if contains(proportion(count, total), rate)
     )
 
 
@@ -109,11 +111,12 @@ def paired_coverage(won: float, lost: float, total: int) -> float:
         _binomial(unequal, total, either) * _binomial(first, unequal, share)
         for unequal in range(total + 1)
         for first in range(unequal + 1)
-        if _contains(paired_success(first, unequal - first, total), won - lost)
+        if contains(paired_success(first, unequal - first, total), won - lost)
     )
 
 
-def _contains(found: Interval, truth: float) -> float:
+def contains(found: Interval, truth: float) -> float:
+    """Return 1 if an interval contains the truth, else 0; NaN without an interval."""
     if found.low is None or found.high is None:
         return math.nan
     rounding = 1e-9  # the ends may equal the true value
@@ -166,7 +169,8 @@ def _values(files: Sequence[Path]) -> Mapping[str, list[float]]:
     return found
 
 
-def _line(name: str, cells: Sequence[float | str]) -> str:
+def line(name: str, cells: Sequence[float | str]) -> str:
+    """Return a row of the table: a name and fractions; a dash where there is no interval."""
     texts = [
         cell if isinstance(cell, str) else "-" if math.isnan(cell) else f"{cell:.1%}"
         for cell in cells

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.coverage import contains, line, parsed
 from flipperctl import entry
 from flipperctl.api import FloatArray
 from flipperctl.evaluation import seeds as seed_intervals
@@ -56,32 +57,23 @@ SHAPES = {
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print a table of coverages; exit with code 2 if an argument is wrong."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.seed_coverage",
-        description="Simulate how often intervals over training seeds contain the true value.",
-    )
-    parser.add_argument("--repetitions", type=int, default=5000, help="samples of each kind [5000]")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the samples [0]")
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.seed_coverage")
     parser.add_argument("--mix", choices=MIXES, help="one mix of deviations [all]")
     parser.add_argument("--shape", choices=SHAPES, help="one distribution [all]")
-    chosen = parser.parse_args(arguments)
-    if chosen.repetitions < 1:
-        parser.error(f"--repetitions: {chosen.repetitions}; 1 or more is allowed")
-    if chosen.seed < 0:
-        parser.error(f"--seed: {chosen.seed}; 0 or more is allowed")
+    chosen = parsed(parser, arguments)
     mixes = {chosen.mix: MIXES[chosen.mix]} if chosen.mix else MIXES
     shapes = {chosen.shape: SHAPES[chosen.shape]} if chosen.shape else SHAPES
     for deviations in mixes.values():
         parts = ", ".join(f"{d:g}" for d in deviations)
         for label, shape in shapes.items():
             print(f"{label}, deviations of seed, episode, both: {parts}")
-            print(_line("", [f"S={count}" for count in SEEDS]))
+            print(line("", [f"S={count}" for count in SEEDS]))
             found = [
                 coverage(deviations, shape, count, chosen.repetitions, chosen.seed)
                 for count in SEEDS
             ]
             for kind in found[0]:
-                print(_line(kind, [_text(one[kind]) for one in found]), flush=True)
+                print(line(kind, [one[kind] for one in found]), flush=True)
     return 0
 
 
@@ -113,11 +105,7 @@ def coverage(
             ),
         }
         for kind, (interval, truth) in found.items():
-            if interval.low is None or interval.high is None:
-                hit = math.nan
-            else:
-                hit = float(interval.low <= truth <= interval.high)
-            hits[kind] = hits.get(kind, 0.0) + hit
+            hits[kind] = hits.get(kind, 0.0) + contains(interval, truth)
     return {kind: count / repetitions for kind, count in hits.items()}
 
 
@@ -166,14 +154,6 @@ def _studentized(means: FloatArray, rng: np.random.Generator) -> Interval:
     low, high = np.quantile((drawn.mean(axis=1)[varied] - found) / errors[varied], [0.025, 0.975])
     error = float(means.std(ddof=1)) / math.sqrt(count)
     return Interval(found, found - float(high) * error, found - float(low) * error)
-
-
-def _text(rate: float) -> str:
-    return "-" if math.isnan(rate) else f"{rate:.1%}"
-
-
-def _line(name: str, cells: Sequence[str]) -> str:
-    return f"{name:32}" + "".join(f"{text:>9}" for text in cells)
 
 
 if __name__ == "__main__":
