@@ -13,6 +13,7 @@ from flipperctl.errors import FlipperctlError, MissingExtraError
 from tests.bench.small import check, small_bench
 
 
+@pytest.mark.long
 def test_times_and_memory_have_their_units() -> None:
     bench = small_bench()
     exact = {"train.mode": "exact"}  # in one process, which does not import torch anew
