@@ -10,7 +10,10 @@ configuration asks for are therefore compared with the free memory first.
 
 from __future__ import annotations
 
+import math
+import resource
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Final
@@ -32,7 +35,18 @@ _CGROUPS = (
 
 def available() -> int | None:
     """Return the memory that this process may still allocate [B]; None if unknown."""
-    found = [*_free_in_machine(), *_free_in_container(), *_free_in_process()]
+    found: list[int] = []
+    with suppress(OSError):
+        lines = Path("/proc/meminfo").read_text().splitlines()
+        found += [1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:")]
+    for limit, used in _CGROUPS:
+        with suppress(OSError, ValueError):  # there is no such group, or the limit is "max"
+            found.append(int(Path(limit).read_text()) - int(Path(used).read_text()))
+    own = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if own != resource.RLIM_INFINITY:
+        with suppress(OSError, ValueError):
+            pages = int(Path("/proc/self/statm").read_text().split()[0])
+            found.append(own - pages * resource.getpagesize())
     return max(0, min(found)) if found else None
 
 
@@ -53,42 +67,27 @@ def gigabytes(size: int) -> str:
     return f"{size / 1e9:,.1f} GB" if size < 1e15 else f"{size / 1e9:.1e} GB"
 
 
-def _free_in_machine() -> list[int]:
-    try:
-        lines = Path("/proc/meminfo").read_text().splitlines()
-    except OSError:
-        return []
-    return [1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:")]
-
-
-def _free_in_container() -> list[int]:
-    found = []
-    for limit, used in _CGROUPS:
-        try:
-            found.append(int(Path(limit).read_text()) - int(Path(used).read_text()))
-        except (OSError, ValueError):  # no such group, or the limit is "max"
-            continue
-    return found
-
-
-def _free_in_process() -> list[int]:
-    try:
-        import resource
-    except ImportError:  # Windows has no such module
-        return []
-    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if limit == resource.RLIM_INFINITY:
-        return []
-    try:
-        pages = int(Path("/proc/self/statm").read_text().split()[0])
-    except (OSError, ValueError):
-        return []
-    return [limit - pages * resource.getpagesize()]
-
-
 _Row = NDArray[np.float32] | None
 UNKNOWN: Final = -1.0
 """Label of a transition whose episode has not ended, or was not played by this training [-]."""
+
+
+def _columns(
+    size: int, labels: int, privileged: int, risk: bool
+) -> dict[str, tuple[tuple[int, ...], type[np.generic]]]:
+    """Return the shape and the type of a transition's row in each array of a replay."""
+    row, number = ((size,), np.float32), ((), np.float32)
+    found: dict[str, tuple[tuple[int, ...], type[np.generic]]] = {
+        **{"observation": row, "action": ((), np.int64), "reward": number},
+        **{"next_observation": row, "discount": number},
+    }
+    if labels:
+        found["label"] = ((labels,), np.float32)
+    if privileged:
+        found["privileged"] = found["next_privileged"] = ((privileged,), np.float32)
+    if risk:
+        found |= {"failing": number, "resembles": ((len(LAGS),), np.float32)}
+    return found
 
 
 def row_bytes(size: int, labels: int = 0, privileged: int = 0, *, risk: bool = False) -> int:
@@ -97,8 +96,8 @@ def row_bytes(size: int, labels: int = 0, privileged: int = 0, *, risk: bool = F
     ``size``: length of an input row; ``labels``: length of a label, 0 without one;
     ``privileged``: length of a privileged state, 0 without one; ``risk``: whether a risk is learnt.
     """
-    further = 4 * (1 + len(LAGS)) if risk else 0
-    return 2 * 4 * (size + privileged) + 8 + 4 + 4 + 4 * labels + further
+    columns = _columns(size, labels, privileged, risk).values()
+    return sum(math.prod(shape) * np.dtype(kind).itemsize for shape, kind in columns)
 
 
 @dataclass(frozen=True)
@@ -166,27 +165,16 @@ class Replay:
         newest observation in a row, N + 3, which it needs. ``cut_at_random``: whether a sum of
         rewards ends before the next random action.
         """
-        self.capacity = capacity
+        self.capacity, risk = capacity, risk_horizon > 0
         try:
             self.arrays: dict[str, NDArray[Any]] = {
-                "observation": np.zeros((capacity, size), np.float32),
-                "action": np.zeros(capacity, np.int64),
-                "reward": np.zeros(capacity, np.float32),
-                "next_observation": np.zeros((capacity, size), np.float32),
-                "discount": np.zeros(capacity, np.float32),
+                name: np.zeros((capacity, *shape), kind)
+                for name, (shape, kind) in _columns(size, labels, privileged, risk).items()
             }
-            if labels:
-                self.arrays["label"] = np.zeros((capacity, labels), np.float32)
-            if privileged:
-                for name in ("privileged", "next_privileged"):
-                    self.arrays[name] = np.zeros((capacity, privileged), np.float32)
-            if risk_horizon:
-                self.arrays["failing"] = np.full(capacity, UNKNOWN, np.float32)
-                self.arrays["resembles"] = np.zeros((capacity, len(LAGS)), np.float32)
+            if risk:
+                self.arrays["failing"].fill(UNKNOWN)
         except MemoryError as error:
-            needed = gigabytes(
-                capacity * row_bytes(size, labels, privileged, risk=risk_horizon > 0)
-            )
+            needed = gigabytes(capacity * row_bytes(size, labels, privileged, risk=risk))
             raise ConfigError(
                 f"agent.replay_size: {capacity:,} transitions of {size} numbers each take "
                 f"{needed} of memory, more than is available; lower it"

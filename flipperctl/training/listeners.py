@@ -134,25 +134,24 @@ class GuardedLogger:
 
     def episode(self, row: Mapping[str, Any]) -> None:
         """Record the row of an ended training episode."""
-        self._attempt("episode", lambda listener: listener.episode(row))
+        self._attempt("episode", row)
 
     def validation(self, row: Mapping[str, Any]) -> None:
         """Record the row of a validation."""
-        self._attempt("validation", lambda listener: listener.validation(row))
+        self._attempt("validation", row)
 
     def note(self, text: str) -> None:
         """Record a message for the user."""
-        self._attempt("note", lambda listener: listener.note(text))
+        self._attempt("note", text)
 
     def close(self) -> None:
         """Close the listener, unless it was dropped."""
-        self._attempt("close", lambda listener: listener.close())
+        self._attempt("close")
 
-    def _attempt(self, method: str, call: Callable[[Listener], None]) -> None:
-        if self._listener is None:
-            return
+    def _attempt(self, method: str, *arguments: Any) -> None:
         try:
-            call(self._listener)
+            if self._listener is not None:
+                getattr(self._listener, method)(*arguments)
         except BaseException as error:  # noqa: BLE001  # a plugin's own code may raise anything
             self._drop(error, method)
 

@@ -35,11 +35,31 @@ def check_fit(config: TrainConfig, found: Recording) -> None:
     The observation layout and the robot must be the training's: the robot determines the turn of
     each action and the duration of a decision. So must the rewards, if the training uses them.
     """
-    _check_labels(config, found)
+    ours, teacher = config.perception, config.teacher
+    if not (teacher.td_weight or teacher.controller is not None) and not any(
+        episode.labels.any() for episode in found.episodes
+    ):
+        raise ConfigError(
+            f"teacher.episodes: {found.path} holds no labels, so that nothing is learnt with "
+            "teacher.td_weight=0; record it in a training with a teacher, or set teacher.td_weight "
+            "to learn from its rewards"
+        )
     for environment in found.document.environments:
-        _check_layout(config, found.path, environment)
+        theirs = environment.perception
+        if (ours.bins, ours.bin_width) != (theirs.bins, theirs.bin_width):
+            raise ConfigError(
+                f"teacher.episodes: {found.path} holds observations of {theirs.bins} bins of "
+                f"{theirs.bin_width:g} m; perception.bins and perception.bin_width ask for "
+                f"{ours.bins} of {ours.bin_width:g} m"
+            )
         _check_robot(config.robot, found.path, environment)
-        _check_rewards(config, found.path, environment)
+        rewards = {name: term.model_dump(mode="json") for name, term in environment.rewards.items()}
+        if teacher.td_weight and rewards != to_dict(config.environment())["rewards"]:
+            raise ConfigError(
+                f"teacher.episodes: {found.path} was recorded with other rewards "
+                f"({', '.join(rewards) or 'none'}); record it with those of the training, or learn "
+                "from its labels alone with teacher.td_weight=0"
+            )
 
 
 def notes(config: TrainConfig, found: Recording) -> Iterator[str]:
@@ -90,28 +110,6 @@ def _complete(randomise: Mapping[str, Any]) -> dict[str, Any]:
     return {**randomise, **{name: randomise.get(name, none) for name, none in OMITTED.items()}}
 
 
-def _check_layout(config: TrainConfig, path: Path, environment: PartialEnvironment) -> None:
-    ours, theirs = config.perception, environment.perception
-    if (ours.bins, ours.bin_width) != (theirs.bins, theirs.bin_width):
-        raise ConfigError(
-            f"teacher.episodes: {path} holds observations of {theirs.bins} bins of "
-            f"{theirs.bin_width:g} m; perception.bins and perception.bin_width ask for {ours.bins} "
-            f"of {ours.bin_width:g} m"
-        )
-
-
-def _check_labels(config: TrainConfig, found: Recording) -> None:
-    teacher = config.teacher
-    if teacher.td_weight or teacher.controller is not None:
-        return
-    if not any(episode.labels.any() for episode in found.episodes):
-        raise ConfigError(
-            f"teacher.episodes: {found.path} holds no labels, so that nothing is learnt with "
-            "teacher.td_weight=0; record it in a training with a teacher, or set teacher.td_weight "
-            "to learn from its rewards"
-        )
-
-
 def _check_robot(robot: Robot, path: Path, environment: PartialEnvironment) -> None:
     ours = to_dict(robot)
     theirs: Mapping[str, Any] = environment.robot
@@ -126,16 +124,6 @@ def _check_robot(robot: Robot, path: Path, environment: PartialEnvironment) -> N
         f"teacher.episodes: {path} was recorded with another robot: {', '.join(texts)}; record it "
         f"again with the robot of the training, or train with {' '.join(settings)}"
     )
-
-
-def _check_rewards(config: TrainConfig, path: Path, environment: PartialEnvironment) -> None:
-    rewards = {name: term.model_dump(mode="json") for name, term in environment.rewards.items()}
-    if config.teacher.td_weight and rewards != to_dict(config.environment())["rewards"]:
-        raise ConfigError(
-            f"teacher.episodes: {path} was recorded with other rewards "
-            f"({', '.join(rewards) or 'none'}); record it with those of the training, or learn "
-            "from its labels alone with teacher.td_weight=0"
-        )
 
 
 def _differing(section: str, ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> Iterator[str]:

@@ -13,15 +13,27 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 
 from flipperctl import checkpoint
-from flipperctl.api import Listener
+from flipperctl.agent.contract import check_contract, check_demand
+from flipperctl.api import ACTIONS, Listener
 from flipperctl.api.controllers import is_rule
 from flipperctl.checkpoint import Checkpoint
-from flipperctl.config import EnvConfig, Eval, EvalConfig, TrainConfig, to_dict, with_overrides
+from flipperctl.checkpoint.document import State
+from flipperctl.config import (
+    EnvConfig,
+    Eval,
+    EvalConfig,
+    Train,
+    TrainConfig,
+    to_dict,
+    with_overrides,
+)
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.repeating import require_repeatable
 from flipperctl.errors import (
     CheckpointError,
     ConfigError,
@@ -44,11 +56,9 @@ from flipperctl.reward_sum import paying_terms
 from flipperctl.session import command, interrupts, quote_path
 from flipperctl.training import folder as run_folder
 from flipperctl.training.listeners import MetricsCsv, openers
+from flipperctl.training.recorded import read_teacher
+from flipperctl.training.starting import read_start, read_values
 from flipperctl.training.trainer import Trainer, open_all
-
-if TYPE_CHECKING:
-    from flipperctl.checkpoint.document import State
-    from flipperctl.config import Train
 
 _RESUMABLE = ("train.", "device", "collector", "logger")
 """What the overrides of a resumed run begin with."""
@@ -63,9 +73,18 @@ def check(config: TrainConfig) -> None:
         RequestError: the terrain, device, teacher or network cannot be used.
     """
     check_device(config)
-    _check_terrain(config)
-    _check_network(config, _recorded_decisions(config))
-    _check_start(config)
+    env = FlipperEnv(config=config.environment())
+    env.reset(seed=0)
+    require_repeatable(env, 0)
+    recording = read_teacher(config)
+    check_demand(
+        *(config.network, config.perception, len(ACTIONS), config.agent),
+        config.train.decisions + (0 if recording is None else recording.decisions),
+        labelled=config.teacher.teaches,
+    )
+    check_contract(config.network, config.perception)
+    read_start(config)
+    read_values(config)
 
 
 def check_resumable(words: Iterable[str]) -> None:
@@ -98,8 +117,6 @@ def require_kept(before: Train, after: Train, state: State) -> None:
 
 def check_device(config: TrainConfig) -> None:
     """Refuse a device that torch cannot use."""
-    import torch
-
     try:
         torch.empty(0, device=config.device)
     except (RuntimeError, AssertionError) as error:
@@ -107,46 +124,9 @@ def check_device(config: TrainConfig) -> None:
         raise ConfigError(f"device: {config.device!r} cannot be used: {reason}") from error
 
 
-def _check_terrain(config: TrainConfig) -> None:
-    from flipperctl.env.flipper_env import FlipperEnv
-    from flipperctl.env.repeating import require_repeatable
-
-    env = FlipperEnv(config=config.environment())
-    env.reset(seed=0)
-    require_repeatable(env, 0)
-
-
-def _recorded_decisions(config: TrainConfig) -> int:
-    from flipperctl.training.recorded import read_teacher
-
-    recording = read_teacher(config)
-    return 0 if recording is None else recording.decisions
-
-
-def _check_start(config: TrainConfig) -> None:
-    from flipperctl.training.starting import read_start, read_values
-
-    read_start(config)
-    read_values(config)
-
-
-def _check_network(config: TrainConfig, recorded: int) -> None:
-    from flipperctl.agent.contract import check_contract, check_demand
-    from flipperctl.api import ACTIONS
-
-    check_demand(
-        *(config.network, config.perception, len(ACTIONS), config.agent),
-        config.train.decisions + recorded,
-        labelled=config.teacher.teaches,
-    )
-    check_contract(config.network, config.perception)
-
-
 SEED = 2_718_281_828
 """Seed of the evaluation, unlike the default one of ``eval``, so that who chooses among runs by
 this measure can still evaluate the chosen one on episodes that had no part in it."""
-_POLICY, _TEACHER = "best policy", "teacher"
-_RULES = (LEVEL, "okada")
 
 
 class FinalRegret:
@@ -174,35 +154,31 @@ class FinalRegret:
                 found = measure(self._scene(), Player(EpisodeStore(), workers))
                 self.interrupted = workers.interrupted
         except KeyboardInterrupt:  # a second Ctrl-C; the summary is still to be written
-            self.interrupted = True
-            return None
+            self.interrupted, found = True, None
         except FlipperctlError as error:
             self._tell(f"the return of the best policy is not measured: {error}")
-            return None
+            found = None
         if found is None:
             return None
         kept = {k: v for k, v in found.items() if k not in ("terrain", "rewards", "conditions")}
         return {"seed": SEED, **kept}
 
     def _scene(self) -> RegretScene:
-        """Return the episodes in the conditions of the training, with its own reward terms."""
-        config, best = self._config, self._directory / checkpoint.BEST
+        """Return the episodes in the conditions of the training, with its own reward terms.
+
+        The references are rules, and the teacher if it is another rule; a search takes too long.
+        """
+        config, best = self._config, PolicySource(checkpoint=self._directory / checkpoint.BEST)
         sections = {name: getattr(config, name) for name in EnvConfig.model_fields}
         settings = Eval(episodes=config.train.regret_episodes, seed=SEED)
         evaluation = EvalConfig(**sections, conditions=TRAINED, eval=settings)
-        return RegretScene(
-            evaluation, "own", _POLICY, PolicySource(checkpoint=best), self._references()
-        )
-
-    def _references(self) -> dict[str, PolicySource]:
-        """Return the rules, and the teacher if it is another rule; what searches takes too long."""
-        found = {name: load_policy(name, "controller") for name in _RULES}
-        teacher = self._config.teacher.controller
+        references = {name: load_policy(name, "controller") for name in (LEVEL, "okada")}
+        teacher = config.teacher.controller
         if teacher is not None and is_rule(teacher):
             source = PolicySource(settings=to_dict(teacher))
-            if source not in found.values():
-                found[_TEACHER] = source
-        return found
+            if source not in references.values():
+                references["teacher"] = source
+        return RegretScene(evaluation, "own", "best policy", best, references)
 
 
 @dataclass(frozen=True)

@@ -196,7 +196,7 @@ class Case:
                 except OSError:  # it has ended
                     continue
                 inside = any(name.startswith(f"{self.folder}/") for name in files)
-                ours = cluster or "StartedActor" in words or bool(logs & files)
+                ours = cluster or "_Actor" in words or bool(logs & files)
                 if inside and ours and entry.name != str(os.getpid()):
                     found.append(f"{entry.name} {words[:60]}")
             if not found or time.monotonic() > end:
