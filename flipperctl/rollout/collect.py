@@ -13,7 +13,7 @@ from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Protocol
+from typing import Any
 
 from safetensors.numpy import save_file
 
@@ -28,27 +28,6 @@ PlayHere = Callable[[int], Row]
 """Plays the greedy episode of a seed in this process."""
 
 
-class Collector(Protocol):
-    """A source of episodes."""
-
-    def episode(self) -> Iterator[Step]:
-        """Yield the steps of one whole episode; none if the run is to stop first."""
-
-    def evaluate(
-        self, weights: Weights, seeds: Sequence[int], play_here: PlayHere
-    ) -> list[Row] | None:
-        """Play one greedy episode for each seed; ``play_here`` plays one in this process.
-
-        Returns the rows in the order of the seeds; None if the run is to stop before the last.
-        """
-
-    def outstanding(self) -> list[RolloutRequest]:
-        """Return the requests whose episodes have not been collected yet, oldest first."""
-
-    def close(self) -> None:
-        """Release worker processes."""
-
-
 class InProcessCollector:
     """Plays in this process; the policy acts with the newest weights."""
 
@@ -59,7 +38,10 @@ class InProcessCollector:
     def evaluate(
         self, weights: Weights, seeds: Sequence[int], play_here: PlayHere
     ) -> list[Row] | None:
-        """Play all episodes in this process; return None if the run is to stop before the last."""
+        """Play one greedy episode for each seed by ``play_here``; return the rows in their order.
+
+        Returns None if the run is to stop before the last.
+        """
         rows = []
         for seed in seeds:
             if self._stop():
@@ -261,3 +243,7 @@ class AsyncCollector:
             return future.result()
         except WorkerDiedError:
             return play_here(seed)
+
+
+Collector = InProcessCollector | AsyncCollector
+"""Plays training episodes: ``episode`` yields the steps of a whole one, none if the run stops."""

@@ -8,8 +8,8 @@ the budget is spent, the rest of the running episodes is not learnt from.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -53,17 +53,16 @@ class Closable(Protocol):
 ClosableT = TypeVar("ClosableT", bound=Closable)
 
 
-def closer(one: Closable) -> Callable[..., None]:
-    """Return an ``ExitStack`` callback that closes; of several errors, the first is raised."""
-
-    def close(kind: object, error: BaseException | None, trace: object) -> None:
-        try:
+@contextmanager
+def closed_afterwards(one: Closable) -> Iterator[None]:
+    """Close at the end of the context; of several errors, the first is raised."""
+    try:
+        yield
+    except BaseException:
+        with suppress(BaseException):
             one.close()
-        except BaseException:
-            if error is None:
-                raise
-
-    return close
+        raise
+    one.close()
 
 
 def open_all(makers: Iterable[Callable[[], ClosableT]]) -> list[ClosableT]:
@@ -72,7 +71,7 @@ def open_all(makers: Iterable[Callable[[], ClosableT]]) -> list[ClosableT]:
     with ExitStack() as stack:
         for make in makers:
             opened.append(make())
-            stack.push(closer(opened[-1]))
+            stack.enter_context(closed_afterwards(opened[-1]))
         stack.pop_all()
     return opened
 
@@ -139,7 +138,7 @@ class Trainer:
         """
         with ExitStack() as opened:
             for listener in self.listeners:
-                opened.push(closer(listener))
+                opened.enter_context(closed_afterwards(listener))
             self._stopwatch.start()
             if not self._restored:  # else the checkpoint has what follows
                 self._recorder.restore(0)
@@ -147,7 +146,7 @@ class Trainer:
                 add_recorded(self.replay, self.config, self._report)
             self._save_all(self._outstanding)
             collector = self.episodes.start_collector(self._outstanding, stop, self.replay.kept)
-            opened.push(closer(collector))
+            opened.enter_context(closed_afterwards(collector))
             if not self.progress.decision:
                 for text in notes_on_budget(self.config):
                     self._report(text)

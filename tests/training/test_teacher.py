@@ -113,11 +113,6 @@ def test_a_teacher_that_cannot_follow_is_refused_with_fewer_labels() -> None:
         drive(Teacher(controller="okada", label_share=0.5))
 
 
-def test_some_actions_of_the_teachers_episodes_are_random() -> None:
-    driven = drive(Teacher(controller="okada", student_share=0, random=0.5), count=30)
-    assert 5 < sum(action != label for action, label in driven) < 25
-
-
 def test_random_actions_of_teacher_and_student_are_reported() -> None:
     env, rng = FlipperEnv("step"), np.random.default_rng(0)
     for share in (0.0, 1.0):
