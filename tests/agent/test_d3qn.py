@@ -152,7 +152,7 @@ def test_a_label_raises_the_teachers_action_beside_the_temporal_difference(
     labels[:, 6] = 1.0
     batch = dataclasses.replace(fixed_batch(frames=made.frames), label=labels)
     first = agent.update(batch, 0.0)
-    for _ in range(100):
+    for _ in range(60):
         last = agent.update(batch, 0.0)
     assert last < first / 2
     with torch.no_grad():
@@ -170,15 +170,6 @@ def test_the_margin_is_weighted_and_added_to_the_temporal_difference() -> None:
     kinds = {"controller": "okada", "loss": "margin", "margin": 0.5, "td_weight": 2.0}
     joined = learner(teacher=Teacher(**kinds, weight=4.0, weight_end=0.0))
     assert joined.update(batch, 0.25) == pytest.approx(2 * td + 3 * margin)  # 4 · (1 - 0.25)
-
-
-def test_a_restored_learner_continues_as_the_saved_one() -> None:
-    saved, other = learner(seed=1), learner(seed=2)
-    saved.update(fixed_batch(), 0.0)
-    other.restore({name: tensor.clone() for name, tensor in saved.tensors().items()}, 1)
-    assert saved.update(fixed_batch(), 0.1) == other.update(fixed_batch(), 0.1)
-    again = weights(other)
-    assert all(torch.equal(w, again[name]) for name, w in weights(saved).items())
 
 
 def test_a_loss_that_is_not_finite_is_an_error() -> None:

@@ -150,24 +150,6 @@ def test_in_its_first_rounds_only_the_values_learn() -> None:
     assert any(not torch.equal(agent.online.state_dict()[n], t) for n, t in before.items())
 
 
-def test_a_restored_learner_goes_on_bit_for_bit() -> None:
-    whole, half = (learner(risk=False, learning_rate=0.003) for _ in range(2))
-    rng = np.random.default_rng(2)
-    batches = [round_of(whole, rng) for _ in range(4)]
-    for number, batch in enumerate(batches):
-        whole.update(batch, 0.0, np.random.default_rng(number))
-    for number, batch in enumerate(batches[:2]):
-        half.update(batch, 0.0, np.random.default_rng(number))
-    saved = {name: tensor.clone() for name, tensor in half.tensors().items()}
-    resumed = learner(risk=False, learning_rate=0.003)
-    resumed.restore(saved, 0)
-    for number, batch in enumerate(batches[2:], 2):
-        resumed.update(batch, 0.0, np.random.default_rng(number))
-    assert whole.tensors().keys() == resumed.tensors().keys()
-    for name, tensor in whole.tensors().items():
-        assert torch.equal(resumed.tensors()[name], tensor), name
-
-
 def test_values_that_are_not_finite_are_refused() -> None:
     agent, rng = learner(), np.random.default_rng(0)
     batch = round_of(agent, rng)

@@ -99,16 +99,6 @@ def test_the_policy_learns_bit_for_bit_the_same_with_a_risk() -> None:
     assert risky.policy_arrays().keys() > plain.policy_arrays().keys()
 
 
-def test_a_restored_risk_goes_on_bit_for_bit() -> None:
-    first, second, made = learner(risk=True), learner(risk=True, seed=1), labelled(64)
-    first.update(made, 0.0)
-    second.restore({name: tensor.clone() for name, tensor in first.tensors().items()}, 1)
-    for one in (first, second):
-        one.update(made, 0.5)
-    for name, tensor in first.tensors().items():
-        assert torch.equal(second.tensors()[name], tensor), name
-
-
 def test_a_worker_finds_the_weights_of_both_networks() -> None:
     made = learner(risk=True)
     assert made.risk is not None

@@ -131,7 +131,7 @@ def test_difficulty_grows_with_success_and_is_kept_when_a_run_is_resumed(tmp_pat
     config = few(**{"terrain": ground, **short, "train.validate_every": 1000})
     whole = trainer(config, tmp_path)
     whole.listeners.append(MetricsCsv(tmp_path / "metrics.csv", []))
-    whole.run(stop=lambda: whole.progress.difficulty >= 0.5)
+    whole.run(stop=lambda: whole.progress.difficulty >= 0.25)
     expected = 0.0
     rows = read_rows(tmp_path / "metrics.csv")
     for row in (row for row in rows if row["kind"] == "episode"):
@@ -139,4 +139,4 @@ def test_difficulty_grows_with_success_and_is_kept_when_a_run_is_resumed(tmp_pat
         expected = config.terrain.next_difficulty(expected, row["outcome"] == "reached")
     again = trainer(config, tmp_path)
     again.restore(checkpoint.read(tmp_path / checkpoint.LAST))
-    assert again.progress.difficulty == expected == 0.5
+    assert again.progress.difficulty == expected > 0
