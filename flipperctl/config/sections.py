@@ -201,6 +201,6 @@ class Eval(Settings):
     )
     ray: str | None = Field(
         None,
-        description="Ray cluster that plays the cells, one task each: its address, or local for "
-        "one of eval.jobs processes [-]",
+        description="Ray cluster that plays the cells: its address, or local for one of eval.jobs "
+        "processes [-]",
     )

@@ -8,27 +8,29 @@ the budget is spent, the rest of the running episodes is not learnt from.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 import numpy as np
 import torch
 
+from flipperctl import checkpoint
 from flipperctl.agent.contract import check_demand
 from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.policy_gradient import PolicyGradient
 from flipperctl.api import ACTIONS, Listener, Outcome
 from flipperctl.checkpoint import Checkpoint
-from flipperctl.checkpoint.document import Validation
+from flipperctl.checkpoint.document import Generators, RequestState, State, Validation
 from flipperctl.config import TrainConfig
 from flipperctl.config.defaults import notes_on_budget
+from flipperctl.config.identity import all_files_read, content_digest
 from flipperctl.env import ground
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.metrics import DRAWN
 from flipperctl.env.privileged import SIZE
-from flipperctl.errors import ConfigError
+from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.files import write_json
 from flipperctl.rollout.collect import Collector
 from flipperctl.rollout.episode import Row
@@ -38,9 +40,19 @@ from flipperctl.training.listeners import Stopwatch
 from flipperctl.training.recorded import add_recorded
 from flipperctl.training.recorder import TrainingRecorder
 from flipperctl.training.relearning import Relearning
-from flipperctl.training.saving import Progress, RunSaver, ValuedStates, new_replay, store
+from flipperctl.training.saving import (
+    Progress,
+    ValuedStates,
+    arrays,
+    new_replay,
+    run_arrays,
+    store,
+)
 from flipperctl.training.starting import start
 from flipperctl.training.validation import Validator
+
+_COUNTERS = ("decision", "episode", "started", "lost", "updates", "loss", "difficulty")
+"""Numbers of ``Progress`` that a checkpoint holds."""
 
 
 class Closable(Protocol):
@@ -53,16 +65,17 @@ class Closable(Protocol):
 ClosableT = TypeVar("ClosableT", bound=Closable)
 
 
-@contextmanager
-def closed_afterwards(one: Closable) -> Iterator[None]:
-    """Close at the end of the context; of several errors, the first is raised."""
-    try:
-        yield
-    except BaseException:
-        with suppress(BaseException):
+def closer(one: Closable) -> Callable[..., None]:
+    """Return an ``ExitStack`` callback that closes; of several errors, the first is raised."""
+
+    def close(kind: object, error: BaseException | None, trace: object) -> None:
+        try:
             one.close()
-        raise
-    one.close()
+        except BaseException:
+            if error is None:
+                raise
+
+    return close
 
 
 def open_all(makers: Iterable[Callable[[], ClosableT]]) -> list[ClosableT]:
@@ -71,7 +84,7 @@ def open_all(makers: Iterable[Callable[[], ClosableT]]) -> list[ClosableT]:
     with ExitStack() as stack:
         for make in makers:
             opened.append(make())
-            stack.enter_context(closed_afterwards(opened[-1]))
+            stack.push(closer(opened[-1]))
         stack.pop_all()
     return opened
 
@@ -117,8 +130,9 @@ class Trainer:
             config, self.agent, self.progress, generators["explore"], self._report
         )
         self.validator = Validator(config, self.agent, env)
-        state = (self.agent, self.replay, self.valued.memory, self._relearning, self.progress)
-        self._saver = RunSaver(config, directory, *state, generators, self.validator)
+        self._generators = generators
+        self._files = all_files_read(checkpoint.plugged(config))
+        self._digests = tuple(map(content_digest, self._files))
         self._stopwatch = Stopwatch(directory)
         self._outstanding: list[RolloutRequest] = []
         self._restored = False
@@ -138,7 +152,7 @@ class Trainer:
         """
         with ExitStack() as opened:
             for listener in self.listeners:
-                opened.enter_context(closed_afterwards(listener))
+                opened.push(closer(listener))
             self._stopwatch.start()
             if not self._restored:  # else the checkpoint has what follows
                 self._recorder.restore(0)
@@ -146,7 +160,7 @@ class Trainer:
                 add_recorded(self.replay, self.config, self._report)
             self._save_all(self._outstanding)
             collector = self.episodes.start_collector(self._outstanding, stop, self.replay.kept)
-            opened.enter_context(closed_afterwards(collector))
+            opened.push(closer(collector))
             if not self.progress.decision:
                 for text in notes_on_budget(self.config):
                     self._report(text)
@@ -286,11 +300,56 @@ class Trainer:
     def save(self, outstanding: Sequence[RolloutRequest] = ()) -> None:
         """Write ``last.safetensors``: all that the run needs to be resumed.
 
-        New recorded episodes are written first, so that the checkpoint counts no missing one.
+        New recorded episodes are written first, so that the checkpoint counts no missing one. A
+        resumed run resends the ``outstanding`` requests.
         """
         self._recorder.save()
-        self._saver.save(outstanding)
+        self._write_last(outstanding)
         self._stopwatch.write()
+
+    def _write_last(self, outstanding: Sequence[RolloutRequest]) -> None:
+        tensors = self.agent.tensors() | self._relearning.tensors()
+        parts = {"replay": self.replay.filled(), "groups": self.valued.memory.filled()}
+        parts |= {f"weights{request.version}": dict(request.weights) for request in outstanding}
+        for part, arrays_of_part in parts.items():
+            for name, array in arrays_of_part.items():
+                tensors[f"{part}.{name}"] = torch.from_numpy(array)
+        document = checkpoint.describe(self.config, "last", state=self._state(outstanding))
+        checkpoint.write(self.directory / checkpoint.LAST, document, tensors)
+
+    def _write_best(self, best: Validation) -> None:
+        """Write ``best.safetensors``: the policy that was just validated."""
+        document = checkpoint.describe(
+            self.config, "best", decision=best.decision, validation=best.model_dump()
+        )
+        networks = {"policy": self.agent.policy}
+        if self.agent.risk is not None:
+            networks["risk"] = self.agent.risk.network
+        tensors = {
+            f"{part}.{name}": tensor
+            for part, network in networks.items()
+            for name, tensor in network.state_dict().items()
+        }
+        checkpoint.write(self.directory / checkpoint.BEST, document, tensors)
+
+    def _state(self, outstanding: Sequence[RolloutRequest]) -> State:
+        generators = {n: g.bit_generator.state for n, g in self._generators.items()}
+        requests = [
+            RequestState(**{name: getattr(request, name) for name in RequestState.model_fields})
+            for request in outstanding
+        ]
+        return State(
+            **{name: getattr(self.progress, name) for name in _COUNTERS},
+            recent=tuple(self.progress.recent),
+            validations=tuple(self.validator.history),
+            best_by=self.validator.best_by,
+            orders=tuple(requests),
+            replay_added=self.replay.added,
+            replay_kept=self.replay.kept,
+            groups_added=self.valued.memory.added,
+            files=self._digests,
+            generators=Generators.model_validate(generators),
+        )
 
     def _save_all(self, outstanding: Sequence[RolloutRequest]) -> None:
         """Write ``last.safetensors``, then ``best.safetensors`` if the policy is the best so far.
@@ -301,11 +360,44 @@ class Trainer:
         self.save(outstanding)
         best = self.validator.best
         if best is not None and best.decision == self.progress.decision:
-            self._saver.save_best(best)
+            self._write_best(best)
 
     def restore(self, saved: Checkpoint) -> None:
-        """Restore the run from a checkpoint that ``save`` wrote."""
-        self._outstanding = self._saver.restore(saved)
+        """Restore the run from a checkpoint that ``save`` wrote.
+
+        Raises:
+            CheckpointError: it is no checkpoint of a run, its tensors are not those of this run, or
+                a file that a plugin reads has changed.
+        """
+        state = saved.document.state
+        if state is None:
+            raise CheckpointError(f"{saved.path} holds a policy alone, not a run")
+        for file, now, then in zip(self._files, self._digests, state.files, strict=False):
+            if None not in (now, then) and now != then:
+                raise CheckpointError(
+                    f"{file} has changed since the run began, and a resumed run keeps its ground; "
+                    "restore the file, or start a new run from this one's policy: "
+                    f"agent.start_from={self.directory}"
+                )
+        replay, weights = run_arrays(saved, state, self.agent, self.replay)
+        self.agent.restore(saved.tensors, state.updates)
+        self.replay.restore(replay, state.replay_added, state.replay_kept)
+        size = self.replay.arrays["observation"].shape[1]
+        try:
+            self.valued.memory.restore(arrays(saved, "groups"), state.groups_added, size)
+        except ValueError as error:
+            raise CheckpointError(f"{saved.path}: its part groups is not valid: {error}") from error
+        self._relearning.restore(saved)
+        for name, generator in state.generators.model_dump().items():
+            self._generators[name].bit_generator.state = generator
+        for name in _COUNTERS:
+            setattr(self.progress, name, getattr(state, name))
+        self.progress.recent.extend(state.recent)
+        self.validator.history[:] = state.validations
+        self._outstanding = [
+            RolloutRequest(**request.model_dump(), weights=weights[request.version])
+            for request in state.orders
+        ]
         self._restored = True
         self._recorder.restore(self.progress.episode)
         self._stopwatch.read()

@@ -1,5 +1,8 @@
 """What tests of trainings listen with, and the processes of a pool."""
 
+from collections.abc import Mapping
+from typing import Any
+
 from flipperctl.rollout.children import Child
 from flipperctl.rollout.pool import WorkerPool
 
@@ -10,10 +13,10 @@ class Notes:
     def __init__(self) -> None:
         self.notes: list[str] = []
 
-    def episode(self, row: dict) -> None:
+    def episode(self, row: Mapping[str, Any]) -> None:
         pass
 
-    def validation(self, row: dict) -> None:
+    def validation(self, row: Mapping[str, Any]) -> None:
         pass
 
     def note(self, text: str) -> None:

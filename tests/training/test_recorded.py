@@ -25,7 +25,7 @@ from flipperctl.training import episodes
 from flipperctl.training.folder import clear_leftovers
 from flipperctl.training.recorded import differing_conditions, fill, notes, read_teacher
 from flipperctl.training.recorder import EPISODES, PARTS
-from flipperctl.training.saving import RunSaver
+from flipperctl.training.trainer import Trainer
 from tests.cli.call import EXACT, call
 from tests.played import play_episodes
 from tests.rollout.notes import Notes
@@ -318,9 +318,9 @@ def test_each_checkpoint_writes_its_new_episodes_alone_and_a_kill_loses_none(
 ) -> None:
     """The folders are copied where a kill would leave them: before and after a checkpoint."""
     config = few(**{"train.record": True, "train.checkpoint_every": 40})
-    whole, save, count = tmp_path / "whole", RunSaver.save, itertools.count()
+    whole, save, count = tmp_path / "whole", Trainer._write_last, itertools.count()
 
-    def copying(self: RunSaver, outstanding: Any = ()) -> None:
+    def copying(self: Trainer, outstanding: Any) -> None:
         number = next(count)
         if number == 5:
             shutil.copytree(whole, tmp_path / "before")
@@ -328,7 +328,7 @@ def test_each_checkpoint_writes_its_new_episodes_alone_and_a_kill_loses_none(
         if number == 5:
             shutil.copytree(whole, tmp_path / "after")
 
-    monkeypatch.setattr(RunSaver, "save", copying)
+    monkeypatch.setattr(Trainer, "_write_last", copying)
     trainer(config, whole).run()
     monkeypatch.undo()
     for folder in (tmp_path / "before", tmp_path / "after"):

@@ -1,7 +1,7 @@
 """A training that starts with the weights of another one, or that learns its labels anew."""
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -110,7 +110,7 @@ class Deleting(Notes):
         super().__init__()
         self._file = file
 
-    def episode(self, row: dict) -> None:
+    def episode(self, row: Mapping[str, Any]) -> None:
         self._file.unlink(missing_ok=True)
 
 

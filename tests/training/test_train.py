@@ -18,7 +18,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError, NonFiniteError, WriteError
 from flipperctl.training import run as training
 from flipperctl.training.listeners import GuardedLogger, MetricsCsv, read_rows
-from flipperctl.training.trainer import Trainer, closed_afterwards, open_all
+from flipperctl.training.trainer import Trainer, closer, open_all
 from flipperctl.training.validation import Validator
 from tests.cli.call import RUN
 from tests.short import few, short_config, trainer
@@ -262,7 +262,7 @@ def test_the_newest_is_closed_first_and_the_first_error_is_raised() -> None:
     opened = open_all([lambda: Numbered(0), lambda: Numbered(1)])
     stack = ExitStack()
     for one in (*opened, Numbered(2), Numbered(3)):
-        stack.enter_context(closed_afterwards(one))
+        stack.push(closer(one))
     with pytest.raises(WriteError, match="2"):
         stack.close()
     assert order == [3, 2, 1, 0]
