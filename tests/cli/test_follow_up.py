@@ -129,9 +129,6 @@ def test_what_trains_or_exports_needs_all_plugins(made: Path) -> None:
         done = call(*command, "--plugins", "calm.py", *NETWORK, cwd=made)
         assert done.code == 2
         assert "there is no terrain plugin 'ridge'; this run brings ridge.py: add" in done.err
-
-
-def test_a_network_that_is_missing_is_named_with_its_file(made: Path) -> None:
     done = call("eval", "--checkpoint", "run", "terrain=step", cwd=made)
     assert done.code == 2
     assert f"there is no network plugin 'mine'; {FROM['run'].format('mine')}" in done.err

@@ -73,21 +73,17 @@ def test_a_reward_that_prices_the_smooth_way_out_is_flagged() -> None:
     assert list(measures(played)) == ["planner", "level"]
 
 
-def test_a_reward_that_pays_the_calm_policy_agrees() -> None:
-    played = {"level": episodes(ROUGH, 8, 0.0), "planner": episodes(CALM, 8, -7.0)}
-    found = ranked("swing", TERMS, played)
+def test_a_reward_that_pays_the_calm_policy_agrees_and_noise_contradicts_nothing() -> None:
+    level = episodes(ROUGH, 8, 0.0)
+    found = ranked("swing", TERMS, {"level": level, "planner": episodes(CALM, 8, -7.0)})
     assert (found["verdict"], found["contradictions"]) == (Verdict.AGREES, [])
     assert list(found["returns"]) == ["planner", "level"]
-
-
-def test_differences_within_noise_are_no_contradiction() -> None:
     # The return differs by 0.6 at every draw, θ̂_R by -0.4 to 0.6 rad.
-    mixed = [1.2, 0.9, 0.7, 1.2, 1.3]
-    played = {"level": episodes(ROUGH, 0, 0.6), "planner": episodes(mixed, 0, 0.0)}
+    mixed = episodes([1.2, 0.9, 0.7, 1.2, 1.3], 0, 0.0)
+    played = {"level": episodes(ROUGH, 0, 0.6), "planner": mixed}
     assert ranked("flat", TERMS, played)["verdict"] == Verdict.AGREES
     noisy = episodes(CALM, 8, [-20.0, 2.0, -20.0, 2.0, -8.0])  # on average as above
-    played = {"level": episodes(ROUGH, 8, 0.0), "planner": noisy}
-    assert ranked("noisy", TERMS, played)["verdict"] == Verdict.AGREES
+    assert ranked("noisy", TERMS, {"level": level, "planner": noisy})["verdict"] == Verdict.AGREES
 
 
 def test_only_draws_that_every_policy_crossed_count() -> None:
