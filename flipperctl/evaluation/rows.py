@@ -39,16 +39,14 @@ _MOST_BINS = 8
 
 def arranged(row: Mapping[str, Any]) -> Row:
     """Return a row with its columns in the order of ``episodes.csv``."""
-    measures = [name for cls in other_measures() if (name := cls.plugin_name) in row]
-    first = [name for name in _FIRST if name in row]
-    last = [name for name in _LAST if name in row]
-    known = {*first, *measures, "return", *last}
+    measures = [cls.plugin_name for cls in other_measures()]
+    known = {*_FIRST, *measures, "return", *_LAST}
+    prefixes = (REWARD, DRAWN, SEARCH)
     rest = [name for name in row if name not in known]
-    prefixed = {p: [n for n in rest if n.startswith(p)] for p in (REWARD, DRAWN, SEARCH)}
-    sampled = [name for name in rest if not name.startswith((REWARD, DRAWN, SEARCH))]
-    paid = ["return"] if "return" in row else []
-    order = [*first, *measures, *paid, *prefixed[REWARD], *sampled]
-    return {n: row[n] for n in (*order, *prefixed[DRAWN], *prefixed[SEARCH], *last)}
+    parts = {prefix: [name for name in rest if name.startswith(prefix)] for prefix in prefixes}
+    own = [name for name in rest if not name.startswith(prefixes)]
+    order = [*_FIRST, *measures, "return", *parts[REWARD], *own, *parts[DRAWN], *parts[SEARCH]]
+    return {name: row[name] for name in (*order, *_LAST) if name in row}
 
 
 def sampled(row: Mapping[str, Any]) -> dict[str, float]:

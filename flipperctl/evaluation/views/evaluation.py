@@ -117,23 +117,20 @@ def policies(found: Document, title: str, columns: Sequence[str] = ()) -> Table:
     several = len({row["policy"] for row in rows}) > 1 or any(
         one["scene"] == other["scene"] for one, other in pairwise(rows)
     )
-    head = []
-    if not single:
-        head.append(Column("scene", "scene", named=True))
-    if several:
-        head.append(Column("policy", "policy", named=True))
-    head.append(Column("success_text", "success"))
-    if any(row["failures"] for row in rows):
-        head.append(Column("failures", "failures", named=True))
-    if any(row.get("passable_text") for row in rows):
-        head.append(Column("passable_text", "of passable"))
     latex = r"pitch variation $\hat\theta_R$ [rad]"
-    head.append(Column("pitch_variation_100hz", VARIATION, latex=latex))
     counts = dict.fromkeys(f"{row['episodes']} episodes" for row in rows if not row.get("dim"))
     further = [*_chosen(found, [*columns, *(["episodes"] if len(counts) > 1 else [])])]
-    if not any(column.key == "t_cost" for column in further):  # which has the interval as well
-        head.append(Column("time", "time [s]", 1))
-    head += further
+    timed = any(column.key == "t_cost" for column in further)  # which has the interval as well
+    columns_if = {
+        Column("scene", "scene", named=True): not single,
+        Column("policy", "policy", named=True): several,
+        Column("success_text", "success"): True,
+        Column("failures", "failures", named=True): any(row["failures"] for row in rows),
+        Column("passable_text", "of passable"): any(row["passable_text"] for row in rows),
+        Column("pitch_variation_100hz", VARIATION, latex=latex): True,
+        Column("time", "time [s]", 1): not timed,
+    }
+    head = [*(column for column, wanted in columns_if.items() if wanted), *further]
     parts = [title, *([next(iter(scenes))] if single else [])]
     text = " on ".join(part for part in dict.fromkeys(parts) if part)
     if found.get("interrupted"):
@@ -147,11 +144,10 @@ def _without_repeats(rows: Sequence[Row]) -> Iterator[Row]:
     """Yield the rows with the name of a scene in the first one alone."""
     last = None
     for row in rows:
-        new = row["scene"] != last and not row.get("dim")
-        repeated = row["scene"] == last
-        if not row.get("dim"):
-            last = row["scene"]
-        yield row | {"scene": "" if repeated else row["scene"], "line": new}
+        repeated, dim = row["scene"] == last, row.get("dim")
+        last = last if dim else row["scene"]
+        own = "" if repeated else row["scene"]
+        yield row | {"scene": own, "line": not repeated and not dim}
 
 
 def _policies(found: Document) -> Iterator[tuple[str, str, Document]]:
@@ -179,8 +175,7 @@ def _rows(found: Document) -> Iterator[Row]:
 
 
 def _row(name: str, policy: str, found: Document) -> Row:
-    passable = found.get("passable")
-    inner = {} if passable is None or passable["success"] is None else passable["success"]
+    passable = (found.get("passable") or {}).get("success")
     outcomes = found.get("outcomes", {})
     failures = [f"{n} {name}" for name, n in outcomes.items() if n and name != Outcome.REACHED]
     failures += [f"by {cause} {n}" for cause, n in found.get("failed_by", {}).items()]
@@ -191,7 +186,7 @@ def _row(name: str, policy: str, found: Document) -> Row:
         "time": (found["t_cost"] or {}).get("mean"),
         "success_text": rate_text(found["success"]),
         "failures": ", ".join(failures),
-        "passable_text": rate_text(inner) if inner else "",
+        "passable_text": rate_text(passable) if passable else "",
         "outcomes": " ".join(f"{name} {n}" for name, n in outcomes.items() if n),
         "not_reached_variation": (found.get("not_reached") or {}).get("pitch_variation_100hz"),
         "search": _search_text(found.get("search", {})),
