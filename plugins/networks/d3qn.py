@@ -34,7 +34,8 @@ class AtD3qn(Network):
 
         from .modules import Dueling
 
-        return nn.Sequential(*self._front(layout), Dueling(self.fused, self.head, n_actions))
+        front = self._front(layout)
+        return nn.Sequential(*front, Dueling(self.fused, self.head, n_actions))
 
     def _front(self, layout: ObservationLayout) -> list[torch.nn.Module]:
         """Return the layers from observations (B, N + 3) to S′ (B, fused)."""
@@ -62,8 +63,8 @@ class Noisy(AtD3qn):
         from .modules import Dueling, NoisyLinear
 
         linear = partial(NoisyLinear, sigma=self.noise)
-        heads = Dueling(self.fused, self.head, n_actions, linear)
-        return nn.Sequential(*self._front(layout), heads)
+        front = self._front(layout)
+        return nn.Sequential(*front, Dueling(self.fused, self.head, n_actions, linear))
 
 
 @network("quantile")
