@@ -62,7 +62,7 @@ from flipperctl.api.values import (
 )
 from flipperctl.core.arrays import FloatArray
 from flipperctl.core.sensing import Estimator, Measured, SensedAngles, SensedGround
-from flipperctl.core.targets import ACTIONS, ActionTable, action_index
+from flipperctl.core.targets import ACTIONS, action_index
 
 __all__ = [
     "ACTIONS",
@@ -71,7 +71,6 @@ __all__ = [
     "NAME_RULE",
     "NO_LIMITS",
     "SAMPLE_PERIOD",
-    "ActionTable",
     "AnyTerrain",
     "CameraImage",
     "CameraWorld",

@@ -25,7 +25,6 @@ from flipperctl.api.profile import Profile
 from flipperctl.api.removed import without_removed
 from flipperctl.core import observation
 from flipperctl.core.arrays import FloatArray
-from flipperctl.core.targets import PAIRS, ActionTable
 
 MAX_HISTORY = 32
 """Largest number of observations in ``Perception.recent`` [-]."""
@@ -142,11 +141,6 @@ class RobotGeometry(Settings):
                     f"({self.track_radius:g} m), since it includes two round ends"
                 )
         return self
-
-    @property
-    def actions(self) -> ActionTable:
-        """The actions of the policy, by the names of the joints that they turn."""
-        return PAIRS
 
     @property
     def hinge_offset(self) -> float:

@@ -20,7 +20,7 @@ from pydantic import (
 )
 
 from flipperctl.checkpoint.sealed import decode
-from flipperctl.core.targets import PAIRS
+from flipperctl.core.targets import ACTIONS, JOINTS
 from flipperctl.errors import OldVersionError
 from flipperctl.messages import explain
 
@@ -81,10 +81,10 @@ class Actions(Record):
 
     @model_validator(mode="after")
     def _are_those_of_pairs(self) -> Self:
-        if (self.joints, self.steps) != (PAIRS.joints, PAIRS.steps):
+        if (self.joints, self.steps) != (JOINTS, ACTIONS):
             raise ValueError(
                 f"the actions turn {', '.join(self.joints) or 'nothing'} in {len(self.steps)} ways;"
-                f" this version turns {', '.join(PAIRS.joints)} in {len(PAIRS.steps)}"
+                f" this version turns {', '.join(JOINTS)} in {len(ACTIONS)}"
             )
         return self
 

@@ -22,6 +22,7 @@ from flipperctl.checkpoint import sealed
 from flipperctl.checkpoint.document import Document, PluginReference, State
 from flipperctl.config import TrainConfig, parse, resolver, to_dict
 from flipperctl.config.absent import with_stand_ins
+from flipperctl.core.targets import ACTIONS, JOINTS
 from flipperctl.errors import CheckpointError, ConfigError, OldVersionError
 from flipperctl.files import write_bytes
 from flipperctl.messages import close_match, missing_name, missing_plugin
@@ -160,9 +161,7 @@ def describe(
             **engine_versions(config.sim),
         },
         plugins=plugin_references(config),
-        actions=documents.Actions(
-            joints=config.robot.actions.joints, steps=config.robot.actions.steps
-        ),
+        actions=documents.Actions(joints=JOINTS, steps=ACTIONS),
         decision=decision,
         validation=None if validation is None else documents.Validation(**validation),
         state=state,

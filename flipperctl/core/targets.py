@@ -14,25 +14,15 @@ import numpy as np
 
 from flipperctl.core.arrays import FloatArray
 
-
-@dataclass(frozen=True)
-class ActionTable:
-    """The actions of a robot; files store the joints by name, not by order."""
-
-    joints: tuple[str, ...]
-    """Names of the J joints that an action turns, in the order of a row."""
-    steps: tuple[tuple[int, ...], ...]
-    """Turns by each action, (A, J) in multiples of the robot's ``angle_step``; +1 raises [-]."""
-
-    def turns(self, step: float) -> FloatArray:
-        """Return the turn of each joint by each action, (A, J) [rad]; ``step``: one step [rad]."""
-        return np.array([[count * step for count in row] for row in self.steps])
-
-
 ACTIONS: tuple[tuple[int, int], ...] = tuple((i, j) for i, j in product((-1, 0, 1), repeat=2))
 """Action index → (front, rear); +1 raises the flipper pair by one angle step (paper Eq. 3)."""
-PAIRS = ActionTable(("front", "rear"), ACTIONS)
-"""The actions of a robot whose flippers turn in pairs."""
+JOINTS = ("front", "rear")
+"""Names of the flipper pairs that an action turns, in the order of ``ACTIONS``."""
+
+
+def turns(step: float) -> FloatArray:
+    """Return the turn of each pair by each action, (9, 2) [rad]; ``step``: one step [rad]."""
+    return np.array(ACTIONS) * step
 
 
 def action_index(front: int, rear: int) -> int:

@@ -26,7 +26,7 @@ from flipperctl.api import (
     World,
 )
 from flipperctl.config import Episode
-from flipperctl.core.targets import TargetRule
+from flipperctl.core.targets import TargetRule, turns
 from flipperctl.env.guarded_world import place
 from flipperctl.env.termination import Termination
 from flipperctl.sim.versions import samples_in, simulated
@@ -71,7 +71,7 @@ class Drive:
         self.flipper_work: float | None = None
         """Work of the flippers' motors in the last decision [J]; None: not measured."""
         self._rule = TargetRule(window=self.robot.angle_step, limit=self.robot.angle_limit)
-        self._turns = self.robot.actions.turns(self.robot.angle_step).tolist()
+        self._turns = turns(self.robot.angle_step).tolist()
         self.targets = (start.front, start.rear)
         """Commanded angles of the front and the rear flippers in frame R [rad]."""
         samples = samples_in(period)
@@ -101,8 +101,9 @@ class Drive:
 
     def decide(self, action: int) -> Outcome | None:
         """Turn the flippers by one action and simulate one decision; return the outcome, if any."""
-        state, turns, begun = self.state, self._turns[action], self.world.flipper_work()
-        self.targets = self._rule.next_targets(self.targets, (state.front, state.rear), turns)
+        state, begun = self.state, self.world.flipper_work()
+        turned = self._turns[action]
+        self.targets = self._rule.next_targets(self.targets, (state.front, state.rear), turned)
         outcome = self._run()
         ended = self.world.flipper_work()
         self.flipper_work = None if begun is None or ended is None else ended - begun

@@ -34,7 +34,7 @@ from flipperctl.core.lidar.ground import MEANING as MEANING_OF_MAP
 from flipperctl.core.risk import ESCAPE_MEANING as MEANING_OF_ESCAPE
 from flipperctl.core.risk import LAGS, SCALE, RiskSign
 from flipperctl.core.risk import MEANING as MEANING_OF_RISK
-from flipperctl.core.targets import MEANING
+from flipperctl.core.targets import JOINTS, MEANING, turns
 from flipperctl.errors import ExportError, MissingExtraError
 from flipperctl.runtime.session import FORMAT_VERSION, PREFIX
 from flipperctl.sim.lidar.sensor import LidarSensor
@@ -118,8 +118,8 @@ def policy_metadata(config: TrainConfig, risk: RiskSign | None = None) -> dict[s
         "bins": layout.bins,
         "bin_width": layout.bin_width,
         "frames": config.network.frames,
-        "joints": robot.actions.joints,
-        "actions": robot.actions.turns(robot.angle_step).tolist(),
+        "joints": JOINTS,
+        "actions": turns(robot.angle_step).tolist(),
         "targets": {"meaning": MEANING, "window": robot.angle_step, "limit": robot.angle_limit},
         "decision_period": robot.decision_period,
         "robot": robot.model_dump(mode="json", exclude_none=True),

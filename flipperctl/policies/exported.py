@@ -20,6 +20,7 @@ from flipperctl.api import Perception, Robot, Simulator
 from flipperctl.config import EvalConfig, parse
 from flipperctl.config.absent import with_stand_ins
 from flipperctl.core.risk import RiskSign
+from flipperctl.core.targets import turns
 from flipperctl.errors import ConfigError, PolicyError
 from flipperctl.runtime import OnnxPolicy
 from flipperctl.runtime.interface import Interface
@@ -115,7 +116,7 @@ def _disagreements(interface: Interface, robot: Robot) -> Iterator[str]:
     """Yield a description of each value that the file applies instead of the robot's."""
     rule = interface.targets
     step, limit, period = robot.angle_step, robot.angle_limit, robot.decision_period
-    if not np.allclose(interface.actions, robot.actions.turns(step), rtol=0.0, atol=_CLOSE):
+    if not np.allclose(interface.actions, turns(step), rtol=0.0, atol=_CLOSE):
         largest = np.abs(interface.actions).max()
         yield f"turns of {largest:.6g} rad (robot.angle_step asks for {step:.6g})"
     elif math.isfinite(rule.window) and not _close(rule.window, step):

@@ -56,7 +56,7 @@ def describe(interface: Interface) -> str:
         cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
         lines.append("  " + "  ".join(cells).rstrip())
     lines += _network(interface)
-    lines.append(f"actions: turns of the {' and the '.join(interface.joints)} flippers [°]")
+    lines.append("actions: turns of the front and the rear flippers [°]")
     for index, turns in enumerate(np.degrees(interface.actions)):
         lines.append(f"  {index}  {' '.join(f'{turn:+6.1f}' for turn in turns)}")
     lines.append(f"decision period: {interface.decision_period:g} s")

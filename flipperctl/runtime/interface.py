@@ -20,7 +20,7 @@ from flipperctl.core import observation as layout
 from flipperctl.core.lidar.ground import MapQuality
 from flipperctl.core.observation import ANGLES
 from flipperctl.core.risk import LAGS, SCALE, EscapeRule, RiskSign
-from flipperctl.core.targets import PAIRS, TargetRule
+from flipperctl.core.targets import ACTIONS, JOINTS, TargetRule
 from flipperctl.errors import OldVersionError, PolicyError
 from flipperctl.runtime.session import EXPORT_AGAIN, FORMAT_VERSION, PREFIX
 
@@ -106,10 +106,8 @@ class Interface:
     """Width of a bin [m]."""
     frames: int
     """Number of consecutive observations that form one input of the network, oldest first."""
-    joints: tuple[str, ...]
-    """Names of the J joints that an action turns: the pairs ``front`` and ``rear``."""
     actions: NDArray[np.float64]
-    """Turns of the joints by each action, (9, J) in frame R [rad]."""
+    """Turns of the front and rear pairs by each action, (9, 2) in frame R [rad]."""
     targets: TargetRule
     """How an action turns the flippers."""
     decision_period: float
@@ -209,12 +207,12 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
         f"a list of {size} mappings of {', '.join(sorted(quantity))} to text",
         lambda v: _is_list(v, lambda e: _has(e, quantity, alone=True), size),
     )
-    joints = entry(
+    entry(
         "joints",
-        f"the list {json.dumps(PAIRS.joints)}, the joints of this version,",
-        lambda v: v == list(PAIRS.joints),
+        f"the list {json.dumps(JOINTS)}, the joints of this version,",
+        lambda v: v == list(JOINTS),
     )
-    turns, pairs = len(PAIRS.steps), len(PAIRS.joints)
+    turns, pairs = len(ACTIONS), len(JOINTS)
     table = entry(
         "actions",
         f"a table of {turns} pairs of angles",
@@ -269,7 +267,6 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
         bins=bins,
         bin_width=entry("bin_width", "a length above 0", _is_positive),
         frames=entry("frames", "a whole number above 0", _is_count),
-        joints=tuple(joints),
         actions=actions,
         targets=TargetRule(window=rule["window"], limit=rule["limit"]),
         decision_period=entry("decision_period", "a time above 0", _is_positive),

@@ -28,6 +28,7 @@ from flipperctl.api import (
 )
 from flipperctl.config import EnvConfig
 from flipperctl.core.observation import ANGLES
+from flipperctl.core.targets import JOINTS, turns
 from flipperctl.env.guarded_world import place as place_guarded
 from flipperctl.env.perceiving import Perceiver
 from flipperctl.errors import ConformanceError
@@ -240,9 +241,8 @@ def probe_sensing(config: EnvConfig) -> Iterator[Probe]:
 
 def probe_export(interface: Interface, robot: Robot, file: str) -> Iterator[Probe]:
     """Yield the probes of an exported policy's actions, targets and timing against a robot's."""
-    turns = robot.actions.turns(robot.angle_step)
-    for index, row in enumerate(turns.tolist()):
-        for side, (pair, expected) in enumerate(zip(robot.actions.joints, row, strict=True)):
+    for index, row in enumerate(turns(robot.angle_step).tolist()):
+        for side, (pair, expected) in enumerate(zip(JOINTS, row, strict=True)):
             found = float(interface.actions[index, side])
             yield Probe(
                 file, f"turn of the {pair} pair by action {index}", "rad", found, expected, 1e-6

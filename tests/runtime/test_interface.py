@@ -22,7 +22,6 @@ def test_the_metadata_describe_inputs_and_outputs(tmp_path: Path) -> None:
         "theta_R",
     ]
     assert interface.observation[15].unit == "rad"
-    assert interface.joints == ("front", "rear")
     # action = 3·(i + 1) + (j + 1): index 2 is front −1, rear +1
     assert interface.actions.shape == (9, 2)
     assert interface.actions[2].tolist() == pytest.approx([-math.pi / 12, math.pi / 12])
