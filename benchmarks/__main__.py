@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from benchmarks.settings import MEASURES, SUITE
+from benchmarks.settings import MEASURES, run
 from flipperctl import entry
 from flipperctl.cli import bench, options
 from flipperctl.cli.command import App, TrainingCommand
@@ -16,6 +16,9 @@ from flipperctl.terminal.streams import plain_streams
 
 HELP = """Measure flipperctl against its limits and another learner, in a clone of the repository.
 
+[bold]engines[/] simulated time per CPU time of each engine, alone and in the environment;
+[bold]learner[/] updates per second; [bold]latency[/] an exported policy, checkpoints, memory of a
+training; [bold]scaling[/] decisions per second by worker processes;
 [bold]physics[/] the environment against Chipmunk alone; [bold]accuracy[/] of the substep;
 [bold]lookahead[/] decisions of mpc, and its prediction model against environment and engine;
 [bold]lidar[/] episodes with a simulated LiDAR, by odometry and number of rays;
@@ -23,9 +26,10 @@ HELP = """Measure flipperctl against its limits and another learner, in a clone 
 also against it; [bold]startup[/] of each command. Contestants run in turn; medians with quartiles.
 
 OVERRIDES are those of train and bench.<key>=…: repeats, seed, controller, episodes, starts,
-families, updates, batch_sizes, transitions, seeds, limit, validate_every, validation_episodes,
-in_a_row, commands. lidar drives step in 3-D, accuracy and lookahead have scenes of
-their own: other words for terrain, sim and perception change nothing there.
+families, updates, batch_sizes, transitions, calls, decisions, workers, seeds, limit,
+validate_every, validation_episodes, in_a_row, commands. lidar drives step in 3-D,
+accuracy and lookahead have scenes of their own: other words for terrain, sim and perception
+change nothing there.
 
 [bold]Examples[/]
 
@@ -50,13 +54,13 @@ def benchmarks(
         ),
     ] = None,
     small: bench.Small = False,
-    repeats: bench.Repeats = None,
+    repeats: Annotated[str | None, typer.Option(metavar="N", help="Rounds [10].")] = None,
     output: bench.OutputFolder = None,
     as_json: options.AsJson = False,
     plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
-    bench.run_suite(SUITE, arguments or [], repeats, small=small, output=output, as_json=as_json)
+    run(arguments or [], repeats, output, small=small, as_json=as_json)
 
 
 if __name__ == "__main__":

@@ -11,10 +11,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from benchmarks.settings import FAMILIES, Benchmark, planar
+from benchmarks.settings import FAMILIES, Benchmark, planar, ratio
 from flipperctl import checkpoint
 from flipperctl.api import SAMPLE_PERIOD
-from flipperctl.bench.settings import quantity, ratio
+from flipperctl.bench import quantity
 from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError

@@ -184,7 +184,7 @@ def summary(terrain: str, pairs: Sequence[Pair]) -> dict[str, Any]:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the rows and the episodes on which the engines disagree."""
-    from flipperctl.cli.scenes import scenes
+    from flipperctl.cli.plan import scenes
 
     parser = argparse.ArgumentParser(prog="python -m benchmarks.engine_agreement")
     parser.add_argument("overrides", nargs="*", metavar="OVERRIDE", help="as in terrain=step,stair")

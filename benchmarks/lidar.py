@@ -12,9 +12,9 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
-from benchmarks.settings import Benchmark
-from flipperctl.bench.engines import Clock
-from flipperctl.bench.settings import measure_in_turn, quantity, ratio
+from benchmarks.engines import Clock
+from benchmarks.settings import Benchmark, ratio
+from flipperctl.bench import measure_in_turn, quantity
 from flipperctl.config import with_overrides
 from flipperctl.errors import MissingExtraError
 from flipperctl.rollout.seeds import EvaluationSeeds

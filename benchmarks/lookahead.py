@@ -21,10 +21,10 @@ from typing import Any, cast
 import numpy as np
 import torch
 
-from benchmarks.settings import FAMILIES, Benchmark
+from benchmarks.settings import FAMILIES, Benchmark, ratio
 from flipperctl.agent.networks import build_network
 from flipperctl.api import ACTIONS, Perception, Simulator
-from flipperctl.bench.settings import Values, quantile, quantity, ratio
+from flipperctl.bench import Values, quantile, quantity
 from flipperctl.config import EnvConfig, TrainConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.lookahead.controllers import Mpc, ValueIteration

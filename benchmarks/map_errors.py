@@ -244,7 +244,7 @@ def _words(size: MapErrorSize) -> list[str]:
 
 
 def _record(words: Sequence[str], seed: int) -> list[Errors]:
-    from flipperctl.cli.scenes import scenes
+    from flipperctl.cli.plan import scenes
 
     found = []
     for config, source in scenes(words, None, "okada"):
@@ -271,7 +271,7 @@ def _describe(name: str, recorded: Sequence[Errors]) -> None:
 
 
 def _print_variation(policy: str, name: str, words: Sequence[str]) -> None:
-    from flipperctl.cli.scenes import scenes
+    from flipperctl.cli.plan import scenes
 
     rule = policy == "okada"
     found = scenes(words, None if rule else Path(policy), policy if rule else None)

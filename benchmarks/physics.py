@@ -19,9 +19,9 @@ from typing import Any
 import numpy as np
 from pymunk import GearJoint, Vec2d
 
-from benchmarks.settings import Benchmark, planar
+from benchmarks.settings import Benchmark, planar, ratio
 from flipperctl.api import SAMPLE_PERIOD, Profile, Start, Transition
-from flipperctl.bench.settings import quantity, ratio
+from flipperctl.bench import quantity
 from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.guarded_world import GuardedWorld

@@ -14,10 +14,10 @@ from typing import Any
 
 import torch
 
-from benchmarks.settings import MISSING, Benchmark, BenchmarkSettings
+from benchmarks.settings import MISSING, Benchmark, BenchmarkSettings, ratio
 from benchmarks.solve_run import SolveRun, ValidationRecorder
 from flipperctl import checkpoint
-from flipperctl.bench.settings import quantity, ratio
+from flipperctl.bench import quantity
 from flipperctl.config import TrainConfig, with_overrides
 from flipperctl.training.trainer import Trainer
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import typer.main
 
-from benchmarks.settings import Benchmark
-from flipperctl.bench.settings import measure_in_turn, output, quantity, ratio
+from benchmarks.settings import Benchmark, ratio
+from flipperctl.bench import measure_in_turn, output, quantity
 from flipperctl.cli.main import app
 
 ABOUT = "wall-clock of commands in separate processes, in turn, compared with Python's own start"

@@ -246,7 +246,7 @@ def episode_bound(env: FlipperEnv) -> float:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Print the bound on each terrain."""
-    from flipperctl.cli.scenes import scenes
+    from flipperctl.cli.plan import scenes
 
     parser = argparse.ArgumentParser(prog="python -m benchmarks.statics")
     parser.add_argument("overrides", nargs="*", metavar="OVERRIDE", help="as in terrain=ramp,stair")

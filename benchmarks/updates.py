@@ -16,14 +16,13 @@ from typing import Any
 
 import torch
 
-from benchmarks.settings import MISSING, Benchmark
+from benchmarks import learner
+from benchmarks.learner import Contestant
+from benchmarks.settings import MISSING, Benchmark, ratio
 from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.replay import Replay
 from flipperctl.api import ACTIONS
-from flipperctl.bench import learner
-from flipperctl.bench.learner import Contestant
-from flipperctl.bench.settings import ratio
 from flipperctl.config import TrainConfig
 
 ABOUT = (

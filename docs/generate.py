@@ -20,7 +20,6 @@ from sphinx.pycode import ModuleAnalyzer
 
 from flipperctl import plugins
 from flipperctl.api import Robot, Settings, registry
-from flipperctl.bench.settings import BenchSettings
 from flipperctl.cli.hydra import compose, config_store
 from flipperctl.cli.main import app
 from flipperctl.config import (
@@ -49,7 +48,6 @@ SECTIONS: Mapping[str, type[Settings]] = {
     "teacher": Teacher,
     "collector=local": LocalCollector,
     "collector=ray": RayCollector,
-    "bench": BenchSettings,
     "hydra.sweeper": SearchSettings,
 }
 """Class of each section whose settings do not depend on a plugin."""

@@ -73,10 +73,6 @@ def new_folder(path: Path) -> Iterator[Path]:
     """Let the body write a folder of the name of ``path``, which stands there once it is whole.
 
     Nothing is left of one whose body fails or is interrupted.
-
-    Raises:
-        OutputError: the folder cannot be written.
-        WriteError: writing failed half way.
     """
     part = _part(path)
     try:
@@ -116,11 +112,7 @@ def write_csv(
 
 
 def make_folder(path: Path) -> Path:
-    """Return the folder ``path``, created if it does not exist.
-
-    Raises:
-        OutputError: the folder cannot be created or written.
-    """
+    """Return the folder ``path``, created if it does not exist."""
     if path.is_file():
         raise OutputError(f"{path} cannot be written: it is a file; a folder is allowed")
     try:

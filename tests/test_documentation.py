@@ -15,7 +15,6 @@ import pytest
 
 from flipperctl import checkpoint
 from flipperctl.api import ACTIONS
-from flipperctl.cli.bench import MEASURES
 from flipperctl.env import flipper_env
 from flipperctl.lookahead import planner
 from flipperctl.lookahead.controllers import Mpc, Planner
@@ -49,7 +48,7 @@ SEARCH = {
 }
 """Smaller searches of the controllers that look ahead."""
 ELSEWHERE = {"robot shadow", "bench"}
-"""Subcommands that tests of their own run (tests/ros, tests/bench)."""
+"""Subcommands that tests of their own run (tests/ros, tests/cli/test_bench.py)."""
 AT_ONCE = {"compare", "inspect config"}
 """Subcommands of which each command runs in ``make test``, as it takes no time."""
 SPARSE = ["perception.azimuths=60", "episode.run_up=0.8", "episode.run_out=0.5"]
@@ -145,10 +144,8 @@ def with_budget(command: list[str]) -> list[str]:
     if command[:2] == ["export", "mcap"]:
         return [*command, *SPARSE]
     if command[0] == "bench":
-        every = not set(MEASURES) & set(command)
-        quick = ["engines"] if every else []  # each has a test in tests/bench
         words = re.sub(r"--repeats \d+", "", " ".join(command)).split()
-        return [*words, *quick, "--small", "--repeats", "2"]
+        return [*words, "--small"]
     if command[0] in ("eval", "map") or {"--compare", "--regret"} & set(command):
         (name,) = [word for word in command if word in SEARCH] or [""]
         words = re.sub(r"--episodes \d+", "", " ".join(command))

@@ -16,8 +16,8 @@ import pytest
 import typer.main
 
 from benchmarks import __main__ as benchmarks
+from benchmarks import settings as benchmark_settings
 from docs import generate
-from flipperctl.bench import measures as measures_run
 from flipperctl.cli.main import COMMANDS, app, run_app
 
 ROOT = Path(__file__).parents[1]
@@ -99,7 +99,11 @@ def words_after(pattern: str) -> list[str]:
 @pytest.mark.parametrize("words", words_after("benchmarks (.*)"))
 def test_the_words_of_a_benchmark_are_read(words: str, monkeypatch: pytest.MonkeyPatch) -> None:
     called: list[str] = []
-    monkeypatch.setattr(measures_run, "run_measures", lambda *_, **__: called.append(words) or {})
+    monkeypatch.setattr(
+        benchmark_settings,
+        "run_measures",
+        lambda *_: called.append(words) or {"measures": {}},
+    )
     run_app(benchmarks.app, [*shlex.split(words), "--json"], "benchmarks")
     assert called == [words]
 

@@ -19,21 +19,9 @@ WORDS = [*PLUGINS, *SETTINGS, *OPTIONS, *COMMANDS]
     ("typed", "meant"),
     [
         *(("stiar", "stair"), ("Stair", "stair"), ("stairs", "stair"), ("okado", "okada")),
-        *(
-            ("pich", "pitch"),
-            ("levl", "level"),
-            ("at_d3q", "at_d3qn"),
-            ("paper-step", "paper_step"),
-        ),
-        *(("gama", "gamma"), ("learning-rate", "learning_rate"), ("batchsize", "batch_size")),
-        *(
-            ("friktion", "friction"),
-            ("sub_step", "substep"),
-            ("epsilon_decision", "epsilon_decisions"),
-        ),
-        *(("controler", "controller"), ("chekpoint", "checkpoint"), ("episode", "episodes")),
-        *(("multi-run", "multirun"), ("trian", "train"), ("evaluate", "eval")),
-        *(("exprot", "export"), ("inspekt", "inspect"), ("out", "output"), ("sed", "seed")),
+        *(("pich", "pitch"), ("paper-step", "paper_step"), ("gama", "gamma")),
+        *(("batchsize", "batch_size"), ("friktion", "friction"), ("controler", "controller")),
+        *(("multi-run", "multirun"), ("trian", "train"), ("evaluate", "eval"), ("sed", "seed")),
     ],
 )
 def test_a_slip_finds_the_word(typed: str, meant: str) -> None:
@@ -51,10 +39,6 @@ def test_a_slip_finds_the_word(typed: str, meant: str) -> None:
 def test_another_word_finds_nothing(typed: str) -> None:
     assert closest(typed, WORDS) is None
     assert close_match(typed, WORDS) == ""
-
-
-def test_the_beginning_of_two_words_finds_neither() -> None:
-    assert closest("terr", ["terrain_one_long", "terrain_two_long"]) is None
 
 
 @pytest.mark.parametrize(("module", "package"), [("PIL.Image", "pillow"), ("numba", "numba")])

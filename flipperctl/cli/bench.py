@@ -1,119 +1,98 @@
-"""``flipperctl bench``, and the command line of any other suite of measures."""
+"""``flipperctl bench``."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from flipperctl.cli import options
 from flipperctl.cli.command import TrainingCommand
 
-if TYPE_CHECKING:
-    from flipperctl.bench.settings import Bench, BenchSettings, Sizes, Suite
-
-MEASURES = ("engines", "learner", "latency", "scaling")
-
 COMMAND = TrainingCommand
 HELP = """Measure how fast flipperctl is on this machine.
 
-[bold]engines[/] simulated time per CPU time of each engine, alone and in the environment;
-[bold]learner[/] updates per second;
-[bold]latency[/] an exported policy, checkpoints, memory of a training;
-[bold]scaling[/] decisions per second by worker processes. Contestants run in turn; the tables show
-medians with quartiles.
-
-OVERRIDES are those of train and bench.<key>=…: repeats, seed, controller, episodes, families,
-updates, batch_sizes, transitions, calls, decisions, workers.
+[bold]training[/] decisions per second, updates included; [bold]evaluation[/] simulated time per CPU
+time of each engine; [bold]decision[/] of an exported policy. The table shows medians with
+quartiles. OVERRIDES are those of train.
 
 [bold]Examples[/]
 
-  flipperctl bench engines learner
+  flipperctl bench
+
+  flipperctl bench training decision terrain=stair network=mlp --output speed
 
   flipperctl bench --small --json
-
-  flipperctl bench scaling bench.decisions=5000 terrain=step --output speed
 """
 
 Small = Annotated[bool, typer.Option("--small", help="Run all in seconds, to test that it works.")]
-Repeats = Annotated[
-    str | None, typer.Option(metavar="N", help="Rounds, each with all contestants [10].")
-]
 OutputFolder = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for bench.json.")]
 
 
 def run(
-    arguments: Annotated[
+    words: Annotated[
         list[str] | None,
         typer.Argument(
             metavar="[MEASURE]... [OVERRIDE]...",
-            help=f"all, {', '.join(MEASURES)}; and key=value.",
+            help="training, evaluation, decision; and key=value.",
             show_default=False,
         ),
     ] = None,
     small: Small = False,
-    repeats: Repeats = None,
+    repeats: Annotated[
+        int | None, typer.Option(min=2, max=10_000, metavar="N", help="Rounds [10].")
+    ] = None,
     output: OutputFolder = None,
     as_json: options.AsJson = False,
     plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
-    run_suite(suite(), arguments or [], repeats, small=small, output=output, as_json=as_json)
+    from dataclasses import asdict, replace
 
-
-def suite() -> Suite[BenchSettings]:
-    """Return the installed measures."""
-    from flipperctl.bench.settings import SMALL, BenchSettings, Suite
-
-    return Suite("flipperctl.bench", MEASURES, BenchSettings, SMALL)
-
-
-def run_suite(
-    suite: Suite[Sizes],
-    words: Sequence[str],
-    repeats: str | None,
-    *,
-    small: bool,
-    output: Path | None,
-    as_json: bool,
-) -> None:
-    """Run the measures named by the words; print their tables, or one JSON document.
-
-    Raises:
-        RequestError: a word is wrong, or ``output`` cannot be written.
-    """
-    from flipperctl.bench.measures import run_measures, split_arguments
-    from flipperctl.config.words import with_flags
-    from flipperctl.terminal.progress import steps_progress
-    from flipperctl.terminal.streams import print_note, show
-    from flipperctl.terminal.tables import print_measures
-
-    measures, typed = split_arguments(words, suite.measures)
-    overrides = with_flags(typed, "bench", repeats=repeats)
-    document = run_measures(
-        *(suite.package, measures, _inputs(suite, overrides, small=small), overrides),
-        output=output,
-        progress=steps_progress,
-        tell=print_note,
-    )
-    show(document, lambda: print_measures(document), as_json=as_json)
-
-
-def _inputs(suite: Suite[Sizes], words: Sequence[str], *, small: bool) -> Bench[Sizes]:
-    """Return the training configuration and the sizes of the measures.
-
-    Raises:
-        ConfigError: an override is malformed, unknown or out of bounds, or a sweep.
-    """
-    from flipperctl.bench.settings import SECTION, Bench
+    from flipperctl import bench
     from flipperctl.cli.hydra.compose import compose_train, only_one
     from flipperctl.cli.hydra.overrides import Overrides
+    from flipperctl.results import json_result
+    from flipperctl.show import console, print_table
+    from flipperctl.terminal.progress import steps_progress
+    from flipperctl.terminal.streams import print_note, show
 
-    overrides = Overrides.parse(words)
-    own = overrides.where(lambda key: key.startswith(SECTION)).values()
-    changes = {key.removeprefix(SECTION): value for key, value in own.items()}
-    settings = suite.settings(small=small, changes=changes)
-    others = overrides.where(lambda key: not key.startswith(SECTION))
-    return Bench(only_one(compose_train(others)), settings, overrides=tuple(others.words))
+    chosen, overrides = split_arguments(words or (), tuple(bench.MEASURES))
+    sizes = bench.SMALL if small else bench.Sizes()
+    sizes = sizes if repeats is None else replace(sizes, repeats=repeats)
+    config = only_one(compose_train(Overrides.parse(overrides)))
+    own = {"machine": bench.machine(), "settings": asdict(sizes), "overrides": overrides}
+    document = {**own, "measures": (measures := {})}
+    with json_result(output, "bench") as write:
+        for name in chosen:
+            with steps_progress(name) as report:
+                measures[name] = bench.MEASURES[name](config, sizes, report)
+            for text in measures[name].get("missing", ()):
+                print_note(f"{name}: {text}")
+        write(document)
+
+    def printed() -> None:
+        for name, found in measures.items():
+            print_table(bench.table(name, found), console())
+
+    show(document, printed, as_json=as_json)
+
+
+def split_arguments(words: Sequence[str], known: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return the measures, in the order of those ``known``, and the overrides."""
+    from flipperctl.errors import RequestError
+    from flipperctl.messages import close_match
+
+    overrides = [word for word in words if "=" in word or word.startswith("~")]
+    names = [word for word in words if word not in overrides]
+    allowed = ("all", *known)
+    for name in names:
+        if name not in allowed:
+            raise RequestError(
+                f"there is no measure {name!r}{close_match(name, allowed)}; "
+                f"known: {', '.join(allowed)}; an override is key=value"
+            )
+    every = not names or "all" in names
+    return [one for one in known if every or one in names], overrides

@@ -31,11 +31,7 @@ class Command(TyperCommand):
     """What the subcommand's overrides configure: an evaluation or a training."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the words after the subcommand.
-
-        Raises:
-            RequestError: an option is unknown, or given twice although it takes one value.
-        """
+        """Parse the words after the subcommand."""
         if not ctx.resilient_parsing:  # shell completion, which reads incomplete commands
             self._check(ctx, args)
         return super().parse_args(ctx, args)
@@ -85,11 +81,7 @@ class Group(TyperGroup):
     """A group of subcommands that explains unknown options before their names."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse the words up to the name of a subcommand.
-
-        Raises:
-            RequestError: an option is unknown.
-        """
+        """Parse the words up to the name of a subcommand."""
         options = [p for p in self.get_params(ctx) if isinstance(p, TyperOption)]
         known = [name for option in options for name in option.opts]
         for word in [] if ctx.resilient_parsing else args:
@@ -101,11 +93,7 @@ class Group(TyperGroup):
         return super().parse_args(ctx, args)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Return the subcommand that the first word names.
-
-        Raises:
-            RequestError: an earlier version had it, and it has moved.
-        """
+        """Return the subcommand that the first word names."""
         if not ctx.resilient_parsing:
             check_moved(ctx.command_path, args[0])
         return super().resolve_command(ctx, args)

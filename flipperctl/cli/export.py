@@ -71,7 +71,7 @@ def run(
         _policy(kind, checkpoint, overrides or [], output, as_json=as_json)
         return
     from flipperctl.cli.hydra.compose import only_one
-    from flipperctl.cli.scenes import scenes
+    from flipperctl.cli.plan import scenes
     from flipperctl.config.words import with_engine, with_flags
     from flipperctl.evaluation.policies import controller_or_okada
     from flipperctl.export.scene import export_scene

@@ -82,12 +82,7 @@ def _run(arguments: list[str]) -> int:
 
 
 def run_app(app: typer.Typer, arguments: list[str], name: str) -> int:
-    """Run an application, which its help calls ``name``; return its exit code.
-
-    Raises:
-        RequestError: the arguments are wrong.
-        KeyboardInterrupt: Ctrl-C was pressed.
-    """
+    """Run an application, which its help calls ``name``; return its exit code."""
     try:
         command = typer.main.get_command(app)
         code = command.main(args=arguments, prog_name=name, standalone_mode=False)

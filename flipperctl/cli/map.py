@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -47,18 +46,12 @@ def run(
     plugins: options.PluginPaths = None,
 ) -> None:
     """See HELP."""
-    from flipperctl.cli.one import one_scene
+    from flipperctl.cli.plan import one_scene, player
     from flipperctl.config.words import with_default, with_flags
     from flipperctl.errors import InterruptedRunError, RequestError
-    from flipperctl.evaluation.play import Player
-    from flipperctl.evaluation.store import FOLDER, EpisodeStore, FolderStore
     from flipperctl.evaluation.views import map as view
     from flipperctl.evaluation.views.axes import parse_axes
-    from flipperctl.evaluation.workers import EpisodeWorkers
-    from flipperctl.results import result_folder
-    from flipperctl.session import interrupts
     from flipperctl.show import console, print_lines
-    from flipperctl.terminal.progress import episodes_progress
     from flipperctl.terminal.streams import print_note, show
 
     if over is None:
@@ -69,16 +62,10 @@ def run(
     if entry.config.eval.ray is not None:
         raise RequestError("eval.ray: a map is played here; leave it out")
     axes = parse_axes(over, entry.config)
-    store, folder = EpisodeStore(), None
-    with ExitStack() as stack:
-        if output is not None:
-            folder = stack.enter_context(result_folder(output, "map", view.NAMES))
-            store = FolderStore(output / FOLDER, print_note)
-        stop = stack.enter_context(interrupts("finishing the episode; Ctrl-C again stops at once"))
-        workers = stack.enter_context(EpisodeWorkers(stop=stop))
+    with player(output, "map", view.NAMES) as (plays, folder):
         for note in view.notes(entry, axes):
             print_note(note)
-        found = view.capability_map(entry, axes, Player(store, workers, episodes_progress))
+        found = view.capability_map(entry, axes, plays)
 
         def printed() -> None:
             print_lines(console(), view.lines(found))

@@ -25,6 +25,20 @@ _MOVED = {
     },
     "eval eval.static_bound": "is gone; leave it out",
     **{
+        f"bench {name}": f"is now: python -m benchmarks {name}, in a clone of the repository"
+        for name in (
+            *("engines", "learner", "latency", "scaling", "physics", "accuracy", "lookahead"),
+            *("solve", "startup"),
+        )
+    },
+    **{
+        f"bench bench.{name}": "is gone; python -m benchmarks in a clone of the repository has it"
+        for name in (
+            *("repeats", "seed", "controller", "episodes", "families", "updates", "batch_sizes"),
+            *("transitions", "calls", "decisions", "workers"),
+        )
+    },
+    **{
         f"train experiment={name}": f"is now: {settings}"
         for name, settings in {
             "taught_annealed": "experiment=taught teacher.weight_end=0",
@@ -39,11 +53,7 @@ _MOVED = {
 
 
 def check_moved(command_path: str, word: str) -> None:
-    """Refuse a word of ``flipperctl …`` that an earlier version had: a command, an option, a key.
-
-    Raises:
-        RequestError: it has moved; the text says what to type.
-    """
+    """Refuse a command, an option or a setting that an earlier version had."""
     name = " ".join([*command_path.split()[1:], word])
     if name in _MOVED:
         raise RequestError(f"{name} {_MOVED[name]}")

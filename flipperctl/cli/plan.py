@@ -1,4 +1,4 @@
-"""Make the plan of an evaluation, for ``eval`` and for the Python interface.
+"""Make the plan of an evaluation, for every command that evaluates and for the Python interface.
 
 In: overrides, policies, baselines and a suite. Out: an entry for each policy on each scene.
 """
@@ -6,22 +6,118 @@ In: overrides, policies, baselines and a suite. Out: an entry for each policy on
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from flipperctl.cli.scenes import scenes
-from flipperctl.config import DEFAULT_ENGINE, EvalConfig
+from flipperctl.cli.hydra import compose, config_store
+from flipperctl.cli.hydra.overrides import Overrides
+from flipperctl.config import DEFAULT_ENGINE, EvalConfig, resolver
 from flipperctl.config.words import key_of
 from flipperctl.errors import RequestError
-from flipperctl.evaluation.inherited import Inherited, read_config
+from flipperctl.evaluation.inherited import Inherited, policy_notes, read_config
 from flipperctl.evaluation.plan import Entry, Plan
-from flipperctl.evaluation.policies import Entrant, controllers, standing
+from flipperctl.evaluation.play import Player
+from flipperctl.evaluation.policies import (
+    Entrant,
+    controllers,
+    entrants,
+    split_policies,
+    standing,
+)
 from flipperctl.evaluation.suites import SuiteScene, split_suite
 from flipperctl.evaluation.views.engines import steps
 from flipperctl.evaluation.views.summary import short
 from flipperctl.policies.source import PolicySource, load_policy
+from flipperctl.results import ResultFolder
+from flipperctl.terminal.streams import print_note
 
 Tell = Callable[[str], None]
+Scene = tuple[EvalConfig, PolicySource]
+"""``config.eval`` holds the number of episodes and the seed."""
+
+
+def scenes(
+    words: Sequence[str], checkpoint: Path | None, controller: str | None, tell: Tell = print_note
+) -> list[Scene]:
+    """Return a configuration and the policy's source for each scene.
+
+    Exactly one of ``checkpoint`` and ``controller`` must be given; ``words`` are overrides.
+    ``tell`` is called with lines on how the evaluation of a checkpoint differs from its training.
+
+    Raises:
+        CheckpointError: there is no such policy, its observation layout differs, or the plugin of
+            its training terrain is missing and no other terrain is chosen.
+        ConfigError: an override is wrong.
+    """
+    if checkpoint is None:
+        resolver.get("controller", controller, "--controller")
+        overrides = Overrides.parse([f"controller={controller}", *words])
+        found = compose.compose_eval(overrides)
+        made = [(config, PolicySource(settings=settings)) for config, settings in found]
+        for note in dict.fromkeys(note for config, source in made for note in source.notes(config)):
+            tell(note)
+        return made
+    source = load_policy(checkpoint, takes="file", tell=tell)
+    overrides = Overrides.parse(words)
+    terrains = [c.choice("terrain") for c in overrides.combinations()]
+    trained = read_config(source, terrains, tell)
+    primary = config_store.register_trained(trained)
+    configs = [config for config, _ in compose.compose_eval(overrides, primary)]
+    # This raises for a wrong layout or robot, before the first episode.
+    for config in configs:
+        source.build(config)
+    for note in policy_notes(checkpoint, trained, configs, overrides.typed):
+        tell(note)
+    return [(config, source) for config in configs]
+
+
+def one_scene(
+    words: Sequence[str] | None, checkpoint: Path | None, controller: str | None, command: str
+) -> Entry:
+    """Return the policy that the words or the options name, on the only scene."""
+    names, settings = split_policies(words)
+    names += [str(name) for name in (checkpoint, controller) if name is not None]
+    policies = entrants(names, print_note)
+    if len(policies) != 1:
+        given = ", ".join(names) or "none"
+        raise RequestError(
+            f"{command} takes one policy, as in: flipperctl {command} generalist terrain=stair; "
+            f"{given} is given"
+            if len(policies) < 2
+            else f"{command} takes one policy; {given} are given"
+        )
+    (policy,) = policies
+    if any(key_of(word) == "suite" for word in settings):
+        raise RequestError(f"suite=…: {command} takes one scene; leave it out")
+    found = scenes(settings, policy.run, None if policy.run else policy.method)
+    if len(found) != 1:
+        raise RequestError(f"{command} takes one scene; the settings give {len(found)}")
+    return Entry(*found[0])
+
+
+@contextmanager
+def player(
+    output: Path | None, command: str, names: Sequence[str] = ()
+) -> Iterator[tuple[Player, ResultFolder | None]]:
+    """Yield a player whose episodes are kept below ``output``, and that folder, if it is given.
+
+    ``names`` are those of the files that ``command`` writes. Ctrl-C ends the running episode first.
+    """
+    from flipperctl.evaluation.store import FOLDER, EpisodeStore, FolderStore
+    from flipperctl.evaluation.workers import EpisodeWorkers
+    from flipperctl.results import result_folder
+    from flipperctl.session import interrupts
+    from flipperctl.terminal.progress import episodes_progress
+
+    with ExitStack() as stack:
+        store, folder = EpisodeStore(), None
+        if output is not None:
+            folder = stack.enter_context(result_folder(output, command, names))
+            store = FolderStore(output / FOLDER, print_note)
+        stop = stack.enter_context(interrupts("finishing the episode; Ctrl-C again stops at once"))
+        workers = stack.enter_context(EpisodeWorkers(stop=stop))
+        yield Player(store, workers, episodes_progress), folder
 
 
 def make_plan(
@@ -59,11 +155,7 @@ def make_plan(
 
 
 def _split_engines(words: Sequence[str]) -> tuple[list[str], bool]:
-    """Return the words without the default engine among several, and whether it was there.
-
-    Raises:
-        RequestError: no other engine is named beside it.
-    """
+    """Return the words without the default engine among several, and whether it was there."""
     found, several = [], False
     for word in words:
         key, _, value = word.partition("=")
@@ -181,54 +273,45 @@ class _Composer:
     """Composes the scenes of policies, once for those that inherit equal settings."""
 
     def __init__(self, names: Sequence[str], sections: Sequence[Sequence[str]], tell: Tell) -> None:
+        """``sections`` are the words of each scene; ``tell`` is called once with each line."""
         self._names, self._sections = names, sections
         self._known: list[tuple[Inherited | None, list[tuple[str, EvalConfig]]]] = []
         self._told: set[str] = set()
         self._tell_user = tell
 
     def _tell(self, line: str) -> None:
-        """Tell a line once, however many scenes it is about."""
         if line not in self._told:
             self._told.add(line)
             self._tell_user(line)
 
     def of(self, entrant: Entrant) -> list[tuple[str, EvalConfig, PolicySource]]:
-        """Return the name, configuration and policy of each scene of an entrant."""
-        if entrant.run is None:
-            return self._of_controller(entrant.method)
-        source = load_policy(entrant.run, takes="file", tell=self._tell)
-        inherited = Inherited.of(read_config(source, [], lambda text: None))
-        known = self._find(inherited)
-        if known is None:
-            known = [(name, c) for name, c, _ in self._scenes(entrant.run, None)]
-            self._known.append((inherited, known))
+        """Return the name, configuration and policy of each scene of an entrant.
+
+        A controller with settings among the words has scenes of its own.
+        """
+        inherited, own = None, False
+        if entrant.run is not None:
+            source = load_policy(entrant.run, takes="file", tell=self._tell)
+            inherited = Inherited.of(read_config(source, [], lambda text: None))
         else:
-            for _, config in known:
-                source.build(config)  # it raises before the first episode
-        return [(name, config, source) for name, config in known]
-
-    def _find(self, inherited: Inherited | None) -> list[tuple[str, EvalConfig]] | None:
-        return next((found for who, found in self._known if who == inherited), None)
-
-    def _of_controller(self, controller: str) -> list[tuple[str, EvalConfig, PolicySource]]:
-        """Return the scenes of a controller; those without its own settings are composed once."""
-        keys = [key_of(word) for part in self._sections for word in part]
-        own = any(key.startswith("controller.") for key in keys)
-        known = self._find(None)
-        if own or known is None:
-            made = list(self._scenes(None, controller))
+            source = load_policy(entrant.method, "--controller", "controller", fields={})
+            keys = [key_of(word) for part in self._sections for word in part]
+            own = any(key.startswith("controller.") for key in keys)
+        known = next((found for who, found in self._known if who == inherited), None)
+        if known is None or own:
+            controller = None if entrant.run else entrant.method
+            composed = [
+                (name, *scene)
+                for name, words in zip(self._names, self._sections, strict=True)
+                for scene in scenes(words, entrant.run, controller, self._tell)
+            ]
             if not own:
-                self._known.append((None, [(name, config) for name, config, _ in made]))
-            return made
-        source = load_policy(controller, "--controller", "controller", fields={})
+                self._known.append((inherited, [(name, config) for name, config, _ in composed]))
+            return composed
         for _, config in known:
+            if entrant.run is not None:
+                source.build(config)  # it raises before the first episode
+                continue
             for note in source.notes(config):
                 self._tell(note)
         return [(name, config, source) for name, config in known]
-
-    def _scenes(
-        self, run: Path | None, controller: str | None
-    ) -> Iterator[tuple[str, EvalConfig, PolicySource]]:
-        for name, words in zip(self._names, self._sections, strict=True):
-            for config, source in scenes(words, run, controller, self._tell):
-                yield name, config, source

@@ -13,8 +13,7 @@ from typing import Any
 
 from flipperctl.cli.hydra import compose, config_store
 from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.cli.scenes import scenes
-from flipperctl.config.defaults import CHOICES
+from flipperctl.cli.plan import scenes
 from flipperctl.errors import ConfigError, RequestError
 from flipperctl.evaluation import policies as named_policies
 from flipperctl.evaluation.views.ranking import Rewards, RewardScene
@@ -33,16 +32,12 @@ def reward_scenes(overrides: Overrides, sources: Mapping[str, PolicySource]) -> 
 
     Lists of rewards, as in ``rewards=paper,tuned``, give the sets of each scene. The robot is that
     of the files among the ``sources``, whose names appear in errors.
-
-    Raises:
-        ConfigError: an override is wrong or drops every reward term, or the files are for
-            different robots and no override chooses one.
     """
     robot = named_policies.common_robot(sources, overrides.typed)
     primary = config_store.register_robot(robot)
     found: dict[tuple[str, ...], dict[str, Rewards]] = {}
     configs = {}
-    for combination in overrides.combinations(CHOICES):
+    for combination in overrides.combinations():
         scene, label = _split(combination)
         ((config, _),) = compose.compose_eval(combination, primary)
         if not config.rewards:
@@ -56,11 +51,6 @@ def policies(names: str, words: Sequence[str]) -> tuple[dict[str, PolicySource],
     """Return the named policies, and the overrides without those of the controllers.
 
     An override of ``controller.<field>`` applies to each controller with that field.
-
-    Raises:
-        RequestError: there are fewer than two policies, or one is named twice.
-        ConfigError: there is no such policy, or no controller has an overridden field.
-        CheckpointError: a checkpoint cannot be read.
     """
     fields, others = _controller_fields(Overrides.parse(words), "--compare")
     return named_policies.policies(names, fields, print_note), others
@@ -73,15 +63,12 @@ def regret_scenes(
 
     Exactly one of ``checkpoint`` and ``controller`` must be given. ``against`` names the
     references; with a checkpoint, ``controller.<field>`` applies to each that has the field.
-
-    Raises:
-        FlipperctlError: an override or a name is wrong.
     """
     overrides, fields = Overrides.parse(words), dict[str, Any]()
     if checkpoint is not None:
         fields, overrides = _controller_fields(overrides, "--against")
     others = named_policies.policies(against, fields, print_note, "--against", fewest=1)
-    labels = [_split(combination)[1] for combination in overrides.combinations(CHOICES)]
+    labels = [_split(combination)[1] for combination in overrides.combinations()]
     default, name = "own" if checkpoint else _DEFAULT, str(checkpoint or controller)
     found = zip(scenes(overrides.words, checkpoint, controller), labels, strict=True)
     return [RegretScene(c, label or default, name, source, others) for (c, source), label in found]

@@ -94,6 +94,11 @@ class SelfTest:
         """The signs that were found wrong, each once."""
         return tuple(dict.fromkeys(v.sign for v in self.verdicts if v.right is False))
 
+    @property
+    def passed(self) -> bool:
+        """Whether every motion was measured, each with the right sign."""
+        return all(v.right for v in self.verdicts)
+
     def step(self, now: float, **messages: object) -> str:
         """Take in messages as ``FlipperController.step`` does; return new lines, mostly none."""
         lines = []
@@ -247,8 +252,8 @@ def _lines(file: str) -> Iterator[str]:
         raise RequestError(f"{file} cannot be read: {error}") from error
 
 
-def run(lines: Iterable[str], where: str, setup: RobotSetup) -> int:
-    """Test the messages of ``lines``, print instructions and verdicts; return the exit status."""
+def run(lines: Iterable[str], where: str, setup: RobotSetup) -> SelfTest:
+    """Test the messages of ``lines``, and print instructions and verdicts."""
     test, now = SelfTest(setup), 0.0
     for now, messages in read_lines(lines, where):
         told = test.step(now, **messages)
@@ -259,4 +264,4 @@ def run(lines: Iterable[str], where: str, setup: RobotSetup) -> int:
     while test.part is not None:  # the input ended: nothing more will move
         now += _PATIENCE
         print(test.step(now), flush=True)
-    return 1 if test.wrong or any(v.right is None for v in test.verdicts) else 0
+    return test

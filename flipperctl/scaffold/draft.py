@@ -100,11 +100,7 @@ class Draft:
         return f"flipperctl_{self.name}"
 
     def write_file(self, folder: Path) -> Path:
-        """Write ``NAME.py``, completely or not at all; return its path.
-
-        Raises:
-            OutputError: the file exists, or cannot be written.
-        """
+        """Write ``NAME.py``, completely or not at all; return its path."""
         path = make_folder(folder) / f"{self.name}.py"
         try:
             with path.open("x", encoding="utf-8") as file:
@@ -117,11 +113,7 @@ class Draft:
         return path
 
     def write_package(self, folder: Path) -> Path:
-        """Write a folder with pyproject, source, test and README, completely or not at all.
-
-        Raises:
-            OutputError: the folder exists, or cannot be written.
-        """
+        """Write a folder with pyproject, source, test and README, completely or not at all."""
         path = folder / self.package
         if path.exists():
             raise _already_exists(path)

@@ -154,11 +154,17 @@ def evaluate(
             own |= {"controller": one.fields} if one.fields else {}
         else:
             found |= dict.fromkeys(entrants([os.fspath(one)], tell))
-    suite = _suite(settings.pop("suite", None))
+    suite = settings.pop("suite", None)
+    if not isinstance(suite, str | os.PathLike | None):
+        raise RequestError(f"suite: a name or a file is allowed; the value is {suite!r}")
     numbers = {"eval.episodes": episodes, "eval.seed": seed, "eval.jobs": jobs}
     chosen = settings | {key: number for key, number in numbers.items() if number is not None}
     plan = make_plan(
-        [*suite, *words(own), *words(chosen, overrides)],
+        [
+            *([] if suite is None else [f"suite={os.fspath(suite)}"]),
+            *words(own),
+            *words(chosen, overrides),
+        ],
         list(found),
         _names("baselines", baselines),
         tell,
@@ -187,15 +193,6 @@ def evaluate(
         error.result = done[0] if done else None
         raise
     return done[0]
-
-
-def _suite(name: object) -> list[str]:
-    """Return the word that chooses a suite by its name or file; none for None."""
-    if name is None:
-        return []
-    if not isinstance(name, str | os.PathLike):
-        raise RequestError(f"suite: a name or a file is allowed; the value is {name!r}")
-    return [f"suite={os.fspath(name)}"]
 
 
 def _names(argument: str, names: Sequence[str] | None) -> str | None:

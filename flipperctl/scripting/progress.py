@@ -28,19 +28,29 @@ def is_running() -> bool:
 
 
 class _Cell:
-    """One output of the cell that runs."""
+    """One output of the cell that runs: a bar, and lines below it."""
 
-    def __init__(self) -> None:
+    def __init__(self, unit: str) -> None:
         from IPython.display import display
 
+        self._unit, self._shown = unit, 0.0
+        self.lines: list[str] = []
         self._handle: Any = display({"text/plain": ""}, raw=True, display_id=True)
-        self._shown = 0.0
 
-    def show(self, text: Callable[[], str], *, now: bool = False) -> None:
-        """Replace the text, unless the last one is newer than ``_PERIOD`` and ``now`` is False."""
+    def show(self, done: float, total: int, state: str, *, now: bool = False) -> None:
+        """Move the bar, unless it has just moved and ``now`` is False."""
         if now or time.perf_counter() - self._shown >= _PERIOD:
-            self._shown = time.perf_counter()
-            self._handle.update({"text/plain": text()}, raw=True)
+            full = min(_WIDTH, int(_WIDTH * done / max(1, total)))
+            bar = "█" * full + "░" * (_WIDTH - full)
+            self._update([f"{bar} {done:.0f}/{total} {self._unit}  {state}", *self.lines])
+
+    def clear(self) -> None:
+        """Remove the text."""
+        self._update([])
+
+    def _update(self, lines: list[str]) -> None:
+        self._shown = time.perf_counter()
+        self._handle.update({"text/plain": "\n".join(lines)}, raw=True)
 
 
 class TrainingCell:
@@ -48,21 +58,17 @@ class TrainingCell:
 
     def __init__(self, total: int, done: int) -> None:
         """``total`` and ``done`` are decisions."""
-        self._total, self._done = total, done
-        self._rate = Rate()
-        self._state = ""
-        self._lines: list[str] = []
-        self._cell = _Cell()
-        self._cell.show(self._text)
+        self._total, self._done, self._state = total, done, ""
+        self._rate, self._cell = Rate(), _Cell("decisions")
+        self.close()
 
     def episode(self, row: Mapping[str, Any]) -> None:
         """Move the bar."""
         self._done = row["decision"]
         self._rate.take(self._done)
-        state = state_text(row, self._rate.per_second)
         left = self._rate.left_text(self._done, self._total)
-        self._state = "  ".join(filter(None, [left, state]))
-        self._cell.show(self._text)
+        self._state = "  ".join(filter(None, [left, state_text(row, self._rate.per_second)]))
+        self._cell.show(self._done, self._total, self._state)
 
     def validation(self, row: Mapping[str, Any]) -> None:
         """Add a line below the bar."""
@@ -70,42 +76,29 @@ class TrainingCell:
 
     def note(self, text: str) -> None:
         """Add a line below the bar."""
-        self._lines.append(text)
-        self._cell.show(self._text, now=True)
+        self._cell.lines.append(text)
+        self.close()
 
     def close(self) -> None:
         """Show the last state."""
-        self._cell.show(self._text, now=True)
-
-    def _text(self) -> str:
-        bar = f"{_bar(self._done, self._total)} {self._done}/{self._total} decisions  {self._state}"
-        return "\n".join([bar, *self._lines])
+        self._cell.show(self._done, self._total, self._state, now=True)
 
 
-class EpisodesCell:
-    """A bar for some episodes after the other; it is empty between them and at the end."""
-
-    def __init__(self) -> None:
-        self._cell: _Cell | None = None
+def _episodes_in_a_cell() -> Progress:
+    """Return a bar for some episodes after the other; it is empty between them and at the end."""
+    cells: list[_Cell] = []
 
     @contextmanager
-    def __call__(self, label: str, total: int) -> Iterator[Callable[[float], None]]:
-        """Show a bar; yield a function to call with the number of finished episodes."""
-        cell = self._cell = self._cell or _Cell()
-
-        def report(done: float) -> None:
-            cell.show(lambda: f"{_bar(done, total)} {done:.0f}/{total} episodes  {label}")
-
-        report(0)
+    def progress(label: str, total: int) -> Iterator[Callable[[float], None]]:
+        if not cells:
+            cells.append(_Cell("episodes"))
+        cells[0].show(0, total, label)
         try:
-            yield report
+            yield lambda done: cells[0].show(done, total, label)
         finally:
-            cell.show(str, now=True)
+            cells[0].clear()
 
-
-def _bar(done: float, total: int) -> str:
-    full = min(_WIDTH, int(_WIDTH * done / max(1, total)))
-    return "█" * full + "░" * (_WIDTH - full)
+    return progress
 
 
 def training_reports(shown: bool) -> Reports:
@@ -119,7 +112,7 @@ def episodes(shown: bool) -> Progress:
     """Return what shows the episodes of an evaluation."""
     if not shown:
         return no_progress
-    return EpisodesCell() if is_running() else episodes_progress
+    return _episodes_in_a_cell() if is_running() else episodes_progress
 
 
 def notes(shown: bool) -> Callable[[str], None]:

@@ -29,12 +29,7 @@ Paths = Sequence[str | os.PathLike[str]]
 
 
 def begin(plugins: Paths) -> None:
-    """Load the installed plugins and those at these paths, ``.py`` files or folders.
-
-    Raises:
-        PluginError: a plugin is missing, does not import or uses a taken name.
-        RequestError: the paths are not a list.
-    """
+    """Load the installed plugins and those at these paths, ``.py`` files or folders."""
     if isinstance(plugins, str | os.PathLike):
         raise RequestError(f"plugins: a list of paths is allowed; the value is {plugins!r}")
     notices.begin()
@@ -107,9 +102,6 @@ def literal(value: object, key: str) -> str:
     """Return a value in Hydra's grammar, where a text stands for itself.
 
     ``key`` is that of the setting, for the error.
-
-    Raises:
-        ConfigError: the value has no form in the grammar.
     """
     value = _plain(value)
     if value is None:
@@ -158,22 +150,14 @@ _SCRIPT = "__main__"
 
 
 def check_training(config: TrainConfig) -> None:
-    """Check the plugins of a training, whose episodes workers play unless it is exact.
-
-    Raises:
-        PluginError: a plugin is defined in the script or notebook that calls.
-    """
+    """Check the plugins of a training, whose episodes workers play unless it is exact."""
     if config.train.mode != "exact":
         used = [*_environment(config), config.network, config.teacher.controller]
         _check(used, "train with train={'mode': 'exact'}")
 
 
 def check_evaluation(config: EnvConfig, jobs: int, controller: str | None) -> None:
-    """Check the plugins of an evaluation, whose episodes workers play if there are several jobs.
-
-    Raises:
-        PluginError: a plugin is defined in the script or notebook that calls.
-    """
+    """Check the plugins of an evaluation, whose episodes workers play if there are several jobs."""
     if jobs > 1:
         own = [] if controller is None else [registry["controller", controller]]
         _check([*_environment(config), *own], "leave jobs at 1")

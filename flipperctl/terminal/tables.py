@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -250,50 +250,3 @@ def print_ground(found: dict[str, Any]) -> None:
         f"drive over it with terrain=profile_file terrain.path={found['output']} "
         f"'terrain.start=[{x0},{y0}]' 'terrain.end=[{x1},{y1}]'"
     )
-
-
-_RATIOS = (
-    Column("what", "quantity", named=True),
-    Column("median", "median"),
-    Column("range", "quartiles"),
-    Column("unit", "unit"),
-)
-
-
-def print_measures(document: dict[str, Any]) -> None:
-    """Print one table per measure."""
-    out = console()
-    for table in tables(document):
-        print_table(table, out)
-
-
-def tables(document: dict[str, Any]) -> Iterator[Table]:
-    """Yield one table per measure: medians with quartiles, then ratios.
-
-    The text ``unfinished`` of a measure replaces a median that falls on an unfinished run.
-    """
-    for name, found in document["measures"].items():
-        missing = found.get("unfinished", NONE)
-        rows = [
-            {"what": what, "median": _number(one["median"], missing), "unit": one["unit"]}
-            | {"range": _range(one)}
-            for what, one in found["quantities"].items()
-        ]
-        rows += [
-            {"what": what, "median": _number(one["ratio"]), "unit": "×", "line": at == 0}
-            | {"range": _range(one)}
-            for at, (what, one) in enumerate(found["ratios"].items())
-        ]
-        yield Table(_RATIOS, rows, f"{name}: {found['about']}")
-
-
-def _range(found: dict[str, Any]) -> str:
-    low, high = found["low"], found["high"]
-    return NONE if low is None and high is None else f"{_number(low)} … {_number(high)}"
-
-
-def _number(value: float | None, missing: str = NONE) -> str:
-    """Return a number with three significant digits, or as an integer from 100 upwards."""
-    if value is None:
-        return missing
-    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"

@@ -3,20 +3,27 @@
 In: a study, new or as earlier searches left it, what it samples, and the sweep that trains its
 jobs. Out: one training for each trial, the results in the study, ``optimization_results.yaml`` in
 the folder of the sweep.
+
+Several searches may share a study, each in a folder of its own. A trial belongs to the process that
+began it; if that process dies, the trial is closed and sampled again: at once where its death can
+be seen, elsewhere when Optuna misses its heartbeat.
 """
 
 from __future__ import annotations
 
 import contextlib
+import itertools
 import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from omegaconf import OmegaConf
 
+from flipperctl.checkpoint import job_order
 from flipperctl.errors import (
     ConfigError,
     FlipperctlError,
@@ -25,110 +32,25 @@ from flipperctl.errors import (
     PluginFailedError,
     RequestError,
 )
+from flipperctl.results import SUMMARY, holder, is_dead
 from flipperctl.session import command, sweep_command
 from flipperctl.training.search_space import Interval, SearchSettings, distributions
-from flipperctl.training.sweep import JobResult, Sweep
+from flipperctl.training.sweep import JobResult, Sweep, SweepRun, sweep_run
 
 if TYPE_CHECKING:
     from optuna import Study
     from optuna.distributions import BaseDistribution
-    from optuna.trial import Trial
-from flipperctl.training.trials import (
-    FAILED,
-    PLACE,
-    RUN,
-    claim,
-    counted_twin,
-    fail_abandoned,
-    finished,
-    finished_runs,
-    free_place,
-    heartbeat,
-    run_number,
-    run_of,
-    running,
-    stop,
-    suggest,
-)
+    from optuna.trial import FrozenTrial, Trial
 
+_HEARTBEAT, _GRACE = 15, 120
+"""Time between two heartbeats, and after the last one until its process counts as dead [s]."""
 _PAUSE = 1.0
-"""Time to wait for another search that is creating the tables of the storage [s]."""
+"""Time between two looks at what other searches do [s]."""
 _MEASURE, _AT_100_HZ = "measure", "pitch_variation_100hz"
 """Attribute of a study that names the θ̂_R in its objective; earlier versions wrote none."""
-
-
-def open_study(settings: SearchSettings, arguments: Sequence[str]) -> Study:
-    """Return the study of ``settings``, new or as earlier searches left it.
-
-    Raises:
-        ConfigError: the storage cannot be used, or the study has other overrides than
-            ``arguments`` or another objective.
-    """
-    import optuna
-    from sqlalchemy.exc import SQLAlchemyError
-
-    name, storage = settings.study_name, settings.storage
-    create = partial(
-        optuna.create_study,
-        storage=storage,
-        study_name=name,
-        direction="maximize",
-        load_if_exists=True,
-    )
-    with usable(storage, ImportError, ValueError):  # of its driver and of its URL
-        try:
-            study = create()
-        except SQLAlchemyError:  # another search may be creating the tables
-            time.sleep(_PAUSE)
-            study = create()
-    with usable(storage):
-        _take_up(study, settings, sorted(arguments))
-    return study
-
-
-@contextlib.contextmanager
-def usable(storage: str | None, *more: type[Exception]) -> Iterator[None]:
-    """Turn errors of a study's storage, and ``more``, into a ConfigError that names it."""
-    from optuna.exceptions import StorageInternalError
-    from sqlalchemy.exc import SQLAlchemyError
-
-    errors: tuple[type[Exception], ...] = (StorageInternalError, SQLAlchemyError, *more)
-    try:
-        yield
-    except errors as error:
-        cause = error.__cause__ if isinstance(error, StorageInternalError) else None
-        reason = " ".join(str(cause or error).split("\n(Background")[0].split())
-        raise ConfigError(
-            f"hydra.sweeper.storage: {storage!r} cannot be used: {reason}; "
-            "a database URL is allowed, as in sqlite:///search.db"
-        ) from error
-
-
-def _take_up(study: Study, settings: SearchSettings, asked: list[str]) -> None:
-    """Check that a study searched the same, and note what it searches.
-
-    Raises:
-        ConfigError: see ``open_study``.
-    """
-    name, storage = settings.study_name, settings.storage
-    searched = study.user_attrs.get("overrides", asked)
-    if searched != asked:
-        raise ConfigError(
-            f"hydra.sweeper.study_name: the study {name!r} in {storage} searched "
-            f"{' '.join(searched)}; give the same overrides, or another study_name"
-        )
-    if study.user_attrs.get(_MEASURE) != _AT_100_HZ and finished(study):
-        raise ConfigError(
-            f"hydra.sweeper.study_name: the trials of the study {name!r} in {storage} are "
-            "ordered by θ̂_R at decisions, as in earlier versions, and cannot be compared with "
-            "new ones, which are ordered by θ̂_R at 100 Hz; give another study_name"
-        )
-    study.set_user_attr("overrides", asked)
-    study.set_user_attr(_MEASURE, _AT_100_HZ)
-
-
-_POLL = 1.0
-"""Time between two polls of the trials of other searches [s]."""
+_OWNER, _PLACE, _RUN, _FAILED = "owner", "place", "run", "failed"
+"""Attributes of a trial: its process; its place in the search, which decides what is sampled; the
+path of its run; whether its training failed (Optuna's FAIL also marks interrupted trials)."""
 
 
 def search(
@@ -153,22 +75,86 @@ def search(
         FlipperctlError: a trial was refused, or every trial failed.
     """
     space = distributions(sampled)
-    study = open_study(settings, overrides)
+    study = _open_study(settings, sorted(overrides))
     jobs.swept = list(space)
-    found = OptunaSearch(settings, study, jobs, space, fixed, tell)
-    with usable(settings.storage):
+    found = _Search(settings, study, jobs, space, fixed, tell)
+    with _usable(settings.storage):
         with jobs.held():
             found.run()
         found.conclude()
 
 
+def _open_study(settings: SearchSettings, overrides: list[str]) -> Study:
+    """Return the study of ``settings``, new or as earlier searches of the same left it."""
+    import optuna
+    from sqlalchemy.exc import SQLAlchemyError
+
+    name, url = settings.study_name, settings.storage
+    # Heartbeats are experimental, and Optuna expects them of study.optimize alone.
+    warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+    warnings.filterwarnings("ignore", "Heartbeat of storage")
+
+    def create() -> Study:
+        storage = url and optuna.storages.RDBStorage(
+            url, heartbeat_interval=_HEARTBEAT, grace_period=_GRACE
+        )
+        return optuna.create_study(
+            storage=storage, study_name=name, direction="maximize", load_if_exists=True
+        )
+
+    with _usable(url, ImportError, ValueError):  # of its driver and of its URL
+        try:
+            study = create()
+        except SQLAlchemyError:  # another search may be creating the tables
+            time.sleep(_PAUSE)
+            study = create()
+    with _usable(url):
+        known = study.user_attrs
+        if (searched := known.get("overrides", overrides)) != overrides:
+            raise ConfigError(
+                f"hydra.sweeper.study_name: the study {name!r} in {url} searched "
+                f"{' '.join(searched)}; give the same overrides, or another study_name"
+            )
+        if known.get(_MEASURE) != _AT_100_HZ and any(map(_counts, study.get_trials(False))):
+            raise ConfigError(
+                f"hydra.sweeper.study_name: the trials of the study {name!r} in {url} are "
+                "ordered by θ̂_R at decisions, as in earlier versions, and cannot be compared with "
+                "new ones, which are ordered by θ̂_R at 100 Hz; give another study_name"
+            )
+        study.set_user_attr("overrides", overrides)
+        study.set_user_attr(_MEASURE, _AT_100_HZ)
+    return study
+
+
+@contextlib.contextmanager
+def _usable(storage: str | None, *more: type[Exception]) -> Iterator[None]:
+    """Turn errors of a study's storage, and ``more``, into a ConfigError that names it."""
+    from optuna.exceptions import StorageInternalError
+    from sqlalchemy.exc import SQLAlchemyError
+
+    errors: tuple[type[Exception], ...] = (StorageInternalError, SQLAlchemyError, *more)
+    try:
+        yield
+    except errors as error:
+        cause = error.__cause__ if isinstance(error, StorageInternalError) else None
+        reason = " ".join(str(cause or error).split("\n(Background")[0].split())
+        raise ConfigError(
+            f"hydra.sweeper.storage: {storage!r} cannot be used: {reason}; "
+            "a database URL is allowed, as in sqlite:///search.db"
+        ) from error
+
+
+def _counts(trial: FrozenTrial) -> bool:
+    """Return whether a trial was trained to the end, or has a training that failed."""
+    return trial.value is not None or _FAILED in trial.user_attrs
+
+
 @dataclass(frozen=True)
-class OptunaSearch:
+class _Search:
     """A search that asks Optuna for trials until ``n_trials`` are finished.
 
     The proposals of one search depend only on the seed and the finished trials, so a resumed search
-    whose trials are trained one by one has the same results as an uninterrupted one. Several
-    searches may share a study, each in a folder of its own.
+    whose trials are trained one by one has the same results as an uninterrupted one.
     """
 
     settings: SearchSettings
@@ -182,56 +168,88 @@ class OptunaSearch:
     """Called with a line about the progress of the search."""
 
     def run(self) -> None:
-        """Train trial after trial.
-
-        Raises:
-            InterruptedRunError: the search was stopped; the text has the command to go on with.
-            RequestError: a trial was refused.
-        """
-        study = self.study
-        if known := len(finished(study)):
-            self.tell(f"the study {study.study_name!r} has {known} finished trials already")
-            self.jobs.take_up(finished_runs(study, self.jobs.folder))
+        """Train trial after trial."""
+        if known := len(self._finished()):
+            self.tell(f"the study {self.study.study_name!r} has {known} finished trials already")
+            self.jobs.runs += self._finished_runs()
         awaited = 0
-        while (count := len(finished(study))) < self.settings.n_trials:
-            fail_abandoned(study)
-            others = len(running(study))
+        while (count := len(self._finished())) < self.settings.n_trials:
+            self._close_abandoned()
+            others = sum(not trial.state.is_finished() for trial in self._trials())
             size = min(self.settings.n_jobs, self.settings.n_trials - count - others)
+            if size > 0:
+                self._train(size)
+            elif others != awaited:
+                self.tell(f"waiting for trials of another search: {others}")
+            awaited = others
+            if self.jobs.stop():  # between two jobs
+                raise self._interrupted()
             if size <= 0:
-                if others != awaited:
-                    self.tell(f"waiting for trials of another search: {others}")
-                awaited = others
-                self._raise_if_stopped()
-                time.sleep(_POLL)
-                continue
-            asked = [self._ask() for _ in range(size)]
-            trials = [t for t in asked if t is not None and not self._is_known(t)]
-            if trials:
-                self._train(trials)
-            self._raise_if_stopped()
+                time.sleep(_PAUSE)
 
-    def _raise_if_stopped(self) -> None:
-        if self.jobs.stop():  # between two jobs
-            raise self._interrupted()
+    def _trials(self) -> list[FrozenTrial]:
+        return self.study.get_trials(deepcopy=False)
 
-    def _ask(self) -> Trial | None:
+    def _finished(self) -> list[FrozenTrial]:
+        return [trial for trial in self._trials() if _counts(trial)]
+
+    def _close_abandoned(self) -> None:
+        """Close the trials of processes that died."""
+        from optuna.storages import fail_stale_trials
+
+        fail_stale_trials(self.study)
+        for trial in self._trials():
+            owner = trial.user_attrs.get(_OWNER)
+            if not trial.state.is_finished() and owner is not None and is_dead(owner):
+                self._close(trial.number)
+
+    def _close(self, number: int) -> None:
+        """Close a trial that was stopped; it does not count and is sampled again."""
+        from optuna.trial import TrialState
+
+        self.study.tell(number, state=TrialState.FAIL, skip_if_finished=True)
+
+    def _ask(self, beating: contextlib.ExitStack) -> Trial | None:
         """Return a new trial of this process; None if other searches have begun the last ones.
 
         The seed of its proposal is its place, the lowest that no finished or running trial has, so
         that an interrupted trial is sampled again, and no two searches propose the same values.
         """
-        study = self.study
-        trial = study.ask()
-        claim(trial)
-        place = free_place(study, trial)
+        from optuna.samplers import RandomSampler, TPESampler
+        from optuna.storages._heartbeat import get_heartbeat_thread  # that of study.optimize
+
+        trial = self.study.ask()
+        trial.set_user_attr(_OWNER, holder())
+        beats: Any = get_heartbeat_thread(trial._trial_id, self.study._storage)
+        beating.enter_context(beats)
+        place = self._free_place(trial.number)
         if place >= self.settings.n_trials:
-            stop(study, trial.number)
+            self._close(trial.number)
             return None
-        trial.set_user_attr(PLACE, place)
-        study.sampler = self._sampler(place)
+        trial.set_user_attr(_PLACE, place)
+        seed = int(np.random.SeedSequence([self.settings.seed, place]).generate_state(1)[0])
+        sampler = TPESampler if self.settings.sampler == "tpe" else RandomSampler
+        self.study.sampler = sampler(seed=seed)
         for name, distribution in self.space.items():
-            suggest(trial, name, distribution)
+            trial._suggest(name, distribution)
         return trial
+
+    def _free_place(self, number: int) -> int:
+        """Return the lowest place that no earlier trial has which counts or runs.
+
+        A trial that has just begun has not noted its own; it counts as the lowest free one.
+        """
+        taken: set[int] = set()
+        free = 0
+        for other in self._trials()[:number]:
+            if _counts(other) or not other.state.is_finished():
+                taken.add(other.user_attrs.get(_PLACE, free))
+                free = next(place for place in itertools.count() if place not in taken)
+        return free
+
+    def _twins(self, trial: Trial) -> list[FrozenTrial]:
+        """Return the closed trials with the values of this one."""
+        return [t for t in self._trials() if t.state.is_finished() and t.params == trial.params]
 
     def _is_known(self, trial: Trial) -> bool:
         """Give a trial the result of an earlier one with its values; return whether there is one.
@@ -240,34 +258,45 @@ class OptunaSearch:
         """
         from optuna.trial import TrialState
 
-        twin = counted_twin(self.study, trial)
+        twin = next(filter(_counts, self._twins(trial)), None)
         if twin is None:
             return False
-        for name in (FAILED, RUN):
-            if name in twin.user_attrs:
-                trial.set_user_attr(name, twin.user_attrs[name])
+        for name in {_FAILED, _RUN} & twin.user_attrs.keys():
+            trial.set_user_attr(name, twin.user_attrs[name])
         failed = twin.value is None
         self.study.tell(trial, twin.value, state=TrialState.FAIL if failed else None)
         result = "failed" if failed else f"objective {twin.value:.5f}"
         self.tell(f"trial {trial.number} has the values of trial {twin.number}: {result}")
         return True
 
-    def _train(self, trials: Sequence[Trial]) -> None:
-        jobs = [[*self.fixed, *(f"{k}={v}" for k, v in t.params.items())] for t in trials]
-        try:
-            with heartbeat(trials):
-                results = self._launch(jobs, [run_number(self.study, trial) for trial in trials])
-        except BaseException:
-            for trial in trials:
-                stop(self.study, trial.number)
-            raise
-        self._record_results(trials, results)
+    def _train(self, size: int) -> None:
+        """Train new trials at once; a trial without a result is closed."""
+        with contextlib.ExitStack() as beating:
+            asked = [self._ask(beating) for _ in range(size)]
+            trials = [trial for trial in asked if trial is not None and not self._is_known(trial)]
+            problems: list[Exception | None] = []
+            done = 0
+            try:
+                results = self._launch(trials)
+                for trial, result in zip(trials, results, strict=False):  # fewer after an interrupt
+                    problems.append(self._record(trial, result))
+                    done += 1
+            finally:
+                for trial in trials[done:]:
+                    self._close(trial.number)
+        for problem in filter(None, problems):
+            if isinstance(problem, InterruptedRunError):
+                raise self._interrupted() from problem
+            raise problem
 
-    def _launch(self, jobs: Sequence[Sequence[str]], numbers: Sequence[int]) -> list[JobResult]:
-        """Train the jobs; those with consecutive numbers are launched together.
+    def _launch(self, trials: Sequence[Trial]) -> list[JobResult]:
+        """Train the trials' jobs; those with consecutive numbers are launched together.
 
-        A launcher numbers its jobs in sequence, and another search may have taken one in between.
+        A trial goes on in the run of a stopped trial with its values. A launcher numbers its jobs
+        in sequence, and another search may have taken a number in between.
         """
+        jobs = [[*self.fixed, *(f"{k}={v}" for k, v in t.params.items())] for t in trials]
+        numbers = [min([t.number, *(o.number for o in self._twins(t))]) for t in trials]
         results: list[JobResult] = []
         begin = 0
         for end in range(1, len(jobs) + 1):
@@ -279,76 +308,63 @@ class OptunaSearch:
             begin = end
         return results
 
-    def _sampler(self, count: int) -> Any:
-        from optuna.samplers import RandomSampler, TPESampler
+    def _record(self, trial: Trial, result: JobResult) -> Exception | None:
+        """Record the result of a trial; return the error that stops the search, if any."""
+        from optuna.exceptions import UpdateFinishedTrialError
+        from optuna.trial import TrialState
 
-        seed = int(np.random.SeedSequence([self.settings.seed, count]).generate_state(1)[0])
-        return (TPESampler if self.settings.sampler == "tpe" else RandomSampler)(seed=seed)
-
-    def _record_results(self, trials: Sequence[Trial], results: Sequence[JobResult]) -> None:
-        problems = [
-            self._record_result(trial, result)
-            for trial, result in zip(trials, results, strict=False)  # fewer after an interrupt
-        ]
-        for trial in trials[len(results) :]:
-            stop(self.study, trial.number)
-        for problem in filter(None, problems):
-            if isinstance(problem, InterruptedRunError):
-                raise self._interrupted() from problem
-            raise problem
+        value, error = result.value, result.error
+        try:
+            if isinstance(error, NonFiniteError | PluginFailedError):
+                trial.set_user_attr(_FAILED, True)  # a result: these settings do not work
+                self.study.tell(trial, state=TrialState.FAIL)
+                self.tell(f"trial {trial.number} failed: {error}")
+            elif error is not None or value is None:
+                self._close(trial.number)
+                missing = "train.validate_every: a search needs a validation in each run"
+                return error or RequestError(missing)
+            else:
+                trial.set_user_attr(_RUN, str(result.folder))
+                self.study.tell(trial, value)
+                best = self.study.best_trial
+                self.tell(
+                    f"trial {trial.number}: objective {value:.5f}; "
+                    f"best {best.value:.5f} (trial {best.number})"
+                )
+        except UpdateFinishedTrialError:  # its heartbeat was missing for too long
+            self.tell(f"trial {trial.number} is lost: another search has closed it")
+        return None
 
     def _interrupted(self) -> InterruptedRunError:
-        done = f"{len(finished(self.study))} of {self.settings.n_trials} trials are finished"
+        done = f"{len(self._finished())} of {self.settings.n_trials} trials are finished"
         return InterruptedRunError(
             f"interrupted; {done}. Continue with: {sweep_command(self.jobs.folder)}"
         )
 
-    def _record_result(self, trial: Trial, result: JobResult) -> Exception | None:
-        """Record the result of a trial; return the error that stops the search, if any."""
-        from optuna.exceptions import UpdateFinishedTrialError
+    def _run_of(self, trial: FrozenTrial) -> Path:
+        """Return the run of a trained trial, below the search's folder if that was moved."""
+        run = Path(trial.user_attrs[_RUN])
+        moved = self.jobs.folder.absolute() / run.name
+        return moved if not run.exists() and moved.exists() else run
 
-        try:
-            return self._conclude_trial(trial, result)
-        except UpdateFinishedTrialError:  # its heartbeat was missing for too long
-            self.tell(f"trial {trial.number} is lost: another search has closed it")
-            return None
-
-    def _conclude_trial(self, trial: Trial, result: JobResult) -> Exception | None:
-        from optuna.trial import TrialState
-
-        study, value, error = self.study, result.value, result.error
-        if error is not None:
-            if isinstance(error, NonFiniteError | PluginFailedError):
-                trial.set_user_attr(FAILED, True)  # a result: these settings do not work
-                study.tell(trial, state=TrialState.FAIL)
-                self.tell(f"trial {trial.number} failed: {error}")
-                return None
-            stop(study, trial.number)
-            return error
-        if value is None:
-            stop(study, trial.number)
-            return RequestError("train.validate_every: a search needs a validation in each run")
-        trial.set_user_attr(RUN, str(result.folder))
-        study.tell(trial, value)
-        best = study.best_trial
-        self.tell(
-            f"trial {trial.number}: objective {value:.5f}; "
-            f"best {best.value:.5f} (trial {best.number})"
-        )
-        return None
+    def _finished_runs(self) -> Iterator[SweepRun]:
+        """Yield each run of finished trials in the folder; other searches have theirs elsewhere."""
+        trials = {  # trials with equal values share a run; others failed and have none
+            self._run_of(trial): trial for trial in self._finished() if _RUN in trial.user_attrs
+        }
+        for run, trial in trials.items():
+            if run.is_relative_to(self.jobs.folder.absolute()) and (run / SUMMARY).is_file():
+                number, _ = job_order(run)
+                values = {name.lstrip("+~"): str(value) for name, value in trial.params.items()}
+                yield sweep_run(number, values, run, None)
 
     def conclude(self) -> None:
-        """Write ``optimization_results.yaml`` into the search's folder, and report the best trial.
-
-        Raises:
-            FlipperctlError: every trial failed.
-        """
-        study = self.study
-        if not any(trial.value is not None for trial in finished(study)):
+        """Write ``optimization_results.yaml``, and report the best trial."""
+        if all(trial.value is None for trial in self._finished()):
             raise FlipperctlError("every trial of the search failed; see the messages above")
-        best = study.best_trial
-        run = run_of(best, self.jobs.folder)
-        results = {
+        best = self.study.best_trial
+        run = self._run_of(best)
+        results: dict[str, Any] = {
             "name": "optuna",
             "best_params": best.params,
             "best_value": best.value,
@@ -357,6 +373,6 @@ class OptunaSearch:
         OmegaConf.save(OmegaConf.create(results), self.jobs.folder / "optimization_results.yaml")
         settings = " ".join(f"{key}={value}" for key, value in best.params.items())
         self.tell(
-            f"\nBest of {len(finished(study))} trials: {settings}, objective {best.value:.5f}.\n"
+            f"\nBest of {len(self._finished())} trials: {settings}, objective {best.value:.5f}.\n"
             f"Evaluate: {command('eval', '--checkpoint', run)}"
         )

@@ -60,12 +60,7 @@ def objective(best: dict[str, Any] | None, episodes: int, best_by: str = "succes
 
 
 def check_settings(given: Mapping[str, Any]) -> SearchSettings:
-    """Return the settings of a search.
-
-    Raises:
-        MissingExtraError: Optuna is not installed.
-        ConfigError: one of the settings is of the wrong type or out of bounds.
-    """
+    """Return the settings of a search."""
     try:
         import optuna
     except ImportError as error:
@@ -105,11 +100,7 @@ class Interval:
 def distributions(
     sampled: Mapping[str, Interval | Sequence[str]],
 ) -> dict[str, BaseDistribution]:
-    """Return the distribution of each key.
-
-    Raises:
-        ConfigError: there is nothing to sample, or a logarithmic interval reaches zero.
-    """
+    """Return the distribution of each key."""
     from optuna.distributions import CategoricalDistribution
 
     if not sampled:

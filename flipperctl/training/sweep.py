@@ -12,7 +12,7 @@ import csv
 import json
 import re
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -280,10 +280,6 @@ class Sweep:
             if (spent := time.monotonic() - begun) > _AT_ONCE:
                 times.append(spent)
         return results
-
-    def take_up(self, runs: Iterable[SweepRun]) -> None:
-        """Compare these runs, too, which were finished before."""
-        self.runs += runs
 
     def raise_errors(self) -> None:
         """Raise InterruptedRunError if the sweep was stopped, else the first error of a job."""

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks import learner as bench_learner
 from flipperctl import checkpoint
 from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.learner import Learner
 from flipperctl.agent.policy_gradient import PolicyGradient
 from flipperctl.agent.replay import Batch
 from flipperctl.api import Network
-from flipperctl.bench import learner as bench_learner
 from flipperctl.config import Agent, Teacher, resolver
 from flipperctl.core.risk import LAGS
-from tests.bench.small import check, small_bench
+from tests.benchmarks.small import check, small_benchmark
 from tests.short import short_config, trainer
 
 from .learners import ACTIONS, LAYOUT
@@ -99,7 +99,7 @@ def test_a_run_continues_on_either_device(first: str, then: str, tmp_path: Path)
 
 
 def test_its_updates_are_measured_beside_those_of_the_cpu() -> None:
-    bench = small_bench(batch_sizes=(16,))
+    bench = small_benchmark(batch_sizes=(16,))
     found = bench_learner.measure(
         type(bench)(bench.config.model_copy(update={"device": "cuda"}), bench.settings)
     )

@@ -19,7 +19,7 @@ RUN = {
     "train.workers": 2,  # forked from one server; a lone worker imports torch for each training
     "train.decisions": 300,
     "train.validation_episodes": 2,
-    "train.regret_episodes": 0,  # tests/cli/test_regret.py has its own
+    "train.regret_episodes": 0,  # tests/cli/test_rewards.py has its own
     "agent.learning_starts": 100,
     "agent.epsilon_decisions": 200,
 }

@@ -11,9 +11,6 @@ from pathlib import Path
 import pytest
 
 from flipperctl import checkpoint
-from flipperctl.results import holder
-from flipperctl.training import folder as run_folder
-from flipperctl.training.sweep import stop_of, stopping
 from flipperctl.training.trainer import Trainer
 from tests.cli.call import EXACT, Done, call
 from tests.long.forked import differences, result
@@ -46,6 +43,15 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("whole")
     done = sweep(folder, "hydra.sweep.dir=s w")
     assert done.code == 0, done.err
+    table = done.err[done.err.index("3 runs") :]
+    assert all(word in table for word in ("seed", "0_seed=1", "2_seed=3", "sweep.csv"))
+    with (folder / "s w" / "sweep.csv").open(newline="") as file:
+        first, *_ = csv.DictReader(file)
+    assert (first["job"], first["seed"], first["decisions"]) == ("0", "1", "100")
+    best = json.loads((folder / "s w" / "0_seed=1" / "summary.json").read_text())["best"]
+    assert (first["success_rate"], int(first["best_decision"])) == ("0.0", best["decision"])
+    for name in ("pitch_variation_100hz", "pitch_variation", "t_cost"):
+        assert first[name] == ""  # of those that reached the finish
     return folder / "s w"
 
 
@@ -149,25 +155,6 @@ def test_a_failing_run_costs_none_of_the_others(
     assert "the sensor burnt" in done.err.splitlines()[-1]
     expected = [("1", "finished"), ("2", "failed"), ("3", "finished")]
     assert states(tmp_path / "s") == expected
-
-
-def test_the_mark_of_a_stop_is_seen_by_jobs_and_removed(tmp_path: Path) -> None:
-    with stopping(tmp_path) as asked:
-        stop = stop_of(tmp_path, holder())
-        assert not asked()
-        assert not stop()
-        signal.raise_signal(signal.SIGINT)
-        assert asked()
-        assert stop()
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_differing_settings_have_both_values(whole: Path) -> None:
-    _, config = run_folder.read(whole / "0_seed=1")
-    other = config.model_copy(update={"seed": 7, "logger": {}})  # loggers do not change a run
-    assert run_folder.differing_settings(config, config) == []
-    assert run_folder.differing_settings(config, other) == ["seed: 1 there, 7 here"]
-    assert json.loads((whole / "0_seed=1" / "summary.json").read_text())["seed"] == 1
 
 
 def test_ctrl_c_before_the_first_run_begins_nothing(

@@ -1,14 +1,16 @@
-"""What every command has: help with examples, and plugins of files."""
+"""What every command has: help, plugins of files, options of one value, files that it keeps."""
 
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import typer
 import typer.main
 from rich.cells import cell_len
 
 from flipperctl.cli.main import app
-from tests.cli.call import GROUPS, SUBCOMMANDS, call
+from tests.cli.call import GROUPS, SUBCOMMANDS, call, refused
 
 
 @pytest.mark.parametrize("width", [80, 100])
@@ -43,3 +45,89 @@ def test_every_subcommand_takes_plugins(command: list[str], tmp_path: Path) -> N
     done = call(*arguments, cwd=tmp_path)
     assert done.code == 2
     assert "nowhere.py does not exist" in done.err
+
+
+def options() -> Iterator[tuple[str, ...]]:
+    """Each subcommand's options that take one value, with the words of the subcommand."""
+
+    def visit(command, path: tuple[str, ...]) -> Iterator[tuple[str, ...]]:
+        for name, inner in getattr(command, "commands", {}).items():
+            yield from visit(inner, (*path, name))
+        if path and not hasattr(command, "commands"):
+            for parameter in command.params:
+                flag = getattr(parameter, "is_flag", True)
+                if parameter.param_type_name == "option" and not (flag or parameter.multiple):
+                    yield (*path, parameter.opts[0])
+
+    yield from visit(typer.main.get_command(app), ())
+
+
+def test_an_option_given_twice_is_refused(tmp_path: Path) -> None:
+    every = set(options())
+    assert {("eval", "--controller"), ("train", "--resume"), ("inspect", "run", "--output")} < every
+    for *command, option in every:
+        error = refused(*command, option, "1", f"{option}=2", cwd=tmp_path)
+        assert f"{option} is given twice: 1 and 2; one is allowed" in error
+    twice = ["--baseline", "okada", "--baseline", "level"]
+    assert "--baseline okada,level" in refused("eval", "mpc", *twice, cwd=tmp_path)
+
+
+def test_a_resumed_training_takes_each_setting_once(short_run: Path, tmp_path: Path) -> None:
+    twice = ["train.decisions=700", "train.decisions=800"]
+    error = refused("train", "--resume", str(short_run), *twice, cwd=tmp_path)
+    assert "train.decisions is given twice" in error
+
+
+EVAL = ("eval", "--controller", "okada", "terrain=flat", "--episodes", "1")
+
+
+@pytest.mark.parametrize(
+    ("words", "suffix"),
+    [
+        ((*EVAL, "--film"), ".gif"),
+        ((*EVAL, "--record"), ".safetensors"),
+        (("replay", "failure.json", "--film"), ".gif"),
+        (("export", "onnx", "--checkpoint", "generalist", "--output"), ".onnx"),
+        (("export", "pt2", "--checkpoint", "generalist", "--output"), ".pt2"),
+        (("export", "mjcf", "terrain=flat", "--output"), ".xml"),
+        (("export", "urdf", "terrain=flat", "--output"), ".urdf"),
+        (("robot", "shadow", "policy.onnx", "bag", "--output"), ".jsonl"),
+        (("robot", "ground", "bag", "--output"), ".xyz"),
+        (("card", "generalist", "--output"), ".md"),
+        (("inspect", "terrain", "flat", "--output"), ".png"),
+        (("inspect", "run", "run", "--output"), ".svg"),
+        (("compare", "results", "--output"), ".pdf"),
+        (("compare", "results", "--output"), ".tex"),
+        (("robot", "check", "bag", "--output"), ".gif"),
+    ],
+    ids=lambda value: None if isinstance(value, str) else " ".join(value[:2]),
+)
+def test_a_file_of_the_users_is_kept(words: tuple[str, ...], suffix: str, tmp_path: Path) -> None:
+    mine, plugin = tmp_path / f"mine{suffix}", tmp_path / "plugin.py"
+    for file in (mine, plugin):
+        file.write_text("of the user")
+    kept = call(*words, mine.name, cwd=tmp_path)
+    assert kept.code == 2
+    assert f"mine{suffix} exists and is kept" in kept.err
+    wrong = call(*words, plugin.name, cwd=tmp_path)
+    assert wrong.code == 2
+    assert "the suffix is '.py'" in wrong.err
+    assert {file.read_text() for file in (mine, plugin)} == {"of the user"}
+    assert len(list(tmp_path.iterdir())) == 2
+
+
+@pytest.mark.parametrize("name", ["failure_flat_3.json", "summary.json", "cells.csv", "table.tex"])
+def test_a_folder_of_results_keeps_files_of_the_users(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text('{"scenes": "of the user"}')
+    done = call(*EVAL, "--output", ".", cwd=tmp_path)
+    assert done.code == 2
+    assert f"{name} is not of an earlier result" in done.err
+    assert (tmp_path / name).read_text() == '{"scenes": "of the user"}'
+
+
+def test_a_training_keeps_the_results_in_its_folder(tmp_path: Path) -> None:
+    (tmp_path / "summary.json").write_text("of an evaluation")
+    done = call("train", "terrain=flat", "experiment=quick", "hydra.run.dir=.", cwd=tmp_path)
+    assert done.code == 2
+    assert "summary.json is not of a run" in done.err
+    assert (tmp_path / "summary.json").read_text() == "of an evaluation"

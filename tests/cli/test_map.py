@@ -1,11 +1,13 @@
-"""``flipperctl map``."""
+"""``map``, ``replay``, engines and ``--passable``."""
 
 import csv
 import json
 from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
 
+from flipperctl.api import Robot
 from flipperctl.errors import WriteError
 from flipperctl.evaluation.workers import EpisodeRunner
 from tests.cli.call import call, refused
@@ -58,38 +60,117 @@ def test_a_full_disk_does_not_lose_the_map(tmp_path: Path, monkeypatch: pytest.M
     assert "writing failed half way" in done.err.splitlines()[-1]
 
 
-def test_two_processes_make_the_map_of_one(tmp_path: Path) -> None:
-    words = ("terrain.height=0.3:0.4:2,episode.run_out=0.2:0.4:2", "episode.run_up=0.8", "--json")
-    one, two = (call(*MAP, *words, "--jobs", jobs, cwd=tmp_path) for jobs in ("1", "2"))
-    assert one.code == two.code == 0
-    assert len(json.loads(one.out)["cells"]) == 4
-    assert one.out == two.out
+LEVEL = ("eval", "level", "terrain=step", "terrain.low=0.4", "terrain.high=0.4", "--episodes", "1")
+RECORD = "found/failure_step_0.json"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ([], "name two settings, as in --over terrain.height="),
-        (["--over", "terrain.hight,sim.friction"], "did you mean 'terrain.height_low'"),
-        (["--over", "terrain.height=0.1:2,sim.friction"], "terrain.height_low"),
-        (["--over", "terrain.height,sim.iterations=7:7.3:2"], "two different values are needed"),
-        (["--over", AXES, "suite=paper"], "suite=…: map takes one scene"),
-        (["--over", AXES, "eval.ray=auto"], "eval.ray: a map is played here"),
-        (["--over", AXES, "sim=planar,mujoco"], "map takes one scene; the settings give 2"),
-        (["--over", AXES, "generalist"], "map takes one policy; okada, generalist are given"),
-    ],
-)
-def test_a_wrong_request_is_one_error(arguments: list[str], words: str, tmp_path: Path) -> None:
-    error = refused("map", "okada", "terrain=uplift", *arguments, cwd=tmp_path)
-    assert words in error
-    assert error.count("\n") == 1
+def test_a_failure_is_recorded_and_played_again_with_pictures_of_its_robot(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The robot is sampled; a nominal one would hover above the ground or lie in it."""
+    drawn = []
 
+    def figure(
+        states: object, profile: object, robot: Robot, *rest: object, **more: object
+    ) -> Figure:
+        drawn.append(robot.track_radius)
+        return Figure()
 
-def test_a_map_tells_where_a_controller_changes(tmp_path: Path) -> None:
-    """The learned values of ``mpc`` fit its robot alone."""
-    axes = "robot.flipper_length=0.5:0.6:2,sim.friction=0.9:1:2"
-    words = ("controller.beam=1", "controller.horizon=1", "--episodes", "1")
-    done = call("map", "mpc", "terrain=flat", *words, "--over", axes, cwd=tmp_path)
+    for module in ("flipperctl.evaluation.pictures", "flipperctl.figures.episode"):
+        monkeypatch.setattr(f"{module}.episode_figure", figure)
+    size = "randomise.robot.size=[0.8,0.8]"
+    done = call(*LEVEL, size, "--output", "found", cwd=tmp_path)
+    assert done.code == 0
+    assert f"recorded a failure; to play the first again: flipperctl replay {RECORD}" in done.err
+    done = call("replay", RECORD, "--output", "again", cwd=tmp_path)
     assert done.code == 0, done.err
-    assert "in a part of the map, such as robot.flipper_length=0." in done.err
-    assert "plans have the hand-set cost instead" in done.err
+    assert "bit-identical to the recorded episode" in done.out
+    assert drawn == pytest.approx([0.8 * Robot().track_radius] * 2)
+    assert (tmp_path / "again/replay.png").read_bytes().startswith(b"\x89PNG")
+    assert json.loads((tmp_path / "again/replay.json").read_text())["identical"] is True
+
+    record = json.loads((tmp_path / RECORD).read_text())
+    (tmp_path / "wrong.json").write_text(json.dumps(record | {"digest": "0"}))
+    done = call("replay", "wrong.json", cwd=tmp_path)
+    assert done.code == 1
+    assert "wrong.json: the episode differs from the recorded one: digest" in done.err
+
+
+def test_settings_of_a_replay_are_those_of_the_record(tmp_path: Path) -> None:
+    assert "sim.friction=2" in refused("replay", "failure.json", "sim.friction=2", cwd=tmp_path)
+
+
+HIGH = ("terrain=step", "terrain.low=0.4", "terrain.high=0.4", "sim.friction=0.6")
+
+
+def test_engines_stand_side_by_side_and_failures_have_causes_and_records(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("flipperctl.evaluation.pictures.draw_scenes", lambda *given: None)
+    asked = ("eval", "okada", "sim=planar,mujoco", *HIGH, "--episodes", "1", "--output", "out")
+    done = call(*asked, cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert "planar → mujoco" in done.out
+    assert "step, episode 0: traction (stuck after " in done.out
+    document = json.loads((tmp_path / "out" / "summary.json").read_text())
+    names = [scene["conditions"]["sim"]["name"] for scene in document["scenes"]]
+    assert names == ["planar", "mujoco"]
+    assert document["engines"][0]["causes"] == {"traction": 1}
+    records = sorted((tmp_path / "out").glob("failure_*_0.json"))
+    sims = [json.loads(file.read_text())["config"]["sim"]["name"] for file in records]
+    assert sorted(sims) == ["mujoco", "planar"]
+    monkeypatch.setattr(EpisodeRunner, "play", lambda self, index: 1 / 0)
+    again = call(*asked, "--json", cwd=tmp_path)  # nothing is played a second time
+    assert json.loads(again.out) == document
+
+
+# A step of 0.9 m that no controller crosses, or one of 0.1 m that the others cross.
+WALL = "terrain.parts=[{name:step,low:0.9,high:0.9},{name:step,low:0.1,high:0.1}]"
+FEW = ["--episodes", "6", "terrain=mix", WALL, "sim.friction=0.8"]
+
+
+def test_a_draw_that_nobody_crosses_counts_against_nobody(tmp_path: Path) -> None:
+    asked = ("eval", "level", "--passable", "okada,random", *FEW)
+    done = call(*asked, "--json", "--output", "evaluated", cwd=tmp_path)
+    assert done.code == 0, done.err
+    (scene,) = json.loads(done.out)["scenes"]
+    text = (tmp_path / "evaluated" / "episodes.csv").read_text()
+    rows = list(csv.DictReader(text.splitlines()))
+    crossed = [row for row in rows if row["crossed_by"]]
+    assert 0 < len(crossed) < 6
+    assert {row["crossed_by"] for row in crossed} <= {"okada", "random"}
+    assert scene["passable"]["episodes"] == len(crossed)
+    assert scene["passable"]["success_rate"] == pytest.approx(
+        sum(row["outcome"] == "reached" for row in crossed) / len(crossed)
+    )
+    others = [row for row in rows if not row["crossed_by"]]
+    beyond = sum(row["outcome"] == "reached" for row in others)
+    assert scene["passable"]["beyond"] == beyond
+    done = call(*asked, "--output", "evaluated", cwd=tmp_path)
+    assert "of passable" in done.out.splitlines()[1]
+
+
+FAILS = """
+from flipperctl.api import Controller, Perception, controller
+
+@controller("fails")
+class Fails(Controller):
+    \"\"\"A rule that fails.\"\"\"
+
+    def act(self, p: Perception) -> int:
+        raise ValueError("boom")
+"""
+
+
+def test_a_reference_that_fails_leaves_it_unknown(tmp_path: Path) -> None:
+    (tmp_path / "fails.py").write_text(FAILS)
+    settings = ("--plugins", "fails.py", "--passable", "fails,okada", "--episodes", "1")
+    done = call(
+        *("eval", "level", "--baseline", "none", *settings, "terrain=flat"),
+        *("--json", "--output", "evaluated"),
+        cwd=tmp_path,
+    )
+    assert "fails failed" in done.err
+    (scene,) = json.loads(done.out)["scenes"]
+    assert "passable" not in scene
+    assert "crossed_by" not in (tmp_path / "evaluated" / "episodes.csv").read_text()

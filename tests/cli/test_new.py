@@ -1,4 +1,4 @@
-"""``flipperctl new``: what it writes works as it is, and nothing is ever overwritten."""
+"""``flipperctl new``: what it writes works as it is; ``inspect plugins --check``."""
 
 import json
 import os
@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.call import RUN, Done, call, refused
+from tests.cli.call import EXACT, Done, call, refused
 
 ROOT = Path(__file__).parents[2]
 KINDS = ("terrain", "reward", "network", "controller", "engine", "sensor", "measure", "logger")
-QUICK = [f"{key}={value}" for key, value in RUN.items()]
+QUICK = [f"{key}={value}" for key, value in EXACT.items()]
 
 
 @pytest.fixture(scope="module")
@@ -59,23 +59,6 @@ def test_what_is_new_passes_the_conformance_suite(
     assert f"{shown} my_{kind}" in done.out
 
 
-@pytest.mark.parametrize(
-    ("kind", "arguments"),
-    [
-        ("reward", ["inspect", "reward", "+reward@rewards.mine=my_reward", "terrain=step"]),
-        ("network", ["inspect", "config", "network=my_network"]),
-        ("controller", ["eval", "--controller", "my_controller", "terrain=step"]),
-        ("engine", ["eval", "--controller", "okada", "sim=my_engine", "terrain=step"]),
-        ("measure", ["eval", "--controller", "okada", "terrain=step"]),
-        ("sensor", ["eval", "--controller", "okada", "perception=my_sensor", "terrain=step"]),
-    ],
-)
-def test_what_is_new_is_usable_at_once(kind: str, arguments: list[str], folder: Path) -> None:
-    short = [] if "config" in arguments else ["--episodes", "1"]
-    done = call(*arguments, *short, "--plugins", f"my_{kind}.py", cwd=folder)
-    assert done.code == 0, done.err
-
-
 def test_a_package_passes_its_own_tests(folder: Path) -> None:
     clean = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST")}
     command = [sys.executable, "-m", "pytest", "flipperctl_our_reward"]
@@ -86,11 +69,10 @@ def test_a_package_passes_its_own_tests(folder: Path) -> None:
 
 def test_what_is_new_is_linted_formatted_and_typed(folder: Path) -> None:
     config = str(ROOT / "pyproject.toml")
-    for package in (folder, *folder.glob("flipperctl_our_*")):
-        for command in (["check"], ["format", "--check"]):
-            ruff = [sys.executable, "-m", "ruff", *command, "--no-cache", "--config", config, "."]
-            done = subprocess.run(ruff, cwd=package, capture_output=True, text=True)
-            assert done.returncode == 0, done.stdout + done.stderr
+    for command in (["check"], ["format", "--check"]):
+        ruff = [sys.executable, "-m", "ruff", *command, "--no-cache", "--config", config, "."]
+        done = subprocess.run(ruff, cwd=folder, capture_output=True, text=True)
+        assert done.returncode == 0, done.stdout + done.stderr
     # From the root, so that the cache of the project's own check is used; the examples with them.
     examples = (ROOT / "examples").glob("*/src/*/[!_]*.py")
     files = [str(file) for file in (*folder.glob("my_*.py"), *examples)]
@@ -109,33 +91,40 @@ def test_nothing_is_overwritten(option: list[str], tmp_path: Path) -> None:
     assert made.read_text() == "changed"
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["terian", "mine"], ["'terian'", "'terrain'"]),
-        (["terrain", "My Own"], ["'My Own'", "lower-case letters"]),
-        (["terrain", "class"], ["'class'", "word of Python"]),
-        (["terrain", "null"], ["'null'", "word of YAML"]),
-        (["reward", "signal"], ["'signal'", "standard library", "signal_reward is free"]),
-        (["terrain", "torch"], ["'torch'", "the package torch", "torch_terrain is free"]),
-        (["network", "flipperctl", "--package"], ["'flipperctl'", "flipperctl_network is free"]),
-        (["terrain", "stair"], ["'stair'", "already", "stair.py:"]),
-        (["engine", "planar"], ["engine plugin 'planar'", "already", "engine.py:"]),
-        (["sensor", "planar"], ["sensor plugin 'planar'", "already", "sensing.py:"]),
-        (["terrain", "mine", "--output", "file"], ["file", "cannot be written"]),
-        (["terrain", "mine", "--package", "--output", "file"], ["file", "cannot be written"]),
-    ],
-    ids=" ".join,
-)
-def test_a_wrong_request_is_named(arguments: list[str], words: list[str], tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("")
-    error = refused("new", *arguments, cwd=tmp_path)
-    assert [word for word in words if word not in error] == [], error
+WALL = '''
+from pydantic import Field
+from flipperctl.api import Profile, Terrain, terrain
+
+@terrain("wall")
+class Wall(Terrain):
+    """A wall."""
+    height: float = Field(0.2, ge=0, le=30, description="height [m]")
+
+    def generate(self, rng):
+        return Profile([(0, 0), (0, self.height)])
+'''
 
 
-def test_a_name_that_the_contract_uses_makes_another_class(tmp_path: Path) -> None:
-    for name, cls in (("outcome", "OutcomeTerrain"), ("none", "NoneTerrain"), ("a_b", "AB")):
-        assert call("new", "terrain", name, "--output", "here", cwd=tmp_path).code == 0
-        assert f"class {cls}(Terrain)" in (tmp_path / "here" / f"{name}.py").read_text()
-    done = call("inspect", "plugins", "outcome", "--plugins", "here", cwd=tmp_path)
-    assert done.code == 0, done.err
+def test_a_plugin_that_fails_is_named_with_check_and_value(tmp_path: Path) -> None:
+    (tmp_path / "wall.py").write_text(WALL)
+    check = ["inspect", "plugins", "wall", "--check", "--plugins", "wall.py"]
+    done = call(*check, cwd=tmp_path)
+    assert done.code == 1
+    assert done.err == "error: 1 of 10 checks failed: terrain wall (extent)\n"
+    assert "with height=30: it reaches 30 m" in " ".join(done.out.split())
+    rows = {row["check"]: row for row in json.loads(call(*check, "--json", cwd=tmp_path).out)}
+    assert [name for name, row in rows.items() if not row["ok"]] == ["extent"]
+    assert "20 m is allowed" in rows["extent"]["message"]
+    assert rows["start"]["seconds"] > 0
+
+
+def test_a_plugin_that_would_leave_fails_its_checks_with_file_and_line(tmp_path: Path) -> None:
+    line = "        raise SystemExit(0)\n"
+    (tmp_path / "wall.py").write_text(WALL.rpartition("        return")[0] + line)
+    check = ["inspect", "plugins", "wall", "--check", "--json", "--plugins", "wall.py"]
+    done = call(*check, cwd=tmp_path)
+    assert done.code == 1
+    rows = {row["check"]: row for row in json.loads(done.out)}
+    where = f"SystemExit: 0 ({tmp_path / 'wall.py'}:11)"
+    assert where in rows["draws"]["message"]
+    assert rows["documented"]["ok"]

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.call import RUN, call, refused
+from tests.cli.call import EXACT, call, refused
 
-QUICK = [f"{key}={value}" for key, value in RUN.items()]
+QUICK = [f"{key}={value}" for key, value in EXACT.items()]
 
 HEADER = """
 import numpy as np
@@ -54,12 +54,6 @@ def test_a_plugin_that_sets_its_own_settings_is_told_what_to_do(tmp_path: Path) 
     assert "pydantic" not in error
 
 
-def test_a_plugin_file_without_its_suffix_or_its_option_is_found(tmp_path: Path) -> None:
-    (tmp_path / "odd.py").write_text(TERRAIN.format(points="[(0, 0)]"))
-    assert "did you mean odd.py?" in refused("train", "--plugins", "odd", cwd=tmp_path)
-    assert "odd.py is loaded by --plugins odd.py" in refused("train", "terrain=odd", cwd=tmp_path)
-
-
 def test_ground_that_fails_for_some_seeds_alone_names_the_seed(tmp_path: Path) -> None:
     points = "[(0, 0), (1, 0.1 if rng.random() < 0.7 else float('nan'))]"
     (tmp_path / "odd.py").write_text(TERRAIN.format(points=points))
@@ -69,11 +63,6 @@ def test_ground_that_fails_for_some_seeds_alone_names_the_seed(tmp_path: Path) -
     seed = error.rpartition("; the episode's seed is ")[2].strip()
     repeat = ["inspect", "terrain", "odd", "--seed", seed, "--draws", "1"]
     assert refused(*repeat, *mine, cwd=tmp_path) == error
-
-
-def test_a_terrain_that_starts_in_the_robot_is_refused(tmp_path: Path) -> None:
-    arguments = ["--controller", "level", "terrain=step", "terrain.low=0.3", "episode.run_up=0.2"]
-    assert "overlaps the robot at the start" in refused("eval", *arguments, cwd=tmp_path)
 
 
 @pytest.mark.filterwarnings("ignore:Field name:UserWarning")

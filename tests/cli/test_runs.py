@@ -1,4 +1,4 @@
-"""Run directories: held by one process, and resumed from all that a kill can leave."""
+"""Run directories: held by one process, refused, and resumed from all that a kill can leave."""
 
 import json
 import re
@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from flipperctl import checkpoint
-from flipperctl.cli.hydra.sweeps import UNNAMED
+from flipperctl.errors import ConfigError
 from flipperctl.results import hold
 from flipperctl.training import folder as run_folder
 from flipperctl.training import sweep
@@ -23,8 +23,9 @@ from tests.long.forked import differences, result
 
 pytestmark = pytest.mark.slow
 
-SHORT = {**EXACT, "train.decisions": 200, "train.validate_every": 90}
+SHORT = {**EXACT, "train.decisions": 120, "train.validate_every": 50, "agent.learning_starts": 50}
 QUICK = ["terrain=step", *(f"{key}={value}" for key, value in SHORT.items())]
+RESUME = ["--resume", "run", "train.decisions=400"]
 
 
 @pytest.fixture(scope="module")
@@ -37,22 +38,23 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "a run"
 
 
+@pytest.fixture
+def run(whole: Path, tmp_path: Path) -> Path:
+    """A copy of the run."""
+    return Path(shutil.copytree(whole, tmp_path / "run"))
+
+
 def files(folder: Path) -> dict[Path, bytes]:
     return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-@pytest.mark.parametrize("command", ["start", "resume"])
+@pytest.mark.parametrize("words", [["hydra.run.dir=run", *QUICK], RESUME], ids=["start", "resume"])
 def test_a_run_that_is_being_trained_is_left_alone(
-    command: str, whole: Path, tmp_path: Path
+    words: list[str], run: Path, tmp_path: Path
 ) -> None:
-    run = Path(shutil.copytree(whole, tmp_path / "run"))
     with hold(run):
         before = files(run)
-        arguments = {
-            "start": ["hydra.run.dir=run", *QUICK],
-            "resume": ["--resume", "run", "train.decisions=400"],
-        }[command]
-        done = call("train", *arguments, cwd=tmp_path)
+        done = call("train", *words, cwd=tmp_path)
         assert (done.code, len(done.err.splitlines())) == (2, 1), done.err
         assert "run is being trained by process" in done.err
         assert files(run) == before
@@ -65,20 +67,15 @@ def _nothing(run: Path) -> None:
     (run / "checkpoints/.last.safetensors.123-0123abcd.part").write_bytes(b"half")
 
 
-def _no_summary(run: Path) -> None:
-    """Killed after the last checkpoint."""
-
-
 def _half_a_row(run: Path) -> None:
     with (run / "metrics.csv").open("a") as file:
         file.write("episode,2")
 
 
-@pytest.mark.parametrize("leave", [_nothing, _no_summary, _half_a_row])
+@pytest.mark.parametrize("leave", [_nothing, _half_a_row])
 def test_a_run_goes_on_from_whatever_a_kill_leaves(
-    leave: Callable[[Path], None], whole: Path, tmp_path: Path
+    leave: Callable[[Path], None], run: Path, whole: Path, tmp_path: Path
 ) -> None:
-    run = Path(shutil.copytree(whole, tmp_path / "run"))
     (run / "summary.json").unlink()
     leave(run)
     begins = not (run / checkpoint.LAST).exists()
@@ -90,23 +87,54 @@ def test_a_run_goes_on_from_whatever_a_kill_leaves(
     assert ("it begins again" in done.err) == begins
     assert differences(run, result(whole)) == []
     assert list(run.rglob("*.part")) == []
-    again = call("train", "--resume", "run", cwd=tmp_path)
-    assert "nothing left to do" in again.err
 
 
-@pytest.mark.parametrize("config", [True, False])
-def test_a_run_whose_last_checkpoint_was_deleted_is_kept(
-    config: bool, whole: Path, tmp_path: Path
+def _damage(run: Path, name: str, text: bytes) -> None:
+    (run / name).write_bytes((run / name).read_bytes() + text)
+
+
+@pytest.mark.parametrize(
+    ("arrange", "resumed", "text"),
+    [
+        (lambda run: (run / checkpoint.LAST).unlink(), "run", "lacks checkpoints/last.safetensors"),
+        (
+            lambda run: [(run / name).unlink() for name in (checkpoint.LAST, "config.yaml")],
+            "run",
+            "lacks checkpoints/last.safetensors, from which it would be resumed",
+        ),
+        (lambda run: _damage(run, "metrics.csv", b"\xff"), "run", "run/metrics.csv is damaged"),
+        (
+            lambda run: [shutil.rmtree(run / "checkpoints"), _damage(run, "config.yaml", b"a: [")],
+            "run",
+            "run/config.yaml is damaged",
+        ),
+        (
+            lambda run: [
+                run.rename(run.with_name("x")),
+                run.mkdir(),
+                (run / "config.yaml").touch(),
+            ],
+            "run",
+            "must be started again",  # no checkpoint, so there is nothing to lose
+        ),
+        (lambda run: run.rename(run.with_name(".hydra")), ".hydra", "must be started again"),
+        (
+            lambda run: shutil.copy(run / checkpoint.LAST, run.with_name("my.safetensors")),
+            "my.safetensors",
+            "does not lie in a run directory",
+        ),
+    ],
+)
+def test_what_cannot_be_resumed_says_why_and_is_kept(
+    arrange: Callable[[Path], object], resumed: str, text: str, run: Path, tmp_path: Path
 ) -> None:
-    run = Path(shutil.copytree(whole, tmp_path / "run"))
-    (run / checkpoint.LAST).unlink()  # the largest file of a run
-    if not config:
-        (run / "config.yaml").unlink()
-    before = files(run)
-    done = call("train", "--resume", "run", "train.decisions=400", cwd=tmp_path)
+    arrange(run)
+    before = files(tmp_path)
+    done = call("train", "--resume", resumed, "train.decisions=400", cwd=tmp_path)
     assert (done.code, len(done.err.splitlines())) == (2, 1)
-    assert "lacks checkpoints/last.safetensors, from which it would be resumed" in done.err
-    assert files(run) == before
+    assert text in done.err
+    config = tmp_path / "run" / "config.yaml"  # it may have the new budget
+    assert files(tmp_path) | {config: b""} == before | {config: b""}
 
 
 def test_a_run_that_started_from_another_needs_it_no_more(
@@ -127,59 +155,6 @@ def test_a_run_that_started_from_another_needs_it_no_more(
     assert differences(stopped, result(tmp_path / "run")) == []
 
 
-def test_hydras_record_is_no_run(whole: Path, tmp_path: Path) -> None:
-    record = tmp_path / "run" / ".hydra"
-    record.mkdir(parents=True)
-    shutil.copy(whole / "config.yaml", record)
-    for folder in ("run", "run/.hydra"):
-        done = call("train", "--resume", folder, cwd=tmp_path)
-        assert (done.code, len(done.err.splitlines())) == (2, 1)
-        assert "must be started again" in done.err
-
-
-def test_damaged_metrics_are_named(whole: Path, tmp_path: Path) -> None:
-    run = Path(shutil.copytree(whole, tmp_path / "run"))
-    with (run / "metrics.csv").open("ab") as file:
-        file.write(b"\xff")
-    done = call("train", "--resume", "run", "train.decisions=400", cwd=tmp_path)
-    assert (done.code, len(done.err.splitlines())) == (2, 1)
-    assert "run/metrics.csv is damaged" in done.err
-    (run / "metrics.csv").unlink()
-    assert call("train", "--resume", "run", "train.decisions=400", cwd=tmp_path).code == 0
-
-
-def test_a_folder_without_a_run_is_started_anew(tmp_path: Path) -> None:
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run" / "config.yaml").write_text("")  # and no checkpoint: nothing to lose
-    done = call("train", "--resume", "run", cwd=tmp_path)
-    assert (done.code, len(done.err.splitlines())) == (2, 1)
-    assert "must be started again" in done.err
-    assert call("train", *QUICK, "hydra.run.dir=run", cwd=tmp_path).code == 0
-
-
-def test_a_config_that_is_damaged_says_so(tmp_path: Path) -> None:
-    (tmp_path / "run").mkdir()
-    (tmp_path / "run" / "config.yaml").write_text("terrain: [")
-    done = call("train", "--resume", "run", cwd=tmp_path)
-    assert (done.code, len(done.err.splitlines())) == (2, 1)
-    assert "run/config.yaml is damaged" in done.err
-
-
-def test_the_written_configuration_is_the_one_that_is_read(whole: Path, tmp_path: Path) -> None:
-    run = Path(shutil.copytree(whole, tmp_path / "run"))
-    saved, config = run_folder.read(run)
-    assert saved is not None
-    (run / checkpoint.LAST).unlink()
-    assert run_folder.read(run) == (None, config)
-
-
-def test_a_checkpoint_outside_of_a_run_is_no_run(whole: Path, tmp_path: Path) -> None:
-    shutil.copy(whole / checkpoint.LAST, tmp_path / "mine.safetensors")
-    done = call("train", "--resume", "mine.safetensors", cwd=tmp_path)
-    assert (done.code, len(done.err.splitlines())) == (2, 1)
-    assert "does not lie in a run directory" in done.err
-
-
 def test_a_run_directory_that_is_deleted_is_one_clear_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -191,22 +166,17 @@ def test_a_run_directory_that_is_deleted_is_one_clear_error(
 
     monkeypatch.setattr(Trainer, "_validate", delete)
     done = call("train", *QUICK, "hydra.run.dir=run", cwd=tmp_path)
-    assert done.code == 1
-    assert len(done.err.splitlines()) == 1
+    assert (done.code, len(done.err.splitlines())) == (1, 1)
     assert "run was deleted or moved while the run was training" in done.err
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(
-    "arguments",
-    [["--version"], ["--help"], ["inspect", "config"], ["inspect", "config", "--json"]],
-    ids=" ".join,
-)
-def test_an_output_that_is_full_is_one_clear_error(arguments: list[str]) -> None:
+@pytest.mark.parametrize("words", [["--help"], ["inspect", "config", "--json"]], ids=" ".join)
+def test_an_output_that_is_full_is_one_clear_error(words: list[str]) -> None:
     if not Path("/dev/full").exists():
         pytest.skip("this system has no device that is always full")
     with Path("/dev/full").open("w") as full:
-        command = [sys.executable, "-m", "flipperctl", *arguments]
+        command = [sys.executable, "-m", "flipperctl", *words]
         done = subprocess.run(
             command, stdout=full, stderr=subprocess.PIPE, text=True, check=False, timeout=60
         )
@@ -216,18 +186,11 @@ def test_an_output_that_is_full_is_one_clear_error(arguments: list[str]) -> None
 
 def test_folders_are_named_after_what_is_swept() -> None:
     assert folder_name(3, {"seed": "1", "terrain": "step"}) == "3_seed=1,terrain=step"
-    assert (
-        folder_name(0, {"agent.learning_rate": "0.00031234567"})
-        == "0_agent.learning_rate=0.00031235"
-    )
+    rate = folder_name(0, {"agent.learning_rate": "0.00031234567"})
+    assert rate == "0_agent.learning_rate=0.00031235"
     odd = folder_name(12, {"terrain.path": "../a b/'c'.csv", "train.x": "[1,2]"})
     assert odd == "12_terrain.path=.._a_b_c_.csv,train.x=_1,2_"
     assert len(folder_name(1, {f"agent.key{i}": "value" for i in range(40)})) == 120
-
-
-def test_the_name_that_gives_way_is_the_one_that_is_configured() -> None:
-    configured = (Path(__file__).parents[2] / "configs" / "train.yaml").read_text()
-    assert f"subdir: {UNNAMED}\n" in configured
 
 
 def test_a_sweep_tells_of_runs_that_failed_and_keeps_a_folder_of_the_users(
@@ -235,35 +198,23 @@ def test_a_sweep_tells_of_runs_that_failed_and_keeps_a_folder_of_the_users(
 ) -> None:
     monkeypatch.setattr(sweep, "_AT_ONCE", 0.0)  # the first fails at once
     (tmp_path / "0").mkdir()
-    options = ["hydra.sweep.dir=.", "hydra.sweep.subdir=${hydra.job.num}"]
-    shutil.copytree(tmp_path / "0", tmp_path / "copy")
     (tmp_path / "0" / "config.yaml").write_text("mine")
+    options = ["hydra.sweep.dir=.", "hydra.sweep.subdir=${hydra.job.num}"]
     done = call("train", "-m", *QUICK, "seed=1,2", *options, cwd=tmp_path)
     assert done.code == 2
     assert "Error executing job" not in done.err
     assert "run 1 of 2\n" in done.err
     assert re.search(r"run 2 of 2; about \d+ s left for all", done.err)
-    assert done.err.splitlines()[-1].startswith("error: ")
     assert "0/config.yaml: its configuration does not fit" in done.err.splitlines()[-1]
     table = (tmp_path / "sweep.csv").read_text()
-    assert "failed" in table
-    assert "finished" in table
+    assert all(state in table for state in ("failed", "finished"))
     assert json.loads((tmp_path / "1" / "summary.json").read_text())["finished"] is True
     assert (tmp_path / "0" / "config.yaml").read_text() == "mine"
 
 
-def test_two_sweeps_do_not_share_a_folder(tmp_path: Path) -> None:
-    with hold(tmp_path, "sweep"):
-        before = files(tmp_path)
-        done = call("train", "-m", *QUICK, "seed=1,2", "hydra.sweep.dir=.", cwd=tmp_path)
-        assert (done.code, len(done.err.splitlines())) == (2, 1), done.err
-        assert files(tmp_path) == before
-
-
 def test_a_policy_that_no_validation_chose_is_evaluated_with_a_word(
-    whole: Path, tmp_path: Path
+    run: Path, tmp_path: Path
 ) -> None:
-    run = Path(shutil.copytree(whole, tmp_path / "run"))
     evaluate = ["eval", "--checkpoint", "run", "--episodes", "1", "--json"]
     assert "no validation" not in call(*evaluate, cwd=tmp_path).err
     (run / checkpoint.BEST).unlink()
@@ -271,3 +222,49 @@ def test_a_policy_that_no_validation_chose_is_evaluated_with_a_word(
     assert done.code == 0, done.err
     (line,) = (line for line in done.err.splitlines() if "validation" in line)
     assert line.startswith("run: no validation has chosen a best policy yet; this is the last one")
+
+
+RUN = ["train", *QUICK, "hydra.run.dir=run"]
+
+
+@pytest.mark.slow
+def test_what_is_refused_before_its_first_decision_leaves_nothing_of_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As by a teacher's file that is removed between the check of the request and the run."""
+
+    def vanished(*given: object) -> None:
+        raise ConfigError("teacher.episodes: gone")
+
+    (tmp_path / "run").mkdir()
+    (tmp_path / "run" / "notes.txt").write_text("mine")
+    with monkeypatch.context() as context:
+        context.setattr("flipperctl.training.trainer.add_recorded", vanished)
+        assert call(*RUN, cwd=tmp_path).code == 2
+    assert [path.name for path in (tmp_path / "run").iterdir()] == ["notes.txt"]
+    done = call(*RUN, cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert (tmp_path / "run" / checkpoint.BEST).is_file()
+
+
+@pytest.mark.long
+def test_a_cluster_that_does_not_answer_leaves_nothing(tmp_path: Path) -> None:
+    pytest.importorskip("ray")
+    words = [word for word in RUN if word != "train.mode=exact"]
+    done = call(*words, "collector=ray", "collector.address=127.0.0.1:1", cwd=tmp_path)
+    assert (done.code, len(done.err.splitlines())) == (2, 1), done.err
+    assert "collector.address: no Ray cluster answers at '127.0.0.1:1'" in done.err
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_what_fails_after_a_decision_keeps_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(self: Trainer, collector: object) -> bool:
+        raise ConfigError("refused in the middle")
+
+    monkeypatch.setattr(Trainer, "_validate", refused)
+    done = call(*RUN, cwd=tmp_path)
+    assert done.code == 2, done.err
+    assert (tmp_path / "run" / checkpoint.LAST).is_file()

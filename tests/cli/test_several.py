@@ -1,10 +1,12 @@
-"""``eval`` of several policies: one table, the same episodes, and only what is not there yet."""
+"""``eval`` of several policies and of sweeps: one table, equal episodes, what is missing alone."""
 
 import csv
 import hashlib
 import json
 from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,11 +16,11 @@ from flipperctl.cli.plan import make_plan
 from flipperctl.config import EnvConfig
 from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.plan import Plan
-from flipperctl.evaluation.policies import entrants
+from flipperctl.evaluation.policies import _swept, entrants
 from flipperctl.evaluation.rows import Row
 from flipperctl.evaluation.workers import EpisodeRunner
 from flipperctl.policies.source import PolicySource
-from tests.cli.call import Done, call, refused
+from tests.cli.call import Done, call
 
 FLAT = ("terrain=flat", "terrain.length=0.2", "--episodes", "3", "--json")
 
@@ -107,17 +109,6 @@ def test_the_best_stored_policy_is_ranked_on_the_episodes_of_each_scene(tmp_path
     assert "best known (okada)" in done.out
 
 
-def test_the_best_stored_policy_stands_below_the_rows_of_its_seed(tmp_path: Path) -> None:
-    words = ("terrain=stair", "eval.seed=0,1", "eval.episodes=2", "--output", "out")
-    assert call("eval", "level", *words, cwd=tmp_path).code == 0
-    rivals = ("eval", "random,okada", "--baseline", "random")
-    done = call(*rivals, *words, "--json", cwd=tmp_path)
-    assert done.code == 0, done.err
-    rows = [(row["seed"], row.get("method", "")) for row in json.loads(done.out)["scenes"]]
-    assert [seed for seed, _ in rows] == sorted(seed for seed, _ in rows)
-    assert [seed for seed, method in rows if method == "best known (level)"] == [0, 1]
-
-
 def test_a_checkpoint_that_fails_within_a_suite_leaves_the_others(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -141,29 +132,6 @@ def test_a_checkpoint_that_fails_within_a_suite_leaves_the_others(
     monkeypatch.setattr(PolicySource, "build", build)
     again = call("eval", "random,okada", *FLAT, "--output", "out", cwd=tmp_path)
     assert methods(again) == ["random", "okada", "level"]
-
-
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (["--controller", "okada,"], "names between commas are allowed"),
-        (["okada,levle"], "did you mean 'level'?"),
-        (["okada,level", "--baseline", ",x"], "--baseline: names between commas"),
-        (["okada,level", "--record", "e.safetensors"], "--record takes one policy"),
-        (
-            ["level", "--record", "e.safetensors", "eval.ray=auto"],
-            "eval.ray: no meaning beside --record",
-        ),
-        (["okada", "level", "--film", "e.gif"], "--film takes one policy"),
-        (["okada", "suite=familes"], "did you mean 'families'?"),
-        (["suite=families"], "name a policy, as in: flipperctl eval generalist"),
-    ],
-)
-def test_a_wrong_request_is_one_line(tmp_path: Path, words: list[str], expected: str) -> None:
-    ground = [] if "suite" in words[-1] else ["terrain=flat"]
-    error = refused("eval", *words, *ground, cwd=tmp_path)
-    assert expected in error
-    assert error.count("\n") == 1
 
 
 def test_a_list_of_rewards_is_played_with_each_by_all(tmp_path: Path) -> None:
@@ -196,29 +164,6 @@ def test_policies_that_bring_their_own_ground_are_told() -> None:
     assert "these policies play different scenes, so they do not compare (generalist: " in told
     assert "level: stair " in told
     assert "different scenes" not in planned("generalist,level", "terrain=flat")[1]
-
-
-def test_a_later_controller_tells_what_it_leaves_out_too() -> None:
-    _, told = planned("level,mpc", "terrain=flat", "robot.chassis_length=0.9")
-    assert "mpc_value was not trained for robot.chassis_length=0.9" in told
-
-
-def test_forced_settings_of_controllers_are_those_of_all() -> None:
-    plan, _ = planned("mpc,value_iteration", "terrain=flat", "++controller.horizon=3")
-    assert [(entry.source.settings or {})["horizon"] for entry in plan.entries] == [3, 3]
-
-
-def test_a_policy_that_is_named_twice_plays_once() -> None:
-    plan, _ = planned("okada,okada", "terrain=flat")
-    assert [entry.label for entry in plan.entries] == ["okada"]
-
-
-def test_tables_by_what_was_drawn_say_whose_they_are(tmp_path: Path) -> None:
-    words = ("okada,random", "terrain=step", "--by", "height", "--episodes", "1")
-    done = call("eval", *words, "--baseline", "none", cwd=tmp_path)
-    assert done.code == 0, done.err
-    for name in ("okada", "random"):
-        assert f"{name} on step by height" in done.out
 
 
 def test_tables_of_another_evaluation_are_not_replaced_without_a_word(
@@ -259,3 +204,87 @@ def test_the_best_known_policy_is_told_from_a_later_one_of_its_name(tmp_path: Pa
     digest = hashlib.sha256(shipped["mpc_value"].read_bytes()).hexdigest()
     names = [row["controller"] for row in json.loads(done.out)["scenes"]]
     assert [*names[:1], names[-1]] == ["mine.safetensors", f"mine.safetensors, {digest[:8]}"]
+
+
+SHIPPED = checkpoint.read(checkpoint.shipped_policies()["generalist"])
+
+
+def trained(
+    run: Path, seed: int, agent: Mapping[str, Any] = {}, train: Mapping[str, Any] = {}
+) -> None:
+    """Write the best policy of a run with other settings than those of the shipped one."""
+    config = SHIPPED.document.config
+    changed = {
+        "seed": seed,
+        "agent": {**config.agent, **agent},
+        "train": {**config.train, **train},
+    }
+    document = SHIPPED.document.model_copy(update={"config": config.model_copy(update=changed)})
+    file = run / checkpoint.BEST
+    file.parent.mkdir(parents=True)
+    checkpoint.write(file, document, SHIPPED.tensors)
+
+
+@pytest.fixture
+def sweep(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return Path("sweep")
+
+
+def test_the_folder_of_a_sweep_is_one_method_with_its_seeds(sweep: Path) -> None:
+    for number, (seed, planned) in enumerate(((4, 900), (9, 1000))):  # of 900 made
+        run = sweep / f"{number}_seed={seed}"
+        # One went on elsewhere, and each began with a policy of its own.
+        trained(run, seed, {"start_from": f"runs/{seed}"}, {"workers": 1 + number})
+        (run / "config.yaml").write_text(f"train: {{decisions: {planned}}}")
+        (run / "summary.json").write_text('{"finished": true, "decisions": 900}')
+    (sweep / "2_seed=1" / "checkpoints").mkdir(parents=True)
+    (sweep / "2_seed=1" / "config.yaml").write_text("")
+    told: list[str] = []
+    found = entrants(["sweep", "generalist", "okada"], told.append)
+    own = SHIPPED.document.config.seed
+    assert [(e.method, e.training_seed) for e in found] == [
+        ("sweep", 4),
+        ("sweep", 9),
+        ("generalist", own),
+        ("okada", None),
+    ]
+    assert [line.partition(":")[0] for line in told] == [
+        "sweep/1_seed=9 is not trained to its end; it counts like the others",
+        "sweep/2_seed=1 is left out",
+    ]
+    plan = make_plan(["terrain=flat"], found[:2], "none", print)
+    assert [entry.named for entry in plan.entries] == ["sweep, seed 4", "sweep, seed 9"]
+    assert plan.entries[1].names == {"method": "sweep", "training_seed": 9}
+    flat = ("terrain=flat", "terrain.length=0.2", "--episodes", "1", "--output", "out")
+    done = call("eval", "sweep", *flat, cwd=Path())
+    assert done.code == 0, done.err
+    assert "sweep (2 seeds)" in done.out
+    for file in ("episodes.csv", "table.csv"):
+        rows = list(csv.DictReader((Path("out") / file).read_text().splitlines()))
+        assert {row["training_seed"] for row in rows} == {"4", "9", ""}  # a rule has none
+    rows = list(csv.DictReader((Path("out") / "episodes.csv").read_text().splitlines()))
+    assert {row["method"] for row in rows} == {"sweep", "level", "okada"}
+
+
+def test_runs_of_one_seed_that_began_with_several_runs_are_several_methods(sweep: Path) -> None:
+    for number, start in enumerate(("a", "b", "a")):
+        run = sweep / f"{number}_agent.start_from={start}"
+        trained(run, 1, {"start_from": f"runs/{start}"})
+    told: list[str] = []
+    methods = [entrant.method for entrant in entrants(["sweep"], told.append)]
+    assert methods == ["sweep/agent.start_from=a", "sweep/agent.start_from=b"]
+    assert len(told) == 1  # the third
+
+
+def test_methods_of_a_sweep_have_the_names_of_what_was_swept(sweep: Path) -> None:
+    names = [f"{n}_agent.learning_rate={rate},seed=1" for n, rate in enumerate((1, 2, 1))]
+    for name, rate in zip(names, (0.001, 0.002, 0.001), strict=True):
+        trained(sweep / name, 1, {"learning_rate": rate})
+    told: list[str] = []
+    methods = [entrant.method for entrant in entrants(["sweep"], told.append)]
+    assert _swept(Path("0_network.hidden=_64,32_,seed=1")) == "network.hidden=_64,32_"
+    assert methods == ["sweep/agent.learning_rate=1", "sweep/agent.learning_rate=2"]
+    assert told == [
+        f"sweep/{names[2]} is left out: sweep/{names[0]} has its seed and what it learns by"
+    ]

@@ -10,7 +10,6 @@ from flipperctl import plugins
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.plan import make_plan
 from flipperctl.config import EvalConfig, with_overrides
-from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.plan import Plan
@@ -50,28 +49,6 @@ def test_methods_stand_scene_by_scene_and_overrides_replace_those_of_the_suite()
     assert [entry.method for entry in plan.entries] == ["okada", "level"] * 2
     assert {entry.scene for entry in plan.entries} == {"families"}
     assert {entry.config.eval.episodes for entry in plan.entries} == {3}
-
-
-def test_starts_on_slopes_go_with_all_that_3d_adds() -> None:
-    plan = composed("generalist_3d", "terrain=midway", "terrain.start=1")
-    configs = {entry.scene: entry.config for entry in plan.entries}
-    assert len(configs) == 7
-    for config in configs.values():
-        env = FlipperEnv(config=config.environment())
-        for seed in range(2):
-            env.reset(seed=seed)
-
-
-def test_a_suite_of_ones_own(tmp_path: Path) -> None:
-    file = tmp_path / "mine.yaml"
-    file.write_text("scenes:\n  low: terrain=flat sim.friction=0.6\n  high: terrain=flat\n")
-    suite, rest = split_suite([f"suite={file}", "eval.seed=3"])
-    assert suite is not None
-    assert (suite.name, [scene.name for scene in suite.scenes], rest) == (
-        "mine",
-        ["low", "high"],
-        ["eval.seed=3"],
-    )
 
 
 def test_suites_beside_a_plugin_have_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,7 +10,7 @@ from flipperctl.api import Robot
 from flipperctl.cli.hydra.compose import compose_environment
 from flipperctl.cli.hydra.config_store import register_robot
 from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.cli.scenes import scenes
+from flipperctl.cli.plan import scenes
 from flipperctl.config import EnvConfig
 from flipperctl.config.randomise import Randomise
 from flipperctl.config.robots import (

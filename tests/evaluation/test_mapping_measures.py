@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from flipperctl.api import Transition
-from flipperctl.cli.scenes import scenes
+from flipperctl.cli.plan import scenes
 from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.evaluate import evaluate

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from flipperctl.api import GroundSensor, Profile, RobotState, Sensor, sensor
-from flipperctl.cli.plan import make_plan
-from flipperctl.cli.scenes import scenes
+from flipperctl.cli.plan import make_plan, scenes
 from flipperctl.config import EvalConfig
 from flipperctl.evaluation.evaluate import evaluate
 from flipperctl.evaluation.plan import Entry, Plan

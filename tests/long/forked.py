@@ -45,7 +45,7 @@ def preload() -> None:
     from torch.utils.tensorboard import SummaryWriter  # noqa: F401
 
     import flipperctl.cli.hydra.compose
-    import flipperctl.cli.hydra.optuna_search
+    import flipperctl.cli.hydra.sweeps
     import flipperctl.cli.main
     import flipperctl.training.run  # noqa: F401
     from flipperctl import plugins

@@ -9,7 +9,7 @@ import pytest
 import flipperctl
 from flipperctl.cli.hydra import compose
 from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.cli.scenes import scenes
+from flipperctl.cli.plan import scenes
 from flipperctl.config import EnvConfig, resolver, to_dict, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation import policies as named_policies

@@ -20,7 +20,7 @@ from flipperctl.api import (
     Transition,
     controller,
 )
-from flipperctl.cli.scenes import scenes
+from flipperctl.cli.plan import scenes
 from flipperctl.config import EnvConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError, ConfigError

@@ -8,7 +8,7 @@ from flipperctl_plugins.terrains.profile_file import ProfileFile
 from flipperctl_plugins.terrains.stairs import Stair
 
 from flipperctl.api import Profile, Terrain
-from flipperctl.cli.scenes import scenes
+from flipperctl.cli.plan import scenes
 from flipperctl.config import EnvConfig, identity
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.rows import sampled

@@ -181,8 +181,8 @@ def test_the_example_s_builder_makes_every_motion(capsys: pytest.CaptureFixture)
         str(Path(__file__).parents[2] / "examples" / "messages" / "self_test.py")
     )
     lines = [json.dumps(line) for line in example["lines"]()]
-    assert run(lines, "the example", RobotSetup(signs=REP_103)) == 0
-    assert run(lines, "the example", RobotSetup()) == 1
+    assert run(lines, "the example", RobotSetup(signs=REP_103)).passed
+    assert not run(lines, "the example", RobotSetup()).passed
     told = capsys.readouterr().out
     assert told.count("right (joints") == 3  # all but the front flippers in the other signs
     assert "Wrong signs: front, pitch." in told

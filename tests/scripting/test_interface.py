@@ -1,7 +1,9 @@
-"""The Python interface: the examples of its page, and what it shares with the commands."""
+"""The Python interface: what it trains, evaluates, loads and refuses is what the commands do."""
 
 import contextlib
 import json
+import os
+import signal
 import sys
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -16,6 +18,7 @@ from flipperctl import api
 from flipperctl.errors import (
     CheckpointError,
     ConfigError,
+    FlipperctlError,
     InterruptedRunError,
     MissingExtraError,
     NonFiniteError,
@@ -110,22 +113,6 @@ def test_a_stopped_training_says_how_to_resume(
     assert f"flipperctl.train(resume={str(tmp_path / 'run')!r})" in str(raised.value)
 
 
-def test_the_directory_of_a_run_is_that_of_the_command(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    began: list[Path] = []
-
-    def start(config: object, folder: Path, *given: object, **named: object) -> None:
-        began.append(folder)
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(training, "start", start)
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(InterruptedRunError):
-        flipperctl.train(terrain="ramp", progress=False)
-    assert began[0].parent == tmp_path / "runs/ramp"
-
-
 def test_the_example_of_a_policy_runs(capsys: pytest.CaptureFixture[str]) -> None:
     exec(example("flipperctl.load"), {})
     assert capsys.readouterr().out.startswith("reached ")
@@ -190,11 +177,6 @@ def test_a_wrong_policy_observation_or_environment_is_refused(env: gymnasium.Env
         policy.reset(gymnasium.make("CartPole-v1"))
 
 
-def test_names_are_lists() -> None:
-    with pytest.raises(RequestError, match="baselines: a list of names"):
-        flipperctl.evaluate("level", terrain="flat", episodes=1, baselines="okada")
-
-
 @pytest.mark.usefixtures("registry")
 def test_workers_find_no_plugin_of_a_script() -> None:
     @api.terrain("scripted")
@@ -255,11 +237,72 @@ def test_a_notebook_shows_progress_in_its_cell(monkeypatch: pytest.MonkeyPatch) 
     assert note == "a note"
 
 
-def test_a_process_without_a_notebook_has_none() -> None:
-    assert not notebook.is_running()
+ONE = {"terrain": "flat", "progress": False}
 
 
-def test_the_package_shows_its_interface() -> None:
-    assert {"train", "evaluate", "load", "__version__"} <= set(dir(flipperctl))
-    with pytest.raises(AttributeError, match="has no attribute 'trian'"):
-        flipperctl.trian  # noqa: B018
+@pytest.fixture
+def troubled(registry: dict) -> None:
+    """A controller that raises, and one that interrupts its second episode."""
+
+    @api.controller("broken")
+    class Broken(api.Controller):
+        """It fails."""
+
+        def act(self, p: api.Perception) -> int:
+            raise ValueError("worn out")
+
+    begun: list[float] = []
+
+    @api.controller("interrupting")
+    class Interrupting(api.Controller):
+        """Somebody presses Ctrl-C."""
+
+        def act(self, p: api.Perception) -> int:
+            if not begun:
+                os.kill(os.getpid(), signal.SIGINT)
+            begun.append(0.0)
+            return 4
+
+
+def test_a_suite_is_played_as_by_the_command(tmp_path: Path) -> None:
+    suite = tmp_path / "mine.yaml"
+    suite.write_text("scenes:\n  dry: terrain=flat\n  wet: terrain=flat sim.friction=0.5\n")
+    asked = {"episodes": 1, "progress": False}
+    for given in ({"overrides": [f"suite={suite}"]}, {"suite": suite}):
+        found = flipperctl.evaluate("okada", **given, **asked)
+        rows = [(scene["suite_scene"], scene["controller"]) for scene in found.scenes]
+        assert rows == [(name, who) for name in ("dry", "wet") for who in ("okada", "level")]
+    alone = flipperctl.evaluate("okada", suite=str(suite), baselines=[], **asked)
+    assert [scene["suite_scene"] for scene in alone.scenes] == ["dry", "wet"]
+
+
+@pytest.mark.usefixtures("troubled")
+def test_what_was_played_beside_a_failing_baseline_is_in_the_error() -> None:
+    with pytest.raises(FlipperctlError, match="worn out") as raised:
+        flipperctl.evaluate("level", baselines=["broken"], episodes=2, **ONE)
+    found = raised.value.result
+    assert found.scenes[0]["episodes"] == 2
+    assert [failure.controller for failure in found.failures] == ["broken"]
+    assert found.to_dict()["failed"][0]["controller"] == "broken"
+
+
+@pytest.mark.usefixtures("troubled")
+def test_what_was_played_before_a_stop_is_in_the_error() -> None:
+    with pytest.raises(InterruptedRunError) as raised:
+        flipperctl.evaluate("interrupting", baselines=[], episodes=3, **ONE)
+    found = raised.value.result
+    assert found.scenes[0]["episodes"] == 1
+    assert (found.interruption.finished, found.interruption.planned) == (1, 3)
+    assert found.to_dict()["interrupted"] is True
+
+
+def test_a_picture_that_cannot_be_written_loses_no_episode(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*given: object, **named: object) -> None:
+        raise FlipperctlError("no space left")
+
+    monkeypatch.setattr("flipperctl.evaluation.pictures.film_scene", full)
+    with pytest.raises(FlipperctlError, match="no space left") as raised:
+        flipperctl.evaluate("level", baselines=[], episodes=1, film=tmp_path / "a.gif", **ONE)
+    assert len(raised.value.result.scenes) == 1

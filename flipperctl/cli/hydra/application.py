@@ -25,7 +25,7 @@ from flipperctl import session
 from flipperctl.cli.hydra import config_store
 from flipperctl.cli.hydra.compose import check_training_effect, compose_train, parse_training
 from flipperctl.cli.hydra.config_store import strict_files
-from flipperctl.cli.hydra.errors import check_choices, convert_hydra_errors
+from flipperctl.cli.hydra.errors import convert_hydra_errors
 from flipperctl.cli.hydra.overrides import SEARCH_PATH, Overrides
 from flipperctl.cli.hydra.sweeps import named_by_time
 from flipperctl.errors import ConfigError, InterruptedRunError
@@ -67,7 +67,6 @@ def train(arguments: list[str], *, check: bool) -> None:
     # They may add other configuration files; then each job checks its own.
     checked = check and not options
     overrides.check_training(several=several or bool(options))
-    check_choices(overrides)
     if checked:
         _check(overrides)
     options += [f"--{name}".replace("_", "-") for name in _FLAGS if getattr(chosen, name)]

@@ -26,7 +26,7 @@ from flipperctl.cli.hydra.config_store import (
 )
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, parse
-from flipperctl.config.defaults import CHOICES, missing_entry, refuse_ineffective
+from flipperctl.config.defaults import missing_entry, refuse_ineffective
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.inherited import NOMINAL, TRAINED, explain_missing_training
 from flipperctl.terminal.notices import print_notices
@@ -58,9 +58,6 @@ def check_training_effect(config: TrainConfig, overrides: Overrides) -> None:
     """Refuse an override of a setting that a training samples anew for every episode.
 
     Those of the robot have an effect: policies and evaluations assume the configured one.
-
-    Raises:
-        ConfigError: an override has no effect.
     """
     typed = overrides.typed.items()
     refuse_ineffective(config, {key: word for key, word in typed if not key.startswith("robot.")})
@@ -97,9 +94,6 @@ def with_preset(controller: Any, path: str, primary: str = EVAL_CONTROLLER, *wor
     """Return a controller's settings, with the terms of the preset if ``rewards`` is its name.
 
     ``path``: section of the controller. ``words``: overrides on which the preset depends.
-
-    Raises:
-        ConfigError: there is no such preset.
     """
     name = controller.get("rewards") if isinstance(controller, dict) else None
     if not isinstance(name, str):
@@ -114,11 +108,7 @@ def with_preset(controller: Any, path: str, primary: str = EVAL_CONTROLLER, *wor
 
 
 def only_one(found: Sequence[Composed]) -> Composed:
-    """Return the only configuration, for commands that take just one.
-
-    Raises:
-        ConfigError: the lists among the overrides gave several.
-    """
+    """Return the only configuration, for commands that take just one."""
     if len(found) > 1:
         raise ConfigError(
             f"the lists among the overrides give {len(found)} configurations; this command takes "
@@ -131,10 +121,9 @@ def _compositions(primary: str, overrides: Overrides) -> Iterator[tuple[Override
     """Yield each combination of the sweeps, and its composed configuration."""
     config_store.register_defaults()
     with errors.convert_hydra_errors(), _initialized():
-        for combination in overrides.combinations(CHOICES):
+        for combination in overrides.combinations():
             if primary != EVAL_CHECKPOINT and combination.choice("conditions") == TRAINED:
                 raise ConfigError(explain_missing_training(exported=primary == EVAL_EXPORT))
-            errors.check_choices(combination)
             try:
                 yield combination, _plain(compose(primary, combination.words))
             except MissingConfigException as error:

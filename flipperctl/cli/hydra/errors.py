@@ -91,29 +91,6 @@ def missing_choice(error: MissingConfigException) -> RequestError:
     return ConfigError(f"{missing}; {_OWN_CONDITIONS}") if group == "conditions" else missing
 
 
-def check_choices(overrides: Overrides) -> None:
-    """Refuse the choice of a config group that is not a name, as in ``terrain=3``.
-
-    Raises:
-        ConfigError: a choice is not a name.
-    """
-    for override in overrides.parsed:
-        key, value = override.get_key_element(), override.value()
-        if override.is_sweep_override() or not _is_group_key(override) or isinstance(value, dict):
-            continue
-        if value is None and override.is_delete():
-            continue
-        if value is None:
-            raise ConfigError(f"{override.input_line}: null is not allowed here; give a name")
-        if not all(isinstance(v, str) for v in (value if isinstance(value, list) else [value])):
-            raise ConfigError(f"{key}: a name is allowed; the value is {value!r}")
-
-
-def _is_group_key(override: Override) -> bool:
-    key = override.key_or_group
-    return key in CHOICES or "/" in key or override.package is not None
-
-
 def unknown_key(
     error: ConfigCompositionException, primary: str, overrides: Overrides
 ) -> ConfigError:

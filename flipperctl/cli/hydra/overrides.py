@@ -15,6 +15,7 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import Override
 from hydra.errors import OverrideParseException
 
+from flipperctl.config.defaults import CHOICES
 from flipperctl.config.robots import expand_files
 from flipperctl.config.words import check_different, check_words, unreadable
 from flipperctl.errors import ConfigError
@@ -76,11 +77,7 @@ class Overrides:
         return str(value) if value else None
 
     def values(self) -> dict[str, Any]:
-        """Return the value of each key, for overrides that are applied without Hydra.
-
-        Raises:
-            ConfigError: an override is not a plain ``key=value``, such as a list of values.
-        """
+        """Return the value of each key, for overrides that are applied without Hydra."""
         for o in self.parsed:
             plain = not (o.is_delete() or o.is_add() or o.is_force_add())
             if not plain or o.is_sweep_override():
@@ -88,11 +85,7 @@ class Overrides:
         return {o.key_or_group: o.value() for o in self.parsed}
 
     def check_training(self, *, several: bool) -> None:
-        """Refuse lists without ``several`` runs, folders without a name, and words without effect.
-
-        Raises:
-            ConfigError: an override is one of these.
-        """
+        """Refuse lists without ``several`` runs, empty folders, and what ``check`` refuses."""
         for override in self.parsed:
             if override.is_sweep_override() and not several:
                 key, _, value = str(override.input_line).partition("=")
@@ -108,50 +101,39 @@ class Overrides:
                     f"{key}: the name of a folder is allowed, or . for the working directory; "
                     f"the value is {override.value()!r}"
                 )
-        self.check_effect()
+        self.check()
 
-    def check_effect(self) -> None:
-        """Refuse words that Hydra would apply without the effect that they state.
-
-        Raises:
-            ConfigError: a value is an empty mapping or no search path, or a word drops what another
-                one brings.
-        """
-        self._check_mappings()
-        self._check_drops()
-        for override in self.where(lambda key: key == SEARCH_PATH).parsed:
-            folders = override.value()
-            if not (isinstance(folders, list) and all(isinstance(f, str) for f in folders)):
-                raise ConfigError(
-                    f"{SEARCH_PATH}: a list of folders is allowed, as in [my,pkg://package]; the "
-                    f"value is {folders!r}"
-                )
-
-    def _check_drops(self) -> None:
-        """Refuse ``~rewards.pitch`` beside ``reward@rewards.pitch=…``, which Hydra drops too."""
+    def check(self) -> None:
+        """Refuse words that Hydra would apply without the effect that they state."""
         dropped = {o.key_or_group: o.input_line for o in self.parsed if o.is_delete()}
         for override in self.parsed:
+            key, value, typed = override.get_key_element(), override.value(), override.input_line
+            swept, deletes = override.is_sweep_override(), override.is_delete()
             word = dropped.get(str(override.package))
-            if word and not override.is_delete():
+            if word and not deletes:  # ~rewards.pitch beside reward@rewards.pitch=…
                 raise ConfigError(
-                    f"{word} is applied last and also drops what {override.input_line} brings; "
-                    f"to replace the entry, write {str(override.input_line).lstrip('+')} alone"
+                    f"{word} is applied last and also drops what {typed} brings; "
+                    f"to replace the entry, write {str(typed).lstrip('+')} alone"
                 )
-
-    def _check_mappings(self) -> None:
-        """Refuse an empty mapping, which Hydra would merge without effect.
-
-        Raises:
-            ConfigError: a value is an empty mapping; the text has an override that drops the key.
-        """
-        for override in self.parsed:
-            if not override.is_delete() and override.value() == {}:
-                key = override.get_key_element()
+            if value == {} and not deletes:
                 drop = "~rewards drops every term" if key == "rewards" else f"~{key} drops it"
                 raise ConfigError(
-                    f"{override.input_line}: a mapping is merged into the existing one, so that "
+                    f"{typed}: a mapping is merged into the existing one, so that "
                     f"an empty mapping changes nothing; {drop}"
                 )
+            names = value if isinstance(value, list) else [value]
+            words = all(isinstance(name, str) for name in names)
+            if key == SEARCH_PATH and not (isinstance(value, list) and words):
+                raise ConfigError(
+                    f"{SEARCH_PATH}: a list of folders is allowed, as in [my,pkg://package]; the "
+                    f"value is {value!r}"
+                )
+            if not _is_choice(override) or swept or isinstance(value, dict):
+                continue
+            if value is None and not deletes:
+                raise ConfigError(f"{typed}: null is not allowed here; give a name")
+            if value is not None and not words:
+                raise ConfigError(f"{key}: a name is allowed; the value is {value!r}")
 
     def sampled(self) -> tuple[dict[str, Interval | Sequence[str]], list[str]]:
         """Return the intervals and lists that a search samples, by key, and the other words."""
@@ -167,21 +149,14 @@ class Overrides:
                 fixed.append(typed)
         return found, fixed
 
-    def combinations(self, choices: Sequence[str] = ()) -> Iterator[Overrides]:
+    def combinations(self) -> Iterator[Overrides]:
         """Yield every combination of the values in lists, without intervals.
 
-        Sweepers sample the intervals, and the jobs check the sampled values. In each group of
-        ``choices``, a name must be chosen.
-
-        Raises:
-            ConfigError: null is chosen where a name is needed, a value stands in a list twice, or a
-                word has no effect.
+        Sweepers sample the intervals, and the jobs check the sampled values.
         """
-        self.check_effect()
+        self.check()
         parts: list[Sequence[Override]] = []
         for override in self.parsed:
-            if override.key_or_group in choices and str(override.input_line).endswith("=null"):
-                raise ConfigError(f"{override.input_line}: null is not allowed here; give a name")
             if override.is_interval_sweep():
                 continue
             if override.is_sweep_override():
@@ -192,7 +167,9 @@ class Overrides:
                 check_different(str(override.input_line), values)
             else:
                 parts.append([override])
-        yield from map(Overrides, itertools.product(*parts))
+        for combination in map(Overrides, itertools.product(*parts)):
+            combination.check()
+            yield combination
 
     def interval_probes(self) -> Iterator[Overrides]:
         """Yield the overrides with each interval at its ends, and at a value between them."""
@@ -202,6 +179,12 @@ class Overrides:
                 probes = [f"{key}={number}" for number in _interval(override).probes()]
                 for probe in Overrides.parse(probes, check=False).parsed:
                     yield Overrides((*self.parsed[:index], probe, *self.parsed[index + 1 :]))
+
+
+def _is_choice(override: Override) -> bool:
+    """Return whether an override chooses an entry of a config group."""
+    key = override.key_or_group
+    return key in CHOICES or "/" in key or override.package is not None
 
 
 def _keys(override: Override) -> Iterator[str]:
@@ -218,11 +201,7 @@ def _inner_keys(key: str, value: object) -> Iterator[str]:
 
 
 def _swept_values(override: Override) -> list[str]:
-    """Return the values of a list, or the names of a group that a ``glob(…)`` chooses.
-
-    Raises:
-        ConfigError: it chooses none.
-    """
+    """Return the values of a list, or the names of a group that a ``glob(…)`` chooses."""
     hydra = GlobalHydra.instance()
     override.config_loader = hydra.config_loader() if hydra.is_initialized() else None
     found = list(override.sweep_string_iterator())

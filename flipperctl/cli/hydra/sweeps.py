@@ -1,9 +1,10 @@
-"""Sweeps over lists, run by Hydra's basic sweeper, with folders named after the swept values.
+"""Sweeps over lists, run by Hydra's basic sweeper, and searches, whose trials Optuna proposes.
 
-In: overrides, of which some are lists. Out: a run directory for each combination, named after it,
-and a table that compares the runs. Any launcher of Hydra can train them; that of Ray cannot join a
-running cluster by itself, since it requests an object store of its own size, which Ray refuses then
-(hydra-ray-launcher 1.2), but uses an existing connection.
+In: overrides, of which some are lists, ``interval(…)`` or ``tag(log,interval(…))``. Out: a run
+directory for each combination or trial, named after it, and a table that compares the runs. Any
+launcher of Hydra can train them; that of Ray cannot join a running cluster by itself, since it
+requests an object store of its own size, which Ray refuses then (hydra-ray-launcher 1.2), but uses
+an existing connection.
 """
 
 from __future__ import annotations
@@ -15,19 +16,23 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
+from hydra.core.plugins import Plugins
 from hydra.core.utils import JobReturn
 from hydra.plugins.launcher import Launcher
 from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf, read_write
 
+from flipperctl.cli.hydra.compose import compose_train
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config.words import literal_override
-from flipperctl.errors import InterruptedRunError
+from flipperctl.errors import ConfigError, InterruptedRunError
 from flipperctl.rollout.cluster import is_connected, join
 from flipperctl.session import quote_path, sweep_command
 from flipperctl.show import NONE, Column, Table, console, print_table
 from flipperctl.terminal.progress import HEADING, PAPERS_HEADING
 from flipperctl.terminal.streams import print_note
+from flipperctl.training.search import search
+from flipperctl.training.search_space import Interval, check_settings
 from flipperctl.training.sweep import FILE, Job, JobResult, Sweep, SweepRun
 
 _OBJECT_STORE = 75 * 2**20
@@ -51,9 +56,6 @@ def connect(launcher: Launcher) -> None:
 
     Without an address, Ray joins the cluster that ``ray start`` has started on this machine, or
     starts one; at the address ``local``, it always starts one.
-
-    Raises:
-        ConfigError: no cluster answers, it asks for a token, or it refuses a setting.
     """
     module = sys.modules.get(_MODULE)
     if module is None or not isinstance(launcher, module.RayLauncher):
@@ -68,14 +70,11 @@ def connect(launcher: Launcher) -> None:
     join(address, "hydra.launcher.ray.init.address", **settings)
 
 
+_TASK = {"terrain", "conditions", "sim", "perception", "episode", "robot", "randomise"}
+"""Sections and groups that change what validations are made of."""
+_EXPERIMENT = "experiment"
 UNNAMED = "${hydra.job.num}_${terrain.name}_seed${seed}"
 """``hydra.sweep.subdir`` of train.yaml, which is replaced by the names of the swept values."""
-
-
-def uses_default_naming(config: DictConfig) -> bool:
-    """Return whether ``hydra.sweep.subdir`` is still that of train.yaml."""
-    sweep: Any = OmegaConf.to_container(config.hydra.sweep, resolve=False)
-    return bool(sweep["subdir"] == UNNAMED)
 
 
 def named_by_time(config: DictConfig, mode: str) -> bool:
@@ -101,13 +100,14 @@ def launched_by(launcher: Launcher, config: DictConfig) -> Sweep:
         connect(launcher)
         return [job_result(job) for job in launcher.launch(words, initial_job_idx=first)]
 
+    unresolved: Any = OmegaConf.to_container(config.hydra.sweep, resolve=False)
     # The basic launcher runs the jobs in sequence and would continue after Ctrl-C.
     serial = isinstance(launcher, BasicLauncher)
     sweep = Sweep(
         Path(str(config.hydra.sweep.dir)),
         launch,
         print_comparison,
-        named=uses_default_naming(config),
+        named=bool(unresolved["subdir"] == UNNAMED),
         serial=serial,
         numbered=named_by_time(config, "sweep"),
         tell=print_note,
@@ -161,13 +161,7 @@ class ListSweep:
         return []
 
     def run(self, arguments: list[str]) -> None:
-        """Train every combination; continue those of an earlier start in the same folder.
-
-        Raises:
-            FlipperctlError: the first of the jobs' errors, raised after all jobs have run.
-            InterruptedRunError: the sweep was stopped; the text has the command that continues it.
-            RunHeldError: another process works in the sweep's folder.
-        """
+        """Train every combination; continue those of an earlier start in the same folder."""
         overrides = [*(f"{key}={value}" for key, value in self._params.items()), *arguments]
         self._jobs.swept = Overrides.parse(overrides, check=False).swept
         with self._jobs.held():
@@ -210,3 +204,71 @@ def print_comparison(folder: Path, runs: Sequence[SweepRun]) -> None:
     more = f"{left} more runs and the table" if left > 0 else "the table"
     text = f"{more}: {quote_path(folder / FILE)}"
     out.print(text, highlight=False, markup=False, soft_wrap=True)
+
+
+class SearchSweep:
+    """A search whose trials are jobs of Hydra: ``hydra/sweeper=optuna``.
+
+    Hydra's own plugin, hydra-optuna-sweeper 1.3, needs Optuna 2, whose storage fails with
+    SQLAlchemy 2, and repeats every trial after a restart.
+    """
+
+    def __init__(
+        self,
+        settings: Mapping[str, Any],
+        *,
+        hydra_context: HydraContext,
+        task_function: TaskFunction,
+        config: DictConfig,
+    ) -> None:
+        """``settings`` are the section ``hydra.sweeper``."""
+        self._settings = check_settings(settings)
+        launcher = Plugins.instance().instantiate_launcher(
+            config=config, hydra_context=hydra_context, task_function=task_function
+        )
+        self._jobs = launched_by(launcher, config)
+
+    def run(self, arguments: Sequence[str]) -> None:
+        """Train trial after trial; ``arguments`` are the user's overrides."""
+        sampled, fixed = Overrides.parse(arguments, check=False).sampled()
+        check_objective(sampled, fixed)
+        if found := [key for key in sampled if _setting(key).split(".")[0] in _TASK]:
+            print_note(
+                f"note: {', '.join(found)} change what a training is judged on; the best trial may "
+                "be the easiest"
+            )
+        search(self._settings, self._jobs, arguments, sampled, fixed, tell=print_note)
+
+
+def check_objective(sampled: Mapping[str, Interval | Sequence[str]], fixed: Sequence[str]) -> None:
+    """Refuse a search whose trials have objectives that cannot be compared."""
+    for key in sampled:
+        setting = _setting(key)
+        if setting == "train.best_by" or setting.startswith("train.validation_"):
+            raise ConfigError(f"{key}: a search has one objective; one value is allowed")
+    paying = [key for key in sampled if _setting(key).split(".")[0] == "rewards"]
+    words = [word for word in fixed if not (paying and _setting(word).startswith("rewards."))]
+    lists = {key: values for key, values in sampled.items() if not isinstance(values, Interval)}
+    # Of the lists, an experiment alone changes the objective; of others, the first value stands.
+    first = [f"{key}={values[0]}" for key, values in lists.items() if key != _EXPERIMENT]
+    objectives: dict[bool, str] = {}
+    for experiment in lists.get(_EXPERIMENT, [None]):
+        choice = [] if experiment is None else [f"{_EXPERIMENT}={experiment}"]
+        for one in compose_train(Overrides.parse([*words, *first, *choice])):
+            objectives.setdefault(one.train.best_by == "return", " ".join(choice))
+    if paying and True in objectives:
+        raise ConfigError(
+            f"{paying[0]}: a search by returns (train.best_by=return) would find the rewards that "
+            "pay most, not those that teach best; search with train.best_by=success"
+        )
+    if len(objectives) > 1:
+        *_, other = objectives.values()
+        raise ConfigError(
+            f"{other}: a search has one objective, but this changes train.best_by; give that a "
+            "value of its own"
+        )
+
+
+def _setting(word: str) -> str:
+    """Return the setting of an override or its key, as in ``+reward@rewards.blow=impact``."""
+    return word.partition("=")[0].lstrip("+~").rpartition("@")[2]

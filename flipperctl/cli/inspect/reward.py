@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
 from flipperctl.cli import options
 from flipperctl.errors import RequestError
-
-if TYPE_CHECKING:
-    from flipperctl.evaluation.play import Player
 
 HELP = """Audit the reward: the share of each term in the return, and how often it saturates.
 
@@ -91,7 +86,7 @@ def run(
         _regret(arguments, checkpoint, controller, against or REFERENCES, output, as_json)
         return
     from flipperctl.cli.hydra.compose import only_one
-    from flipperctl.cli.scenes import scenes
+    from flipperctl.cli.plan import scenes
     from flipperctl.evaluation.conditions import Conditions
     from flipperctl.evaluation.views.audit import audit, table
     from flipperctl.show import console, print_table
@@ -109,14 +104,15 @@ def run(
 
 
 def _compare(names: str, overrides: list[str], as_json: bool) -> None:
+    from flipperctl.cli.plan import player
     from flipperctl.cli.reward_scenes import policies, reward_scenes
     from flipperctl.evaluation.views import ranking
     from flipperctl.show import console, print_lines, print_table
     from flipperctl.terminal.streams import show
 
     sources, others = policies(names, overrides)
-    with _player(None) as player:
-        found = ranking.rank_policies(reward_scenes(others, sources), sources, player)
+    with player(None, "reward") as (plays, _):
+        found = ranking.rank_policies(reward_scenes(others, sources), sources, plays)
 
     def printed() -> None:
         out = console()
@@ -134,6 +130,7 @@ def _regret(
     output: Path | None,
     as_json: bool,
 ) -> None:
+    from flipperctl.cli.plan import player
     from flipperctl.cli.reward_scenes import regret_scenes
     from flipperctl.errors import InterruptedRunError
     from flipperctl.evaluation.views import regret
@@ -141,8 +138,8 @@ def _regret(
     from flipperctl.terminal.streams import show
 
     scenes = regret_scenes(words, checkpoint, controller, against)
-    with _player(output) as player:
-        found = [one for scene in scenes if (one := regret.measure(scene, player)) is not None]
+    with player(output, "regret") as (plays, _):
+        found = [one for scene in scenes if (one := regret.measure(scene, plays)) is not None]
     if not found:
         raise InterruptedRunError("interrupted: no scene is finished")
 
@@ -153,24 +150,3 @@ def _regret(
             print_lines(out, [text], "bold red" if alarm else "")
 
     show({"scenes": found}, printed, as_json=as_json)
-
-
-@contextmanager
-def _player(output: Path | None) -> Iterator[Player]:
-    """Yield a player whose episodes are kept below ``output``, if it is given."""
-    from flipperctl.evaluation.play import Player
-    from flipperctl.evaluation.store import FOLDER, EpisodeStore, FolderStore
-    from flipperctl.evaluation.workers import EpisodeWorkers
-    from flipperctl.results import result_folder
-    from flipperctl.session import interrupts
-    from flipperctl.terminal.progress import episodes_progress
-    from flipperctl.terminal.streams import print_note
-
-    with ExitStack() as stack:
-        store = EpisodeStore()
-        if output is not None:
-            stack.enter_context(result_folder(output, "regret", []))
-            store = FolderStore(output / FOLDER, print_note)
-        stop = stack.enter_context(interrupts("finishing the episode; Ctrl-C again stops at once"))
-        workers = stack.enter_context(EpisodeWorkers(stop=stop))
-        yield Player(store, workers, episodes_progress)

@@ -19,9 +19,6 @@ def recorded_robot(
     """Return the robot and LiDAR of a recording, ``perception.pose`` and the settings given.
 
     ``perception.pose`` is None if it is not among these.
-
-    Raises:
-        ConfigError: a word is no override, or names no setting.
     """
     from flipperctl.cli.hydra.compose import compose_environment
     from flipperctl.cli.hydra.overrides import Overrides

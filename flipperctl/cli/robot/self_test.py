@@ -29,11 +29,18 @@ def run(
     signs: Annotated[
         options.Convention, typer.Option(metavar="NAME", help="Signs of the messages.")
     ] = options.Convention.flipperctl,
+    as_json: options.AsJson = False,
     plugins: options.PluginPaths = None,
 ) -> int:
     """See HELP."""
+    from dataclasses import asdict
+
     from flipperctl.runtime import RobotSetup, self_test
     from flipperctl.runtime.messages import CONVENTIONS
+    from flipperctl.terminal.streams import show
 
     setup = RobotSetup(signs=CONVENTIONS[signs.value])
-    return self_test.run(*self_test.opened(messages), setup)
+    test = self_test.run(*self_test.opened(messages), setup)  # it prints what to do meanwhile
+    document = {"passed": test.passed, "verdicts": [asdict(one) for one in test.verdicts]}
+    show(document, lambda: None, as_json=as_json)
+    return 0 if test.passed else 1

@@ -1,16 +1,19 @@
-"""Composition: sweeps are expanded as Hydra would, and a checkpoint's settings are the defaults."""
+"""Composition: sweeps are expanded as Hydra would, presets are taken, a checkpoint has defaults."""
 
+from pathlib import Path
 from typing import Any
 
 import pytest
+from hydra.core.config_store import ConfigStore
 
-from flipperctl.api import Shaping
 from flipperctl.cli.hydra import compose, config_store
 from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.config import EnvConfig, EvalConfig, Teacher, TrainConfig, to_dict, with_overrides
+from flipperctl.cli.reward_scenes import policies
+from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, to_dict, with_overrides
 from flipperctl.errors import ConfigError
 from flipperctl.lookahead.controllers import Mpc
 from flipperctl.sim.planar import PlanarSensor
+from tests.cli.call import EXACT, call
 
 MPC = to_dict(Mpc(value=""))
 
@@ -34,24 +37,12 @@ def defaults() -> None:
     config_store.register_defaults()
 
 
-def test_every_combination_of_a_sweep_is_composed() -> None:
-    found = compose_train(["seed=range(1,4)", "terrain=choice(step,stair)", "device=cpu"])
-    assert [(c.seed, c.terrain.plugin_name) for c in found] == [
-        (seed, terrain) for seed in (1, 2, 3) for terrain in ("step", "stair")
-    ]
-
-
 @pytest.mark.parametrize(
     "word", ["terrain=stair,step,stair", "seed=1,2,1", "sim.friction=1,0.5,1.0", "terrain='a','a'"]
 )
 def test_a_list_with_a_value_twice_is_refused(word: str) -> None:
     with pytest.raises(ConfigError, match="is given twice; once is allowed"):
         list(Overrides.parse([word]).combinations())
-
-
-def test_an_interval_is_the_sweepers_business() -> None:
-    (config,) = compose_train(["agent.gamma=interval(0.9,0.95)"])
-    assert config.agent.gamma == 0.99  # the default: no value was drawn
 
 
 def test_a_checkpoint_brings_its_terrain_robot_and_layout_to_its_evaluation() -> None:
@@ -100,13 +91,6 @@ def test_a_mapping_of_sampled_settings_has_no_effect(word: str) -> None:
         compose_train(["terrain=flat", "conditions=varied", word])
 
 
-def test_the_experiment_wide_stair_takes_in_the_papers_scene() -> None:
-    (config,) = compose_train(["experiment=wide_stair"])
-    terrain = config.terrain.model_dump()
-    assert terrain["most"] == 6
-    assert terrain["tread_down"] - terrain["tread_spread"] == pytest.approx(0.2)
-
-
 # Teachers
 
 
@@ -124,24 +108,6 @@ def test_several_loggers_and_their_settings_are_chosen_by_name() -> None:
         assert list(config.logger) == names
     (config,) = compose_train(["logger=wandb", "logger.wandb.project=stairs"])
     assert to_dict(config)["logger"]["wandb"]["project"] == "stairs"
-
-
-def test_there_is_a_teacher_only_on_request() -> None:
-    paper, quick = (
-        compose_train(words)[0].teacher for words in (["terrain=stair"], ["experiment=quick"])
-    )
-    assert paper == quick == Teacher()
-    assert paper.controller is None
-
-
-def test_a_teacher_and_its_settings_are_chosen_by_name() -> None:
-    (config,) = compose_train(["teacher=mpc", "teacher.controller.beam=5", "teacher.td_weight=0"])
-    assert to_dict(config.teacher.controller) == {**MPC, "beam": 5}
-    assert config.teacher.td_weight == 0
-    (config,) = compose_train(["experiment=taught", "terrain=ramp"])
-    assert to_dict(config.teacher.controller)["name"] == "mpc"
-    assert config.terrain.plugin_name == "ramp"
-    assert config.rewards == EnvConfig(terrain="ramp").rewards
 
 
 def test_the_taught_experiment_takes_any_teacher() -> None:
@@ -166,14 +132,6 @@ def test_the_default_is_the_papers_rewards_everywhere() -> None:
     assert named.rewards == train.rewards == compose_environment([]).rewards == paper
 
 
-def test_presets_beside_the_papers_count_swing_at_100_hz() -> None:
-    paper, tuned, smooth = compose_train(["rewards=paper,tuned,smooth"])
-    assert paper.rewards.keys() - tuned.rewards.keys() == {"pitch"}
-    for preset in (tuned, smooth):
-        assert {"swing", "end", "shaped_progress"} < preset.rewards.keys() - {"pitch"}
-    assert compose_environment(["rewards=tuned"]).rewards == tuned.rewards
-
-
 @pytest.mark.parametrize(
     ("preset", "term", "field"), [("paper", "pitch", "lambda_2"), ("tuned", "swing", "slope")]
 )
@@ -187,12 +145,6 @@ def test_a_presets_terms_are_changed_added_and_dropped(preset: str, term: str, f
     assert config.rewards["end"].plugin_name == "progress"
 
 
-def test_the_tuned_shaping_follows_the_agents_discount() -> None:
-    for config in compose_train(["rewards=tuned", "agent.gamma=0.9,0.95"]):
-        (shaping,) = (term for term in config.rewards.values() if isinstance(term, Shaping))
-        assert shaping.gamma == config.agent.gamma
-
-
 def test_a_checkpoint_is_judged_by_its_own_rewards_or_by_a_preset() -> None:
     (trained,) = compose_train(["rewards=tuned", "rewards.swing.slope=5"])
     primary = config_store.register_trained(trained)
@@ -202,3 +154,83 @@ def test_a_checkpoint_is_judged_by_its_own_rewards_or_by_a_preset() -> None:
     assert changed.rewards["swing"] == trained.rewards["swing"].model_copy(update={"weight": 4})
     ((preset, _),) = compose_eval(["rewards=paper"], primary)
     assert preset.rewards == EnvConfig(terrain="stair").rewards
+
+
+def controller_of(*words: str) -> dict[str, Any]:
+    ((_, settings),) = compose.compose_eval(Overrides.parse(["controller=mpc", *words]))
+    assert settings is not None
+    return settings
+
+
+def preset(name: str) -> dict[str, Any]:
+    config = compose.compose_environment(Overrides.parse([f"rewards={name}"]))
+    return {term: to_dict(settings) for term, settings in config.rewards.items()}
+
+
+@pytest.mark.parametrize("name", ["paper", "tuned", "smooth"])
+def test_the_preset_is_that_of_the_environment(name: str) -> None:
+    own = compose.with_preset({"name": "mpc", "rewards": name}, "controller")
+    assert own["rewards"] == preset(name)
+    assert controller_of(f"controller.rewards={name}", "rewards=paper")["rewards"] == preset(name)
+
+
+def test_a_preset_of_a_plugin_counts() -> None:
+    terms = {"calm": {"name": "travel", "weight": 2.0}}
+    ConfigStore.instance().store(group="rewards", name="calm_one", node=terms, package="rewards")
+    try:
+        assert controller_of("controller.rewards=calm_one")["rewards"] == terms
+    finally:
+        del ConfigStore.instance().repo["rewards"]["calm_one.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["controller=mpc", "controller.rewards=smoth"], r"controller.rewards: .*'smoth'; did you"),
+        (["controller=okada", "controller.rewards=smooth"], "controller.rewards: there is no such"),
+    ],
+)
+def test_what_cannot_be_is_refused(words: list[str], text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        compose.compose_eval(Overrides.parse(words))
+
+
+def test_a_teacher_has_presets_with_the_discount_of_the_training() -> None:
+    words = ["teacher=mpc", "teacher.controller.rewards=smooth", "agent.gamma=0.9"]
+    (config,) = compose.compose_train(Overrides.parse(words))
+    controller = to_dict(config)["teacher"]["controller"]
+    assert controller["rewards"]["shaped_progress"]["gamma"] == 0.9
+    assert list(controller["rewards"]) == list(preset("smooth"))
+    wrong = Overrides.parse(["teacher=mpc", "teacher.controller.rewards=smoth"])
+    with pytest.raises(ConfigError, match=r"teacher.controller.rewards: .*'smooth'"):
+        compose.compose_train(wrong)
+
+
+def test_compared_controllers_with_that_field_have_the_preset() -> None:
+    sources, others = policies("level,mpc", ["controller.rewards=tuned", "terrain=step"])
+    assert (sources["mpc"].settings or {})["rewards"] == preset("tuned")
+    assert "rewards" not in (sources["level"].settings or {})
+    assert others.words == ["terrain=step"]
+    with pytest.raises(ConfigError, match=r"controller.rewards: .*'tune'; did you mean 'tuned'"):
+        policies("level,mpc", ["controller.rewards=tune"])
+
+
+def test_a_preset_of_a_configuration_folder_counts_in_a_training(tmp_path: Path) -> None:
+    """The terms are found; then ``mpc`` refuses to be paid by them without a value."""
+    own = tmp_path / "own" / "rewards"
+    own.mkdir(parents=True)
+    (own / "mine.yaml").write_text("defaults:\n  - /reward@swing: swing\n")
+    words = [f"{key}={value}" for key, value in EXACT.items()]
+    for name, text in (("mine", "set controller.value"), ("mime", "'mime'; did you mean 'mine'")):
+        teacher = ["teacher=mpc", f"teacher.controller.rewards={name}"]
+        done = call("train", "--config-dir", "own", "terrain=step", *teacher, *words, cwd=tmp_path)
+        assert done.code == 2, done.err
+        assert text in done.err
+
+
+def test_a_configuration_folder_leaves_the_checks_of_a_training(tmp_path: Path) -> None:
+    (tmp_path / "own").mkdir()
+    words = ["terrain=flat", "conditions=varied", "sim.friction=0.5"]
+    done = call("train", "--config-dir", "own", *words, cwd=tmp_path)
+    assert done.code == 2, done.err
+    assert "sim.friction=0.5: it has no effect, since randomise.friction=" in done.err

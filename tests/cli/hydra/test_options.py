@@ -28,35 +28,6 @@ def my(tmp_path: Path) -> Path:
     return file
 
 
-@pytest.mark.parametrize(
-    ("words", "error"),
-    [
-        ("-m seed=1,2 --cfg job", "--cfg: it shows one configuration; leave --multirun out"),
-        ("seed=1,2 --cfg job", "give one value of seed"),
-        ("--info all --cfg job", "--info: no meaning beside --cfg"),
-        ("--info all -m", "--info: it shows one configuration"),
-        ("--resolve", "--resolve: no meaning without --cfg"),
-        ("--cfg nonsense", "invalid choice: 'nonsense'"),
-        ("--config-dir", "expected one argument"),
-        ("-m hydra.mode=RUN seed=1,2", "hydra.mode=RUN: no meaning beside --multirun"),
-        ("hydra.mode=BOTH", "hydra.mode: RUN or MULTIRUN is allowed; the value is BOTH"),
-        ("-m seed=glob(*)", "seed=glob(*): no name fits"),
-        ("hydra.searchpath=3", "hydra.searchpath: a list of folders is allowed"),
-        ("--output a hydra.run.dir=b", "hydra.run.dir is given twice"),
-        ("--output a --resume b", "--output: no meaning beside --resume"),
-        ("--cfg job -p nope", "--cfg: package 'nope' not found in config"),
-        ("--cfg job terrain=3", "terrain: a name is allowed; the value is 3"),
-        ("--cfg job hydra/launcher=[1]", "hydra/launcher: a name is allowed"),
-        ("hydra.verbose=inf", "Hydra cannot use the words or its settings"),
-        ("seed=true", "seed: a number is allowed, not true or false"),
-        ("-m seed=2,true", "seed: a number is allowed, not true or false"),
-        ("agent.learning_rate=true", "agent.learning_rate: a number is allowed"),
-    ],
-)
-def test_requests_that_hydra_fails_on_are_refused(tmp_path: Path, words: str, error: str) -> None:
-    assert error in refused("train", *words.split(), cwd=tmp_path)
-
-
 def test_one_word_with_a_space_may_be_one_value_or_several_words(tmp_path: Path) -> None:
     text = refused("train", "hydra.run.dir=my run=1", cwd=tmp_path)
     assert """if it is one value, quote it: 'hydra.run.dir="my run=1"'""" in text

@@ -1,4 +1,4 @@
-"""The search: its samples, the trials that count, and that stopping it changes nothing."""
+"""The search: its samples and objective, which trials count, and that a stop changes nothing."""
 
 import subprocess
 import sys
@@ -12,7 +12,7 @@ from hydra.core.utils import JobReturn, JobStatus
 from omegaconf import OmegaConf
 from sqlalchemy.exc import SQLAlchemyError
 
-from flipperctl.cli.hydra.optuna_search import SearchSweep
+from flipperctl.cli.hydra import sweeps
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.hydra.sweeps import launched_by
 from flipperctl.errors import (
@@ -20,9 +20,10 @@ from flipperctl.errors import (
     FlipperctlError,
     InterruptedRunError,
     NonFiniteError,
-    WriteError,
 )
-from flipperctl.training.search_space import SearchSettings, distributions
+from flipperctl.training import search as searching
+from flipperctl.training.search_space import SearchSettings, distributions, objective
+from tests.cli.call import refused
 
 DRAWN = ["agent.learning_rate=tag(log,interval(1e-4,3e-3))", "agent.batch_size=32,64"]
 
@@ -61,7 +62,9 @@ def search(
     launcher = Launcher(fails)
     sweep = {"dir": str(folder / own), "subdir": "${hydra.job.num}"}
     jobs = launched_by(launcher, OmegaConf.create({"hydra": {"sweep": sweep}}))
-    SearchSweep(SearchSettings(storage=storage, **settings), jobs).run(overrides)
+    chosen = SearchSettings(storage=storage, **settings)
+    sampled, fixed = Overrides.parse(overrides, check=False).sampled()
+    searching.search(chosen, jobs, overrides, sampled, fixed, tell=print)
     return launcher.jobs, trials(folder)
 
 
@@ -162,20 +165,6 @@ def test_more_trials_go_on_and_the_best_is_written(tmp_path: Path) -> None:
     assert written.best_run == f"run{best.number}"
 
 
-def test_a_training_that_diverges_is_a_result(tmp_path: Path) -> None:
-    jobs, found = search(tmp_path, fails={1: NonFiniteError("loss: nan")}, n_trials=3)
-    assert len(jobs) == 3
-    assert [trial.state.name for trial in found] == ["COMPLETE", "FAIL", "COMPLETE"]
-
-
-def test_a_full_disk_stops_the_search_and_its_trial_is_trained_later(tmp_path: Path) -> None:
-    with pytest.raises(WriteError, match="no space"):
-        search(tmp_path, fails={1: WriteError("no space")}, n_trials=3)
-    jobs, found = search(tmp_path, n_trials=3)
-    assert len(jobs) == 2
-    assert len(drawn(found)) == 3
-
-
 def test_equal_values_are_trained_once(tmp_path: Path) -> None:
     lists = ["agent.learning_rate=0.1,0.2"]
     jobs, found = search(tmp_path, lists, n_trials=6)
@@ -206,11 +195,6 @@ def test_an_interrupted_trial_goes_on_in_its_own_run(
     _, found = search(tmp_path, n_trials=4)
     assert numbers == [2, 4]
     assert found[3].params == found[2].params
-
-
-def test_when_every_trial_fails_the_work_failed(tmp_path: Path) -> None:
-    with pytest.raises(FlipperctlError, match="every trial"):
-        search(tmp_path, fails={0: NonFiniteError("loss: nan")}, n_trials=1)
 
 
 def test_a_wrong_request_stops_the_search_at_once(tmp_path: Path) -> None:
@@ -246,3 +230,88 @@ def test_intervals_and_lists_are_drawn_and_the_rest_is_fixed() -> None:
     }
     with pytest.raises(ConfigError, match="nothing to search"):
         distributions({})
+
+
+def test_the_objective_orders_by_success_and_then_by_swing_at_100_hz() -> None:
+    def value(success: float, swing: float, at_decisions: float = 0.0) -> float:
+        best = {
+            "success_rate": success,
+            "pitch_variation": at_decisions,
+            "pitch_variation_100hz": swing,
+        }
+        found = objective(best, 40)
+        assert found is not None
+        return found
+
+    assert value(1.0, 1.0) == pytest.approx(1 - 0.5 / 40)
+    assert value(1.0, 0.0) == 1
+    assert value(1.0, 0.5) > value(1.0, 1.0) > value(39 / 40, 0.0) > value(38 / 40, 0.0)
+    assert value(1 / 40, 1e6) > value(0.0, 0.0)
+    assert value(1.0, 1.0, at_decisions=0.9) == value(1.0, 1.0, at_decisions=0.1)
+    assert objective(None, 40) is None
+
+
+def test_the_objective_is_the_return_where_runs_choose_by_it() -> None:
+    best = {"success_rate": 1.0, "pitch_variation_100hz": 0.5, "mean_return": 7.0}
+    assert objective(best, 40, "return") == 7.0
+    assert objective(best, 40, "last") == objective(best, 40) == objective(best, 40, "success")
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["train.best_by=success,return"], "train.best_by: a search has one objective"),
+        (
+            ["rewards=smooth", "rewards.swing.weight=interval(2,16)", "train.best_by=return"],
+            "rewards.swing.weight: a search by returns",
+        ),
+        (["rewards=paper,smooth", "experiment=searched"], "rewards: a search by returns"),
+        (
+            ["+reward@rewards.more=progress,impact", "train.best_by=return"],
+            r"\+reward@rewards.more: a search by returns",
+        ),
+        (["rewards=paper,smooth", "experiment=quick,searched"], "rewards: a search by returns"),
+        (["experiment=quick,searched"], "experiment=searched: a search has one objective"),
+        (["train.validation_seed=1,2,3"], "train.validation_seed: a search has one objective"),
+        (["++train.validation_seed=interval(1,9)"], "train.validation_seed: a search has one"),
+    ],
+)
+def test_objectives_that_do_not_compare_are_refused(words: list[str], text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        sweeps.check_objective(*Overrides.parse(words, check=False).sampled())
+
+
+def test_lists_that_need_each_other_are_composed_together() -> None:
+    words = ["network=mlp,dueling_mlp", "network.hidden=[16],[32]"]
+    sweeps.check_objective(*Overrides.parse(words, check=False).sampled())
+
+
+def test_the_command_refuses_them(tmp_path: Path) -> None:
+    """Within the application of Hydra, which composes otherwise than a test does."""
+    words = ("rewards.pitch.weight=0.1,1", "train.best_by=return")
+    error = refused("train", "-m", "hydra/sweeper=optuna", *words, cwd=tmp_path)
+    assert "rewards.pitch.weight: a search by returns" in error
+
+
+def test_rewards_are_searched_by_success() -> None:
+    words = ["rewards=smooth", "rewards.swing.weight=interval(2,16)"]
+    sweeps.check_objective(*Overrides.parse(words, check=False).sampled())
+
+
+def test_values_have_the_types_that_hydra_gives_them() -> None:
+    given = ["train.decisions=500", "device='cuda:0'", "batch_sizes=[1,2]", "x=1e-3", "y=null"]
+    assert Overrides.parse(given).values() == {
+        "train.decisions": 500,
+        "device": "cuda:0",
+        "batch_sizes": [1, 2],
+        "x": 1e-3,
+        "y": None,
+    }
+
+
+@pytest.mark.parametrize(
+    "override", ["seed=1,2", "+seed=1", "++seed=1", "~seed", "x=interval(0,1)"]
+)
+def test_only_plain_values_are_allowed(override: str) -> None:
+    with pytest.raises(ConfigError, match="one value is allowed here"):
+        Overrides.parse([override]).values()

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from flipperctl.cli.scenes import scenes
+from flipperctl.cli.plan import scenes
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.evaluate import Played, Result
 from flipperctl.evaluation.plan import Entry, Plan

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flipperctl.api import FloatArray, Profile, RobotState, SensedGround
-from flipperctl.cli.scenes import scenes
+from flipperctl.cli.plan import scenes
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.sim.planar import PlanarSensor, TerrainSensor

@@ -15,46 +15,33 @@ from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig
 
 
-class _DeferredSweeper(Sweeper):
-    """Keep the settings until ``setup``, since Hydra rewords errors raised before it."""
+class ListSweeper(Sweeper):
+    """Hydra's basic sweeper, with named folders and a table at the end."""
+
+    kind = "ListSweep"
+    """Class in ``flipperctl.cli.hydra.sweeps``."""
 
     def __init__(self, **settings: Any) -> None:
+        """Keep the settings until ``setup``, since Hydra rewords errors raised before it."""
         self._settings = settings
         self._sweep: Any = None
+
+    def setup(
+        self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
+    ) -> None:
+        """Prepare the sweep; Hydra calls this before ``sweep``."""
+        from flipperctl.cli.hydra import sweeps
+
+        self._sweep = getattr(sweeps, self.kind)(
+            self._settings, hydra_context=hydra_context, task_function=task_function, config=config
+        )
 
     def sweep(self, arguments: list[str]) -> None:
         """Train what ``arguments``, the user's overrides, describe."""
         self._sweep.run(arguments)
 
 
-class ListSweeper(_DeferredSweeper):
-    """Hydra's basic sweeper, with named folders and a table at the end."""
-
-    def setup(
-        self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
-    ) -> None:
-        """Prepare the sweep; Hydra calls this before ``sweep``."""
-        from flipperctl.cli.hydra.sweeps import ListSweep
-
-        self._sweep = ListSweep(
-            self._settings, hydra_context=hydra_context, task_function=task_function, config=config
-        )
-
-
-class OptunaSweeper(_DeferredSweeper):
+class OptunaSweeper(ListSweeper):
     """A search by Optuna over intervals and lists."""
 
-    def setup(
-        self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
-    ) -> None:
-        """Prepare the search; Hydra calls this before ``sweep``.
-
-        Raises:
-            MissingExtraError: Optuna is not installed.
-            ConfigError: a setting is of the wrong type or out of bounds.
-        """
-        from flipperctl.cli.hydra.optuna_search import prepare
-
-        self._sweep = prepare(
-            self._settings, hydra_context=hydra_context, task_function=task_function, config=config
-        )
+    kind = "SearchSweep"

@@ -17,11 +17,12 @@ from typing import Any
 import numpy as np
 import torch
 
+from benchmarks.settings import Benchmark, ratio
 from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.replay import Replay
 from flipperctl.api import ACTIONS
-from flipperctl.bench.settings import Bench, CommonSettings, measure_in_turn, quantity, ratio
+from flipperctl.bench import measure_in_turn, quantity
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import RequestError
@@ -54,7 +55,7 @@ def no_rivals(
     return {}
 
 
-def measure(bench: Bench[CommonSettings], rivals: Rivals = no_rivals) -> dict[str, Any]:
+def measure(bench: Benchmark, rivals: Rivals = no_rivals) -> dict[str, Any]:
     """Measure updates and transitions per second [1/s] for each batch size.
 
     ``rivals`` take turns with flipperctl's learner.

@@ -2,7 +2,8 @@
 
 import pytest
 
-from flipperctl.bench.settings import measure_in_turn, quantity, ratio
+from benchmarks.settings import ratio
+from flipperctl.bench import measure_in_turn, quantity
 
 
 def test_a_quantity_keeps_its_raw_numbers() -> None:

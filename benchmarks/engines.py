@@ -13,16 +13,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+from benchmarks.settings import Benchmark, ratio
 from flipperctl.api.plugin import registered_names
-from flipperctl.bench.settings import (
-    ENGINE_GROUNDS,
-    Bench,
-    BenchSettings,
-    Values,
-    measure_in_turn,
-    quantity,
-    ratio,
-)
+from flipperctl.bench import Values, measure_in_turn, quantity
 from flipperctl.config import DEFAULT_ENGINE, EnvConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
@@ -34,6 +27,8 @@ ABOUT = (
     "simulated time per second of CPU time (× real time on one core) of every engine and of the "
     "environment with it, in turn, with the same actions on the same ground"
 )
+ENGINE_GROUNDS = ("flat", "stair", "plum", "paper_stair")
+"""Terrains on which engines are timed: level ground, edges, many edges, the paper's scene."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +83,7 @@ class Clock:
         return simulated / spent
 
 
-def measure(bench: Bench[BenchSettings]) -> dict[str, Any]:
+def measure(bench: Benchmark) -> dict[str, Any]:
     """Measure simulated time over CPU time [-] by engine and terrain, and ratios of the engines.
 
     The engine chosen by ``sim=…`` has its configured settings, the others have their defaults.
@@ -112,7 +107,7 @@ def measure(bench: Bench[BenchSettings]) -> dict[str, Any]:
     }
 
 
-def _clocks(bench: Bench[BenchSettings]) -> tuple[dict[str, Clock], list[str]]:
+def _clocks(bench: Benchmark) -> tuple[dict[str, Clock], list[str]]:
     """Return the clock of each engine and terrain, and the reasons why engines are left out."""
     config, s = bench.config.environment(), bench.settings
     clocks: dict[str, Clock] = {}
@@ -132,7 +127,7 @@ def _clocks(bench: Bench[BenchSettings]) -> tuple[dict[str, Clock], list[str]]:
     return clocks, missing
 
 
-def _report(bench: Bench[BenchSettings], fraction: float) -> None:
+def _report(bench: Benchmark, fraction: float) -> None:
     bench.report_progress("engines in turn", fraction)
 
 

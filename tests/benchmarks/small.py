@@ -1,22 +1,21 @@
-"""Benchmark settings small enough for tests, and checks of every measure's result."""
+"""Sizes of the developers' measures that are small enough for tests, and checks of every result."""
 
 import math
 
 import pytest
 
-from flipperctl.bench.settings import Bench, BenchSettings
-from flipperctl.cli.bench import suite
+from benchmarks.settings import Benchmark, sizes
 from flipperctl.config import TrainConfig
 
 UNITS = {"m", "rad", "1/s", "s", "ms", "µs", "MiB", "-"}
 
 
-def small_bench(**changes: object) -> Bench[BenchSettings]:
+def small_benchmark(**changes: object) -> Benchmark:
     """Return small sizes on steps, whose runs end by their budget and not by the clock."""
     config = TrainConfig(
         terrain="step", network="at_d3qn", seed=3, train={"decisions": 250, "workers": 2}
     )
-    return Bench(config, suite().settings(small=True, changes=changes))
+    return Benchmark(config, sizes(small=True, changes={"limit": 3600.0, **changes}))
 
 
 def check(found: dict) -> None:
@@ -29,9 +28,3 @@ def check(found: dict) -> None:
         assert q["median"] == (pytest.approx(middle) if math.isfinite(middle) else None), name
         if q["low"] is not None:
             assert ordered[0] <= q["low"] <= (q["median"] or math.inf), name
-
-
-def check_ratio(found: dict, name: str, above: str, below: str) -> None:
-    """Check that the ratio is that of the medians of the two quantities."""
-    medians = [found["quantities"][what]["median"] for what in (above, below)]
-    assert found["ratios"][name]["ratio"] == pytest.approx(medians[0] / medians[1])

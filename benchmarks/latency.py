@@ -6,7 +6,6 @@ Checkpoints and exports come from a short training with this configuration.
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from collections.abc import Callable
@@ -14,8 +13,9 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from benchmarks.settings import Benchmark
 from flipperctl import checkpoint
-from flipperctl.bench.settings import Bench, BenchSettings, measure_in_turn, output, quantity
+from flipperctl.bench import clocked, measure_in_turn, output, quantity
 from flipperctl.config import TrainConfig, with_overrides
 from flipperctl.config.words import literal_override
 from flipperctl.errors import MissingExtraError
@@ -26,7 +26,6 @@ ABOUT = (
     "one decision of an exported ONNX policy on one thread, in a process without torch and "
     "pymunk; writing and reading checkpoints, exporting; memory of a short training"
 )
-CLOCK = "flipperctl.bench.onnx_clock"
 
 # Run a command in its own session and print the largest total memory of its processes
 # [KiB]; shared memory (libraries, a fork server's pages) counts once, divided among its users.
@@ -53,7 +52,7 @@ sys.exit(process.returncode)
 """
 
 
-def measure(bench: Bench[BenchSettings]) -> dict[str, Any]:
+def measure(bench: Benchmark) -> dict[str, Any]:
     """Measure decisions [µs], checkpoints and exports [ms], and memory [MiB]."""
     s = bench.settings
     missing: list[str] = []
@@ -113,18 +112,7 @@ def trained(config: TrainConfig, decisions: int, folder: Path) -> Trainer:
     return trainer
 
 
-def clocked(policy: Path, calls: int, seed: int) -> dict[str, Any]:
-    """Time a policy in a separate process: ``median`` and ``p99`` [µs], modules ``imported``.
-
-    Raises:
-        MissingExtraError: ONNX Runtime is not installed.
-    """
-    command = [sys.executable, "-m", CLOCK, str(policy), str(calls), str(seed)]
-    found: dict[str, Any] = json.loads(output(command, "latency: the policy's own process"))
-    return found
-
-
-def peak(bench: Bench[BenchSettings], folder: Path) -> float:
+def peak(bench: Benchmark, folder: Path) -> float:
     """Return the peak memory of all processes of a short training together [MiB]."""
     decisions = str(bench.settings.decisions)
     own = {
@@ -150,7 +138,5 @@ def _milliseconds(work: Callable[[], object]) -> Callable[[], float]:
     return clock
 
 
-def _part(
-    bench: Bench[BenchSettings], what: str, low: float, high: float
-) -> Callable[[float], None]:
+def _part(bench: Benchmark, what: str, low: float, high: float) -> Callable[[float], None]:
     return lambda fraction: bench.report_progress(what, low + fraction * (high - low))

@@ -16,10 +16,11 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 
+from benchmarks.settings import Benchmark, ratio
 from flipperctl import plugins
 from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.learner import arrays
-from flipperctl.bench.settings import Bench, BenchSettings, measure_in_turn, quantity, ratio
+from flipperctl.bench import measure_in_turn, quantity
 from flipperctl.config import RayCollector, TrainConfig, to_dict
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
@@ -153,7 +154,7 @@ def worker_counts(cores: int | None = None) -> tuple[int, ...]:
 
 
 def measure(
-    bench: Bench[BenchSettings], found: Mapping[str, tuple[Factory, tuple[int, ...]]] | None = None
+    bench: Benchmark, found: Mapping[str, tuple[Factory, tuple[int, ...]]] | None = None
 ) -> dict[str, Any]:
     """Measure decisions per second [1/s] of each collector, and their ratios."""
     s, threads = bench.settings, torch.get_num_threads()

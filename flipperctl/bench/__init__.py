@@ -1,1 +1,0 @@
-"""Measures of ``flipperctl bench``; each is a module with ``ABOUT`` and ``measure``."""

@@ -1,0 +1,188 @@
+"""``inspect reward --regret`` and ``--compare``, and the line that ``train`` prints at its end."""
+
+import json
+import shutil
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from flipperctl import checkpoint
+from flipperctl.errors import FlipperctlError
+from flipperctl.training import run as final_regret
+from flipperctl.training.run import SEED, FinalRegret
+from tests.cli.call import EXACT, call
+from tests.short import short_config
+
+TRAIN = {**EXACT, "train.decisions": 120, "train.validation_episodes": 1}
+
+
+def train(episodes: int, run: str = "run") -> list[str]:
+    settings = {**TRAIN, "train.regret_episodes": episodes, "hydra.run.dir": run}
+    return ["train", "terrain=step", *(f"{key}={value}" for key, value in settings.items())]
+
+
+def regret(*arguments: str, cwd: Path) -> list[dict[str, Any]]:
+    done = call("inspect", "reward", "--regret", "--json", *arguments, cwd=cwd)
+    assert done.code == 0, done.err
+    scenes = json.loads(done.out)["scenes"]
+    assert isinstance(scenes, list)
+    return scenes
+
+
+def test_returns_are_those_of_an_evaluation_on_the_same_episodes(tmp_path: Path) -> None:
+    asked = ["--controller", "okada", "terrain=step,ramp", "--episodes", "5", "eval.seed=5"]
+    scenes = regret(*asked, "--against", "level", cwd=tmp_path)
+    evaluated = json.loads(call("eval", *asked, "--json", cwd=tmp_path).out)["scenes"]
+    assert [scene["terrain"] for scene in scenes] == ["step", "ramp"]
+    for one, scene in zip(scenes, evaluated, strict=True):
+        assert one["policy"]["return"]["mean"] == pytest.approx(scene["return"]["mean"])
+        assert one["conditions"] == scene["conditions"]
+        pairs = zip(
+            *(found["returns"] for found in (one["policy"], one["references"]["level"])),
+            strict=True,
+        )
+        best = sum(max(pair) for pair in pairs) / 5
+        assert one["best_known"]["return"]["mean"] == pytest.approx(best)
+
+
+def test_a_run_is_judged_by_its_own_reward_unless_another_is_chosen(
+    short_run: Path, tmp_path: Path
+) -> None:
+    asked = ["--checkpoint", str(short_run), "--episodes", "1", "--against", "okada"]
+    (own,) = regret(*asked, cwd=tmp_path)
+    assert (own["rewards"], own["terrain"], own["name"]) == ("own", "step", str(short_run))
+    assert set(own["references"]) == {"level", "okada"}
+    paper, smooth = regret(*asked, "rewards=paper,smooth", cwd=tmp_path)
+    assert (paper["rewards"], smooth["rewards"]) == ("paper", "smooth")
+    assert paper["policy"]["returns"] == own["policy"]["returns"]
+    assert smooth["policy"]["returns"] != own["policy"]["returns"]
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A run that was compared at its end, and what the command printed; copy it to change it."""
+    folder = tmp_path_factory.mktemp("compared")
+    done = call(*train(2), cwd=folder)
+    assert done.code == 0, done.err
+    return folder / "run", done.err
+
+
+def test_a_training_ends_with_what_the_inspection_says(
+    compared: tuple[Path, str], tmp_path: Path
+) -> None:
+    run, err = compared
+    (line,) = [line for line in err.splitlines() if line.startswith("Check on 2 new episodes")]
+    assert "; flippers held still " in line
+    found = json.loads((run / "summary.json").read_text())["regret"]
+    again = ["--checkpoint", str(run), "conditions=trained", f"eval.seed={SEED}", "--episodes", "2"]
+    (inspected,) = regret(*again, "--against", "level,okada", cwd=tmp_path)
+    assert found["policy"] == inspected["policy"]
+    assert found["references"] == inspected["references"]
+    assert found["seed"] == inspected["seed"]
+
+
+def test_it_leaves_the_checkpoints_as_they_are(compared: tuple[Path, str], tmp_path: Path) -> None:
+    assert call(*train(0, "plain"), cwd=tmp_path).code == 0
+    assert json.loads((tmp_path / "plain" / "summary.json").read_text())["regret"] is None
+    read = [checkpoint.read(run / checkpoint.LAST) for run in (tmp_path / "plain", compared[0])]
+    first, second = (found.document.state for found in read)
+    assert first == second
+
+
+@pytest.mark.parametrize("trouble", ["Ctrl-C", "Ctrl-C twice", "death", "failure"])
+def test_whatever_happens_meanwhile_the_training_is_finished_and_goes_on(
+    trouble: str, compared: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A run that died while it was compared is compared when it is resumed."""
+    run = Path(shutil.copytree(compared[0], tmp_path / "run"))
+    summary = run / "summary.json"
+    summary.unlink()
+    measure = final_regret.measure
+
+    def troubled(*given: Any) -> Any:
+        if trouble == "death":
+            raise MemoryError
+        if trouble == "failure":
+            raise FlipperctlError("the rule fell over")
+        for _ in trouble.split():
+            signal.raise_signal(signal.SIGINT)
+        return measure(*given)
+
+    with monkeypatch.context() as context:
+        context.setattr(final_regret, "measure", troubled)
+        done = call("train", "--resume", "run", cwd=tmp_path)
+    code, text = {
+        "death": (1, "MemoryError"),
+        "failure": (0, "the return of the best policy is not measured: the rule fell over"),
+    }.get(trouble, (130, "the training is finished and saved"))
+    assert (done.code, text in done.err) == (code, True), done.err
+    assert summary.exists() == (trouble != "death")
+    if trouble != "death":
+        found = json.loads(summary.read_text())
+        assert (found["finished"], found["regret"]) == (True, None)
+    again = call("train", "--resume", "run", cwd=tmp_path)
+    assert again.code == 0
+    told = "Check on 2 new episodes" if trouble == "death" else "nothing left to do"
+    assert told in again.err
+    assert list(run.rglob("*.part")) == []
+
+
+@pytest.mark.parametrize(
+    ("teacher", "names"),
+    [
+        ({"name": "okada"}, ["level", "okada"]),
+        ({"name": "okada", "rear_gain": 0.9}, ["level", "okada", "teacher"]),
+        ({"name": "mpc"}, ["level", "okada"]),  # it searches, which takes too long
+    ],
+)
+def test_a_teacher_that_is_a_rule_is_compared(
+    teacher: dict[str, Any], names: list[str], tmp_path: Path
+) -> None:
+    config = short_config(**{"teacher.controller": teacher})
+    found = FinalRegret(config, tmp_path, lambda: False, print)._references()
+    assert list(found) == names
+
+
+def compare(names: str, *arguments: str, cwd: Path, episodes: int = 5) -> list[dict[str, Any]]:
+    options = ["--compare", names, "--episodes", str(episodes), "--json"]
+    done = call("inspect", "reward", *options, *arguments, cwd=cwd)
+    assert done.code == 0, done.err
+    scenes = json.loads(done.out)["scenes"]
+    assert isinstance(scenes, list)
+    return scenes
+
+
+def verdicts(scene: dict[str, Any]) -> dict[str, str]:
+    return {ranking["rewards"]: ranking["verdict"] for ranking in scene["rankings"]}
+
+
+def test_the_presets_pay_the_smooth_way_and_a_price_of_turning_does_not(tmp_path: Path) -> None:
+    # Over a ramp mpc swings less than the rule and turns the flippers for it.
+    small = ["controller.beam=4", "controller.horizon=6"]
+    ramp = ["terrain=ramp", "terrain.slope_low=20", "terrain.slope_high=25"]
+    sets = ["rewards=tuned,smooth", "rewards.travel.weight=0.02,0.8"]
+    (scene,) = compare("okada,mpc", *ramp, *sets, *small, cwd=tmp_path)
+    assert scene["by_pitch_variation_100hz"] == ["mpc", "okada"]
+    assert (scene["episodes"], scene["common"]) == (5, 5)
+    assert verdicts(scene) == {
+        "tuned rewards.travel.weight=0.02": "agrees",
+        "smooth rewards.travel.weight=0.02": "agrees",
+        "tuned rewards.travel.weight=0.8": "contradicts",
+        "smooth rewards.travel.weight=0.8": "contradicts",
+    }
+    (found,) = next(
+        r["contradictions"]
+        for r in scene["rankings"]
+        if "smooth" in r["rewards"] and r["contradictions"]
+    )
+    assert (found["paid"], found["calm"]) == ("okada", "mpc")
+    assert next(iter(found["terms"])) == "travel"
+
+
+def test_what_drives_for_a_reward_is_compared_by_one_alone(tmp_path: Path) -> None:
+    words = ("--compare", "level,value_iteration", "terrain=step", "rewards=paper,smooth")
+    done = call("inspect", "reward", *words, "--episodes", "1", cwd=tmp_path)
+    assert done.code == 2
+    assert "value_iteration drives otherwise for each of the rewards paper, smooth" in done.err
