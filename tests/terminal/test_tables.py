@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.cells import cell_len
 
-from flipperctl import show
+from flipperctl import bench, show
 from flipperctl.cli.hydra.sweeps import print_comparison
 from flipperctl.cli.inspect import run
 from flipperctl.evaluation.views import evaluation
@@ -53,10 +53,10 @@ FAULTS = {"stale": {"count": 2, "seconds": 1.2, "reason": "no cloud is newer tha
 SHADOW = SENSED | {"policy": "p.onnx", "states": {"ready": 11.1}, "faults": FAULTS, "output": "log"}
 RATE = {"median": 1234.5, "low": 1200.25, "high": 1300.75, "unit": "1/s"}
 RATIO = {"ratio": 1.234, "low": 1.111, "high": 1.345}
-BENCH = {"measures": {"latency": {
+BENCH = {
     "about": "how long a decision takes on this machine, and how long the simulation of it takes",
     "quantities": {"a decision of the policy in the simulation": RATE}, "ratios": {"both": RATIO},
-}}}  # fmt: skip
+}  # fmt: skip
 BEST = {"decision": 7, "success_rate": 0.9, "pitch_variation_100hz": 1.234,
         "pitch_variation": 1.111, "t_cost": 21.5}  # fmt: skip
 RUN = {"run": "runs/stair", "running": False, "summary": None, "validations": [
@@ -69,7 +69,7 @@ SUMMARY = {"best": BEST, "decisions": 60000, "seconds": 1234.5, "finished": True
 DOCUMENTS: dict[str, Callable[[], None]] = {
     "check": lambda: tables.print_perception(SENSED, None),
     "shadow": lambda: tables.print_shadow(SHADOW),
-    "bench": lambda: tables.print_measures(BENCH),
+    "bench": lambda: print_table(bench.table("latency", BENCH), console()),
     "run": lambda: run._print(RUN, None),
     "published": lambda: print_table(Table(evaluation._PUBLISHED, [OURS], "Published"), console()),
     "sweep": lambda: print_comparison(
@@ -78,7 +78,13 @@ DOCUMENTS: dict[str, Callable[[], None]] = {
 }
 """What commands print that need a recording, minutes or several trainings."""
 MADE_BY = {
-    *("cli/hydra/sweeps.py", "cli/inspect/run.py", "terminal/tables.py", "testing/conventions.py"),
+    *(
+        "cli/hydra/sweeps.py",
+        "cli/inspect/run.py",
+        "terminal/tables.py",
+        "testing/conventions.py",
+        "bench.py",
+    ),
     *(f"evaluation/views/{view}.py" for view in ("audit", "compare", "engines", "evaluation")),
     *(f"evaluation/views/{view}.py" for view in ("ranking", "regret", "strata")),
 }
