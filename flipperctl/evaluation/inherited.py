@@ -117,7 +117,7 @@ def _training_line(trained: TrainConfig, config: EvalConfig, keys: Collection[st
     own = EvalConfig(**{name: getattr(trained, name) for name in EnvConfig.model_fields})
     before, here = Conditions.of(own).settings, Conditions.of(config).settings
     texts = [
-        f"{path}={_short(there)} ({'none' if ours is ABSENT else _short(ours)})"
+        f"{path}={_short(there)} ({_short(None if ours is ABSENT else ours)})"
         for section in _CHOSEN
         for path, there, ours in differences(before[section], here[section], section)
         if there is not ABSENT and not {section, path} & set(keys)

@@ -22,7 +22,6 @@ from flipperctl.checkpoint import recording
 from flipperctl.checkpoint.recording import PartialEnvironment, Recording
 from flipperctl.config import TrainConfig, to_dict
 from flipperctl.config.identity import ABSENT, differences
-from flipperctl.config.randomise import OMITTED
 from flipperctl.errors import ConfigError
 
 _SECTIONS = ("sim", "perception", "episode", "randomise")
@@ -80,7 +79,6 @@ def differing_conditions(config: TrainConfig, found: Recording) -> str:
     It is empty if none differ.
     """
     ours = to_dict(config.environment())
-    ours["randomise"] = _complete(ours["randomise"])
     left_out: dict[str, Collection[str]] = {
         "sim": config.sim.without_effect,
         "perception": ObservationLayout.model_fields.keys(),
@@ -92,22 +90,12 @@ def differing_conditions(config: TrainConfig, found: Recording) -> str:
         for text in _differing(
             section,
             {k: v for k, v in ours[section].items() if k not in left_out.get(section, ())},
-            _section(environment, section),
+            environment.model_dump(mode="json").get(section, {}),
         )
     )
     if not texts:
         return ""
     return f"teacher.episodes: {found.path} was recorded under other conditions: {', '.join(texts)}"
-
-
-def _section(environment: PartialEnvironment, section: str) -> dict[str, Any]:
-    found = environment.model_dump(mode="json").get(section, {})
-    return _complete(found) if section == "randomise" else found
-
-
-def _complete(randomise: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the section with what files omit."""
-    return {**randomise, **{name: randomise.get(name, none) for name, none in OMITTED.items()}}
 
 
 def _check_robot(robot: Robot, path: Path, environment: PartialEnvironment) -> None:
@@ -135,13 +123,14 @@ def _differing(section: str, ours: Mapping[str, Any], theirs: Mapping[str, Any])
         yield f"{section}={theirs.get('name')} (here {ours.get('name')})"
         return
     for path, here, there in differences(ours, theirs, section):
-        if ABSENT not in (here, there):
+        if section == "randomise" or ABSENT not in (here, there):  # it omits what it does not do
             yield f"{path}={_text(there)} (here {_text(here)})"
 
 
 def _text(value: object) -> str:
     """Return a value as the text of an override."""
-    return value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
+    plain = None if value is ABSENT else value
+    return plain if isinstance(plain, str) else json.dumps(plain, separators=(",", ":"))
 
 
 def read_teacher(config: TrainConfig) -> Recording | None:

@@ -195,7 +195,7 @@ def test_other_conditions_of_recorded_episodes_are_stated(elsewhere: Path, file:
         f"teacher.episodes: {elsewhere} was recorded under other conditions: sim.friction=0.75 "
         "(here 1.0), perception.noise=0.01 (here 0.0), perception.occlusion=true (here false), "
         "episode.slack=4.0 (here 3.0), randomise.chassis_mass=[30.0,40.0] (here null), "
-        'randomise.sim={"gravity":9.8} (here {})'
+        'randomise.sim={"gravity":9.8} (here null)'
     )
     in_3d = short_config(sim={"name": "mujoco", "friction": 0.75})
     assert "sim=planar (here mujoco), perception" in differing_conditions(in_3d, found)
