@@ -12,7 +12,18 @@ pytestmark = pytest.mark.slow
 KINDS = ("terrain", "reward", "network", "controller", "sim", "perception", "measure", "logger")
 
 
-@pytest.mark.parametrize("check", checks(*registry.values()), ids=str)
+AT_NIGHT = ("perception-lidar-senses", "perception-lidar-repeats", "controller-mpc-actions")
+"""They take long, and tests/sim/lidar and tests/lookahead prove the same in short."""
+
+
+@pytest.mark.parametrize(
+    "check",
+    [
+        pytest.param(check, marks=[pytest.mark.long] * (str(check) in AT_NIGHT))
+        for check in checks(*registry.values())
+    ],
+    ids=str,
+)
 def test_a_plugin_keeps_the_contract(check: Check) -> None:
     check()
 
