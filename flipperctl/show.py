@@ -11,7 +11,7 @@ import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 from rich.cells import cell_len
 from rich.console import Console
@@ -39,10 +39,6 @@ NONE = "–"
 """Text of a missing number."""
 NATURAL = 10_000
 """Width of an output that is not a terminal, so that tables are as wide as they need [columns]."""
-
-
-class _Interval(Protocol):
-    def to_dict(self) -> dict[str, Any]: ...
 
 
 @dataclass(frozen=True)
@@ -92,9 +88,7 @@ def value_text(value: Any, column: Column) -> str:
     return interval_text(value, column.digits, sign=column.sign)
 
 
-def interval_text(
-    found: _Interval | Mapping[str, Any] | None, digits: int = 2, *, sign: str = ""
-) -> str:
+def interval_text(found: Mapping[str, Any] | None, digits: int = 2, *, sign: str = "") -> str:
     """Return ``mean [low, high]``.
 
     A mean without an interval is followed by ``[–]``, and ``–`` stands for None.
@@ -102,8 +96,7 @@ def interval_text(
     """
     if found is None:
         return NONE
-    ends = found if isinstance(found, Mapping) else found.to_dict()
-    mean, low, high = ends["mean"], ends["low"], ends["high"]
+    mean, low, high = found["mean"], found["low"], found["high"]
     if low is None or high is None:
         return f"{mean:{sign}z.{digits}f} [–]"
     mean, low, high = (f"{n:{sign}z.{digits}f}" for n in (mean, low, high))

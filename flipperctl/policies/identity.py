@@ -118,7 +118,7 @@ def _digest(document: object) -> str:
 
 def unlike_trainings(trainings: Sequence[Mapping[str, Any]]) -> str:
     """Return a sentence on the settings that differ; an empty one if none does."""
-    first, *others = map(without_input_paths, trainings)
+    first, *others = map(without_input_paths, trainings or [{}])  # none, of a rule
     found: dict[str, list[Any]] = {}
     for other in others:
         for path, here, there in differences(first, other):

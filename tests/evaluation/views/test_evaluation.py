@@ -34,9 +34,9 @@ def result() -> Result:
 
 def test_a_mean_without_an_interval_has_a_dash() -> None:
     found = Interval(1.984, 1.5, 2.0)
-    assert interval_text(found) == "1.98 [1.50, 2.00]"
+    assert interval_text(found.to_dict()) == "1.98 [1.50, 2.00]"
     assert interval_text(found.to_dict(), 1, sign="+") == "+2.0 [+1.5, +2.0]"
-    assert interval_text(Interval(1.984, None, None)) == "1.98 [–]"
+    assert interval_text(Interval(1.984, None, None).to_dict()) == "1.98 [–]"
     assert interval_text(None) == "–"
 
 
