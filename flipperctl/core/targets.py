@@ -47,7 +47,7 @@ MEANING = (
 
 @dataclass(frozen=True)
 class TargetRule:
-    """Computes new targets from the last ones, which it keeps near the measured angles.
+    """Next flipper targets from the last ones, bounded to ``window`` around the measured angles.
 
     While a flipper follows its targets, they stay on an exact grid of angles, free of measurement
     error. The target of a blocked flipper stays within ``window`` of the measured angle, and an

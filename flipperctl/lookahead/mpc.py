@@ -2,7 +2,7 @@
 
 In: perceptions alone. Out: actions. The policy simulates a nominal robot on the perceived ground.
 Without a learned value it plans for the least hand-set cost, in seconds, and with one for the
-largest return. The finish is not perceived; it is presumed one run-out past the last edge that is.
+largest return. The finish is unknown; it is assumed ``run_out`` past the last seen edge.
 """
 
 from __future__ import annotations
@@ -364,7 +364,7 @@ class ReturnPolicy(MpcPolicy):
         return super()._plan_from(p)
 
     def _stood(self, motion: tuple[float, float]) -> bool:
-        """Return whether the robot got no farther than before; one that rocks in place stands."""
+        """Return whether the robot got no farther than before; rocking in place is standing."""
         self._way += motion[0]
         if self._way < self._farthest + self._least():
             return True

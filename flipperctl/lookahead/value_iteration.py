@@ -223,7 +223,7 @@ class Graph:
         reward, kept = self._rewards.array(ts), np.where(child < 0, 0.0, self._gamma)
         # An episode ends as stuck after some time without progress. The states do not hold that
         # time, so it ends with equal probability at each decision in which the robot stands.
-        # Between represented states, every cycle has such a decision, else it could go on for ever.
+        # Every cycle contains such a decision, so value iteration ends.
         progress = after.places[:, 0] - before.places[:, 0]
         slow = progress < _SLOW * robot.track_speed * period
         hazard = np.where(going & slow, 1.0 / course.patience, 0.0)

@@ -72,7 +72,7 @@ class _Pair:
     """Time of the last approach [s]."""
 
 
-class _Following:
+class _StallDetector:
     """Finds flippers that miss their targets and come no closer for ``limits.stall_time``."""
 
     def __init__(self, limits: Limits) -> None:
@@ -178,7 +178,8 @@ class FlipperController:
         """``log`` receives a line of JSON for each decision and each change of state.
 
         ``shadow``: someone else moves the flippers, and the answers only tell what the policy would
-        do; that flippers do not follow is then no fault. ``escape``: as of ``OnnxPolicy``.
+        do; that flippers do not follow is then no fault. ``escape``: whether a
+        policy that warns draws its actions, see ``OnnxPolicy``.
 
         Raises:
             MissingExtraError: onnxruntime is missing, or small_gicp for matched scans.
@@ -192,7 +193,7 @@ class FlipperController:
         self._turning = float(interface.robot.get("flipper_speed", math.inf))
         self._driving_speed = float(interface.robot.get("track_speed", 0.0))
         self._intake = Intake(self._setup, self._limits)
-        self._following = _Following(self._limits)
+        self._stalls = _StallDetector(self._limits)
         self._standby = _Standby(self._limits)
         self._last: float | None = None
         self.reset()
@@ -208,7 +209,7 @@ class FlipperController:
         self._estimator = new_estimator(self.policy.interface, self._setup, level=level)
         self.policy.reset()
         self._intake.forget()
-        self._following.reset()
+        self._stalls.reset()
         self._standby.reset()
         self._standing = False  # whether the flippers stand by
         self._targets: Pair | None = None
@@ -293,14 +294,14 @@ class FlipperController:
         if joints is None or self._targets is None or self._shadow or not self._decided:
             return None
         angles = joints.front, joints.rear
-        stalled = self._following.stalled(now, self._targets, angles)
+        stalled = self._stalls.stalled(now, self._targets, angles)
         if stalled and self._standing:  # their operator turns them
             self._hold()
         elif stalled:
             self._stall = " and ".join(stalled)
             self._held_until = now + self._limits.stall_hold
             self._targets = self._setpoints = self._within(angles)  # do not push
-            self._following.reset()
+            self._stalls.reset()
         if now < self._held_until:
             return Fault(
                 "stall",
@@ -414,7 +415,7 @@ class FlipperController:
         joints = self._intake.joints
         if joints is not None:
             self._targets = self._setpoints = self._within((joints.front, joints.rear))
-            self._following.reset()
+            self._stalls.reset()
         self.policy.reset()
 
     def _theirs(self, pair: Pair | None) -> Pair | None:

@@ -74,7 +74,7 @@ class Intake:
         return self._refused.get(device)
 
     def receive(self, now: float, **messages: object) -> Iterator[tuple[str, float, Accepted]]:
-        """Yield device, time and content of each message that is accepted; None is no message.
+        """Yield device, time and content of each message that is accepted; None is ignored.
 
         A message that is no newer than the last one of its device is skipped, so that a driver may
         hand over the same one again.

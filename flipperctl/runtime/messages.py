@@ -174,8 +174,8 @@ class Attitude:
         """Return the attitude of an ``Imu`` of ROS.
 
         ``orientation``: x, y, z and w, as of ``from_quaternion``; ``rates``: of the frame about its
-        own axes [rad/s]. A robot that pitches while it leans turns about its z axis, too, which is
-        no turn of its heading.
+        own axes [rad/s]. When the robot leans, the rate about its z axis is not the yaw rate;
+        this corrects it.
         """
         x, y, z, w = orientation
         rises = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)  # of the axes

@@ -165,9 +165,9 @@ class OnnxPolicy:
     def act(self, observation: ArrayLike) -> int:
         """Return the index of an action, a row of ``interface.actions``.
 
-        It is that with the largest Q-value, unless ``interface.escape`` has it drawn. Call it while
-        the belts drive ahead, as in training: of a parked robot, observations repeat as of one that
-        is stuck, so that it warns. After a stop, call ``reset`` first.
+        It is that with the largest Q-value, unless ``interface.escape`` has it drawn. Call it only
+        while the belts drive ahead, as in training: a parked robot looks like a stuck one. After a
+        stop, call ``reset`` first.
 
         ``observation``: (N + 3,) in SI units, in the order of ``interface.observation``.
 

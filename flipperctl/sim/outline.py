@@ -1,9 +1,8 @@
 """The robot's outlines from the side: capsules and belts as plain arrays.
 
 In: a state and the geometry. Out: points in the world frame (x forward, z up) [m], for any drawing
-library. A capsule is given by the centres of its rear and its front round end, so that its axis
-points forward for all three parts and a belt that drives forward runs over its top from the first
-centre to the second.
+library. A capsule is given by the centres of its rear and its front round end. A belt that drives
+forward runs over its top from the rear one to the front one.
 """
 
 from __future__ import annotations

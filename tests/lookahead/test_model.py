@@ -289,18 +289,6 @@ def test_the_velocity_is_that_of_the_chassis_centre() -> None:
     assert np.hypot(*(state[3:5] - rates[:2])) > 0.002  # the centre of mass moves differently
 
 
-def test_parts_are_joined_and_taken_row_by_row() -> None:
-    model = model_of(LEVEL)
-    parts = [standing(model, x) for x in (0.0, 1.0, 2.0)]
-    joined = Nodes.joined(parts)
-    assert len(joined) == 3
-    some = joined.take(np.array([2, 0]))
-    assert some.places[:, 0].tolist() == [2.0, 0.0]
-    moved = some.moved_to(parts[1], np.array([1]))
-    assert moved.places[:, 0].tolist() == [2.0, 1.0]
-    assert some.places[:, 0].tolist() == [2.0, 0.0]
-
-
 def test_the_past_of_a_policy_begins_with_its_episode() -> None:
     """As in the engine's transitions, where ``pitch`` averages over fewer changes at first."""
     history, model = History(), model_of(LEVEL)
@@ -368,13 +356,3 @@ def test_level_ground_goes_on_beyond_both_ends() -> None:
     found = Ground(line, ObservationLayout()).observations(places, state)[:, :15]
     assert found[0] == pytest.approx(0.1)
     assert found[1] == pytest.approx(0.4)
-
-
-def test_a_face_counts_by_its_points() -> None:
-    """A bin of 0.15 m around a face of 0.3 m: 3.75 points at 0, 15 on it, 3.75 at 0.3."""
-    line = np.array([[-2.0, 0.0], [0.0, 0.0], [0.0, 0.3], [2.0, 0.3]])
-    found = Ground(line, ObservationLayout()).observations(np.zeros((1, 2)), np.zeros((1, 10)))[0]
-    expected = (3.75 * 0.0 + 15 * 0.15 + 3.75 * 0.3) / 22.5
-    assert found[7] == pytest.approx(expected, abs=0.01)
-    assert found[6] == pytest.approx(0.0)
-    assert found[8] == pytest.approx(0.3)

@@ -251,16 +251,6 @@ def test_without_errors_the_map_is_the_true_ground_once_it_was_seen(engine: str,
     assert (env.perception.pitch == env.state.pitch) is (pose == "true")  # or the unit errs
 
 
-def test_equal_seeds_give_equal_scans_and_other_noise_other_ones() -> None:
-    def seen(seed: int) -> np.ndarray:
-        env = FlipperEnv("step", perception={"name": "lidar", "azimuths": 60})
-        env.reset(seed=seed)
-        return env.step(HOLD)[0]
-
-    assert np.array_equal(seen(1), seen(1))
-    assert not np.array_equal(seen(1), seen(2))
-
-
 def test_settings_of_the_sensor(monkeypatch: pytest.MonkeyPatch) -> None:
     assert LidarSensor(bins=11).exact() == PlanarSensor(bins=11)
     assert LidarSensor(pose=True).pose == "true"  # type: ignore[arg-type]  # as YAML reads it

@@ -7,7 +7,6 @@ import pytest
 
 from flipperctl.api import FloatArray, Profile, RobotState, SensedGround
 from flipperctl.cli.plan import scenes
-from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.sim.planar import PlanarSensor, TerrainSensor
 from flipperctl.sim.planar.rays import distances
@@ -232,19 +231,6 @@ def test_without_occlusion_the_numbers_are_those_of_the_outline_bit_for_bit() ->
     points[:, 1] += rng.normal(0.0, 0.01, len(points))
     assert np.array_equal(found.points, points[rng.random(len(points)) >= 0.2])
     assert found.filled is None
-
-
-def test_equal_seeds_give_equal_episodes() -> None:
-    def observations() -> list[FloatArray]:
-        env = FlipperEnv("stair", perception={"occlusion": True, "noise": 0.01, "dropout": 0.1})
-        found = [env.reset(seed=4)[0], *(env.step(4)[0] for _ in range(4)), env.reset(seed=4)[0]]
-        assert env.perception.filled is not None
-        assert env.perception.filled.shape == (len(env.perception.points),)
-        return [np.asarray(one) for one in found]
-
-    one, other = observations(), observations()
-    assert np.array_equal(one, other)
-    assert np.array_equal(one[0], one[-1])  # the map of the first episode is forgotten
 
 
 # Errors of a map
