@@ -141,7 +141,7 @@ def test_a_teacher_that_is_a_rule_is_compared(
     teacher: dict[str, Any], names: list[str], tmp_path: Path
 ) -> None:
     config = short_config(**{"teacher.controller": teacher})
-    found = FinalRegret(config, tmp_path, lambda: False, print)._references()
+    found = FinalRegret(config, tmp_path, lambda: False, print)._scene().references
     assert list(found) == names
 
 
