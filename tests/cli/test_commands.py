@@ -93,7 +93,7 @@ def test_export_takes_another_robot_and_says_so(short_run: Path, tmp_path: Path)
         "0.436332), decision period 0.523599 s (training 0.6)"
     )
     again = call("export", "onnx", "--checkpoint", "p.onnx", cwd=tmp_path)
-    assert again.err == "error: p.onnx is already exported; give its run or checkpoint\n"
+    assert "p.onnx: an exported file holds no training; give its run or checkpoint" in again.err
     (tmp_path / "p.onnx").unlink()
     for override, error in {
         "terrain=stair": "terrain: export takes settings of the robot alone",
@@ -110,7 +110,7 @@ def test_inspect_plugins_shows_origin_unit_bounds_and_default(tmp_path: Path) ->
     done = call("inspect", "plugins", "--json", cwd=tmp_path)
     plugins = {(p["kind"], p["name"]): p for p in json.loads(done.out)}
     stair = plugins["terrain", "stair"]
-    assert re.search(r"stair\.py:\d+$", stair["source"])
+    assert re.search(r"stairs\.py:\d+$", stair["source"])
     rise = next(field for field in stair["fields"] if field["name"] == "rise")
     assert (rise["default"], rise["bounds"], rise["unit"]) == (0.2, "> 0, ≤ 0.5", "m")
     assert "rise" in call("inspect", "plugins", "stair", cwd=tmp_path).out

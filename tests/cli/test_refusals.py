@@ -187,7 +187,7 @@ new terrain null -> 'null' | word of YAML
 new reward signal -> 'signal' | standard library | signal_reward is free
 new terrain torch -> 'torch' | the package torch | torch_terrain is free
 new network flipperctl --package -> 'flipperctl' | flipperctl_network is free
-new terrain stair -> 'stair' | already | stair.py:
+new terrain stair -> 'stair' | already | stairs.py:
 new engine planar -> engine plugin 'planar' | already | engine.py:
 new sensor planar -> sensor plugin 'planar' | already | sensing.py:
 new terrain mine --output file -> file | cannot be written
