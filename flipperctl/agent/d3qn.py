@@ -49,7 +49,7 @@ class D3qn(Learner):
             return self._update(batch, fraction, groups)
 
     def _update(self, batch: Batch, fraction: float, groups: Sequence[GroupBatch]) -> float:
-        s = self.settings
+        s, teacher = self.settings, self._teacher
         rate = linear(s.learning_rate, s.learning_rate_end, fraction)
         batch = batch.to(self.device)
         self._noise.draw(self.noise_rng)
@@ -58,7 +58,7 @@ class D3qn(Learner):
             reward = batch.reward * s.reward_scale
             targets = (
                 difference_targets(reward, batch, self.online, self.target)
-                if self._uses_targets()
+                if teacher is None or teacher.td_weight or teacher.loss == "values"
                 else reward
             )
             if self.baselines is not None:
@@ -81,11 +81,6 @@ class D3qn(Learner):
                 self.risk.step(step, rate)
         self._noise.acts()
         return value
-
-    def _uses_targets(self) -> bool:
-        """Return whether the loss has a temporal difference, if only with a weight of 0."""
-        s = self._teacher
-        return s is None or bool(s.td_weight) or s.loss == "values"
 
     def _difference_loss(self, batch: Batch, target: torch.Tensor) -> torch.Tensor:
         """Return the loss of the temporal difference."""

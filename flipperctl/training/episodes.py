@@ -10,7 +10,6 @@ from flipperctl import plugins
 from flipperctl.agent.learner import Learner, arrays
 from flipperctl.config import TrainConfig, to_dict
 from flipperctl.core.schedules import linear
-from flipperctl.env import ground
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.source import controller_notes
 from flipperctl.rollout.actor import teacher_of, training_policy
@@ -82,15 +81,6 @@ class EpisodeSource:
         for request in outstanding:
             workers.send(request)
         return AsyncCollector(workers, self._next_request, self._on_lost, self._accept, stop)
-
-    def update_difficulty(self, reached: bool) -> None:
-        """Let the terrain choose the next difficulty after an episode.
-
-        ``reached``: whether the robot reached the finish.
-        """
-        progress = self._progress
-        terrain = self._config.terrain
-        progress.difficulty = ground.next_difficulty(terrain, progress.difficulty, reached)
 
     def _in_process_collector(self, stop: Stop, starts: int) -> Collector:
         config, agent, progress = self._config, self._agent, self._progress

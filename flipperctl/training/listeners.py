@@ -14,6 +14,7 @@ import math
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +55,9 @@ class MetricsCsv:
         self._columns = [*columns(), *randomised, *(f"reward_{term}" for term in terms)]
         kept: list[Mapping[str, Any]] = []
         if resume_at is not None and path.is_file():
-            kept = [row for row in _complete_rows(path) if int(row["decision"]) <= resume_at]
+            complete = [row for row in read_rows(path) if None not in row.values()]  # not cut off
+            numbered = [row for row in complete if row.get("decision", "").isdigit()]
+            kept = [row for row in numbered if int(row["decision"]) <= resume_at]
         write_csv(path, kept, self._columns)
         self._path = path
         self._file = path.open("a", encoding="utf-8", newline="", buffering=1)
@@ -84,12 +87,6 @@ class MetricsCsv:
         self._file.close()
 
 
-def _complete_rows(path: Path) -> list[dict[str, str]]:
-    """Return the complete rows of a ``metrics.csv``; a killed process can leave a partial one."""
-    rows = read_rows(path)
-    return [row for row in rows if None not in row.values() and row.get("decision", "").isdigit()]
-
-
 def read_rows(path: Path) -> list[dict[str, str]]:
     """Return the rows of a ``metrics.csv`` as text by column name."""
     try:
@@ -111,11 +108,10 @@ def openers(
     MissingExtraError if a package that the logger needs is not installed.
     """
     plain = to_dict(config)
-
-    def opener(key: str, logger: Logger) -> Callable[[], Listener]:
-        return lambda: GuardedLogger(logger, RunInfo(directory, directory / key, plain, resume_at))
-
-    return [opener(key, logger) for key, logger in config.logger.items()]
+    return [
+        partial(GuardedLogger, logger, RunInfo(directory, directory / key, plain, resume_at))
+        for key, logger in config.logger.items()
+    ]
 
 
 class GuardedLogger:

@@ -264,10 +264,11 @@ class Trainer:
 
     def _end_episode(self, ending: Row) -> None:
         reached = ending["outcome"] == Outcome.REACHED
-        self.progress.episode += 1
-        self.progress.recent.append(reached)
-        self.episodes.update_difficulty(reached)
-        row = {**self._common_columns(), "success_rate": self.progress.success_rate}
+        progress, terrain = self.progress, self.config.terrain
+        progress.episode += 1
+        progress.recent.append(reached)
+        progress.difficulty = ground.next_difficulty(terrain, progress.difficulty, reached)
+        row = {**self._common_columns(), "success_rate": progress.success_rate}
         own = {name: value for name, value in ending.items() if not name.startswith(DRAWN)}
         for listener in self.listeners:
             listener.episode({**row, "lag": self.episodes.lag, **own})

@@ -53,10 +53,10 @@ def calibrated(
     told, came = predicted_and_actual(episodes)
     slope, shift = fit(_log_odds(told), came, settings.risk_horizon)
     sign = RiskSign(settings.risk_horizon, 1.0)
-    probabilities = [
-        (EpisodeRisks.of(sign, _probabilities(risks, slope, shift)), fails)
-        for risks, fails in episodes
-    ]
+    probabilities = []
+    for risks, fails in episodes:
+        odds = slope * _log_odds(np.array(risks.told)) + shift
+        probabilities.append((EpisodeRisks.of(sign, _sigmoid(odds).tolist()), fails))
     threshold = threshold_for(probabilities, settings.risk_false_alarms, _LEAST)
     calibration = RiskCalibration(RiskSign(settings.risk_horizon, threshold), slope, shift)
     final = [(EpisodeRisks(calibration.sign, risks.told), fails) for risks, fails in probabilities]
@@ -97,11 +97,6 @@ def fit(log_odds: FloatArray, came: FloatArray, horizon: int) -> tuple[float, fl
         if np.abs(step).max() < 1e-9:
             break
     return math.exp(found[0]), float(found[1])
-
-
-def _probabilities(risks: EpisodeRisks, slope: float, shift: float) -> list[float]:
-    found: list[float] = _sigmoid(slope * _log_odds(np.array(risks.told)) + shift).tolist()
-    return found
 
 
 def _metrics(episodes: Sequence[Ended]) -> dict[str, float]:

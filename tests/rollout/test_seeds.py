@@ -16,7 +16,7 @@ from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.seeds import EvaluationSeeds, training_seed, validation_seed
 from tests.played import play_episodes
 
-FAMILIES = "step,stair,building_stair,ramp,uplift,gap,wave,rubble,pallet,plum"
+FAMILIES = "step,ramp,gap"
 KERB = "x,z\n0,0\n0,0.1\n0.5,0.1\n"
 
 
@@ -28,14 +28,14 @@ def recorded(path: str) -> dict[str, str]:
     return {"name": "profile_file", "path": path}
 
 
-def test_ten_families_of_forty_episodes_sample_400_frictions() -> None:
+def test_episodes_of_several_families_sample_frictions_of_their_own() -> None:
     frictions = set()
     for config, _ in scenes([f"terrain={FAMILIES}", "conditions=wide"], None, "level"):
         env = FlipperEnv(config=config.environment())
-        for seed in EvaluationSeeds.of(0, config.terrain).first(40):
+        for seed in EvaluationSeeds.of(0, config.terrain).first(20):
             env.reset(seed=seed)
             frictions.add(env._sampled_values["friction"])
-    assert len(frictions) == 400
+    assert len(frictions) == 60
 
 
 def test_two_policies_meet_the_same_ground_start_and_physics() -> None:

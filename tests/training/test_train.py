@@ -3,7 +3,6 @@
 import csv
 import math
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, cast
 
@@ -18,7 +17,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError, NonFiniteError, WriteError
 from flipperctl.training import run as training
 from flipperctl.training.listeners import GuardedLogger, MetricsCsv, read_rows
-from flipperctl.training.trainer import Trainer, closer, open_all
+from flipperctl.training.trainer import Trainer
 from flipperctl.training.validation import Validator
 from tests.cli.call import RUN
 from tests.short import few, short_config, trainer
@@ -245,27 +244,6 @@ def test_a_listener_that_cannot_be_made_closes_those_before(
     with pytest.raises(WriteError, match="no space"):
         training._train(flat, None, training.Reports(), lambda: False)
     assert made[0]._file.closed
-
-
-def test_the_newest_is_closed_first_and_the_first_error_is_raised() -> None:
-    order: list[int] = []
-
-    class Numbered:
-        def __init__(self, number: int) -> None:
-            self.number = number
-
-        def close(self) -> None:
-            order.append(self.number)
-            if self.number in (1, 2):
-                raise WriteError(str(self.number))
-
-    opened = open_all([lambda: Numbered(0), lambda: Numbered(1)])
-    stack = ExitStack()
-    for one in (*opened, Numbered(2), Numbered(3)):
-        stack.push(closer(one))
-    with pytest.raises(WriteError, match="2"):
-        stack.close()
-    assert order == [3, 2, 1, 0]
 
 
 class Broken(Logger):
