@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,7 @@ from flipperctl.sim.planar import Planar, compiled, joints, world
 from flipperctl.sim.planar.compiled import CompiledLoop
 from flipperctl.sim.planar.joints import GROUND, TRACK, Belt, Budget
 from flipperctl.sim.planar.world import PlanarWorld
-from tests.long.energy import Balance, measure, read_log, run, violations
+from tests.long.energy import Balance, measure, violations
 from tests.sim.planar.plain import PlainLoop
 from tests.sim.test_physics import FLAT, NEEDED, PLANAR, crossing, episode, resting_on_slope
 
@@ -222,18 +221,3 @@ def test_a_gain_that_no_drive_gave_is_taken_from_the_velocities(
         return [*placed.state().velocity.tolist(), placed.state().pitch_rate]
 
     assert both(state) == [pytest.approx([0.0, 0.0, 0.0])] * 2
-
-
-def test_a_run_of_the_long_check_is_resumed(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    log = tmp_path / "log.csv"
-    assert run(1, ["step"], 1, log) == 0
-    first = read_log(log)
-    assert run(2, ["step"], 1, log) == 0
-    later = read_log(log)
-    assert list(later) == [("step", 100000), ("step", 100001)]
-    assert later["step", 100000] == first["step", 100000]
-    shown = capsys.readouterr()
-    assert "1 of 1, step, 0 s left" in shown.err
-    assert "2 episodes, 0 violations" in shown.out
