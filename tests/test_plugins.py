@@ -93,7 +93,7 @@ def test_what_cannot_be_loaded_says_where_and_why(
     [
         ("My Ridge", "", "plugin name 'My Ridge'"),
         ("ridge", "terrain", "Ridge is not a RewardTerm"),
-        ("stair", "", r"'stair': flipperctl_plugins\.terrains\.stair\.Stair.*choose another name"),
+        ("stair", "", r"'stair': flipperctl_plugins\.terrains\.stairs\.Stair.*choose another name"),
     ],
 )
 def test_a_wrong_name_or_family_is_an_error(name: str, old: str, text: str, tmp_path: Path) -> None:

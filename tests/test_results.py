@@ -51,7 +51,7 @@ def test_files_that_no_command_has_written_are_kept(tmp_path: Path) -> None:
     [
         PLAY,
         ["map", *PLAY[1:], "--over", "sim.friction,sim.gravity"],
-        ["bench", "learner", *PLAY[-2:]],
+        ["bench", "decision", *PLAY[-2:]],
     ],
 )
 def test_a_folder_in_use_is_refused_at_once_with_its_holder(

@@ -384,8 +384,8 @@ def _train(
     trainer: Trainer, resume_at: int | None, reports: Reports, stop: Callable[[], bool]
 ) -> Finished:
     directory = trainer.directory
-    run_folder.write_config(directory, trainer.config)
     trainer.listeners += _listeners(trainer, resume_at, reports)
+    run_folder.write_config(directory, trainer.config)  # once the files of a resumed run are read
     try:
         with interrupts("finishing the episode and saving …") as interrupted:
 

@@ -252,7 +252,6 @@ def test_a_bias_shifts_what_is_perceived_and_nothing_else() -> None:
         ({"robot": {"actuator_delay": [0.0, 0.5]}, "delay": [0, 0.2]}, None),
         ({"sim": {"friction": [0.5, 20]}}, r"^randomise\.sim\.friction: .*10.*20"),
         ({"sim": {"frictoin": [0.5, 1]}}, r"^randomise\.sim\.frictoin: sim=planar.*'friction'"),
-        ({"sim": {"engine": [0.5, 1]}}, r"^randomise\.sim\.engine: it is neither .*iterations"),
         ({"sim": {"friction": [2, 1]}}, r"^randomise\.sim\.friction: .*low ≤ high"),
         ({"sim": {"friction": "much"}}, r"^randomise\.sim\.friction: .*the value is 'much'"),
         ({"sim": {"friction": 1}, "friction": 1}, r"sim\.friction: .*randomise\.friction samples"),
@@ -270,6 +269,11 @@ def test_a_wrong_range_is_one_clear_error(ranges: dict[str, object], words: str 
     with pytest.raises(ConfigError, match=words) as error:
         config(randomise=ranges)
     assert "\n" not in str(error.value)
+
+
+def test_a_setting_without_a_number_is_an_error_that_names_those_with_one() -> None:
+    with pytest.raises(ConfigError, match=r"^randomise\.sim\.view: it is neither .*friction"):
+        config(sim="mujoco", randomise={"sim": {"view": [0.5, 1]}})
 
 
 def test_every_sampled_robot_is_possible() -> None:
