@@ -75,7 +75,10 @@ def interrupt_at(monkeypatch: pytest.MonkeyPatch) -> Callable[..., None]:
 
 @pytest.mark.parametrize(
     ("numbers", "named"),
-    [([signal.SIGTERM], []), ([signal.SIGINT, signal.SIGINT], ["hydra.sweep.dir=s w"])],
+    [
+        pytest.param([signal.SIGTERM], [], marks=pytest.mark.long),
+        ([signal.SIGINT, signal.SIGINT], ["hydra.sweep.dir=s w"]),
+    ],
     ids=["SIGTERM", "two Ctrl-C"],
 )
 def test_the_printed_command_goes_on_to_the_same_results(

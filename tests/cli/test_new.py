@@ -59,6 +59,7 @@ def test_what_is_new_passes_the_conformance_suite(
     assert f"{shown} my_{kind}" in done.out
 
 
+@pytest.mark.long
 def test_a_package_passes_its_own_tests(folder: Path) -> None:
     clean = {k: v for k, v in os.environ.items() if not k.startswith("PYTEST")}
     command = [sys.executable, "-m", "pytest", "flipperctl_our_reward"]

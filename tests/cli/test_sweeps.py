@@ -65,6 +65,7 @@ def runs(folder: Path) -> set[str]:
     return {best.parents[1].name for best in folder.glob(f"runs/multirun/*/*/{checkpoint.BEST}")}
 
 
+@pytest.mark.long
 def test_joblib_trains_each_combination_where_the_basic_launcher_would(folder: Path) -> None:
     words = ["terrain=floor", "seed=1,2", "hydra.sweep.dir=runs/multirun/one"]
     first, second = (folder / f"runs/multirun/one/{n}" for n in ("0_seed=1", "1_seed=2"))

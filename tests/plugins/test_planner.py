@@ -36,6 +36,7 @@ def test_a_plan_crosses_a_step_more_smoothly_than_the_policies_it_starts_from() 
     assert planned(env, budget=3000) == row  # the search is deterministic
 
 
+@pytest.mark.long
 def test_the_weight_of_smoothness_trades_time_for_smoothness() -> None:
     env = FlipperEnv("pallet")
     fast, smooth = (planned(env, smoothness=weight) for weight in (0.0, 50.0))

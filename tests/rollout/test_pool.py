@@ -158,7 +158,7 @@ def test_closing_ends_a_call_that_is_under_way(tmp_path: Path) -> None:
     assert queued[-1].cancelled()
 
 
-@both
+@pytest.mark.parametrize("count", [pytest.param(1, marks=pytest.mark.long), 2])
 def test_workers_have_the_environment_of_now(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The server, which lives as long as this process, has that of its start."""
     for text in ("first", "second"):
@@ -213,7 +213,7 @@ def test_a_training_run_continues_when_a_worker_is_killed(
     assert "a worker died and is replaced; its episode" in listener.notes[0]
 
 
-@both
+@pytest.mark.parametrize("count", [pytest.param(1, marks=pytest.mark.long), 2])
 @pytest.mark.usefixtures("hostile")
 def test_nothing_is_imported_from_the_working_directory(count: int) -> None:
     names = ("flipperctl", "flipperctl.rollout.worker", *HOSTILE)

@@ -102,7 +102,7 @@ def twice(x):
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_change_in_another_file_or_a_constant_is_compiled(tmp_path: Path) -> None:
     (tmp_path / "main.py").write_text(STAND_IN)
 

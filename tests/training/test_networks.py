@@ -21,7 +21,10 @@ from tests.training.conftest import setup
 pytestmark = pytest.mark.slow
 
 
-@pytest.mark.parametrize("name", ["conv", "quantile", "stacked", "noisy"])
+@pytest.mark.parametrize(
+    "name",
+    ["quantile", *(pytest.param(n, marks=pytest.mark.long) for n in ("conv", "stacked", "noisy"))],
+)
 def test_the_exported_policy_acts_as_the_trained_one(
     name: str, runs: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -48,6 +48,7 @@ def tiny(decisions: int, mode: str = "exact") -> TrainConfig:
     return config
 
 
+@pytest.mark.long
 def test_the_experiment_resumes_bit_for_bit_with_its_groups(tmp_path: Path) -> None:
     config = tiny(32)
     run = trainer(config, tmp_path / "whole")

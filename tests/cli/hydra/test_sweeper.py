@@ -110,7 +110,7 @@ def start(folder: Path, pause: float, jobs: int, own: str) -> subprocess.Popen[b
         return subprocess.Popen([sys.executable, "-c", SCRIPT, *arguments], stderr=log)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_searches_share_a_study_from_its_creation_on(tmp_path: Path) -> None:
     pair = {own: start(tmp_path, 0.1, jobs, own) for own, jobs in (("one", 1), ("two", 2))}
     for own, process in pair.items():
