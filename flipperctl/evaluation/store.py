@@ -346,8 +346,3 @@ def _viewed(file: Path) -> Iterator[Row]:
         who = {"cell": header["cell"], **{name: header[name] for name in _VIEWED}}
         for row in rows:
             yield who | {n: value for n, value in row.items() if n != DIGEST}
-
-
-def _item(value: Any) -> Any:
-    """Return a number of numpy as Python's."""
-    return value.item()

@@ -14,7 +14,7 @@ from flipperctl.checkpoint import Checkpoint
 from flipperctl.config import Teacher, TrainConfig, to_dict
 from flipperctl.errors import CheckpointError, ConfigError, RequestError
 from flipperctl.policies.trained import policy_module
-from flipperctl.training import run as preflight
+from flipperctl.training import run as training_run
 from flipperctl.training.trainer import Trainer
 from tests.rollout.notes import Notes
 from tests.short import few, short_config, trainer
@@ -64,9 +64,9 @@ def test_the_values_of_a_policy_gradient_go_on_if_asked_for(tmp_path: Path) -> N
     older = best.document.model_copy(update={"decision": 0})
     checkpoint.write(tmp_path / "first" / checkpoint.BEST, older, best.tensors)
     with pytest.raises(ConfigError, match=r"decision 0, its values are those of decision 1; give"):
-        preflight.check(few(**{**GRADIENT, **later, VALUES: True}))
+        training_run.check(few(**{**GRADIENT, **later, VALUES: True}))
     last = {"agent.start_from": str(tmp_path / "first" / checkpoint.LAST)}
-    preflight.check(few(**{**GRADIENT, **last, VALUES: True}))
+    training_run.check(few(**{**GRADIENT, **last, VALUES: True}))
 
 
 @pytest.mark.parametrize(
@@ -86,7 +86,7 @@ def test_another_start_is_refused_before_the_training_begins(
 ) -> None:
     start = {"agent.start_from": str(runs("conv")), "network": "conv"}
     with pytest.raises((RequestError, CheckpointError), match=text):
-        preflight.check(short_config(**{**start, **settings}))
+        training_run.check(short_config(**{**start, **settings}))
 
 
 def test_the_same_weights_in_another_arrangement_are_refused() -> None:
@@ -94,10 +94,10 @@ def test_the_same_weights_in_another_arrangement_are_refused() -> None:
     trained = checkpoint.read(checkpoint.find(Path("generalist"))).policy_config()
     network: dict[str, Any] = dict(to_dict(trained.network))
     config = {"agent.start_from": "generalist", "network": network}
-    preflight.check(short_config(**config))
+    training_run.check(short_config(**config))
     network["earlier"] = [4, *network["earlier"][1:]]
     with pytest.raises(ConfigError, match=r"network and settings of the network$"):
-        preflight.check(short_config(**config))
+        training_run.check(short_config(**config))
 
 
 # ``teacher.final_updates``: at its end, a training learns all labels anew.

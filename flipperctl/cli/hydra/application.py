@@ -35,7 +35,7 @@ from flipperctl.session import CommandProcess, interrupts
 from flipperctl.terminal.notices import print_notices
 from flipperctl.terminal.streams import print_note
 from flipperctl.training import folder as run_folder
-from flipperctl.training import run as preflight
+from flipperctl.training import run as training_run
 from flipperctl.training.sweep import stop_of
 
 _VALUED = ("cfg", "package", "info", "config_dir", "config_name", "config_path")
@@ -167,7 +167,7 @@ def _check(overrides: Overrides) -> None:
         for probe in (own, *own.interval_probes()):
             for config in compose_train(probe):
                 if not stop():
-                    preflight.check(config)
+                    training_run.check(config)
     if stop():
         raise KeyboardInterrupt
 
@@ -193,10 +193,10 @@ class _Job:
                 f"note: hydra.job.chdir=true: the run stays in {Path.cwd()}, where all paths start"
             )
         config = parse_training(composed)
-        preflight.check_device(config)
+        training_run.check_device(config)
         if not self.checked:
             check_training_effect(config, Overrides.parse(list(settings.overrides.task)))
-            preflight.check(config)
+            training_run.check(config)
             print_notices(config)
         directory = Path(settings.runtime.output_dir)
         keep = _keeper(composed)
