@@ -30,7 +30,7 @@ from flipperctl.guard import naming
 from flipperctl.policies.trained import TrainedPolicy, policy_module, policy_risk
 from flipperctl.rollout.episode import play
 from flipperctl.rollout.seeds import EvaluationSeeds
-from flipperctl.runtime.session import CHECKSUM, PLACEHOLDER, add_checksum
+from flipperctl.runtime.interface import CHECKSUM, PLACEHOLDER, add_checksum
 
 
 def export_pt2(

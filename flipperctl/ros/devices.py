@@ -35,10 +35,10 @@ from flipperctl.runtime.messages import (
     JointAngles,
     NewestJoints,
     Odometry,
+    RobotSetup,
     Signs,
 )
 from flipperctl.runtime.point_cloud import PointTimes
-from flipperctl.runtime.setup import RobotSetup
 
 Message = Cloud | Attitude | JointAngles | Odometry
 

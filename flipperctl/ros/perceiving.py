@@ -29,8 +29,7 @@ from flipperctl.ros.topics import Names
 from flipperctl.ros.transforms import Pose as FramePose
 from flipperctl.ros.transforms import estimated
 from flipperctl.runtime.intake import Intake
-from flipperctl.runtime.messages import Cloud
-from flipperctl.runtime.setup import Limits, RobotSetup
+from flipperctl.runtime.messages import Cloud, Limits, RobotSetup
 from flipperctl.sim.lidar.sensor import LidarSensor
 
 

@@ -18,8 +18,8 @@ from flipperctl.errors import RequestError
 from flipperctl.files import OutputKind, check_output, write_bytes
 from flipperctl.ros.devices import Recording, read_recording
 from flipperctl.ros.topics import Names
-from flipperctl.runtime.setup import RobotSetup
-from flipperctl.runtime.shadow import Shadow
+from flipperctl.runtime.messages import RobotSetup
+from flipperctl.runtime.recordings import Shadow
 from flipperctl.sim.lidar.sensor import LidarSensor
 
 LOG = OutputKind(

@@ -16,26 +16,26 @@ if TYPE_CHECKING:
     from flipperctl.runtime.interface import Quantity as Quantity
     from flipperctl.runtime.messages import OURS as OURS
     from flipperctl.runtime.messages import REP_103 as REP_103
+    from flipperctl.runtime.messages import Ages as Ages
     from flipperctl.runtime.messages import Attitude as Attitude
     from flipperctl.runtime.messages import Cloud as Cloud
     from flipperctl.runtime.messages import JointAngles as JointAngles
+    from flipperctl.runtime.messages import Limits as Limits
     from flipperctl.runtime.messages import NewestJoints as NewestJoints
     from flipperctl.runtime.messages import Odometry as Odometry
+    from flipperctl.runtime.messages import RobotSetup as RobotSetup
     from flipperctl.runtime.messages import Signs as Signs
     from flipperctl.runtime.point_cloud import PointTimes as PointTimes
     from flipperctl.runtime.point_cloud import read_cloud as read_cloud
     from flipperctl.runtime.policy import OnnxPolicy as OnnxPolicy
-    from flipperctl.runtime.setup import Ages as Ages
-    from flipperctl.runtime.setup import Limits as Limits
-    from flipperctl.runtime.setup import RobotSetup as RobotSetup
 
 _MODULES = {
     "controller": "Answer FlipperController",
     "interface": "Interface Quantity TargetRule",
-    "messages": "OURS REP_103 Attitude Cloud JointAngles NewestJoints Odometry Signs",
+    "messages": "OURS REP_103 Ages Attitude Cloud JointAngles Limits Mount NewestJoints Odometry "
+    "RobotSetup Signs",
     "point_cloud": "PointTimes read_cloud",
     "policy": "OnnxPolicy",
-    "setup": "Ages Limits Mount RobotSetup",
 }
 __all__ = sorted(name for names in _MODULES.values() for name in names.split())
 

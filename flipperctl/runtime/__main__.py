@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 import sys
 from pathlib import Path
@@ -40,73 +41,44 @@ Examples
 
 
 def describe(interface: Interface) -> str:
-    """Return a table of the observation, then input and outputs, actions, targets and robot."""
+    """Return the observation as a table, then input and outputs, actions, targets and robot."""
     import numpy as np
 
-    rows = [
-        (str(index), q.name, q.unit, q.frame, f"±{limit:.3f}", q.meaning)
-        for index, (q, limit) in enumerate(
-            zip(interface.observation, interface.limits, strict=True)
-        )
-    ]
-    rows.insert(0, ("", "name", "unit", "frame", "within", "meaning"))
+    from flipperctl.core.risk import LAGS
+    from flipperctl.core.targets import ACTIONS
+    from flipperctl.runtime.interface import INPUT, OUTPUT, RECURRENCE, RISK
+
+    rows = [("", "name", "unit", "frame", "within", "meaning")]
+    for index, (q, limit) in enumerate(zip(interface.observation, interface.limits, strict=True)):
+        rows.append((str(index), q.name, q.unit, q.frame, f"±{limit:.3f}", q.meaning))
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     lines = ["observation"]
     for row in rows:
         cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
         lines.append("  " + "  ".join(cells).rstrip())
-    lines += _network(interface)
-    lines.append("actions: turns of the front and the rear flippers [°]")
-    for index, turns in enumerate(np.degrees(interface.actions)):
-        lines.append(f"  {index}  {' '.join(f'{turn:+6.1f}' for turn in turns)}")
-    lines.append(f"decision period: {interface.decision_period:g} s")
-    lines += [_targets(interface), *_warnings(interface), *_map(interface)]
-    lines.append("robot, in SI units")
-    lines += [f"  {name}: {value:g}" for name, value in interface.robot.items()]
-    lines.append(f"trained on {interface.terrain} by flipperctl {interface.package_version}")
-    return "\n".join(lines)
-
-
-def _network(interface: Interface) -> list[str]:
-    """Return lines about the input and the outputs of the network."""
-    from flipperctl.core.risk import LAGS
-    from flipperctl.core.targets import ACTIONS
-    from flipperctl.runtime.session import INPUT, OUTPUT, RECURRENCE, RISK
-
-    frames, size = interface.frames, interface.size
-    frame = "one observation"
-    if frames > 1:
+    frame, sign, escape = "one observation", interface.risk, interface.escape
+    if interface.frames > 1:
         frame = (
-            f"the last {frames} observations of {size} numbers, oldest first; at the start of an "
-            "episode the first one also fills the frames before it"
+            f"the last {interface.frames} observations of {interface.size} numbers, oldest first; "
+            "at the start of an episode the first one also fills the frames before it"
         )
-    lines = [
-        f"input: {INPUT}, float32 [batch, {interface.inputs}], {frame}",
-        f"output: {OUTPUT}, float32 [batch, {len(ACTIONS)}]",
-    ]
-    if interface.risk is not None:
+    lines.append(f"input: {INPUT}, float32 [batch, {interface.inputs}], {frame}")
+    lines.append(f"output: {OUTPUT}, float32 [batch, {len(ACTIONS)}]")
+    if sign is not None:
         lines.append(f"output: {RISK}, float32 [batch, 1], of the input alone")
         lines.append(
             f"output: {RECURRENCE}, float32 [batch, {len(LAGS)}], what resembling the observations "
             f"{', '.join(map(str, LAGS))} decisions before adds to its log-odds"
         )
-    return lines
-
-
-def _targets(interface: Interface) -> str:
-    """Return a line about the rule of the targets."""
-    from math import degrees
-
+    lines.append("actions: turns of the front and the rear flippers [°]")
+    for index, turns in enumerate(np.degrees(interface.actions)):
+        lines.append(f"  {index}  {' '.join(f'{turn:+6.1f}' for turn in turns)}")
+    lines.append(f"decision period: {interface.decision_period:g} s")
     rule = interface.targets
-    return (
-        f"targets: last target, held within {degrees(rule.window):.1f}° of the measured angle, "
-        f"+ turn, within ±{degrees(rule.limit):.1f}°"
+    lines.append(
+        f"targets: last target, held within {math.degrees(rule.window):.1f}° of the measured "
+        f"angle, + turn, within ±{math.degrees(rule.limit):.1f}°"
     )
-
-
-def _warnings(interface: Interface) -> list[str]:
-    """Return lines about the risk and the escape; none for a file without them."""
-    lines, sign, escape = [], interface.risk, interface.escape
     if sign is not None:
         lines.append(
             f"risk: probability of a failure within the next {sign.horizon} decisions; "
@@ -117,19 +89,17 @@ def _warnings(interface: Interface) -> list[str]:
             f"escape: from a warning on, {escape.decisions} decisions draw their actions from "
             f"softmax(q_values / {escape.temperature:g})"
         )
-    return lines
-
-
-def _map(interface: Interface) -> list[str]:
-    """Return a line about the map of the controller; none for a file that does not state it."""
-    if (quality := interface.map_quality) is None:
-        return []
-    motion = "corrected" if quality.deskew else "not corrected"
-    return [
-        f"map: ground within {quality.half_width:g} m to each side, cells {quality.cell:g} m long "
-        f"and {quality.lane:g} m wide of up to {quality.keep} points, columns of {quality.fewest} "
-        f"or more, points with a noise of {quality.noise:g} m, {motion} for the motion in a scan"
-    ]
+    if (known := interface.map_quality) is not None:
+        motion = "corrected" if known.deskew else "not corrected"
+        lines.append(
+            f"map: ground within {known.half_width:g} m to each side, cells {known.cell:g} m long "
+            f"and {known.lane:g} m wide of up to {known.keep} points, columns of {known.fewest} or "
+            f"more, points with a noise of {known.noise:g} m, {motion} for the motion in a scan"
+        )
+    lines.append("robot, in SI units")
+    lines += [f"  {name}: {value:g}" for name, value in interface.robot.items()]
+    lines.append(f"trained on {interface.terrain} by flipperctl {interface.package_version}")
+    return "\n".join(lines)
 
 
 def main() -> None:
@@ -157,21 +127,17 @@ def _main(words: list[str]) -> int:
 
 def _on_messages(words: list[str]) -> int:
     """Run the self-test, or a policy in shadow mode, on a file of messages."""
-    from flipperctl.runtime import self_test, shadow
-    from flipperctl.runtime.messages import CONVENTIONS
-    from flipperctl.runtime.setup import RobotSetup
+    from flipperctl.runtime.messages import CONVENTIONS, RobotSetup
+    from flipperctl.runtime.recordings import Shadow, opened, read_lines, self_test
 
     rest, name = list(words), "flipperctl"
     if "--signs" in rest[:-1]:
         at = rest.index("--signs")
         name = rest[at + 1]
         del rest[at : at + 2]
-    policy: Path | None = None
     match rest:
-        case ["--self-test", file]:
+        case ["--self-test", _] | ["--shadow", _, _]:
             pass
-        case ["--shadow", model, file]:
-            policy = Path(model)
         case _:
             raise RequestError(
                 "expected python -m flipperctl.runtime --self-test MESSAGES [--signs NAME] or "
@@ -180,12 +146,13 @@ def _on_messages(words: list[str]) -> int:
     if name not in CONVENTIONS:
         known = ", ".join(CONVENTIONS)
         raise RequestError(f"there is no convention {name!r}; {known} is allowed")
-    setup = RobotSetup(signs=CONVENTIONS[name])
-
-    lines, where = self_test.opened(file)
-    if policy is None:
-        return 0 if self_test.run(lines, where, setup).passed else 1
-    return shadow.run(policy, self_test.read_lines(lines, where), setup)
+    setup, (lines, where) = RobotSetup(signs=CONVENTIONS[name]), opened(rest[-1])
+    if rest[0] == "--self-test":
+        return 0 if self_test(lines, where, setup).passed else 1
+    shadow = Shadow(Path(rest[1]), setup, lambda line: print(line, flush=True))
+    for now, messages in read_lines(lines, where):
+        shadow.take(now, messages)
+    return 0
 
 
 if __name__ == "__main__":

@@ -17,12 +17,25 @@ from typing import Literal
 import numpy as np
 
 from flipperctl.core import observation as layout
+from flipperctl.core.lidar.body import Body
+from flipperctl.core.lidar.certainty import accuracy_of
+from flipperctl.core.lidar.estimator import LidarEstimator
+from flipperctl.core.lidar.ground import MapQuality, MapSettings
+from flipperctl.core.lidar.matching import ScanMatcher
 from flipperctl.core.lidar.messages import Belts
-from flipperctl.core.sensing import Measured, SensedGround
+from flipperctl.core.sensing import Measured
+from flipperctl.errors import MissingExtraError, PolicyError
 from flipperctl.runtime.intake import Accepted, Fault, Intake
-from flipperctl.runtime.messages import Attitude, Cloud, JointAngles, Odometry
+from flipperctl.runtime.interface import Interface
+from flipperctl.runtime.messages import (
+    Attitude,
+    Cloud,
+    JointAngles,
+    Limits,
+    Odometry,
+    RobotSetup,
+)
 from flipperctl.runtime.policy import OnnxPolicy
-from flipperctl.runtime.setup import Limits, RobotSetup, new_estimator
 
 Pair = tuple[float, float]
 State = Literal["waiting", "standby", "driving", "holding", "stopped"]
@@ -59,17 +72,8 @@ class Answer:
     """Whether the risk is the file's threshold or more."""
 
 
-_PAIRS = ("front", "rear")
 _APPROACH = 0.02
 """Reduction of the error that counts as an approach [rad]."""
-
-
-@dataclass
-class _Pair:
-    error: float = 0.0
-    """Smallest error since the last approach [rad]."""
-    since: float = 0.0
-    """Time of the last approach [s]."""
 
 
 class _StallDetector:
@@ -77,29 +81,27 @@ class _StallDetector:
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
-        self._pairs = {name: _Pair() for name in _PAIRS}
-        self._began = False
+        self.reset()
 
     def reset(self) -> None:
         """Forget the past."""
-        self._began = False
+        # Of the last approach: the smallest error since [rad], and its time [s].
+        self._pairs: dict[str, tuple[float, float]] = {}
 
-    def stalled(
-        self, now: float, targets: tuple[float, float], angles: tuple[float, float]
-    ) -> tuple[str, ...]:
+    def stalled(self, now: float, targets: Pair, angles: Pair) -> list[str]:
         """Return the pairs that have not approached their targets for too long; all in [rad]."""
-        found = []
-        for name, target, angle in zip(_PAIRS, targets, angles, strict=True):
-            pair, error = self._pairs[name], abs(target - angle)
-            near = error <= self._limits.stall_error
-            if not self._began or near or error < pair.error - _APPROACH:
-                pair.error, pair.since = error, now
-            elif error > pair.error + self._limits.stall_error:  # another target was set
-                pair.error = error
-            if now - pair.since >= self._limits.stall_time:
-                found.append(name)
-        self._began = True
-        return tuple(found)
+        stalled = []
+        for name, target, angle in zip(("front", "rear"), targets, angles, strict=True):
+            error = abs(target - angle)
+            least, since = self._pairs.get(name, (error, now))
+            if error <= self._limits.stall_error or error < least - _APPROACH:
+                least, since = error, now
+            elif error > least + self._limits.stall_error:  # another target was set
+                least = error
+            self._pairs[name] = least, since
+            if now - since >= self._limits.stall_time:
+                stalled.append(name)
+        return stalled
 
 
 class _Standby:
@@ -117,7 +119,7 @@ class _Standby:
 
     def reset(self) -> None:
         """Know no speed, as on a robot without encoders of its belts."""
-        self._speed: float | None = None
+        self._speed = math.nan
         self._driven, self._since = True, 0.0  # what the last speed says, and since when [s]
         self._stands = False
 
@@ -126,10 +128,10 @@ class _Standby:
 
         If the first speed of all is slow, the belts have never driven, and that counts at once.
         """
-        first, self._speed = self._speed is None, speed
         driven = speed >= self._limits.standby_speed
-        if first:
+        if math.isnan(self._speed):
             self._stands = not driven
+        self._speed = speed
         if driven is not self._driven:
             self._driven, self._since = driven, now
 
@@ -143,9 +145,8 @@ class _Standby:
 
     def reason(self) -> str:
         """Return a sentence with the speed, for an answer in standby."""
-        speed = 0.0 if self._speed is None else self._speed
         return (
-            f"the belts drive at {speed:.2f} m/s; the flippers are held until that is "
+            f"the belts drive at {self._speed:.2f} m/s; the flippers are held until that is "
             f"{self._limits.standby_speed:g} m/s or more"
         )
 
@@ -189,7 +190,7 @@ class FlipperController:
         self._setup, self._limits = setup or RobotSetup(), limits or Limits()
         self._log, self._shadow = log, shadow
         interface = self.policy.interface
-        self._period, self._rule = interface.decision_period, interface.targets
+        self._period, self._limit = interface.decision_period, interface.targets.limit
         self._turning = float(interface.robot.get("flipper_speed", math.inf))
         self._driving_speed = float(interface.robot.get("track_speed", 0.0))
         self._intake = Intake(self._setup, self._limits)
@@ -199,10 +200,7 @@ class FlipperController:
         self.reset()
 
     def reset(self) -> None:
-        """Begin anew, as after the robot was carried: map, odometry and targets are forgotten.
-
-        The robot then stands on level ground.
-        """
+        """Begin anew on level ground, as after the robot was carried: map and targets go."""
         self._begin(level=True)
 
     def _begin(self, *, level: bool) -> None:
@@ -218,7 +216,6 @@ class FlipperController:
         self._due = -math.inf  # time of the next decision
         self._faulty_since: float | None = None
         self._held_until = -math.inf
-        self._stall = ""
         self._decided = False
         self._undecided: Fault | None = None  # why the last try to decide failed
         self._answer = Answer(None, None, False, "waiting")
@@ -298,14 +295,14 @@ class FlipperController:
         if stalled and self._standing:  # their operator turns them
             self._hold()
         elif stalled:
-            self._stall = " and ".join(stalled)
+            self._stalled = " and ".join(stalled)
             self._held_until = now + self._limits.stall_hold
             self._targets = self._setpoints = self._within(angles)  # do not push
             self._stalls.reset()
         if now < self._held_until:
             return Fault(
                 "stall",
-                f"the {self._stall} flippers do not follow; they are held where they are for "
+                f"the {self._stalled} flippers do not follow; they are held where they are for "
                 f"{self._limits.stall_hold:g} s",
             )
         return None
@@ -335,18 +332,18 @@ class FlipperController:
         late = now - self._due > self._period  # or the first decision
         self._due = now + self._period if late else self._due + self._period
         ground, angles = self._estimator.estimate(now)
-        covered, least = _covered(ground), self._limits.coverage
+        covered = 1.0 if ground.seen is None else float(np.mean(ground.seen))
+        least = self._limits.coverage
         if covered < least:
             text = f"ground was seen in {covered:.0%} of the bins; {least:.0%} or more is allowed"
             self._undecided = Fault("coverage", text)
             return None
         if self._faulty_since is not None:  # the flippers may have been moved since
             self._hold()
-        measured = angles.front, angles.rear
-        seen = layout.assemble(
-            ground.heights, front=angles.front, rear=angles.rear, pitch=angles.pitch
+        measured = front, rear = angles.front, angles.rear
+        action = self.policy.act(
+            layout.assemble(ground.heights, front=front, rear=rear, pitch=angles.pitch)
         )
-        action = self.policy.act(seen)
         if self._standing:
             self.policy.reset()
             self._undecided = None
@@ -359,8 +356,7 @@ class FlipperController:
         return action
 
     def _within(self, angles: Pair) -> Pair:
-        limit = self._rule.limit
-        front, rear = (min(limit, max(-limit, angle)) for angle in angles)
+        front, rear = (min(self._limit, max(-self._limit, angle)) for angle in angles)
         return front, rear
 
     def _advance(self, elapsed: float) -> None:
@@ -378,21 +374,20 @@ class FlipperController:
         """Return the answer, and log it if it is a decision or another state."""
         state = self._state(fault)
         reason = self._standby.reason() if state == "standby" else ""
+        name, reason = (fault.name, fault.reason) if fault else ("", reason)
+        targets, setpoints = self._theirs(self._targets), self._theirs(self._setpoints)
+        drive, policy = state in ("standby", "driving", "holding"), self.policy
         answer = Answer(
-            self._theirs(self._targets),
-            self._theirs(self._setpoints),
-            state in ("standby", "driving", "holding"),
-            state,
-            "" if fault is None else fault.name,
-            reason if fault is None else fault.reason,
-            action,
-            self.policy.risk,
-            self.policy.warning,
+            targets, setpoints, drive, state, name, reason, action, policy.risk, policy.warning
         )
         before, self._answer = self._answer, answer
         changed = (answer.state, answer.fault) != (before.state, before.fault)
         if self._log is not None and (changed or action is not None):
-            self._log(_log_line(now, answer, risk=self.policy.interface.risk is not None))
+            time = _finite(now)
+            line = {"time": _short(now) if time is None else time, **asdict(answer)}
+            if policy.interface.risk is None:  # the lines of files without a risk stay
+                del line["risk"], line["warning"]
+            self._log(json.dumps(line))
         return answer
 
     def _state(self, fault: Fault | None) -> State:
@@ -423,16 +418,36 @@ class FlipperController:
         return None if pair is None else (signs.front * pair[0], signs.rear * pair[1])
 
 
-def _covered(ground: SensedGround) -> float:
-    return 1.0 if ground.seen is None else float(np.mean(ground.seen))
+_LENGTHS = "chassis_length", "flipper_length", "track_radius"
 
 
-def _log_line(now: float, answer: Answer, *, risk: bool) -> str:
-    """Return the answer as a line of JSON. ``risk``: whether the file's policy tells one."""
-    told = asdict(answer)
-    if not risk:  # the lines of files without a risk stay
-        del told["risk"], told["warning"]
-    return json.dumps({"time": _short(now) if (time := _finite(now)) is None else time, **told})
+def new_estimator(interface: Interface, setup: RobotSetup, *, level: bool = True) -> LidarEstimator:
+    """Return the estimator of ``perception=lidar`` for a policy and its robot.
+
+    ``level``: whether the robot stands on level ground now. A policy whose file states no map, as
+    of a training without a LiDAR, gets the default one.
+    """
+    missing = [name for name in _LENGTHS if name not in interface.robot]
+    if missing:
+        raise PolicyError(f"the policy's file does not state robot.{missing[0]}; export it again")
+    body = Body(
+        **{name: float(interface.robot[name]) for name in _LENGTHS},
+        chassis_width=setup.chassis_width,
+        overall_width=setup.overall_width,
+    )
+    settings = MapSettings(
+        interface.bins,
+        interface.bin_width,
+        interface.map_quality or MapQuality(),
+        accuracy_of(setup.pose, setup.range_bias, setup.tilt_error),
+    )
+    try:
+        matcher = ScanMatcher() if setup.pose == "matched" else None
+    except ImportError as error:
+        raise MissingExtraError(
+            "pose='matched' needs small_gicp, which is not installed; run pip install small_gicp"
+        ) from error
+    return LidarEstimator(body, setup.mount, settings, matcher, level=level)
 
 
 def _finite(number: object) -> float | None:

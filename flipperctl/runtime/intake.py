@@ -15,8 +15,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Scan
-from flipperctl.runtime.messages import ABSENT, KINDS, Attitude, Cloud, JointAngles, Levels
-from flipperctl.runtime.setup import Limits, RobotSetup
+from flipperctl.runtime.messages import (
+    ABSENT,
+    KINDS,
+    Attitude,
+    Cloud,
+    JointAngles,
+    Levels,
+    Limits,
+    RobotSetup,
+)
 
 Accepted = Scan | Inertial | Joints | Belts
 _FEWEST_POINTS = 20

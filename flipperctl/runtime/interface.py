@@ -1,17 +1,21 @@
-"""The inputs and outputs of an exported policy, from the entries of its metadata.
+"""A file of ``flipperctl export onnx``: its checksum, and the inputs and outputs that it states.
 
-In: the metadata of an ONNX model, as JSON that is read strictly. Out: an ``Interface``, checked.
+In: the bytes of a file. Out: a session of onnxruntime and an ``Interface`` from the metadata, both
+checked. The SHA-256 is verified before any other code parses the file; it is computed over the
+whole file with its own 64 hexadecimal digits set to 0, so that it covers graph and metadata.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,50 +23,22 @@ from numpy.typing import NDArray
 from flipperctl.core import observation as layout
 from flipperctl.core.lidar.ground import MapQuality
 from flipperctl.core.observation import ANGLES
+from flipperctl.core.reading import read_whole
 from flipperctl.core.risk import LAGS, SCALE, EscapeRule, RiskSign
 from flipperctl.core.targets import ACTIONS, JOINTS, TargetRule
-from flipperctl.errors import OldVersionError, PolicyError
-from flipperctl.runtime.session import EXPORT_AGAIN, FORMAT_VERSION, PREFIX
+from flipperctl.errors import MissingExtraError, OldVersionError, PolicyError
 
-Check = Callable[[Any], bool]
+if TYPE_CHECKING:
+    from onnxruntime import InferenceSession
 
-
-def _is_whole(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
-
-
-def _is_count(value: Any) -> bool:
-    return _is_whole(value) and value > 0
-
-
-def _is_number(value: Any) -> bool:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return False
-    return abs(value) <= sys.float_info.max  # false for NaN; integers are unbounded
-
-
-def _is_positive(value: Any) -> bool:
-    return _is_number(value) and bool(value > 0)
-
-
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str)
-
-
-def _has(value: Any, checks: Mapping[str, Check], *, alone: bool = False) -> bool:
-    """Return whether a value is a mapping with these entries; ``alone``: and no others."""
-    return (
-        isinstance(value, dict)
-        and (not alone or value.keys() == checks.keys())
-        and all(check(value.get(name)) for name, check in checks.items())
-    )
-
-
-def _is_list(value: Any, check: Check, length: int | None = None) -> bool:
-    """Return whether a value is a list, of this length, of what passes the check."""
-    return isinstance(value, list) and length in (None, len(value)) and all(check(v) for v in value)
-
-
+FORMAT_VERSION = 2
+"""Format of the metadata under ``flipperctl.*``; version 0.1 had 1, without a checksum."""
+PREFIX = "flipperctl."
+CHECKSUM = f"{PREFIX}sha256"
+PLACEHOLDER = "0" * 64
+"""Value of the checksum entry while the checksum is computed."""
+INPUT, OUTPUT, RISK, RECURRENCE = "observation", "q_values", "risk", "risk_recurrence"
+"""Names of the network's input and outputs."""
 LARGEST_ANGLE = math.pi
 """Largest angle of an observation, both ways [rad]; a larger one is probably in degrees."""
 LARGEST_HEIGHT = 5.0
@@ -71,6 +47,8 @@ LARGEST_HEIGHT = 5.0
 No passable ground is as high or as deep. The limit detects heights in wrong units: level ground is
 about -10 in centimetres and -100 in millimetres.
 """
+_FORMAT = f"{PREFIX}format_version"
+_EXPORT_AGAIN = "train its policy again, and export it with this version"
 
 
 @dataclass(frozen=True)
@@ -148,6 +126,174 @@ class Interface:
         return self.frames * self.size
 
 
+def add_checksum(data: bytes) -> bytes:
+    """Return a model's bytes with their checksum in place of ``PLACEHOLDER``.
+
+    Raises:
+        ValueError: the entry ``CHECKSUM`` does not hold the placeholder exactly once.
+    """
+    start = _find_entry(data, CHECKSUM, len(PLACEHOLDER))
+    if start is None or data[start : start + len(PLACEHOLDER)] != PLACEHOLDER.encode():
+        raise ValueError(f"the model's metadata must hold {CHECKSUM} once, as the placeholder")
+    return _replace_at(data, start, hashlib.sha256(data).hexdigest())
+
+
+def verify(data: bytes, where: str) -> bytes:
+    """Return the bytes of a file; PolicyError unless they are as this version exported them."""
+    start = _find_entry(data, CHECKSUM, len(PLACEHOLDER))
+    if start is not None:
+        found = data[start : start + len(PLACEHOLDER)]
+        expected = hashlib.sha256(_replace_at(data, start, PLACEHOLDER)).hexdigest()
+        if found != expected.encode():
+            raise PolicyError(
+                f"{where} is damaged, or was changed since its export: "
+                "its SHA-256 does not match its contents"
+            )
+        return data
+    version = _find_entry(data, _FORMAT, 1)
+    if version is None:
+        raise PolicyError(
+            f"{where} is damaged, or not a file of flipperctl export onnx: it holds no {_FORMAT}"
+        )
+    found_version = data[version : version + 1]
+    if found_version == b"1":
+        raise PolicyError(f"{where} {OldVersionError('0.1', _EXPORT_AGAIN)}")
+    if found_version == b"%d" % FORMAT_VERSION:
+        raise PolicyError(f"{where} is damaged: its SHA-256 cannot be found")
+    raise PolicyError(
+        f"{where} has format version {found_version.decode(errors='replace')!r}, or is damaged; "
+        f"this version of flipperctl reads {FORMAT_VERSION}"
+    )
+
+
+def _find_entry(data: bytes, key: str, length: int) -> int | None:
+    """Return the offset of a metadata entry's value; None unless one of that length exists.
+
+    An entry is a protobuf message of two strings: tag 1, length, key, tag 2, length, value. An
+    entry that occurs twice counts as missing.
+    """
+    marker = b"\x0a%c%b\x12%c" % (len(key), key.encode(), length)
+    at = data.find(marker)
+    start = at + len(marker)
+    if at < 0 or data.find(marker, start) >= 0 or start + length > len(data):
+        return None
+    return start
+
+
+def _replace_at(data: bytes, start: int, value: str) -> bytes:
+    return data[:start] + value.encode() + data[start + len(value) :]
+
+
+def open_session(path: Path) -> InferenceSession:
+    """Open a session with one thread; a network of this size is slower with two.
+
+    Raises:
+        MissingExtraError: onnxruntime is not installed.
+        PolicyError: the file is missing, damaged, or not one that flipperctl exported.
+    """
+    try:
+        import onnxruntime
+    except ImportError as error:
+        raise MissingExtraError(
+            "an exported policy needs the package onnxruntime; install flipperctl[robot]"
+        ) from error
+    try:
+        data = read_whole(path, lambda data: verify(data, str(path)), PolicyError)
+    except FileNotFoundError as error:
+        raise PolicyError(f"{path}: there is no such policy file") from error
+    except (OSError, ValueError) as error:  # ValueError: the name is not valid
+        reason = getattr(error, "strerror", None) or error
+        raise PolicyError(f"{path} cannot be read: {reason}") from error
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
+    options.log_severity_level = 4  # errors are raised instead
+    try:
+        return onnxruntime.InferenceSession(
+            data,
+            options,
+            providers=["CPUExecutionProvider"],
+            enable_fallback=0,  # the fallback would only retry, and print to stdout
+        )
+    except Exception as error:  # onnxruntime's errors share no base class
+        raise PolicyError(
+            f"{path} is damaged or not an ONNX model that onnxruntime can run: {reason_of(error)}"
+        ) from error
+
+
+def reason_of(error: Exception) -> str:
+    """Return what onnxruntime says, in printable words on one line."""
+    words = " ".join(str(error).split()).rpartition(" : ")[2]
+    return "".join(sign if sign.isprintable() else "?" for sign in words[:300])
+
+
+def interface_of(session: InferenceSession, where: str) -> Interface:
+    """Return the interface that a model states and has.
+
+    Raises:
+        PolicyError: the metadata are not valid, or its inputs and outputs are others.
+    """
+    try:
+        tensors = [(t.name, t.type, t.shape) for t in session.get_inputs() + session.get_outputs()]
+        metadata = session.get_modelmeta().custom_metadata_map
+    except (UnicodeDecodeError, RuntimeError) as error:
+        raise PolicyError(f"{where} is damaged: its names or metadata are not text") from error
+    interface = read_interface(metadata, where)
+    sizes = {INPUT: interface.inputs, OUTPUT: len(ACTIONS)}
+    if interface.risk is not None:
+        sizes |= {RISK: 1, RECURRENCE: len(LAGS)}
+    fits = {name for name, *_ in tensors} == sizes.keys() and all(
+        kind == "tensor(float)" and len(shape) == 2 and shape[1] == sizes[name]
+        for name, kind, shape in tensors
+    )
+    if not fits:
+        shown = ", ".join(f"{name} {kind} {shape}" for name, kind, shape in tensors)
+        *most, last = [f"{name} tensor(float) [batch, {size}]" for name, size in sizes.items()]
+        raise PolicyError(
+            f"{where}: the model has {shown}; {', '.join(most)} and {last} is allowed"
+        )
+    return interface
+
+
+Check = Callable[[Any], bool]
+
+
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def _is_count(value: Any) -> bool:
+    return _is_whole(value) and value > 0
+
+
+def _is_number(value: Any) -> bool:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) <= sys.float_info.max  # false for NaN; integers are unbounded
+
+
+def _is_positive(value: Any) -> bool:
+    return _is_number(value) and bool(value > 0)
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str)
+
+
+def _has(value: Any, checks: Mapping[str, Check], *, alone: bool = False) -> bool:
+    """Return whether a value is a mapping with these entries; ``alone``: and no others."""
+    return (
+        isinstance(value, dict)
+        and (not alone or value.keys() == checks.keys())
+        and all(check(value.get(name)) for name, check in checks.items())
+    )
+
+
+def _is_list(value: Any, check: Check, length: int | None = None) -> bool:
+    """Return whether a value is a list, of this length, of what passes the check."""
+    return isinstance(value, list) and length in (None, len(value)) and all(check(v) for v in value)
+
+
 _RISK = {
     "horizon": _is_count,
     "threshold": lambda v: _is_positive(v) and v <= 1,
@@ -177,7 +323,7 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
             f"this version of flipperctl reads {FORMAT_VERSION}"
         )
     if f"{PREFIX}joints" not in metadata:
-        raise PolicyError(f"{where} {OldVersionError('0.2', EXPORT_AGAIN)}")
+        raise PolicyError(f"{where} {OldVersionError('0.2', _EXPORT_AGAIN)}")
 
     def entry(name: str, allowed: str, check: Check, absent: str = "") -> Any:
         """Return an entry's value after ``check``; ``absent`` is the text of a missing one."""

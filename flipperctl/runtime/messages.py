@@ -1,21 +1,22 @@
-"""The messages that a robot's driver hands to ``FlipperController.step``.
+"""What a robot's builder and its driver hand to ``FlipperController``: the setup and messages.
 
-In: numbers of the driver in the robot's convention; ``JointState`` messages, which may hold a part
-of the joints each. Out: plain data with the time of the measurement, in flipperctl's signs; the
-mean angle of each pair of flippers; whether a level orientation is one that no one fills in.
-Nothing is checked here: the controller refuses what does not fit, with a reason.
+In: numbers in the robot's convention; ``JointState`` messages, which may hold a part of the joints
+each. Out: frozen settings, checked; plain data with the time of the measurement, whose content
+``intake`` checks; the mean angle of each pair of flippers; whether a level orientation is one that
+no one fills in.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from flipperctl.core.lidar.body import Mount
 from flipperctl.errors import PolicyError
 
 
@@ -36,10 +37,10 @@ class Signs:
 
     def __post_init__(self) -> None:
         """Refuse other factors."""
-        for field in fields(self):
-            value = getattr(self, field.name)
+        for one in fields(self):
+            value = getattr(self, one.name)
             if value not in (1, -1) or isinstance(value, bool):
-                raise PolicyError(f"signs.{field.name} is {value!r}; 1 or -1 is allowed")
+                raise PolicyError(f"signs.{one.name} is {value!r}; 1 or -1 is allowed")
 
 
 OURS = Signs()
@@ -50,67 +51,83 @@ CONVENTIONS = {"flipperctl": OURS, "rep103": REP_103}
 """The named conventions."""
 
 
-class NewestJoints:
-    """The newest angle of each flipper's joint."""
+@dataclass(frozen=True)
+class RobotSetup:
+    """What the policy's file does not state of the robot: its devices, widths and signs."""
 
-    def __init__(self, front: Sequence[str], rear: Sequence[str]) -> None:
-        """``front`` and ``rear``: names of the joints of each pair."""
-        self._pairs = front, rear
-        self._angles: dict[str, tuple[float, float]] = {}  # joint → its stamp and angle
+    signs: Signs = OURS
+    """The robot's conventions."""
+    cloud_frame: str = "lidar"
+    """Frame in which clouds must come."""
+    attitude_frame: str = "base_link"
+    """Frame whose attitude must come: fixed to the chassis, x ahead, y to the left, z up."""
+    mount: Mount = field(default_factory=lambda: Mount(0.25, 0.4, -math.pi / 4, 0.1, 0.05))
+    """Where the frame of the clouds is on the robot.
 
-    def take(
-        self, stamp: float, names: Iterable[str], positions: Iterable[float]
-    ) -> JointAngles | None:
-        """Receive a message; return the angles of the pairs, of the stamp of the oldest of them.
-
-        None: the message is of other joints, or there is a joint without an angle yet.
-        """
-        ours = {name for pair in self._pairs for name in pair}
-        told = {n: (stamp, float(p)) for n, p in zip(names, positions, strict=False) if n in ours}
-        self._angles |= told
-        if not told or ours - self._angles.keys():
-            return None
-        oldest = float(np.min([time for time, _ in self._angles.values()]))  # NaN if one is
-        front, rear = (math.fsum(self._angles[n][1] for n in p) / len(p) for p in self._pairs)
-        return JointAngles(oldest, front, rear)
-
-
-_MEMORY = 2.0
-"""Time over which rates count; the error of a gyroscope does not add up [s]."""
-_TILTED = 0.05
-"""Angle that the rates turn, while the orientation stays level, from which it is none [rad]."""
-_JUMP, _AT_ONCE = 0.1, 0.05
-"""Tilt [rad] from or to which an orientation cannot become level within a time [s]."""
-ABSENT = "a filter such as imu_filter_madgwick adds an orientation"
+    Clouds that come in the frame of the chassis have the mount ``Mount(0, 0, math.pi / 2, …)``.
+    """
+    chassis_width: float = 0.352
+    """Width of the chassis between the flippers [m]."""
+    overall_width: float = 0.712
+    """Width over the outer sides of the flippers [m]."""
+    pose: Literal["belts", "matched"] = "belts"
+    """How scans enter the map: by odometry, or corrected by matching (needs small_gicp)."""
+    range_bias: float = 0.02
+    """Largest constant error of the LiDAR's distances [m]."""
+    tilt_error: float = 0.0032
+    """Standard deviation of the inertial unit's roll and pitch [rad]."""
 
 
-class Levels:
-    """Whether exactly level orientations have been found to be none."""
+@dataclass(frozen=True)
+class Ages:
+    """Oldest measurements that a decision may use [s]."""
 
-    def __init__(self) -> None:
-        self.unset = ""
-        """What contradicts them; empty if nothing does."""
-        self._turned = [0.0, 0.0]  # about x and y, as far as remembered [rad]
-        self._last: tuple[float, float, bool] | None = None  # time, tilt, whether it was level
+    cloud: float = 0.5
+    """A LiDAR at 10 Hz may lose four scans."""
+    attitude: float = 0.1
+    """An inertial unit at 100 Hz may lose ten."""
+    joints: float = 0.1
+    """Encoders at 50 Hz may lose five."""
+    odometry: float = 0.3
+    """Belt speeds; they count only if they were ever received."""
 
-    def add(self, time: float, tilt: float, rates: tuple[float, float]) -> bool:
-        """Learn from a message; return whether its orientation is none.
 
-        ``tilt``: angle of the z axis to the vertical, exactly 0 of an orientation that is not set
-        [rad]; ``rates``: about the x and y axes [rad/s].
-        """
-        level, last = tilt == 0, self._last
-        self._last = time, tilt, level
-        if last is not None and 0 < (elapsed := time - last[0]) < 1:
-            kept = math.exp(-elapsed / _MEMORY) if level and last[2] else 0.0
-            turns = [rate * elapsed if math.isfinite(rate) else 0.0 for rate in rates]
-            self._turned = [kept * a + b for a, b in zip(self._turned, turns, strict=True)]
-            turned = max(map(abs, self._turned))
-            if level and last[2] and turned > _TILTED:
-                self.unset = f"is level in every message while its rates tilt by {turned:.2f} rad"
-            elif level != last[2] and elapsed < _AT_ONCE and abs(tilt - last[1]) > _JUMP:
-                self.unset = f"jumps between level and {max(tilt, last[1]):.2f} rad"
-        return level and bool(self.unset)
+@dataclass(frozen=True)
+class Limits:
+    """What the controller takes for safe."""
+
+    ages: Ages = field(default_factory=Ages)
+    """Oldest measurements."""
+    ahead: float = 0.05
+    """Time by which a stamp may lie ahead of the clock [s]."""
+    clock_jump: float = 1.0
+    """Pause between two steps that counts as a jump of the clock [s]."""
+    coverage: float = 0.3
+    """Least share of the bins in which ground was seen or stood on [-]."""
+    tilt: float = math.radians(55)
+    """Largest roll or pitch, both ways; beyond it the belts stop at once [rad]."""
+    stop_after: float = 1.0
+    """Time for which flippers are held before the belts stop too [s]."""
+    standby_speed: float = 0.02
+    """Speed of the belts ahead below which the flippers stand by [m/s]."""
+    standby_after: float = 0.5
+    """Time of such a speed after which they do; one at the start counts at once [s]."""
+    standby_until: float = 0.3
+    """Time of a larger speed after which the flippers stand by no longer [s]."""
+    stall_error: float = 0.12
+    """Angle by which a flipper may miss its target for long [rad]."""
+    stall_time: float = 2.0
+    """Time without approach after which such a flipper counts as stalled [s]."""
+    stall_hold: float = 1.0
+    """Time for which a stalled flipper is held where it is [s]."""
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that are not positive and finite."""
+        for name, value in (vars(self) | vars(self.ages) | {"ages": 1.0}).items():
+            if not (isinstance(value, int | float) and 0 < value < math.inf):
+                raise PolicyError(
+                    f"limits: {name} is {value!r}; a finite number above 0 is allowed"
+                )
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,3 +243,66 @@ _UNIT = 0.05
 
 def _asin(value: float) -> float:
     return math.asin(min(1.0, max(-1.0, value))) if math.isfinite(value) else math.nan
+
+
+class NewestJoints:
+    """The newest angle of each flipper's joint."""
+
+    def __init__(self, front: Sequence[str], rear: Sequence[str]) -> None:
+        """``front`` and ``rear``: names of the joints of each pair."""
+        self._pairs = front, rear
+        self._angles: dict[str, tuple[float, float]] = {}  # joint → its stamp and angle
+
+    def take(
+        self, stamp: float, names: Iterable[str], positions: Iterable[float]
+    ) -> JointAngles | None:
+        """Receive a message; return the angles of the pairs, of the stamp of the oldest of them.
+
+        None: the message is of other joints, or there is a joint without an angle yet.
+        """
+        ours = {name for pair in self._pairs for name in pair}
+        told = {n: (stamp, float(p)) for n, p in zip(names, positions, strict=False) if n in ours}
+        self._angles |= told
+        if not told or ours - self._angles.keys():
+            return None
+        oldest = float(np.min([time for time, _ in self._angles.values()]))  # NaN if one is
+        front, rear = (math.fsum(self._angles[n][1] for n in p) / len(p) for p in self._pairs)
+        return JointAngles(oldest, front, rear)
+
+
+_MEMORY = 2.0
+"""Time over which rates count; the error of a gyroscope does not add up [s]."""
+_TILTED = 0.05
+"""Angle that the rates turn, while the orientation stays level, from which it is none [rad]."""
+_JUMP, _AT_ONCE = 0.1, 0.05
+"""Tilt [rad] from or to which an orientation cannot become level within a time [s]."""
+ABSENT = "a filter such as imu_filter_madgwick adds an orientation"
+
+
+class Levels:
+    """Whether exactly level orientations have been found to be none."""
+
+    def __init__(self) -> None:
+        self.unset = ""
+        """What contradicts them; empty if nothing does."""
+        self._turned = [0.0, 0.0]  # about x and y, as far as remembered [rad]
+        self._last: tuple[float, float, bool] | None = None  # time, tilt, whether it was level
+
+    def add(self, time: float, tilt: float, rates: tuple[float, float]) -> bool:
+        """Learn from a message; return whether its orientation is none.
+
+        ``tilt``: angle of the z axis to the vertical, exactly 0 of an orientation that is not set
+        [rad]; ``rates``: about the x and y axes [rad/s].
+        """
+        level, last = tilt == 0, self._last
+        self._last = time, tilt, level
+        if last is not None and 0 < (elapsed := time - last[0]) < 1:
+            kept = math.exp(-elapsed / _MEMORY) if level and last[2] else 0.0
+            turns = [rate * elapsed if math.isfinite(rate) else 0.0 for rate in rates]
+            self._turned = [kept * a + b for a, b in zip(self._turned, turns, strict=True)]
+            turned = max(map(abs, self._turned))
+            if level and last[2] and turned > _TILTED:
+                self.unset = f"is level in every message while its rates tilt by {turned:.2f} rad"
+            elif level != last[2] and elapsed < _AT_ONCE and abs(tilt - last[1]) > _JUMP:
+                self.unset = f"jumps between level and {max(tilt, last[1]):.2f} rad"
+        return level and bool(self.unset)

@@ -10,7 +10,7 @@ import torch
 from flipperctl.checkpoint import sealed
 from flipperctl.core import reading
 from flipperctl.errors import CheckpointError, PolicyError
-from flipperctl.runtime.session import open_session
+from flipperctl.runtime.interface import open_session
 
 
 def written(path: Path, size: int) -> Path:

@@ -23,8 +23,8 @@ from flipperctl.files import check_output
 from flipperctl.policies.source import PolicySource
 from flipperctl.policies.trained import policy_module
 from flipperctl.runtime import OnnxPolicy, RobotSetup
+from flipperctl.runtime.controller import new_estimator
 from flipperctl.runtime.interface import read_interface
-from flipperctl.runtime.setup import new_estimator
 from tests.played import play_episodes
 
 

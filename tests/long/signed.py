@@ -21,7 +21,7 @@ from flipperctl.policies.exported import exported_config
 from flipperctl.policies.trained import policy_module
 from flipperctl.rollout.steps import RolloutRequest
 from flipperctl.runtime import OnnxPolicy
-from flipperctl.runtime.session import CHECKSUM, PLACEHOLDER, add_checksum
+from flipperctl.runtime.interface import CHECKSUM, PLACEHOLDER, add_checksum
 from flipperctl.training.trainer import Trainer
 from tests.long.mutations import BYTES, Rng, document
 from tests.short import short_config, trainer

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 from onnx import TensorProto, helper, numpy_helper
 
-from flipperctl.runtime.session import CHECKSUM, PLACEHOLDER, add_checksum
+from flipperctl.runtime.interface import CHECKSUM, PLACEHOLDER, add_checksum
 
 HEIGHTS = [{"name": f"h_{i + 1}", "unit": "m", "frame": "L", "meaning": "x"} for i in range(15)]
 ANGLES = [

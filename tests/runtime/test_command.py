@@ -14,7 +14,7 @@ import pytest
 from flipperctl.__main__ import main as whole
 from flipperctl.runtime import JointAngles, OnnxPolicy
 from flipperctl.runtime.__main__ import _main, describe, main
-from flipperctl.runtime.shadow import Shadow
+from flipperctl.runtime.recordings import Shadow
 from tests.cli.call import call
 from tests.runtime.linear import MAP, RISK, ROBOT, RULE, write
 from tests.runtime.messages import IN_CHASSIS, good

@@ -7,7 +7,8 @@ import pytest
 
 from flipperctl.core.lidar.ground import MapQuality
 from flipperctl.errors import PolicyError
-from flipperctl.runtime import OnnxPolicy, session
+from flipperctl.runtime import OnnxPolicy
+from flipperctl.runtime.interface import add_checksum, verify
 from tests.runtime.linear import MAP, METADATA, RISK, VERSION_0_1, VERSION_0_2, write
 
 
@@ -128,12 +129,12 @@ def whole(tmp_path: Path) -> bytes:
 
 
 def test_every_flipped_bit_is_found(whole: bytes) -> None:
-    session.verify(whole, "p.onnx")
+    verify(whole, "p.onnx")
     for at in range(len(whole)):
         damaged = bytearray(whole)
         damaged[at] ^= 1 << at % 8
         with pytest.raises(PolicyError, match=r"p\.onnx is damaged"):
-            session.verify(bytes(damaged), "p.onnx")
+            verify(bytes(damaged), "p.onnx")
 
 
 def test_a_truncated_or_longer_file_or_one_without_checksum_is_damaged(
@@ -141,10 +142,10 @@ def test_a_truncated_or_longer_file_or_one_without_checksum_is_damaged(
 ) -> None:
     for data in (whole[:-1], whole[: len(whole) // 2], whole + b"\0", whole + whole):
         with pytest.raises(PolicyError, match="is damaged"):
-            session.verify(data, "p.onnx")
+            verify(data, "p.onnx")
     without = write(tmp_path / "q.onnx", checksum=False).read_bytes()
     for data in (without, whole.replace(b"flipperctl.sha256", b"flipperctl.sha257")):
         with pytest.raises(PolicyError, match="damaged: its SHA-256 cannot be found"):
-            session.verify(data, "p.onnx")
+            verify(data, "p.onnx")
     with pytest.raises(ValueError, match=r"must hold flipperctl\.sha256 once"):
-        session.add_checksum(b"no metadata")
+        add_checksum(b"no metadata")

@@ -14,7 +14,7 @@ from flipperctl.core.lidar.body import mounting
 from flipperctl.errors import PolicyError, RequestError
 from flipperctl.runtime import OURS, REP_103, RobotSetup, Signs
 from flipperctl.runtime.__main__ import _main
-from flipperctl.runtime.self_test import SelfTest, read_lines, run
+from flipperctl.runtime.recordings import SelfTest, read_lines, self_test
 from tests.cli.call import call
 
 MOUNT = RobotSetup().mount
@@ -181,8 +181,8 @@ def test_the_example_s_builder_makes_every_motion(capsys: pytest.CaptureFixture)
         str(Path(__file__).parents[2] / "examples" / "messages" / "self_test.py")
     )
     lines = [json.dumps(line) for line in example["lines"]()]
-    assert run(lines, "the example", RobotSetup(signs=REP_103)).passed
-    assert not run(lines, "the example", RobotSetup()).passed
+    assert self_test(lines, "the example", RobotSetup(signs=REP_103)).passed
+    assert not self_test(lines, "the example", RobotSetup()).passed
     told = capsys.readouterr().out
     assert told.count("right (joints") == 3  # all but the front flippers in the other signs
     assert "Wrong signs: front, pitch." in told

@@ -35,12 +35,12 @@ def run(
     """See HELP."""
     from dataclasses import asdict
 
-    from flipperctl.runtime import RobotSetup, self_test
-    from flipperctl.runtime.messages import CONVENTIONS
+    from flipperctl.runtime.messages import CONVENTIONS, RobotSetup
+    from flipperctl.runtime.recordings import opened, self_test
     from flipperctl.terminal.streams import show
 
     setup = RobotSetup(signs=CONVENTIONS[signs.value])
-    test = self_test.run(*self_test.opened(messages), setup)  # it prints what to do meanwhile
+    test = self_test(*opened(messages), setup)  # it prints what to do meanwhile
     document = {"passed": test.passed, "verdicts": [asdict(one) for one in test.verdicts]}
     show(document, lambda: None, as_json=as_json)
     return 0 if test.passed else 1

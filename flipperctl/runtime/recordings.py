@@ -1,0 +1,327 @@
+"""What the messages of a robot's devices tell: wrong signs, and what a policy would have done.
+
+In: messages with their times, from lines of JSON or a bag. The self-test asks the builder to move a
+part and says how that was measured: a verdict for each sign. Shadow mode steps a controller while
+someone else drives: a line of JSON for each decision and each change of state, and how often each
+fault came. Nothing is commanded.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from flipperctl.core.lidar.body import mounting
+from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Scan
+from flipperctl.errors import PolicyError, RequestError
+from flipperctl.runtime.controller import Answer, FlipperController
+from flipperctl.runtime.intake import Intake
+from flipperctl.runtime.messages import KINDS, JointAngles, Limits, RobotSetup
+
+_NO_MESSAGE = (
+    *(ValueError, TypeError, KeyError, AttributeError),
+    *(RecursionError, OverflowError),
+)
+"""What a line raises that is no message."""
+
+
+def read_lines(lines: Iterable[str], where: str) -> Iterator[tuple[float, dict[str, Any]]]:
+    """Yield time and messages of lines of JSON, as ``{"time": 1.2, "joints": {"front": 0, …}}``.
+
+    A message without a time has that of its line.
+
+    Raises:
+        PolicyError: a line is something else; the text names it.
+    """
+    for number, line in enumerate(lines, 1):
+        if not line.strip():
+            continue
+        try:
+            entry = json.loads(line)
+            time = float(entry.pop("time"))
+            messages = {
+                name: KINDS[name](**{"time": time, **values}) for name, values in entry.items()
+            }
+        except _NO_MESSAGE as error:
+            known = "; ".join(
+                f"{name}: {', '.join(f.name for f in fields(kind))}" for name, kind in KINDS.items()
+            )
+            raise PolicyError(
+                f"{where}, line {number}: {line.strip()[:60]!r} is no message; a JSON object "
+                f"with a time and some of these is allowed: {known}"
+            ) from error
+        if not math.isfinite(time):
+            raise PolicyError(
+                f"{where}, line {number}: the time is {time}; a finite one is allowed"
+            )
+        yield time, messages
+
+
+def opened(file: str) -> tuple[Iterable[str], str]:
+    """Return the lines of a file, or of the standard input for ``-``, and its name in errors."""
+    return (sys.stdin, "the input") if file == "-" else (_lines(file), file)
+
+
+def _lines(file: str) -> Iterator[str]:
+    """Yield the lines of a file; an error of the file names it, one of its reader passes."""
+    try:
+        with Path(file).open(encoding="utf-8") as lines:
+            yield from lines
+    except (OSError, ValueError) as error:
+        raise RequestError(f"{file} cannot be read: {error}") from error
+
+
+_PATIENCE = 60.0
+"""Time without the motion that was asked for after which a part counts as not measured [s]."""
+_NEAR = 0.3, 1.0, 0.3
+"""A board is looked for between the first two distances ahead or behind, and no lower below the
+LiDAR than the third [m]."""
+_FEWEST = 10
+"""Points that make up a board [-]."""
+
+
+class _Part(NamedTuple):
+    """A motion that the builder makes, and what must grow by it."""
+
+    sign: str
+    """The entry of ``Signs`` that it tests."""
+    device: str
+    instruction: str
+    threshold: float
+    """Change that counts as the motion."""
+    unit: str
+
+
+_PARTS = (
+    _Part("front", "joints", "Raise the front flippers by 15° or more.", 0.2, "rad"),
+    _Part("rear", "joints", "Raise the rear flippers by 15° or more.", 0.2, "rad"),
+    _Part("pitch", "attitude", "Lift the nose of the robot by 5° or more.", 0.08, "rad"),
+    _Part(
+        "yaw", "attitude", "Lower it, and turn the robot to the left by 20° or more.", 0.3, "rad"
+    ),
+    _Part("x", "odometry", "Drive ahead by 0.2 m or more.", 0.15, "m"),
+    _Part("x", "cloud", "Stand still; hold a board upright 0.5 m ahead of the LiDAR.", 0.15, "m"),
+)
+"""The motions in their order; one whose device never reports is told as not measured."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What a motion showed."""
+
+    sign: str
+    """The entry of ``Signs``."""
+    device: str
+    """The device that measured it."""
+    right: bool | None
+    """Whether the sign is right; None: the motion was not measured."""
+    text: str
+    """The finding in words."""
+
+
+class SelfTest:
+    """Takes messages, tells the builder what to do next, and collects the verdicts."""
+
+    def __init__(self, setup: RobotSetup) -> None:
+        """``setup``: the signs, frames and the mount that are tested."""
+        self._setup = setup
+        self._intake = Intake(setup, Limits())
+        self._rotation = mounting(setup.mount.axis)
+        self._values: dict[str, float] = {"yaw": 0.0, "odometry": 0.0}
+        self._times: dict[str, float] = {}
+        self._base: dict[str, float] = {}  # the values when the motion was asked for
+        self._begun: float | None = None
+        self.verdicts: list[Verdict] = []
+
+    @property
+    def over(self) -> bool:
+        """Whether each motion has its verdict."""
+        return len(self.verdicts) == len(_PARTS)
+
+    @property
+    def wrong(self) -> tuple[str, ...]:
+        """The signs that were found wrong, each once."""
+        return tuple(dict.fromkeys(v.sign for v in self.verdicts if v.right is False))
+
+    @property
+    def passed(self) -> bool:
+        """Whether every motion was measured, each with the right sign."""
+        return all(v.right for v in self.verdicts)
+
+    def step(self, now: float, **messages: object) -> str:
+        """Take in messages as ``FlipperController.step`` does; return new lines, mostly none."""
+        lines = []
+        if self._begun is None:
+            self._begun = now
+            lines.append(self._next())
+        for device, time, message in self._intake.receive(now, **messages):
+            self._measure(device, time, message)
+        verdict = None if self.over else self._verdict(now - self._begun)
+        if verdict is not None:
+            self.verdicts.append(verdict)
+            self._begun, self._base = now, {}
+            lines += [f"  {verdict.text}", self._next()]
+        return "\n".join(lines)
+
+    def _next(self) -> str:
+        """Return the next instruction, or at the end the result."""
+        if not self.over:
+            done = len(self.verdicts)
+            return f"{done + 1} of {len(_PARTS)}: {_PARTS[done].instruction}"
+        if self.wrong:
+            return f"Wrong signs: {', '.join(self.wrong)}."
+        silent = ", ".join(v.device for v in self.verdicts if v.right is None)
+        return f"No sign is wrong; not measured: {silent}." if silent else "All is right."
+
+    def _measure(self, device: str, time: float, message: object) -> None:
+        """Update what is watched: angles, the heading, the way and the points of a board."""
+        elapsed = time - self._times.get(device, time)
+        self._times[device] = time
+        match message:
+            case Joints():
+                self._values |= {"front": message.front, "rear": message.rear}
+            case Inertial():
+                self._values["pitch"] = message.pitch
+                self._values["yaw"] += message.yaw_rate * elapsed
+            case Belts():
+                self._values["odometry"] += message.speed * elapsed
+            case Scan():
+                mount, (near, far, low) = self._setup.mount, _NEAR
+                points = np.asarray(message.points) @ self._rotation.T + (mount.x, 0.0, mount.z)
+                beside = (np.abs(points[:, 1]) < near) & (points[:, 2] > mount.z - low)
+                for side, x in (("ahead", points[:, 0]), ("behind", -points[:, 0])):
+                    self._values[side] = float(np.sum(beside & (x >= near) & (x <= far)))
+
+    def _verdict(self, elapsed: float) -> Verdict | None:
+        """Return what the present motion showed, once it was made or nobody makes it."""
+        part = _PARTS[len(self.verdicts)]
+        sign, device = part.sign, part.device
+        grown = self._grown(part)
+        if abs(grown) < part.threshold:
+            if elapsed < _PATIENCE:
+                return None
+            text = f"{sign}: {device} showed no such motion in {_PATIENCE:g} s"
+            return Verdict(sign, device, None, text)
+        if grown > 0:
+            text = f"{sign}: right ({device}, {grown:+.2f} {part.unit})"
+            return Verdict(sign, device, True, text)
+        text = (
+            f"{sign}: WRONG: {device} changed by {grown:+.2f} {part.unit}, which must "
+            f"grow; set signs.{sign} to {-getattr(self._setup.signs, sign)}"
+        )
+        return Verdict(sign, device, False, text)
+
+    def _grown(self, part: _Part) -> float:
+        """Return by how much what the motion must raise has grown since its beginning.
+
+        Of a board: 1 if it appeared ahead, -1 if behind, 0 if nowhere.
+        """
+        if part.device not in self._times:
+            return 0.0
+        names = {"cloud": ("ahead", "behind"), "odometry": ("odometry",)}
+        grown = [
+            self._values[name] - self._base.setdefault(name, self._values[name])
+            for name in names.get(part.device, (part.sign,))
+        ]
+        if part.device != "cloud":
+            return grown[0]
+        return 0.0 if max(grown) < _FEWEST else 1.0 if grown[0] > grown[1] else -1.0
+
+
+def self_test(lines: Iterable[str], where: str, setup: RobotSetup) -> SelfTest:
+    """Test the messages of ``lines``, and print instructions and verdicts."""
+    test, now = SelfTest(setup), 0.0
+    for now, messages in read_lines(lines, where):
+        told = test.step(now, **messages)
+        if told:
+            print(told, flush=True)
+        if test.over:
+            break
+    while not test.over:  # the input ended: nothing more will move
+        now += _PATIENCE
+        print(test.step(now), flush=True)
+    return test
+
+
+_TICK = 0.05
+"""Longest time between two steps, which a robot's timer keeps without messages too [s]."""
+_JUMP = 10.0
+"""Longest pause in a recording; a longer one is a jump of its clock [s]."""
+
+
+class Shadow:
+    """Steps a controller by recorded messages, writes its log and counts its faults."""
+
+    def __init__(self, policy: Path, setup: RobotSetup, write: Callable[[str], object]) -> None:
+        """``write`` receives each line of the log, without its end."""
+        self._controller = FlipperController(policy, setup, log=self._log, shadow=True)
+        self._write = write
+        self._measured: tuple[float, float] | None = None
+        self._begun: float | None = None
+        self._last: tuple[float, Answer] | None = None
+        self._states: defaultdict[str, float] = defaultdict(float)  # their times [s]
+        self._actions: Counter[int] = Counter()
+        self._warnings = 0
+        self._faults: dict[str, dict[str, Any]] = {}
+
+    def take(self, now: float, messages: Mapping[str, object]) -> None:
+        """Receive the messages of one time, and let time pass until then."""
+        if self._last is not None and 0 < now - (then := self._last[0]) <= _JUMP:
+            for tick in range(1, math.ceil((now - then) / _TICK - 1e-6)):
+                self._step(then + tick * _TICK, {})
+        self._step(now, messages)
+
+    def _step(self, now: float, messages: Mapping[str, object]) -> None:
+        joints = messages.get("joints")
+        if isinstance(joints, JointAngles):
+            angles = joints.front, joints.rear
+            if all(map(math.isfinite, angles)):  # a message of other joints has none
+                self._measured = angles
+        answer = self._controller.step(now, **messages)  # type: ignore[arg-type]  # any content
+        elapsed, before = 0.0, ""
+        if self._last is None:
+            self._begun = now
+        else:
+            elapsed, before = max(0.0, now - self._last[0]), self._last[1].fault
+            self._states[self._last[1].state] += elapsed
+        if answer.action is not None:
+            self._actions[answer.action] += 1
+            self._warnings += answer.warning
+        if answer.fault:
+            one = self._faults.setdefault(
+                answer.fault, {"count": 0, "seconds": 0.0, "reason": answer.reason}
+            )
+            again = before == answer.fault
+            one["count"] += not again
+            one["seconds"] += elapsed if again else 0.0
+        self._last = now, answer
+
+    def _log(self, line: str) -> None:
+        """Write a line of the controller with the measured angles, in the robot's signs."""
+        self._write(json.dumps({**json.loads(line), "measured": self._measured}))
+
+    def summary(self) -> dict[str, Any]:
+        """Return seconds, decisions, warnings, the time in each state and the faults."""
+        seconds = 0.0
+        if self._last is not None and self._begun is not None:
+            seconds = self._last[0] - self._begun
+        tells = self._controller.policy.interface.risk is not None
+        return {
+            "seconds": seconds,
+            "decisions": self._actions.total(),
+            **({"warnings": self._warnings} if tells else {}),
+            "actions": {str(action): count for action, count in sorted(self._actions.items())},
+            "states": {state: round(time, 3) for state, time in self._states.items()},
+            "faults": {
+                name: {**one, "seconds": round(one["seconds"], 3)}
+                for name, one in self._faults.items()
+            },
+        }
