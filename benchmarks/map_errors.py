@@ -29,7 +29,7 @@ from flipperctl.core.observation import occupied
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.evaluate import evaluate
 from flipperctl.evaluation.plan import Entry, Plan
-from flipperctl.evaluation.workers import EpisodeRunner
+from flipperctl.evaluation.play import EpisodeRunner
 from flipperctl.sim.planar.sensing import NEAREST, MapErrorSize
 
 LEVEL, STEEP = 0.01, 0.03

@@ -3,8 +3,8 @@
 from collections.abc import Sequence
 
 from flipperctl.config import EnvConfig
+from flipperctl.evaluation.play import EpisodeRunner
 from flipperctl.evaluation.rows import Row
-from flipperctl.evaluation.workers import EpisodeRunner
 from flipperctl.policies.source import PolicySource
 
 

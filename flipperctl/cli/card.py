@@ -75,7 +75,7 @@ def evaluation_commands(policy: Path, file: Path, results: Sequence[Path]) -> li
     ``policy`` is the name or path that the commands show, ``file`` its checkpoint.
     """
     from flipperctl.cli.hydra import config_store
-    from flipperctl.evaluation.inherited import read_config
+    from flipperctl.evaluation.conditions import read_config
     from flipperctl.evaluation.views.card import read_document
     from flipperctl.policies.source import PolicySource
 

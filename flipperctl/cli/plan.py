@@ -15,8 +15,8 @@ from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import DEFAULT_ENGINE, EvalConfig, resolver
 from flipperctl.config.words import key_of
 from flipperctl.errors import RequestError
-from flipperctl.evaluation.inherited import Inherited, policy_notes, read_config
-from flipperctl.evaluation.plan import Entry, Plan
+from flipperctl.evaluation.conditions import Inherited, policy_notes, read_config
+from flipperctl.evaluation.plan import Entry, Plan, SuiteScene, split_suite
 from flipperctl.evaluation.play import Player
 from flipperctl.evaluation.policies import (
     Entrant,
@@ -25,7 +25,6 @@ from flipperctl.evaluation.policies import (
     split_policies,
     standing,
 )
-from flipperctl.evaluation.suites import SuiteScene, split_suite
 from flipperctl.evaluation.views.engines import steps
 from flipperctl.evaluation.views.summary import short
 from flipperctl.policies.source import PolicySource, load_policy
@@ -105,7 +104,6 @@ def player(
     ``names`` are those of the files that ``command`` writes. Ctrl-C ends the running episode first.
     """
     from flipperctl.evaluation.store import FOLDER, EpisodeStore, FolderStore
-    from flipperctl.evaluation.workers import EpisodeWorkers
     from flipperctl.results import result_folder
     from flipperctl.session import interrupts
     from flipperctl.terminal.progress import episodes_progress
@@ -116,8 +114,7 @@ def player(
             folder = stack.enter_context(result_folder(output, command, names))
             store = FolderStore(output / FOLDER, print_note)
         stop = stack.enter_context(interrupts("finishing the episode; Ctrl-C again stops at once"))
-        workers = stack.enter_context(EpisodeWorkers(stop=stop))
-        yield Player(store, workers, episodes_progress), folder
+        yield stack.enter_context(Player(store, episodes_progress, stop)), folder
 
 
 def make_plan(

@@ -34,7 +34,7 @@ def run(
 ) -> None:
     """See HELP."""
     from flipperctl.errors import FlipperctlError
-    from flipperctl.evaluation.views.replay import lines, replay_file
+    from flipperctl.evaluation.replay import lines, replay_file
     from flipperctl.show import console, print_lines
     from flipperctl.terminal.progress import episodes_progress
     from flipperctl.terminal.streams import print_note, show

@@ -1,27 +1,45 @@
-"""The conditions of an evaluation: the settings of ground and physics, and their hash.
+"""The conditions of an evaluation, their hash, and what a policy's file brings to them.
 
 In: an evaluation's configuration. Out: plain data for files, a line of text, and a hash of eight
-digits that is equal for comparable evaluations.
+digits that is equal for comparable evaluations. In: a run, a checkpoint or an exported file. Out:
+sections as plain data, from which an evaluation is composed, and lines on missing or different
+settings.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
-from flipperctl.api import ObservationLayout, Settings
-from flipperctl.config import DEFAULT_ENGINE, EvalConfig, Randomise, to_dict
-from flipperctl.config.identity import all_files_read, content_digest
+from flipperctl.api import ObservationLayout, Settings, registry
+from flipperctl.config import (
+    DEFAULT_ENGINE,
+    EnvConfig,
+    EvalConfig,
+    Randomise,
+    TrainConfig,
+    to_dict,
+)
+from flipperctl.config.absent import AbsentReward, AbsentTerrain
+from flipperctl.config.identity import ABSENT, all_files_read, content_digest, differences
+from flipperctl.errors import CheckpointError
 from flipperctl.messages import unit
+from flipperctl.policies.source import PolicySource
 
+NOMINAL, TRAINED = "nominal", "trained"
+"""The default conditions, and those of a policy's training."""
 _SECTIONS = ("robot", "sim", "perception", "episode", "randomise")
+_CHOSEN = ("sim", "perception", "episode", "randomise")
+"""The sections that ``conditions=`` chooses."""
 _START = ("start_noise", "start_angle_noise")
 _DIGITS = 8
 _SHOWN = 3
-"""Largest number of randomised settings that a line names."""
+"""Largest number of settings that a line names."""
 
 
 @dataclass(frozen=True)
@@ -46,12 +64,16 @@ class Conditions:
             # The layout is set by the policy.
             "perception": {*ObservationLayout.model_fields, *_without_effect(config, "perception")},
         }
+        derived = ("robot", "episode")  # a null is derived from other settings
         sections = {
-            section: {k: v for k, v in whole[section].items() if k not in left_out.get(section, ())}
+            section: {
+                name: value
+                for name, value in whole[section].items()
+                if name not in left_out.get(section, ())
+                if value is not None or section not in derived
+            }
             for section in _SECTIONS
         }
-        for section in ("robot", "episode"):  # a null is derived from other settings
-            sections[section] = {k: v for k, v in sections[section].items() if v is not None}
         defaults = {section: type(getattr(config, section))() for section in _SECTIONS}
         settings = {"terrain": whole["terrain"], **sections}
         plugins = (config.terrain, config.sim, config.perception)
@@ -166,3 +188,103 @@ def _format_setting(model: type[Settings], name: str, value: Any) -> str:
     number = " to ".join(f"{end:.4g}" if isinstance(end, int | float) else str(end) for end in ends)
     symbol = unit(model, name)
     return f"{name} {number}{'' if symbol in ('', '-') else f' {symbol}'}"
+
+
+@dataclass(frozen=True)
+class Inherited:
+    """The sections that a policy brings to its evaluation, as plain data."""
+
+    chosen: dict[str, Any]
+    """Terrain, robot and rewards, which overrides may replace as a whole."""
+    kept: dict[str, Any]
+    """Observation layout (of ``perception``) and evaluation settings, in all conditions."""
+    nominal: dict[str, Any]
+    """The other sections at their defaults."""
+    trained: dict[str, Any] | None
+    """Engine, sensor and the other sections as in the training; None if the file lacks them."""
+
+    @classmethod
+    def of(cls, config: TrainConfig | EvalConfig) -> Inherited:
+        """Return the sections of a checkpoint, or of an exported file if it is an EvalConfig."""
+        own = to_dict(config.environment())
+        own["terrain"] = to_dict(config.terrain, brief=True)
+        layout = {name: own["perception"][name] for name in ObservationLayout.model_fields}
+        chosen = {name: own.pop(name) for name in ("terrain", "robot", "rewards")}
+        kept = {"perception": layout, "eval": to_dict(config.eval)}
+        default = to_dict(EvalConfig(terrain=config.terrain))
+        nominal = {name: default[name] for name in own if name not in ("sim", "perception")}
+        return cls(chosen, kept, nominal, own if isinstance(config, TrainConfig) else None)
+
+
+def read_config(
+    source: PolicySource, terrains: Collection[str | None], tell: Callable[[str], None]
+) -> TrainConfig | EvalConfig:
+    """Return the configuration of a checkpoint, or the part of it that an exported file holds.
+
+    ``terrains`` are those to be evaluated, None for the file's own. Reward terms whose plugins are
+    missing are left out, and ``tell`` is called with a line for each.
+    """
+    file, found = source.file, source.config()
+    absent = found.terrain
+    if isinstance(absent, AbsentTerrain):
+        name = absent.plugin_name
+        named = ("terrain", name) in registry  # and only a terrain inside it is missing
+        if any(one is None or (one == name and not named) for one in terrains):
+            raise CheckpointError(
+                f"{file}: {absent.missing}, or evaluate another one with terrain=NAME"
+            )
+    for name, term in found.rewards.items():
+        if isinstance(term, AbsentReward):
+            tell(f"{file}: the return lacks rewards.{name}: {term.missing}")
+    present = {k: v for k, v in found.rewards.items() if not isinstance(v, AbsentReward)}
+    return found.model_copy(update={"rewards": present})
+
+
+def explain_missing_training(exported: bool) -> str:
+    """Return the error text for ``conditions=trained`` without a training."""
+    cause = (
+        "an exported file does not hold those of its training; evaluate the checkpoint instead"
+        if exported
+        else "they are those of a checkpoint's training and need --checkpoint"
+    )
+    folder = files("flipperctl.configs.conditions")
+    known = sorted(f.name.removesuffix(".yaml") for f in folder.iterdir() if ".yaml" in f.name)
+    return f"conditions: {TRAINED!r} is not known here: {cause}; known: {', '.join(known)}"
+
+
+def policy_notes(
+    path: Path,
+    trained: TrainConfig | EvalConfig,
+    configs: Iterable[EvalConfig],
+    keys: Collection[str],
+) -> Iterator[str]:
+    """Yield a line on each change of the training's settings that the user did not choose.
+
+    ``path`` names the file and ``trained`` is its own configuration; chosen are the overridden
+    ``keys``, and all changes if ``conditions=`` names other conditions than the default ones.
+    """
+    if not isinstance(trained, TrainConfig):
+        return
+    own = EvalConfig(**{name: getattr(trained, name) for name in EnvConfig.model_fields})
+    before, lines = Conditions.of(own).settings, dict[str, None]()
+    for config in configs:
+        if config.conditions != NOMINAL:
+            continue
+        here = Conditions.of(config).settings
+        texts = [
+            f"{name}={_short(there)} ({_short(None if ours is ABSENT else ours)})"
+            for section in _CHOSEN
+            for name, there, ours in differences(before[section], here[section], section)
+            if there is not ABSENT and not {section, name} & set(keys)
+        ]
+        more = f" and {len(texts) - _SHOWN} more settings" if len(texts) > _SHOWN else ""
+        if texts:
+            lines[
+                f"{path}: trained with {', '.join(texts[:_SHOWN])}{more}, evaluated with the "
+                f"values in brackets; conditions={TRAINED} keeps those of the training"
+            ] = None
+    yield from lines
+
+
+def _short(value: object) -> str:
+    return json.dumps(value, separators=(",", ":")).strip('"')

@@ -9,16 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
 
 from flipperctl.config import EvalConfig
 from flipperctl.errors import FlipperctlError, InterruptedRunError
+from flipperctl.evaluation.failure_causes import causes
 from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.play import NOT_A_POLICYS, Player, Progress, no_progress
 from flipperctl.evaluation.rows import Episodes, reached
-from flipperctl.evaluation.sensing import causes
 from flipperctl.evaluation.store import EpisodeStore
-from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import PolicySource
 
 _SHOWN = 12
@@ -54,15 +52,6 @@ class Interruption:
         named = ", ".join(self.not_begun[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
         return f"{begun}; not begun: {named}"
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data."""
-        return {
-            "interrupted": True,
-            "finished_episodes": self.finished,
-            "planned_episodes": self.planned,
-            "not_begun": list(self.not_begun),
-        }
-
 
 @dataclass(frozen=True)
 class PolicyError:
@@ -72,10 +61,6 @@ class PolicyError:
     """Label of the policy."""
     terrain: str
     error: FlipperctlError
-
-    def to_dict(self) -> dict[str, str]:
-        """Return plain data."""
-        return {"controller": self.controller, "terrain": self.terrain, "error": str(self.error)}
 
 
 @dataclass(frozen=True)
@@ -138,19 +123,12 @@ def evaluate(
     ``store`` has are not played again; new ones are added to it. ``planned`` is called once with
     the number of episodes that the store lacks. A policy that fails on a scene is listed in
     ``failures``; if every policy fails, the first error is raised.
-
-    Raises:
-        FlipperctlError: every policy cannot be built or failed, or an episode killed its workers.
-        InterruptedRunError: it was stopped before any episode was finished.
-        OutputError, WriteError: the store cannot be written.
-        ValueError: the plan is empty.
     """
     if not plan.entries:
         raise ValueError("an evaluation needs at least one scene")
     found: list[Played] = []
     failures: list[PolicyError] = []
-    with EpisodeWorkers(stop=stop) as workers:
-        player = Player(EpisodeStore() if store is None else store, workers, progress)
+    with Player(store, progress, stop) as player:
         planned(_lacking(player, plan.entries))
         address = plan.entries[0].config.eval.ray
         if address is not None and not record:
@@ -162,15 +140,13 @@ def evaluate(
             named = plan.has_methods or entry.is_baseline
             label = f"{entry.terrain}, {entry.named}" if named else entry.terrain
             rows = scene.play(entry.source, label, record=record and not entry.is_baseline)
-            if not rows:
-                continue
-            if plan.has_methods or not entry.is_baseline:
-                rows = scene.with_causes(rows)
-                rows = scene.with_references(rows, references)
-            found.append(Played(entry, rows))
-    if failures and not any(not one.entry.is_baseline for one in found):
+            if rows and (plan.has_methods or not entry.is_baseline):
+                rows = scene.with_references(scene.with_causes(rows), references)
+            if rows:
+                found.append(Played(entry, rows))
+    if failures and all(one.entry.is_baseline for one in found):
         raise failures[0].error
-    interruption = _interruption(plan, found) if workers.interrupted else None
+    interruption = _interruption(plan, found) if player.interrupted else None
     return Result(plan, tuple(found), interruption, tuple(failures))
 
 
@@ -198,20 +174,22 @@ def _interruption(plan: Plan, played: Sequence[Played]) -> Interruption:
     return Interruption(finished, planned, tuple(names))
 
 
+@dataclass
 class _Scene:
     """The scene of an entry, played by several policies."""
 
-    def __init__(self, entry: Entry, player: Player, failures: list[PolicyError]) -> None:
-        """``failures`` takes each policy that fails on the scene."""
-        self._entry, self._player, self._failures = entry, player, failures
+    entry: Entry
+    player: Player
+    failures: list[PolicyError]
+    """Takes each policy that fails on the scene."""
 
     def play(
         self,
         source: PolicySource,
         label: str,
         indices: Sequence[int] | None = None,
-        *,
         config: EvalConfig | None = None,
+        *,
         record: bool = False,
     ) -> Episodes:
         """Return the episodes of a policy; none of one that fails, since the rest would favour it.
@@ -219,23 +197,23 @@ class _Scene:
         ``config``: another sensing of the same episodes.
         """
         try:
-            chosen = config or self._entry.config
-            return self._player.play(chosen, source, label, indices, record=record)
+            chosen = config or self.entry.config
+            return self.player.play(chosen, source, label, indices, record=record)
         except NOT_A_POLICYS:
             raise
         except FlipperctlError as error:
-            self._failures.append(PolicyError(source.label(), self._entry.terrain, error))
+            self.failures.append(PolicyError(source.label(), self.entry.terrain, error))
             return Episodes()
 
     def with_causes(self, episodes: Episodes) -> Episodes:
         """Return the episodes, the failed ones with their cause if the sensor maps the ground."""
-        entry = self._entry
+        entry = self.entry
         label = f"{entry.terrain}, failed episodes again"
 
         def again(config: EvalConfig, indices: Sequence[int]) -> Episodes:
-            return self.play(entry.source, label, indices, config=config)
+            return self.play(entry.source, label, indices, config)
 
-        if self._player.workers.interrupted:
+        if self.player.interrupted:
             return episodes
         found = causes(entry.config, episodes.failed, again)
         return _with(episodes, "failed_by", {at: str(cause) for at, cause in found.items()})
@@ -246,23 +224,19 @@ class _Scene:
         They stay as they are if a reference was stopped or failed, since untried episodes are then
         unknown.
         """
-        if not references:
-            return episodes
-        failed, config = len(self._failures), self._entry.config
+        failed, config = len(self.failures), self.entry.config
         crossed = dict.fromkeys(range(config.eval.episodes), "")
         for reference in references:
-            name, rows = reference.label(), None
+            name, indices = reference.label(), [index for index, by in crossed.items() if not by]
             with suppress(FlipperctlError):  # which playing raises again, where it is noted
-                rows = self._player.known(config, reference)
-            if rows is None:
-                left = [index for index, label in crossed.items() if not label]
-                label = f"{self._entry.terrain}, {name} on episodes not crossed yet"
-                rows = self.play(reference, label, left)
-            crossed |= {
-                row["episode"]: name for row in rows if reached(row) and not crossed[row["episode"]]
-            }
-        whole = not self._player.workers.interrupted and len(self._failures) == failed
-        return _with(episodes, "crossed_by", crossed) if whole else episodes
+                if not self.player.missing(config, reference):
+                    indices = list(crossed)
+            label = f"{self.entry.terrain}, {name} on episodes not crossed yet"
+            for row in self.play(reference, label, indices):
+                if reached(row):
+                    crossed[row["episode"]] = crossed[row["episode"]] or name
+        whole = not self.player.interrupted and len(self.failures) == failed
+        return _with(episodes, "crossed_by", crossed) if references and whole else episodes
 
 
 def _with(episodes: Episodes, column: str, values: Mapping[int, str]) -> Episodes:

@@ -1,4 +1,4 @@
-"""Play what a store lacks of the planned episodes, here or on a Ray cluster.
+"""Play what a store lacks of the planned episodes: here, in worker processes or on a Ray cluster.
 
 In: configurations and policies' sources. Out: rows of episodes, of which each is played once,
 however many scenes, policies and views ask for it.
@@ -6,25 +6,39 @@ however many scenes, policies and views ask for it.
 
 from __future__ import annotations
 
+import hashlib
+import itertools
+import logging
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import AbstractContextManager, closing, contextmanager
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
+from dataclasses import dataclass
+from typing import Any
 
-from flipperctl.config import EvalConfig
-from flipperctl.errors import FlipperctlError, InterruptedRunError, OutputError, WriteError
-from flipperctl.evaluation.rows import Episodes, Row
-from flipperctl.evaluation.store import EpisodeStore, StoreKey, blocks
-from flipperctl.evaluation.workers import (
-    EpisodeWorkers,
-    Task,
-    play_block,
-    require_unchanged,
-    worker_pool,
+import numpy as np
+
+from flipperctl import plugins
+from flipperctl.api import Profile, Transition
+from flipperctl.config import EnvConfig, EvalConfig, parse, to_dict
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.repeating import require_repeatable
+from flipperctl.errors import (
+    CheckpointError,
+    FlipperctlError,
+    InterruptedRunError,
+    OutputError,
+    WriteError,
 )
+from flipperctl.evaluation.rows import DIGEST, RECORDED, Episodes, Row, arranged
+from flipperctl.evaluation.store import EpisodeStore, StoreKey, blocks
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource
+from flipperctl.policies.teaching import DemonstratingPolicy
 from flipperctl.rollout import cluster
-from flipperctl.rollout.pool import POLL
+from flipperctl.rollout.episode import Decision, EpisodeRecorder, decisions, play
+from flipperctl.rollout.pool import POLL, Host, WorkerDiedError, WorkerPool
+from flipperctl.rollout.seeds import EvaluationSeeds
 
 Progress = Callable[[str, int], AbstractContextManager[Callable[[float], None]]]
 """Opens a progress display from a label and a number of episodes. Its context manager yields a
@@ -33,6 +47,10 @@ function of the number of finished episodes, in which a search counts as a fract
 NOT_A_POLICYS = (InterruptedRunError, OutputError, WriteError)
 """Errors that end an evaluation; any other one ends only the episodes of its policy on its scene.
 """
+Request = tuple[EvalConfig, PolicySource]
+"""A policy on a scene, whose ``eval`` has the number of episodes, their seed and the processes."""
+_log = logging.getLogger(__name__)
+_numbers = itertools.count()
 
 
 @contextmanager
@@ -41,14 +59,113 @@ def no_progress(label: str, episodes: int) -> Iterator[Callable[[float], None]]:
     yield lambda done: None
 
 
-class Player:
-    """Takes episodes from a store, and lets workers play those that it lacks."""
+class EpisodeDigest:
+    """SHA-256 of each decision's action and of the poses at 100 Hz: equal for equal episodes."""
+
+    def __init__(self) -> None:
+        self._hash = hashlib.sha256()
+        self.hexdigest = self._hash.hexdigest
+
+    def add(self, decision: Decision) -> None:
+        """Add the action and the poses (S + 1, 5) of a decision, as little-endian numbers."""
+        self._hash.update(int(decision.action).to_bytes(1, "little"))
+        self._hash.update(np.ascontiguousarray(decision.poses, dtype="<f8").tobytes())
+
+
+class EpisodeRunner:
+    """An environment and a policy, ready to play any episode of an evaluation."""
 
     def __init__(
-        self, store: EpisodeStore, workers: EpisodeWorkers, progress: Progress = no_progress
+        self,
+        config: EnvConfig,
+        source: PolicySource,
+        seed: int,
+        report_progress: Callable[[float], None] = lambda fraction: None,
+        *,
+        record: bool = False,
     ) -> None:
-        self.store, self.workers, self.progress = store, workers, progress
+        """Build the environment and the policy.
+
+        ``seed`` is the seed of the evaluation. ``report_progress`` is called with the finished
+        fraction of an episode's search. ``record``: whether rows include the decisions.
+        """
+        self.env = FlipperEnv(config=config)
+        self._report_progress = report_progress
+        self._policy = source.build(config)
+        self._seeds = EvaluationSeeds.of(seed, config.terrain)
+        self._record = record
+        require_repeatable(self.env, self._seeds(0))
+
+    def play(self, index: int) -> Row:
+        """Play one episode, counted from 0, to its end; return its row."""
+        digest, report, seed = EpisodeDigest(), self._report_progress, self._seeds(index)
+        if not self._record:
+            row = play(self.env, self._policy, seed, watch=digest.add, report_progress=report)
+            return arranged({"episode": index, **row}) | {DIGEST: digest.hexdigest()}
+        policy, recorder = DemonstratingPolicy(self._policy), EpisodeRecorder()
+
+        def watch(d: Decision) -> None:
+            before, after = d.perception.observation, d.next_perception.observation
+            recorder.add(before, d.action, d.reward, after, policy.label)
+            digest.add(d)
+
+        row = play(self.env, policy, seed, watch=watch, report_progress=report)
+        recorded = {DIGEST: digest.hexdigest(), RECORDED: recorder.finish(index, row)}
+        return arranged({"episode": index, **row}) | recorded
+
+    def transitions(self, index: int) -> tuple[list[Transition], Profile]:
+        """Play one episode; return its T transitions, and the ground."""
+        seed = self._seeds(index)
+        made = decisions(self.env, self._policy, seed, report_progress=self._report_progress)
+        return [d.transition for d in made], self.env.profile
+
+
+@dataclass(frozen=True)
+class Task:
+    """The policy, environment and seed of episodes, as another process can be given them."""
+
+    number: int
+    """Identifies the task; a worker reuses the environment and policy that it built for it."""
+    config: dict[str, Any]
+    source: PolicySource
+    seed: int
+    record: bool
+    plugin_paths: list[str]
+
+    @classmethod
+    def of(cls, config: EvalConfig, source: PolicySource, *, record: bool = False) -> Task:
+        """Return a new task."""
+        document, paths = to_dict(config.environment()), plugins.configured_paths()
+        return cls(next(_numbers), document, source, config.eval.seed, record, paths)
+
+
+class Player:
+    """Takes episodes from a store, and plays those that it lacks.
+
+    Worker processes start with the first episodes that need them, and live until the context ends.
+    """
+
+    def __init__(
+        self,
+        store: EpisodeStore | None = None,
+        progress: Progress = no_progress,
+        stop: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """``stop`` is called before each episode; once it returns True, no other episode begins."""
+        self.store = EpisodeStore() if store is None else store
+        self.interrupted = False
+        """Whether episodes were left out because of ``stop``."""
+        self._progress, self._stop = progress, stop
+        self._pool: WorkerPool | None = None
         self._identities: list[tuple[PolicySource, PolicyIdentity]] = []
+
+    def __enter__(self) -> Player:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        if self._pool is not None:
+            self._pool.close()
+            self._pool = None
 
     def key(self, config: EvalConfig, source: PolicySource) -> StoreKey:
         """Return the key of a policy's episodes under a configuration."""
@@ -63,12 +180,6 @@ class Player:
         held = self.store.find(self.key(config, source))
         lacking = [i for i in range(config.eval.episodes) if i not in held]
         return list(blocks(lacking, config.eval.cell))
-
-    def known(self, config: EvalConfig, source: PolicySource) -> Episodes | None:
-        """Return all episodes of the evaluation if the store has them, else None."""
-        held = self.store.find(self.key(config, source))
-        wanted = range(config.eval.episodes)
-        return Episodes(tuple(held[i] for i in wanted)) if all(i in held for i in wanted) else None
 
     def play(
         self,
@@ -86,69 +197,103 @@ class Player:
 
         Raises:
             OutputError, WriteError: a block cannot be written.
-            FlipperctlError: the policy cannot be built or failed. The blocks before the failure are
-                stored, and the failure is noted.
+            FlipperctlError: the policy cannot be built or failed, or an episode killed its workers.
+                The blocks before the failure are stored, and the failure is noted.
         """
-        key = self.key(config, source)
         chosen = list(range(config.eval.episodes)) if indices is None else list(indices)
-        held = {} if record else self.store.find(key)
-        missing = [index for index in chosen if index not in held]
-        if missing:
-            self.workers.use(config.eval.jobs)
-            with self.progress(label, len(missing)) as report:
+        held = {} if record else self.store.find(self.key(config, source))
+        if missing := [index for index in chosen if index not in held]:
+            with self._progress(label, len(missing)) as report:
                 done = 0
 
                 def search(fraction: float) -> None:
                     report(done + fraction)
 
-                rows = self.workers.play(
-                    config, source, missing, report_progress=search, record=record
-                )
-                for row in self._kept(key, source, missing, rows):
-                    held[row["episode"]] = row
-                    done += 1
-                    report(done)
+                for rows in self._play([(config, source, missing)], search, record=record):
+                    for row in self._kept(config, source, missing, rows):
+                        held[row["episode"]] = row
+                        done += 1
+                        report(done)
         return Episodes(tuple(held[index] for index in chosen if index in held))
 
-    def play_many(
-        self, requests: Sequence[tuple[EvalConfig, PolicySource]], label: str
-    ) -> Iterator[Episodes]:
+    def play_many(self, requests: Sequence[Request], label: str) -> Iterator[Episodes]:
         """Yield the episodes of each request, in order; fewer requests after a stop.
 
         The episodes of all requests share the worker processes at once. The progress counts
         requests. See ``play``.
         """
-        wanted = [range(config.eval.episodes) for config, _ in requests]
         found = [self.store.find(self.key(*request)) for request in requests]
         missing = [
-            [index for index in indices if index not in held]
-            for indices, held in zip(wanted, found, strict=True)
+            [index for index in range(config.eval.episodes) if index not in held]
+            for (config, _), held in zip(requests, found, strict=True)
         ]
-        lacking = [
-            (*request, indices)
-            for request, indices in zip(requests, missing, strict=True)
-            if indices
-        ]
-        if lacking:
-            self.workers.use(lacking[0][0].eval.jobs)
-        played = self.workers.play_many(lacking)
-        with self.progress(label, len(requests)) as report:
+        parts = zip(requests, missing, strict=True)
+        played = self._play([(*request, indices) for request, indices in parts if indices])
+        with self._progress(label, len(requests)) as report:
             for at, (request, held) in enumerate(zip(requests, found, strict=True)):
                 if missing[at]:
-                    rows = self._kept(self.key(*request), request[1], missing[at], next(played))
+                    rows = self._kept(*request, missing[at], next(played))
                     held |= {row["episode"]: row for row in rows}
-                if any(index not in held for index in wanted[at]):
+                if any(index not in held for index in missing[at]):
                     return
-                yield Episodes(tuple(held[index] for index in wanted[at]))
+                yield Episodes(tuple(held[index] for index in range(request[0].eval.episodes)))
                 report(at + 1)
 
+    def _play(
+        self,
+        requests: Sequence[tuple[EvalConfig, PolicySource, Sequence[int]]],
+        report_search: Callable[[float], None] = lambda fraction: None,
+        *,
+        record: bool = False,
+    ) -> Iterator[Iterator[Row]]:
+        """Yield the rows of each request, which must be taken before those of the next one.
+
+        Several processes share all requests at once. After a stop, there are fewer rows.
+        """
+
+        def here(config: EvalConfig, source: PolicySource, indices: Sequence[int]) -> Iterator[Row]:
+            runner = None
+            for index in indices:
+                self.interrupted = self.interrupted or self._stop()
+                if self.interrupted:
+                    return
+                seed = config.eval.seed
+                runner = runner or EpisodeRunner(config, source, seed, report_search, record=record)
+                yield runner.play(index)
+
+        def elsewhere(count: int) -> Iterator[Row]:
+            for _ in range(count):
+                if self.interrupted or (self._stop() and not waiting[0][2].done()):
+                    self.interrupted = True
+                    return
+                yield _result(pool, *waiting.popleft())
+
+        jobs = requests[0][0].eval.jobs
+        if jobs == 1 or sum(len(indices) for *_, indices in requests) == 1:
+            yield from (here(*request) for request in requests)
+            return
+        if self._pool is not None and self._pool.count != jobs:
+            self.__exit__()
+        pool = self._pool = self._pool or worker_pool(jobs)
+        waiting: deque[tuple[Task, int, Future[Row]]] = deque()
+        for config, source, indices in requests:
+            task = Task.of(config, source, record=record)
+            waiting += ((task, i, pool.submit(_play_in_worker, task, i)) for i in indices)
+        try:
+            for *_, indices in requests:
+                yield elsewhere(len(indices))
+        finally:  # after a failure, another policy's episodes come next
+            for *_, job in waiting:
+                job.cancel()
+
     def _kept(
-        self, key: StoreKey, source: PolicySource, missing: Sequence[int], rows: Iterator[Row]
+        self, config: EvalConfig, source: PolicySource, missing: Sequence[int], rows: Iterator[Row]
     ) -> Iterator[Row]:
         """Yield the rows, and store them block by block; the last block even if it is cut off."""
+        key = self.key(config, source)
         stored = self.store.find(key)
-        size = key.config.eval.cell
-        ends = [block[-1] for block in blocks([i for i in missing if i not in stored], size)]
+        lacking = [index for index in missing if index not in stored]
+        ends = [block[-1] for block in blocks(lacking, config.eval.cell)]
         waiting: list[Row] = []
         count = 0
 
@@ -171,20 +316,22 @@ class Player:
             raise
         except FlipperctlError as error:
             first = missing[count]
-            last = next((end for end in ends if end >= first), first)
-            self.store.fail(key, first, last, error)
+            self.store.fail(key, first, next((end for end in ends if end >= first), first), error)
             raise
         finally:
             keep()
 
-    def play_over_ray(
-        self, requests: Sequence[tuple[EvalConfig, PolicySource]], address: str
-    ) -> None:
+    def play_over_ray(self, requests: Sequence[Request], address: str) -> None:
         """Let a Ray cluster play every block that the store lacks, in any order.
 
-        What the cluster could not play, the evaluation then plays itself.
+        What the cluster could not play, the evaluation then plays itself, and names its error.
         """
-        wanted = list(self._blocks(requests))
+        wanted: dict[tuple[str, int], tuple[StoreKey, Task, list[int]]] = {}
+        for config, source in requests:
+            with suppress(FlipperctlError):
+                key, task = self.key(config, source), Task.of(config, source)
+                for block in self.missing(config, source):
+                    wanted.setdefault((key.text, block[0]), (key, task, block))
         if not wanted:
             return
         with cluster.connected(address, "eval.ray", requests[0][0].eval.jobs):
@@ -192,39 +339,70 @@ class Player:
             with closing(worker_pool(count, cluster.Hosts(count).start)) as pool:
                 running = {
                     pool.submit(play_block, task, block, key.policy.digest): (key, len(block))
-                    for key, task, block in wanted
+                    for key, task, block in wanted.values()
                 }
-                total = sum(size for _, size in running.values())
-                with self.progress("blocks over Ray", total) as report:
-                    self._collect(running, report)
+                played, total = 0, sum(size for _, size in running.values())
+                with self._progress("blocks over Ray", total) as report:
+                    while running and not self._stop():
+                        for future in wait(running, POLL, FIRST_COMPLETED).done:
+                            key, size = running.pop(future)
+                            if future.exception() is None:
+                                self.store.add(key, future.result())
+                                played += size
+                                report(played)
 
-    def _blocks(
-        self, requests: Sequence[tuple[EvalConfig, PolicySource]]
-    ) -> Iterator[tuple[StoreKey, Task, list[int]]]:
-        """Yield the blocks that the store lacks, each once."""
-        seen: set[tuple[str, int]] = set()
-        for config, source in requests:
-            try:
-                key, missing = self.key(config, source), self.missing(config, source)
-            except FlipperctlError:  # the evaluation names it
-                continue
-            task = Task.of(config, source)
-            for block in missing:
-                if (key.text, block[0]) not in seen:
-                    seen.add((key.text, block[0]))
-                    yield key, task, block
 
-    def _collect(
-        self,
-        running: dict[Future[list[Row]], tuple[StoreKey, int]],
-        report: Callable[[float], None],
-    ) -> None:
-        """Store each block as it comes, until none is left or a stop is asked for."""
-        played = 0
-        while running and not self.workers.stop():
-            for future in wait(running, POLL, FIRST_COMPLETED).done:
-                key, size = running.pop(future)
-                if future.exception() is None:  # else the evaluation plays it, and names its error
-                    self.store.add(key, future.result())
-                    played += size
-                    report(played)
+def _result(pool: WorkerPool, task: Task, index: int, job: Future[Row]) -> Row:
+    """Wait for an episode; if its worker died, play it again (same seed, same result)."""
+    for _ in range(pool.count + 2):  # all may have died at once
+        try:
+            return job.result()
+        except WorkerDiedError:
+            _log.warning("a worker died and is replaced; episode %d is played again", index)
+            job = pool.submit(_play_in_worker, task, index)
+    raise FlipperctlError(f"episode {index} of the evaluation repeatedly killed its worker")
+
+
+def worker_pool(count: int, start: Callable[[], Host] | None = None) -> WorkerPool:
+    """Return a pool whose workers play episodes of tasks; ``start`` starts one elsewhere."""
+    return WorkerPool(count, _use_one_thread, (), start)
+
+
+_runner: tuple[int, EpisodeRunner] | None = None  # the newest task's, one per worker process
+
+
+def _use_one_thread() -> None:
+    import torch
+
+    torch.set_num_threads(1)
+
+
+def _worker_runner(task: Task) -> EpisodeRunner:
+    """Return the runner of a task in a worker process, built with its first episode."""
+    global _runner
+    if _runner is None or _runner[0] != task.number:
+        plugins.load(task.plugin_paths)
+        config = parse(EnvConfig, task.config)
+        runner = EpisodeRunner(config, task.source, task.seed, record=task.record)
+        _runner = task.number, runner
+    return _runner[1]
+
+
+def _play_in_worker(task: Task, index: int) -> Row:
+    return _worker_runner(task).play(index)
+
+
+def play_block(task: Task, block: Sequence[int], digest: str) -> list[Row]:
+    """Play the episodes of a block in a worker on another machine, which must have the policy."""
+    runner = _worker_runner(task)
+    require_unchanged(task.source, digest)
+    return [runner.play(index) for index in block]
+
+
+def require_unchanged(source: PolicySource, digest: str) -> None:
+    """Refuse a policy that has not the ``digest`` any more, since its episodes would mix two."""
+    if PolicyIdentity.of(source).digest != digest:
+        raise CheckpointError(
+            f"{source.label()} has changed since the evaluation began; is it still being trained? "
+            "Evaluate it again when it is finished, or a copy of its file"
+        )

@@ -17,8 +17,8 @@ from pathlib import Path
 from flipperctl.checkpoint import recording
 from flipperctl.config.identity import content_digest
 from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
+from flipperctl.evaluation import replay
 from flipperctl.evaluation.conditions import scene_names
-from flipperctl.evaluation.episode_record import EpisodeRecord
 from flipperctl.evaluation.evaluate import Played, Result, evaluate
 from flipperctl.evaluation.plan import BEST_KNOWN, Entry, Plan
 from flipperctl.evaluation.play import Progress, no_progress
@@ -67,10 +67,6 @@ def run(
     ``references``: see ``evaluate``. ``by``: drawn numbers that make groups. ``outputs``: paths of
     ``folder``, ``film`` and ``record``. ``show`` is called with the results before they are
     written, so that a full disk does not lose them; ``tell`` with a line for each output.
-
-    Raises:
-        FlipperctlError: an output is wrong or could not be written, or a policy failed.
-        InterruptedRunError: it was stopped.
     """
     with ExitStack() as stack:
         written = _Files(plan, stack, tell, **outputs)
@@ -106,15 +102,13 @@ def with_best_known(result: Result, store: EpisodeStore) -> Result:
     """
     if not isinstance(store, FolderStore):
         return result
-    found: list[Played] = []
     scenes: dict[tuple[str, str, int, int], list[Played]] = {}
     for one in result.played:
         scenes.setdefault(one.entry.ground, []).append(one)
     for together in scenes.values():
-        found += together
         if (best := _best(together, store)) is not None:
-            found.append(best)
-    return replace(result, played=tuple(found))
+            together.append(best)
+    return replace(result, played=tuple(one for together in scenes.values() for one in together))
 
 
 def _best(together: Sequence[Played], store: FolderStore) -> Played | None:
@@ -203,7 +197,7 @@ class _Files:
 
     def write(self, result: Result, document: Document) -> None:
         """Write tables and recorded episodes, each even if the other one cannot be written."""
-        _attempt([lambda: self._write_tables(result, document), lambda: self._write_record(result)])
+        _attempt(lambda: self._write_tables(result, document), lambda: self._write_record(result))
 
     def _write_tables(self, result: Result, document: Document) -> None:
         if self._folder is None:
@@ -257,21 +251,17 @@ class _Files:
 
         def pictures() -> None:
             if self._folder is not None and self._pictures:
-                from flipperctl.evaluation.pictures import draw_scenes
-
                 files = [self._folder.path / name for name in self._pictures]
-                draw_scenes(dict(zip(files, self._plan.rows, strict=True)), progress, stop)
+                replay.draw_scenes(dict(zip(files, self._plan.rows, strict=True)), progress, stop)
 
         def film() -> None:
             if self._film is not None:
                 if stop():
                     raise InterruptedRunError(f"interrupted: {self._film} is not drawn")
-                from flipperctl.evaluation.pictures import film_scene
-
-                film_scene(self._film, self._plan.rows[0], progress)
+                replay.film_scene(self._film, self._plan.rows[0], progress)
                 self._tell(f"wrote {self._film}")
 
-        _attempt([pictures, film])
+        _attempt(pictures, film)
 
 
 def episode_rows(result: Result) -> Iterator[Row]:
@@ -285,30 +275,36 @@ def episode_rows(result: Result) -> Iterator[Row]:
             yield {**who, **own, **conditions, **entry.names}
 
 
-def failure_records(result: Result) -> Iterator[tuple[str, EpisodeRecord]]:
+def failure_records(result: Result) -> Iterator[tuple[str, replay.EpisodeRecord]]:
     """Yield the name of a file and the record of each policy's first failures on each scene."""
     entries = result.plan.rows
-    found = scene_names([(entry.terrain, entry.conditions) for entry in entries])
-    names = {id(entry): name for entry, name in zip(entries, found, strict=True)}
+    scenes = dict(zip(map(id, entries), _scene_names(entries), strict=True))
     labels = list(dict.fromkeys(entry.label for entry in entries))
     policies = [Path(short(label)).stem for label in labels]
     for one in result.rows:
         if one.entry.stored:
             continue
-        words = ["failure", names[id(one.entry)]]
+        words = ["failure", scenes[id(one.entry)]]
         if len(labels) > 1:  # a path's last part, and a number where it is not telling
             at = labels.index(one.entry.label)
             words += [policies[at], *([str(at + 1)] if policies.count(policies[at]) > 1 else [])]
-        stem = "_".join(re.findall(r"\w+", " ".join(words)))
+        stem = _file_name(" ".join(words))
         for row in one.episodes.failed[:MOST_FAILURES]:
-            record = EpisodeRecord.of(one.entry.config, one.entry.source, row)
+            record = replay.EpisodeRecord.of(one.entry.config, one.entry.source, row)
             yield f"{stem}_{row['episode']}.json", record
 
 
 def picture_names(entries: Sequence[Entry]) -> list[str]:
     """Return a file name per scene: its terrain, and its conditions if a terrain has several."""
-    named = scene_names([(entry.terrain, entry.conditions) for entry in entries])
-    return ["_".join(re.findall(r"\w+", name)) + ".png" for name in named]
+    return [f"{_file_name(name)}.png" for name in _scene_names(entries)]
+
+
+def _scene_names(entries: Sequence[Entry]) -> list[str]:
+    return scene_names([(entry.terrain, entry.conditions) for entry in entries])
+
+
+def _file_name(text: str) -> str:
+    return "_".join(re.findall(r"\w+", text))
 
 
 def _lost_rows(folder: Path, document: Document) -> str:
@@ -316,12 +312,19 @@ def _lost_rows(folder: Path, document: Document) -> str:
 
     A row of more episodes, or with a baseline that there is no longer, is lost, too.
     """
+
+    def counts(found: Document) -> Iterator[tuple[tuple[str, str, int, str], int]]:
+        for scene in found["scenes"]:
+            for one in (scene, *compared(scene)):
+                place = scene["seed"], scene["conditions"]["hash"]
+                yield (scene["terrain"], one["controller"], *place), scene["episodes"]
+
     try:
         earlier = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
         most: dict[tuple[str, str, int, str], int] = {}
-        for row, count in _counts(document):
+        for row, count in counts(document):
             most[row] = max(count, most.get(row, 0))
-        lost = [(row, count) for row, count in _counts(earlier) if count > most.get(row, 0)]
+        lost = [(row, count) for row, count in counts(earlier) if count > most.get(row, 0)]
     except (OSError, ValueError, LookupError, TypeError):
         return ""  # there are none
     first = [
@@ -331,17 +334,7 @@ def _lost_rows(folder: Path, document: Document) -> str:
     return " and ".join([*first, *([f"{len(lost) - 1} more rows"] if len(lost) > 1 else [])])
 
 
-def _counts(document: Document) -> list[tuple[tuple[str, str, int, str], int]]:
-    """Return what tells each policy of a ``summary.json`` apart, and its episodes."""
-    return [
-        ((scene["terrain"], one["controller"], scene["seed"], scene["conditions"]["hash"]), count)
-        for scene in document["scenes"]
-        for count in (scene["episodes"],)
-        for one in (scene, *compared(scene))
-    ]
-
-
-def _attempt(steps: Sequence[Callable[[], None]]) -> None:
+def _attempt(*steps: Callable[[], None]) -> None:
     """Take every step, even if one fails; then raise the first error with the texts of all."""
     failed: list[FlipperctlError] = []
     for step in steps:

@@ -27,7 +27,7 @@ from flipperctl.cli.hydra.compose import with_preset
 from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import NonFiniteError, PolicyError, RequestError
-from flipperctl.evaluation.inherited import read_config
+from flipperctl.evaluation.conditions import read_config
 from flipperctl.policies.source import FilePolicy, PolicySource, load_policy
 from flipperctl.scripting.settings import Paths, begin, short_errors
 from flipperctl.terminal.streams import print_note

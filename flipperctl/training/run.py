@@ -44,11 +44,9 @@ from flipperctl.errors import (
     RunHeldError,
     WriteError,
 )
-from flipperctl.evaluation.inherited import TRAINED
+from flipperctl.evaluation.conditions import TRAINED
 from flipperctl.evaluation.play import Player
-from flipperctl.evaluation.store import EpisodeStore
 from flipperctl.evaluation.views.regret import LEVEL, RegretScene, measure
-from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.files import make_folder
 from flipperctl.policies.source import PolicySource, load_policy
 from flipperctl.results import METRICS, finished, hold, holds_run, names
@@ -150,9 +148,9 @@ class FinalRegret:
         if not self._config.train.regret_episodes or not paying_terms(self._config.rewards):
             return None
         try:
-            with EpisodeWorkers(stop=self._stop) as workers:
-                found = measure(self._scene(), Player(EpisodeStore(), workers))
-                self.interrupted = workers.interrupted
+            with Player(stop=self._stop) as player:
+                found = measure(self._scene(), player)
+                self.interrupted = player.interrupted
         except KeyboardInterrupt:  # a second Ctrl-C; the summary is still to be written
             self.interrupted, found = True, None
         except FlipperctlError as error:

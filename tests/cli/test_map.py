@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from flipperctl.api import Robot
 from flipperctl.errors import WriteError
-from flipperctl.evaluation.workers import EpisodeRunner
+from flipperctl.evaluation.play import EpisodeRunner
 from tests.cli.call import call, refused
 
 AXES = "terrain.height=0.2:0.5:2,sim.friction=0.5:1.0:2"
@@ -76,8 +76,7 @@ def test_a_failure_is_recorded_and_played_again_with_pictures_of_its_robot(
         drawn.append(robot.track_radius)
         return Figure()
 
-    for module in ("flipperctl.evaluation.pictures", "flipperctl.figures.episode"):
-        monkeypatch.setattr(f"{module}.episode_figure", figure)
+    monkeypatch.setattr("flipperctl.figures.episode.episode_figure", figure)
     size = "randomise.robot.size=[0.8,0.8]"
     done = call(*LEVEL, size, "--output", "found", cwd=tmp_path)
     assert done.code == 0
@@ -106,7 +105,7 @@ HIGH = ("terrain=step", "terrain.low=0.4", "terrain.high=0.4", "sim.friction=0.6
 def test_engines_stand_side_by_side_and_failures_have_causes_and_records(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("flipperctl.evaluation.pictures.draw_scenes", lambda *given: None)
+    monkeypatch.setattr("flipperctl.evaluation.replay.draw_scenes", lambda *given: None)
     asked = ("eval", "okada", "sim=planar,mujoco", *HIGH, "--episodes", "1", "--output", "out")
     done = call(*asked, cwd=tmp_path)
     assert done.code == 0, done.err

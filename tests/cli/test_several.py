@@ -16,9 +16,9 @@ from flipperctl.cli.plan import make_plan
 from flipperctl.config import EnvConfig
 from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.plan import Plan
+from flipperctl.evaluation.play import EpisodeRunner
 from flipperctl.evaluation.policies import _swept, entrants
 from flipperctl.evaluation.rows import Row
-from flipperctl.evaluation.workers import EpisodeRunner
 from flipperctl.policies.source import PolicySource
 from tests.cli.call import Done, call
 
@@ -169,7 +169,7 @@ def test_policies_that_bring_their_own_ground_are_told() -> None:
 def test_tables_of_another_evaluation_are_not_replaced_without_a_word(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("flipperctl.evaluation.pictures.draw_scenes", lambda *given: None)
+    monkeypatch.setattr("flipperctl.evaluation.replay.draw_scenes", lambda *given: None)
 
     def told(*more: str, baseline: str = "none") -> str:
         count = () if "--episodes" in more else ("--episodes", "1")

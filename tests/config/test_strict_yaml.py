@@ -10,7 +10,7 @@ from flipperctl.api import Robot
 from flipperctl.config import TrainConfig, parse, strict_yaml, with_overrides
 from flipperctl.config.robots import read_robot
 from flipperctl.errors import ConfigError
-from flipperctl.evaluation.suites import find_suite
+from flipperctl.evaluation.plan import find_suite
 from tests.long.yaml_texts import document, expected
 
 

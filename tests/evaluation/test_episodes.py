@@ -2,7 +2,8 @@
 
 import os
 import signal
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,8 @@ from flipperctl.api import Outcome
 from flipperctl.config import EnvConfig, EvalConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError
+from flipperctl.evaluation.play import Player
 from flipperctl.evaluation.rows import DIGEST, RECORDED, Row, arranged
-from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import play
 from flipperctl.rollout.pool import WorkerPool
@@ -29,16 +30,17 @@ def play_episodes(
     config: EnvConfig,
     source: PolicySource,
     *,
-    episodes: int | Sequence[int],
+    episodes: int,
     seed: int,
-    workers: EpisodeWorkers | None = None,
+    player: Player | None = None,
+    jobs: int = 1,
     record: bool = False,
-) -> Iterator[Row]:
-    """Play episodes of an evaluation, in this process unless there are workers."""
+) -> list[Row]:
+    """Play the first episodes of an evaluation."""
     sections = {name: getattr(config, name) for name in EnvConfig.model_fields}
-    chosen = EvalConfig(**sections, eval={"seed": seed})
-    indices = range(episodes) if isinstance(episodes, int) else episodes
-    yield from (workers or EpisodeWorkers()).play(chosen, source, indices, record=record)
+    chosen = EvalConfig(**sections, eval={"seed": seed, "episodes": episodes, "jobs": jobs})
+    with player or Player() as playing:
+        return list(playing.play(chosen, source, "", record=record))
 
 
 HIGH = {"name": "step", "low": 0.4, "high": 0.4}
@@ -46,12 +48,12 @@ HIGH = {"name": "step", "low": 0.4, "high": 0.4}
 
 def test_two_processes_give_the_results_of_one() -> None:
     config = EnvConfig(terrain="step")
-    one = list(play_episodes(config, OKADA, episodes=4, seed=3))
-    with EpisodeWorkers(2) as workers:
-        for _ in range(2):  # the second time by the same processes
-            assert one == list(play_episodes(config, OKADA, episodes=4, seed=3, workers=workers))
-        level = list(play_episodes(config, LEVEL, episodes=4, seed=3, workers=workers))
-    assert level == list(play_episodes(config, LEVEL, episodes=4, seed=3))
+    one = play_episodes(config, OKADA, episodes=4, seed=3)
+    two = {"episodes": 4, "seed": 3, "jobs": 2}
+    with Player() as player:
+        played = [player.play(EvalConfig(terrain="step", eval=two), p, "") for p in (OKADA, LEVEL)]
+    assert one == list(played[0])
+    assert list(played[1]) == play_episodes(config, LEVEL, episodes=4, seed=3)
     assert [result["episode"] for result in one] == [0, 1, 2, 3]
     assert [result["seed"] for result in one] == EvaluationSeeds.of(3, config.terrain).first(4)
 
@@ -68,13 +70,19 @@ def test_an_evaluation_survives_its_workers_and_keeps_its_numbers(
 
     monkeypatch.setattr(WorkerPool, "__init__", remembered)
     config = EnvConfig(terrain="stair")
-    with EpisodeWorkers(2) as workers:
-        results = play_episodes(config, OKADA, episodes=30, seed=3, workers=workers)
-        first = next(results)
-        for pid in process_ids(started[0]):
-            os.kill(pid, signal.SIGKILL)
-        found = [first, *results]
-    assert found == list(play_episodes(config, OKADA, episodes=30, seed=3))
+
+    @contextmanager
+    def killing(label: str, episodes: int) -> Iterator[Callable[[float], None]]:
+        def report(done: float) -> None:
+            if done == 1:
+                for pid in process_ids(started[0]):
+                    os.kill(pid, signal.SIGKILL)
+
+        yield report
+
+    player = Player(progress=killing)
+    found = play_episodes(config, OKADA, episodes=30, seed=3, player=player, jobs=2)
+    assert found == play_episodes(config, OKADA, episodes=30, seed=3)
     assert "a worker died and is replaced; episode" in caplog.text
 
 
@@ -95,7 +103,7 @@ def test_flippers_held_level_cross_flat_ground_at_belt_speed_without_a_swing() -
 def test_flippers_held_level_stop_at_a_step_that_okada_climbs() -> None:
     config = EnvConfig(terrain=HIGH)
     for source, outcome in ((LEVEL, Outcome.STUCK), (OKADA, Outcome.REACHED)):
-        results = list(play_episodes(config, source, episodes=2, seed=0))
+        results = play_episodes(config, source, episodes=2, seed=0)
         assert [result["outcome"] for result in results] == [outcome] * 2
 
 
@@ -124,7 +132,7 @@ def test_a_policy_refuses_another_observation_layout(short_run: Path) -> None:
     source = PolicySource(short_run / checkpoint.BEST)
     config = EnvConfig(terrain="flat", perception={"bins": 11})
     with pytest.raises(CheckpointError, match=r"15 bins of 0\.15 m.*ask for 11"):
-        list(play_episodes(config, source, episodes=1, seed=0))
+        play_episodes(config, source, episodes=1, seed=0)
 
 
 def test_what_a_search_reports_stands_in_the_result_of_the_episode() -> None:
@@ -140,10 +148,8 @@ def test_what_a_search_reports_stands_in_the_result_of_the_episode() -> None:
 def test_recorded_episodes_are_those_of_the_evaluation(jobs: int) -> None:
     config = EnvConfig(terrain="step")
     source = PolicySource(settings={"name": "mpc", "beam": 2, "horizon": 2})
-    plain = list(play_episodes(config, source, episodes=2, seed=3))
-    with EpisodeWorkers(jobs) as workers:
-        played = play_episodes(config, source, episodes=2, seed=3, workers=workers, record=True)
-        found = list(played)
+    plain = play_episodes(config, source, episodes=2, seed=3)
+    found = play_episodes(config, source, episodes=2, seed=3, jobs=jobs, record=True)
     assert [{k: v for k, v in row.items() if k != RECORDED} for row in found] == plain
     for result in found:  # a policy that offers costs drives the same when it is recorded
         recorded = result[RECORDED]

@@ -8,13 +8,13 @@ import pytest
 
 from flipperctl.config import EvalConfig
 from flipperctl.errors import InterruptedRunError
+from flipperctl.evaluation import play as playing
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.evaluate import Result
 from flipperctl.evaluation.evaluate import evaluate as play
 from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.statistics import holm, paired_success, proportion
 from flipperctl.evaluation.views import evaluation
-from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import PolicySource, load_policy
 
 LEVEL, OKADA, RANDOM = (load_policy(name, "here") for name in ("level", "okada", "random"))
@@ -79,10 +79,11 @@ def test_a_baseline_and_references_play_the_episodes_of_each_scene() -> None:
 
 def test_each_scene_has_its_own_policy_and_processes(monkeypatch: pytest.MonkeyPatch) -> None:
     jobs: list[int] = []
-    monkeypatch.setattr(EpisodeWorkers, "use", lambda self, count: jobs.append(count))
+    pool = playing.worker_pool
+    monkeypatch.setattr(playing, "worker_pool", lambda n: jobs.append(n) or pool(n))
     two = STEP.model_copy(update={"eval": STEP.eval.model_copy(update={"jobs": 2})})
     found = evaluate([(two, LEVEL), (FLAT, OKADA)], [RANDOM])
-    assert jobs == [2, 2, 1, 1]
+    assert jobs == [2]  # both of its scene, and none of the other one
     assert [scene["controller"] for scene in documents(found)] == ["level", "okada"]
     assert evaluation.document(found)["controller"] == "level, okada"
     alone = [evaluate([one]).rows[0] for one in ((STEP, LEVEL), (FLAT, OKADA))]

@@ -21,6 +21,7 @@ from flipperctl.evaluation import play as playing
 from flipperctl.evaluation.evaluate import Result
 from flipperctl.evaluation.evaluate import evaluate as play_plan
 from flipperctl.evaluation.plan import Entry, Plan
+from flipperctl.evaluation.play import EpisodeRunner
 from flipperctl.evaluation.rows import Row
 from flipperctl.evaluation.store import (
     FOLDER,
@@ -33,7 +34,6 @@ from flipperctl.evaluation.store import (
     write_view,
 )
 from flipperctl.evaluation.views import evaluation
-from flipperctl.evaluation.workers import EpisodeRunner
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource, load_policy
 from flipperctl.rollout import cluster

@@ -11,9 +11,8 @@ from flipperctl.api import SAMPLE_PERIOD, Profile, Robot, RobotState, Start, Tra
 from flipperctl.config import EvalConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError, OutputError, RequestError
-from flipperctl.evaluation.episode_record import EpisodeRecord
-from flipperctl.evaluation.views.replay import replay_file
-from flipperctl.evaluation.workers import EpisodeRunner
+from flipperctl.evaluation.play import EpisodeRunner
+from flipperctl.evaluation.replay import EpisodeRecord, replay_file
 from flipperctl.figures.episode import episode_figure, map_points, mapped
 from flipperctl.figures.film import FILM, Shots, film, instants, samples, save_film
 from flipperctl.files import check_output, write_json

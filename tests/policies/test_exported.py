@@ -13,7 +13,7 @@ from flipperctl.api import Robot
 from flipperctl.config import EnvConfig, EvalConfig, Randomise
 from flipperctl.config.randomise import SECTION_OF
 from flipperctl.errors import CheckpointError, ConfigError, PluginError, PolicyError
-from flipperctl.evaluation.workers import EpisodeWorkers
+from flipperctl.evaluation.play import Player
 from flipperctl.export.policy import export
 from flipperctl.policies.exported import exported_config
 from flipperctl.policies.source import PolicySource
@@ -30,12 +30,13 @@ def exported(short_run: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_exported_policy_acts_as_the_trained_one(short_run: Path, exported: Path) -> None:
-    config = EvalConfig(terrain="step", eval={"seed": 1})
+    numbers = {"episodes": 3, "seed": 1, "jobs": 2}
+    config = EvalConfig(terrain="step", eval=numbers)
     trained = PolicySource(checkpoint=short_run / checkpoint.BEST)
     robot = PolicySource(checkpoint=exported)
     expected = play_episodes(config, trained, episodes=3, seed=1)
-    with EpisodeWorkers(2) as workers:
-        assert list(workers.play(config, robot, range(3))) == expected
+    with Player() as player:
+        assert list(player.play(config, robot, "exported")) == expected
 
 
 def test_the_file_holds_its_terrain_robot_and_layout(exported: Path, tmp_path: Path) -> None:

@@ -302,7 +302,7 @@ def test_a_picture_that_cannot_be_written_loses_no_episode(
     def full(*given: object, **named: object) -> None:
         raise FlipperctlError("no space left")
 
-    monkeypatch.setattr("flipperctl.evaluation.pictures.film_scene", full)
+    monkeypatch.setattr("flipperctl.evaluation.replay.film_scene", full)
     with pytest.raises(FlipperctlError, match="no space left") as raised:
         flipperctl.evaluate("level", baselines=[], episodes=1, film=tmp_path / "a.gif", **ONE)
     assert len(raised.value.result.scenes) == 1

@@ -15,7 +15,7 @@ from flipperctl.config import Agent, EnvConfig
 from flipperctl.core.risk import EscapeRule, RiskSign
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError, ConfigError, PolicyError
-from flipperctl.evaluation.workers import EpisodeRunner
+from flipperctl.evaluation.play import EpisodeRunner
 from flipperctl.export import policy
 from flipperctl.policies.source import PolicySource
 from flipperctl.policies.trained import policy_risk

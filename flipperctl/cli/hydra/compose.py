@@ -28,7 +28,7 @@ from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, parse
 from flipperctl.config.defaults import missing_entry, refuse_ineffective
 from flipperctl.errors import ConfigError
-from flipperctl.evaluation.inherited import NOMINAL, TRAINED, explain_missing_training
+from flipperctl.evaluation.conditions import NOMINAL, TRAINED, explain_missing_training
 from flipperctl.terminal.notices import print_notices
 
 Composed = TypeVar("Composed")

@@ -31,7 +31,7 @@ from flipperctl.config import DEFAULT_ENGINE, EvalConfig, TrainConfig, strict_ya
 from flipperctl.config.defaults import LISTS, entries, sections
 from flipperctl.config.randomise import OMITTED, PATH_SECTIONS
 from flipperctl.errors import ConfigError
-from flipperctl.evaluation.inherited import NOMINAL, TRAINED, Inherited
+from flipperctl.evaluation.conditions import NOMINAL, TRAINED, Inherited
 from flipperctl.training.search_space import SearchSettings
 
 CONFIGS = str(files("flipperctl.configs"))

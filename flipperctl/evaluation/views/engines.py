@@ -7,20 +7,17 @@ seed, and why the episodes of the last one failed. Friction, gravity, ground and
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from enum import StrEnum
 from typing import Any, TypeVar
 
-from flipperctl.api import Outcome, RobotState, SharedSetting
-from flipperctl.config import DEFAULT_ENGINE, EnvConfig, EvalConfig, resolver, with_overrides
-from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.api import SharedSetting
+from flipperctl.config import DEFAULT_ENGINE, EnvConfig, EvalConfig, resolver
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.evaluate import Played, Result
-from flipperctl.evaluation.rows import CAUSE, END, Episodes, Row, reached
-from flipperctl.evaluation.sensing import SensingCause, on_true_ground
+from flipperctl.evaluation.failure_causes import explain, on_true_ground
+from flipperctl.evaluation.rows import CAUSE, END, Episodes, reached
 from flipperctl.evaluation.views.summary import (
     Document,
     correct_all,
@@ -29,40 +26,11 @@ from flipperctl.evaluation.views.summary import (
     short,
     summary,
 )
-from flipperctl.policies.source import PolicySource
-from flipperctl.rollout.episode import Decision, play
 from flipperctl.show import NONE, Column, Table
 
 Config = TypeVar("Config", bound=EnvConfig)
 _SHARED: tuple[SharedSetting, ...] = ("friction", "gravity")
 """Settings that the default engine takes from the other one."""
-_OFF_HEADING = math.radians(30)
-"""Heading beyond which a stopped robot is off course [rad]."""
-_OFF_SIDE = 1.0
-"""Lateral distance beyond which a stopped robot is off course [m]."""
-_MAX_FRICTION = 10.0
-"""Largest friction that is tried [-]."""
-_FRICTION_FACTOR = 2.0
-"""Factor on friction that distinguishes a lack of traction from an obstacle [-]."""
-
-
-class Cause(StrEnum):
-    """Why an episode failed."""
-
-    OVERTURNED = "overturned"
-    """The robot fell over forwards or backwards."""
-    ROLL = "roll"
-    """The robot fell over sideways."""
-    HEADING = "heading"
-    """The robot turned away or left the ground sideways."""
-    TRACTION = "traction"
-    """The robot stopped, but reaches the finish with twice the friction."""
-    STUCK = "stuck"
-    """The robot stopped, even with twice the friction."""
-    DRIFT = SensingCause.DRIFT.value
-    """The robot reaches the finish with the true pose in place of the sensor's odometry."""
-    PERCEPTION = SensingCause.PERCEPTION.value
-    """The robot reaches the finish on the true ground, and not with the true pose alone."""
 
 
 def in_default_engine(config: Config) -> Config:
@@ -100,7 +68,7 @@ def explained(result: Result) -> Result:
         first, last = group[0], group[-1]
         ends = {row["seed"]: row for row in first.episodes}
         rows = tuple(
-            row if reached(row) else row | _explain(last.entry.config, last.entry.source, row)
+            row if reached(row) else row | explain(last.entry.config, last.entry.source, row)
             for row in last.episodes
             if row["seed"] in ends
         )
@@ -173,56 +141,6 @@ def _kept(first: Played, then: Played) -> float | None:
     pairs = first.episodes.paired(then.episodes)
     crossed = [reached(theirs) for ours, theirs in pairs if reached(ours)]
     return sum(crossed) / len(crossed) if crossed else None
-
-
-def _explain(config: EvalConfig, source: PolicySource, row: Row) -> Row:
-    """Play a failed episode again; return its cause and the robot's posture at its end."""
-    states: list[RobotState] = []
-
-    def watch(decision: Decision) -> None:
-        states[:] = [decision.transition.after]
-
-    play(FlipperEnv(config=config), source.build(config), row["seed"], watch=watch)
-    (end,) = states
-    sensing = row.get("failed_by", SensingCause.OTHER.value)
-    if sensing != SensingCause.OTHER:
-        cause = Cause(sensing)
-    else:
-        cause = _cause(end, row["outcome"], config)
-        more = with_friction(config) if cause is Cause.STUCK else None
-        if more is not None and reached(
-            play(FlipperEnv(config=more), source.build(more), row["seed"])
-        ):
-            cause = Cause.TRACTION
-    posture = float(end.position[0]), end.pitch, end.roll, end.yaw, end.side
-    return {CAUSE: str(cause), **dict(zip(END.values(), posture, strict=True))}
-
-
-def _cause(end: RobotState, outcome: str, config: EvalConfig) -> Cause:
-    overturn = config.episode.overturn
-    if outcome == Outcome.OVERTURNED:
-        if abs(end.pitch) >= overturn:
-            return Cause.OVERTURNED
-        limit = config.sim.shared_setting("roll_limit")
-        rolled = abs(end.roll) >= (overturn if limit is None else limit)
-        return Cause.ROLL if rolled else Cause.HEADING
-    astray = abs(end.yaw) > _OFF_HEADING or abs(end.side) > _OFF_SIDE
-    return Cause.HEADING if astray else Cause.STUCK
-
-
-def with_friction(config: EvalConfig) -> EvalConfig | None:
-    """Return the configuration with twice the friction; None if the engine has no such setting."""
-    own = config.sim.shared_setting("friction")
-    if own is None:
-        return None
-    sampled = config.randomise.find("sim", "friction")
-    changed: dict[str, object] = {"sim.friction": min(_MAX_FRICTION, _FRICTION_FACTOR * own)}
-    if sampled is not None:  # with randomise.spread, samples lie between the friction and the ends
-        changed[sampled.key] = [min(_MAX_FRICTION, _FRICTION_FACTOR * mu) for mu in sampled.ends]
-    try:
-        return with_overrides(config, changed)
-    except ConfigError:  # beyond the engine's bounds
-        return None
 
 
 _COLUMNS = (

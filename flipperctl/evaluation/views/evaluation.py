@@ -7,6 +7,7 @@ and from such a document the tables of the terminal, ``table.csv`` and ``table.t
 from __future__ import annotations
 
 import sys
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
@@ -18,7 +19,6 @@ from flipperctl.errors import RequestError
 from flipperctl.evaluation.evaluate import Result
 from flipperctl.evaluation.plan import is_best_known
 from flipperctl.evaluation.rows import Row
-from flipperctl.evaluation.sensing import counts
 from flipperctl.evaluation.views import engines, risk, strata, summary
 from flipperctl.evaluation.views.summary import (
     VARIATION,
@@ -54,14 +54,14 @@ def document(result: Result, by: Sequence[strata.Names] = ()) -> Document:
     scenes = []
     for one in result.rows:
         entry, others = one.entry, {o.entry.label: o.episodes for o in result.baselines(one)}
-        failed = counts(one.episodes)
+        causes = Counter(row["failed_by"] for row in one.episodes if "failed_by" in row)
         scenes.append(
             {
                 **summary.summary(entry.terrain, one.episodes),
                 "controller": entry.label,
                 "seed": entry.config.eval.seed,
                 "conditions": entry.conditions.to_dict(),
-                **({"failed_by": failed} if failed else {}),
+                **({"failed_by": dict(causes.most_common())} if causes else {}),
                 **entry.names,
                 **baselines(entry.terrain, one.episodes, others),
             }
@@ -75,10 +75,23 @@ def document(result: Result, by: Sequence[strata.Names] = ()) -> Document:
     correct(methods)
     controllers = dict.fromkeys(one.entry.label for one in result.rows)
     stopped = result.interruption
+    failed = [
+        {"controller": one.controller, "terrain": one.terrain, "error": str(one.error)}
+        for one in result.failures
+    ]
     return {
         "controller": ", ".join(controllers),
-        **({} if stopped is None else stopped.to_dict()),
-        **({"failed": [f.to_dict() for f in result.failures]} if result.failures else {}),
+        **(
+            {}
+            if stopped is None
+            else {
+                "interrupted": True,
+                "finished_episodes": stopped.finished,
+                "planned_episodes": stopped.planned,
+                "not_begun": list(stopped.not_begun),
+            }
+        ),
+        **({"failed": failed} if failed else {}),
         "scenes": scenes,
         **({"methods": methods} if methods else {}),
         **({"engines": engines.document(result)} if result.plan.engines else {}),

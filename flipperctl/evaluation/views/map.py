@@ -18,9 +18,9 @@ import numpy as np
 
 from flipperctl.api import FloatArray
 from flipperctl.errors import InterruptedRunError
-from flipperctl.evaluation.episode_record import EpisodeRecord
 from flipperctl.evaluation.plan import Entry
 from flipperctl.evaluation.play import Player
+from flipperctl.evaluation.replay import EpisodeRecord
 from flipperctl.evaluation.rows import Episodes, Row
 from flipperctl.evaluation.views.axes import EXAMPLE as EXAMPLE
 from flipperctl.evaluation.views.axes import Axis, grid_config

@@ -89,7 +89,7 @@ def measure(scene: RegretScene, player: Player) -> Document | None:
     every = [(scene.name, scene.policy)]
     every += [(n, one) for n, one in sources.items() if n == LEVEL or one != scene.policy]
     own, *others = (player.play(config, one, f"{terrain}, {name}") for name, one in every)
-    if player.workers.interrupted:
+    if player.interrupted:
         return None
     played = dict(zip([name for name, _ in every[1:]], others, strict=True))
     return {

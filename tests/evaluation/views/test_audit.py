@@ -5,8 +5,8 @@ import pytest
 from flipperctl import api
 from flipperctl.api import Controller, Perception, Policy, Simulator
 from flipperctl.config import EvalConfig
+from flipperctl.evaluation.play import EpisodeRunner
 from flipperctl.evaluation.views.audit import audit
-from flipperctl.evaluation.workers import EpisodeRunner
 from flipperctl.policies.source import PolicySource
 
 PLANNER = PolicySource(settings={"name": "planner", "width": 2, "budget": 200})

@@ -8,7 +8,7 @@ import pytest
 
 from flipperctl.config import EvalConfig
 from flipperctl.evaluation.plan import Entry
-from flipperctl.evaluation.play import Player
+from flipperctl.evaluation.play import EpisodeRunner, Player
 from flipperctl.evaluation.rows import Episodes
 from flipperctl.evaluation.store import EpisodeStore, FolderStore
 from flipperctl.evaluation.views.axes import Axis, grid_config, parse_axes
@@ -22,7 +22,6 @@ from flipperctl.evaluation.views.map import (
     capability_map,
     figure,
 )
-from flipperctl.evaluation.workers import EpisodeRunner, EpisodeWorkers
 from flipperctl.policies.source import load_policy
 from tests.evaluation.samples import episodes, sample
 
@@ -47,8 +46,7 @@ def mapped(
     stop: Callable[[], bool] = lambda: False,
     store: EpisodeStore | None = None,
 ) -> CapabilityMap:
-    with EpisodeWorkers(stop=stop) as workers:
-        found = Player(store or EpisodeStore(), workers)
+    with Player(store, stop=stop) as found:
         return capability_map(Entry(UPLIFT, OKADA), axes, found)
 
 

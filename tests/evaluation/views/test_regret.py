@@ -9,7 +9,6 @@ from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.play import Player
 from flipperctl.evaluation.rows import Episodes
-from flipperctl.evaluation.store import EpisodeStore
 from flipperctl.evaluation.views.regret import (
     RegretScene,
     Verdict,
@@ -19,7 +18,6 @@ from flipperctl.evaluation.views.regret import (
     sentences,
     table,
 )
-from flipperctl.evaluation.workers import EpisodeWorkers
 from flipperctl.policies.source import load_policy
 from flipperctl.reward_sum import paying_terms
 from tests.evaluation.samples import episodes as rows
@@ -121,8 +119,8 @@ def scene(**more: Any) -> RegretScene:
 
 
 def measured(of: RegretScene) -> dict[str, Any] | None:
-    with EpisodeWorkers() as workers:
-        return measure(of, Player(EpisodeStore(), workers))
+    with Player() as player:
+        return measure(of, player)
 
 
 def test_level_is_always_a_reference_and_the_policy_never() -> None:

@@ -9,12 +9,11 @@ from flipperctl import checkpoint
 from flipperctl.config import EvalConfig
 from flipperctl.errors import CheckpointError, RequestError
 from flipperctl.evaluation import run as evaluation
-from flipperctl.evaluation.episode_record import EpisodeRecord, read_record
 from flipperctl.evaluation.evaluate import evaluate
 from flipperctl.evaluation.plan import Entry, Plan
+from flipperctl.evaluation.replay import EpisodeRecord, read_record, replay
 from flipperctl.evaluation.rows import DIGEST
 from flipperctl.evaluation.run import failure_records
-from flipperctl.evaluation.views.replay import replay
 from flipperctl.policies.source import PolicySource, load_policy
 
 LEVEL = load_policy("level", "here")

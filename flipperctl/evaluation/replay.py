@@ -1,0 +1,424 @@
+"""Episodes that are played again: from a small file bit for bit, and for a picture or a film.
+
+In: an episode of an evaluation, its configuration and the policy's source. Out: a JSON document, a
+record; and, from such a file, the episode, and whether it is the recorded one, once versions and
+contents are checked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from importlib.metadata import version
+from itertools import zip_longest
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+)
+
+from flipperctl import __version__, checkpoint
+from flipperctl.api import DrawingWorld, Outcome, Perception, Profile, Transition
+from flipperctl.checkpoint.sealed import decode
+from flipperctl.config import EnvConfig, EvalConfig, parse, to_dict
+from flipperctl.config.identity import content_digest
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.metrics import CORE
+from flipperctl.errors import (
+    CheckpointError,
+    ConfigError,
+    FlipperctlError,
+    InterruptedRunError,
+    RequestError,
+)
+from flipperctl.evaluation.conditions import Conditions
+from flipperctl.evaluation.plan import Entry
+from flipperctl.evaluation.play import EpisodeDigest, EpisodeRunner, Progress, no_progress
+from flipperctl.evaluation.rows import DIGEST, Row, arranged, sampled
+from flipperctl.files import check_output, write_json
+from flipperctl.messages import explain
+from flipperctl.policies.identity import named_files
+from flipperctl.policies.source import PolicySource
+from flipperctl.results import result_folder
+from flipperctl.rollout.episode import Decision, EpisodeRisks, play
+from flipperctl.rollout.seeds import EvaluationSeeds
+from flipperctl.sim.versions import engine_versions
+
+NAMES = ("replay.json", "replay.png")
+_FORMAT = 1
+
+
+class _Frozen(BaseModel):
+    """A frozen model that refuses unknown keys, NaN and infinity."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class RecordedPolicy(_Frozen):
+    """The policy of an episode: a file by its content, or a controller's settings."""
+
+    label: str = Field(description="name of a shipped policy or controller, or path of a file [-]")
+    sha256: str | None = Field(None, description="SHA-256 of the policy's file [-]")
+    controller: dict[str, Any] | None = Field(
+        None, description="name and settings of a controller [-]"
+    )
+    files: dict[str, str | None] = Field(
+        default_factory=dict, description="SHA-256 of each file that the controller reads [-]"
+    )
+
+    @classmethod
+    def of(cls, source: PolicySource) -> RecordedPolicy:
+        """Describe a policy."""
+        if source.checkpoint is not None:
+            return cls(label=source.label(), sha256=content_digest(source.checkpoint))
+        settings = dict(source.settings or {})
+        return cls(label=source.label(), controller=settings, files=_digests(source))
+
+    def find(self, where: Path, chosen: Path | None) -> PolicySource:
+        """Return the policy, whose file is ``chosen`` or else the recorded one."""
+        if self.controller is not None:
+            if chosen is not None:
+                raise RequestError(f"{where}: its policy is a controller; leave --checkpoint out")
+            source = PolicySource(settings=self.controller)
+            if _digests(source) != self.files:
+                raise CheckpointError(
+                    f"{where}: a file that controller {self.label} reads is missing or has another "
+                    f"content: {', '.join(self.files)}"
+                )
+            return source
+        advice = "name the policy's file with --checkpoint"
+        try:
+            file = checkpoint.find(chosen or Path(self.label))
+        except CheckpointError as error:
+            raise CheckpointError(f"{where}: its policy is missing: {error}; {advice}") from error
+        if (digest := content_digest(file)) != self.sha256:
+            raise CheckpointError(
+                f"{where}: its policy has the SHA-256 {self.sha256}; that of {file} is {digest}; "
+                f"{advice}"
+            )
+        return PolicySource(checkpoint=file)
+
+
+class EpisodeRecord(_Frozen):
+    """One episode of an evaluation."""
+
+    format: Literal[1] = Field(1, description="version of this document [-]")
+    policy: RecordedPolicy
+    versions: dict[str, str] = Field(description="versions that affect the episode's numbers [-]")
+    conditions: dict[str, str] = Field(description="name and hash of the conditions [-]")
+    config: dict[str, Any] = Field(description="configuration of the environment [-]")
+    evaluation_seed: int = Field(ge=0, description="seed of the evaluation [-]")
+    episode: int = Field(ge=0, description="index of the episode in the evaluation [-]")
+    seed: int = Field(ge=0, description="seed of the episode [-]")
+    outcome: Outcome = Field(description="how the episode ended [-]")
+    measures: dict[str, float] = Field(description="measures and sampled values, by name [-]")
+    digest: str | None = Field(
+        None, description="SHA-256 of the actions and of the poses at 100 Hz [-]"
+    )
+    risks: tuple[float, ...] | None = Field(
+        None, description="risk at each decision, of a policy that tells one [-]"
+    )
+
+    @classmethod
+    def of(cls, config: EvalConfig, source: PolicySource, row: Row) -> EpisodeRecord:
+        """Record an episode of an evaluation."""
+        conditions = Conditions.of(config)
+        return cls(
+            policy=RecordedPolicy.of(source),
+            versions=used_versions(config, source),
+            conditions={"name": conditions.name, "hash": conditions.hash},
+            config=to_dict(config.environment()),
+            evaluation_seed=config.eval.seed,
+            episode=row["episode"],
+            seed=row["seed"],
+            outcome=row["outcome"],
+            measures=measures(row),
+            digest=row.get(DIGEST),
+            risks=risks(row),
+        )
+
+    @model_serializer(mode="wrap")
+    def _without_risks(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Omit the risks of a policy that tells none."""
+        return {n: v for n, v in serialize(self).items() if n != "risks" or v is not None}
+
+    def evaluation(self, where: Path) -> EvalConfig:
+        """Return the configuration of the evaluation, checked against the recorded conditions."""
+        try:
+            whole = parse(EnvConfig, self.config)
+        except ConfigError as error:
+            raise RequestError(f"{where}: its configuration is not valid here: {error}") from error
+        sections = {name: getattr(whole, name) for name in EnvConfig.model_fields}
+        numbers = {"seed": self.evaluation_seed, "episodes": self.episode + 1}
+        config = EvalConfig(**sections, conditions=self.conditions["name"], eval=numbers)
+        found = Conditions.of(config).hash
+        if found != self.conditions["hash"]:
+            raise RequestError(
+                f"{where}: its conditions have the hash {self.conditions['hash']}, here {found}: a "
+                "file that the ground is read from, or the defaults of a plugin, have changed"
+            )
+        return config
+
+    def check_versions(self, where: Path, here: Mapping[str, str]) -> None:
+        """Check that the versions that affect the episode's numbers are the recorded ones."""
+        changed = [name for name in self.versions if here.get(name) != self.versions[name]]
+        if changed:
+            recorded = ", ".join(f"{name} {self.versions[name]}" for name in changed)
+            found = ", ".join(f"{name} {here.get(name, '–')}" for name in changed)
+            raise RequestError(
+                f"{where}: it was recorded with {recorded}; here is {found}, whose episodes may "
+                "differ; install the recorded versions to replay it"
+            )
+
+
+def measures(row: Row) -> dict[str, float]:
+    """Return the numbers of an episode that a replay must repeat, by name in SI units."""
+    return {name: row[name] for name in CORE} | sampled(row)
+
+
+def risks(row: Row) -> tuple[float, ...] | None:
+    """Return the risk at each decision; None of a policy that tells none."""
+    found = EpisodeRisks.pop(dict(row))
+    return None if found is None else found.told
+
+
+def used_versions(config: EnvConfig, source: PolicySource) -> dict[str, str]:
+    """Return the versions of the package and the libraries that affect an episode's numbers."""
+    torch = {"torch": version("torch")} if source.checkpoint is not None else {}
+    own = {"flipperctl": __version__, "numpy": version("numpy")}
+    return {**own, **torch, **engine_versions(config.sim)}
+
+
+def read_record(path: Path) -> EpisodeRecord:
+    """Read a record."""
+    try:
+        document = decode(path.read_text(encoding="utf-8"))
+        number = document.get("format", _FORMAT) if isinstance(document, dict) else _FORMAT
+        if number != _FORMAT:
+            raise RequestError(
+                f"{path}: its format is {number!r}; this version of flipperctl, {__version__}, "
+                f"reads format {_FORMAT}"
+            )
+        return EpisodeRecord(**document)
+    except OSError as error:
+        raise RequestError(f"{path}: it cannot be read: {error.strerror}") from error
+    except ValidationError as error:
+        text = explain(error, "", EpisodeRecord)
+        raise RequestError(f"{path}: it is no record of an episode: {text}") from error
+    except (ValueError, TypeError) as error:
+        raise RequestError(f"{path}: it is no record of an episode: {error}") from error
+
+
+def _digests(source: PolicySource) -> dict[str, str | None]:
+    """Return the SHA-256 of each file that a controller names, None for one that is missing."""
+    found: dict[str, str | None] = {}
+    for _, name in named_files(source.controller()):
+        try:
+            found[name] = content_digest(checkpoint.find(Path(name)))
+        except CheckpointError:
+            found[name] = None
+    return found
+
+
+@dataclass(frozen=True)
+class Replay:
+    """An episode that was played again."""
+
+    record: EpisodeRecord
+    config: EvalConfig
+    source: PolicySource
+    episode: Row
+    transitions: tuple[Transition, ...]
+    profile: Profile
+    draws: bool = False
+    """Whether the engine draws pictures of its own."""
+
+    @property
+    def differences(self) -> list[str]:
+        """What differs from the record; empty if the episode is bit-identical."""
+        recorded, episode, ours = self.record, self.episode, measures(self.episode)
+        pairs: dict[str, Any] = {"outcome": (episode["outcome"], str(recorded.outcome))}
+        pairs |= {name: (ours.get(name), value) for name, value in recorded.measures.items()}
+        if recorded.digest is not None:
+            pairs["digest"] = episode[DIGEST], recorded.digest
+        found = [f"{name} {us} ({it})" for name, (us, it) in pairs.items() if us != it]
+        if recorded.risks is not None:
+            told = zip_longest(risks(episode) or (), recorded.risks)
+            found += [f"risk {t}: {us} ({it})" for t, (us, it) in enumerate(told) if us != it][:1]
+        return found
+
+    @property
+    def title(self) -> str:
+        """One line about the episode: policy, terrain, conditions, index and outcome."""
+        record = self.record
+        conditions = f"{record.conditions['name']} {record.conditions['hash']}"
+        return (
+            f"{record.policy.label} on {self.config.terrain.plugin_name}, conditions {conditions}, "
+            f"episode {record.episode}: {self.episode['outcome']}"
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data."""
+        return {
+            "controller": self.record.policy.label,
+            "terrain": self.config.terrain.plugin_name,
+            "conditions": dict(self.record.conditions),
+            "episode": self.record.episode,
+            "seed": self.record.seed,
+            "outcome": self.episode["outcome"],
+            "measures": measures(self.episode),
+            "digest": self.episode[DIGEST],
+            "identical": not self.differences,
+            "differences": self.differences,
+        }
+
+
+def replay(path: Path, checkpoint: Path | None = None, progress: Progress = no_progress) -> Replay:
+    """Play the episode of a record; ``checkpoint`` replaces the path of its policy."""
+    record = read_record(path)
+    # The package first, since its policies and settings need not be known here.
+    record.check_versions(path, {**record.versions, "flipperctl": __version__})
+    source = record.policy.find(path, checkpoint)
+    config = record.evaluation(path)
+    record.check_versions(path, used_versions(config, source))
+    environment = config.environment()
+    env, policy = FlipperEnv(config=environment), source.build(environment)
+    digest, transitions = EpisodeDigest(), list[Transition]()
+
+    def watch(decision: Decision) -> None:
+        digest.add(decision)
+        transitions.append(decision.transition)
+
+    with progress(f"{config.terrain.plugin_name}, replay", 1) as report:
+        row = play(env, policy, record.seed, watch=watch, report_progress=report)
+    episode = arranged({"episode": record.episode, **row}) | {DIGEST: digest.hexdigest()}
+    draws = isinstance(env.drive.world, DrawingWorld)
+    return Replay(record, config, source, episode, tuple(transitions), env.profile, draws)
+
+
+def replay_file(
+    path: Path,
+    checkpoint: Path | None,
+    output: Path | None,
+    film: Path | None,
+    *,
+    progress: Progress = no_progress,
+    tell: Callable[[str], None] = lambda text: None,
+) -> Replay:
+    """Return the episode of a record after writing its files; see ``replay``.
+
+    ``tell`` is called with a line for each output.
+    """
+    with ExitStack() as stack:
+        if film is not None:
+            from flipperctl.figures.film import FILM
+
+            check_output(film, FILM)
+        folder = None
+        if output is not None:
+            folder = stack.enter_context(result_folder(output, "replay", NAMES))
+        found = replay(path, checkpoint, progress)
+        if folder is not None:
+
+            def write(part: Path) -> None:
+                write_json(part / "replay.json", found.to_dict())
+                _draw(part / "replay.png", found.transitions, found.profile, found.title)
+
+            folder.replace(write)
+            tell(f"wrote {' and '.join(NAMES)} to {folder.path}")
+        if film is not None:
+            _film(film, found, progress)
+            tell(f"wrote {film}")
+    return found
+
+
+def _film(path: Path, found: Replay, progress: Progress) -> None:
+    from flipperctl.figures.film import film, save_film
+
+    if found.draws:  # the side view does not show why a robot rolls or leaves its heading
+        film(found.config, found.source, found.record.seed, path)
+        return
+    made, speed = found.transitions, found.config.robot.track_speed
+    with progress(f"{found.config.terrain.plugin_name}, film", 1) as report:
+        save_film(path, made, found.profile, made[0].robot, found.title, report, speed=speed)
+
+
+def lines(found: Replay) -> Iterator[str]:
+    """Yield outcome and measures of the episode, and whether it is bit-identical."""
+    episode = found.episode
+    yield found.title
+    yield (
+        f"{episode['decisions']} decisions, {episode['t_cost']:.2f} s, pitch variation "
+        f"{episode['pitch_variation_100hz']:.3f} rad, largest pitch {episode['max_pitch']:.3f} rad"
+    )
+    if not found.differences:
+        digest = f"bit-identical to the recorded episode, digest {episode[DIGEST]:.16}…"
+        none = "equal to the recorded episode by its measures; it has no digest of the poses"
+        yield none if found.record.digest is None else digest
+
+
+def _draw(
+    path: Path,
+    made: Sequence[Transition],
+    profile: Profile,
+    title: str,
+    seen: Sequence[Perception] = (),
+) -> None:
+    from flipperctl.figures.episode import episode_figure
+    from flipperctl.figures.figure import save
+    from flipperctl.figures.film import samples
+
+    states = [made[0].before, *(t.after for t in made)]
+    save(episode_figure(states, profile, made[0].robot, title, seen, samples(made)), path)
+
+
+def draw_scenes(scenes: Mapping[Path, Entry], progress: Progress, stop: Callable[[], bool]) -> None:
+    """Replay the first episode of each scene and write its picture, by the picture's path.
+
+    If a picture fails, the others are still drawn.
+    """
+    from flipperctl.figures.episode import mapped
+
+    names = [file.name for file in scenes]
+    failed: list[tuple[str, FlipperctlError]] = []
+    for index, (file, entry) in enumerate(scenes.items()):
+        if stop():
+            raise InterruptedRunError(f"interrupted: {', '.join(names[index:])} not drawn")
+        config, source = entry.config, entry.source
+        try:
+            with progress(f"{entry.terrain}, picture", 1) as report:
+                runner = EpisodeRunner(config, source, config.eval.seed, report)
+                made, profile = runner.transitions(0)
+            title = (
+                f"{source.label()} on {entry.terrain}: {made[-1].outcome}\n"
+                f"episode 0 of {config.eval.episodes}, conditions {entry.conditions.label}"
+            )
+            _draw(file, made, profile, title, mapped(made))
+        except FlipperctlError as error:
+            failed.append((file.name, error))
+    if failed:
+        others = ", ".join(name for name, _ in failed[1:])
+        first = failed[0][1]
+        raise type(first)(f"{first}; also not drawn: {others}") if others else first
+
+
+def film_scene(path: Path, entry: Entry, progress: Progress) -> None:
+    """Replay the first episode of the scene and write its film."""
+    from flipperctl.figures.film import film, save_film
+
+    config, source, terrain = entry.config, entry.source, entry.terrain
+    if config.sim.films_itself:
+        film(config, source, EvaluationSeeds.of(config.eval.seed, config.terrain)(0), path)
+        return
+    with progress(f"{terrain}, film", 2) as report:
+        made, profile = EpisodeRunner(config, source, config.eval.seed, report).transitions(0)
+        title = f"{source.label()} on {terrain}: {made[-1].outcome}"
+        robot, speed = made[0].robot, config.robot.track_speed
+        save_film(path, made, profile, robot, title, lambda part: report(1 + part), speed=speed)
