@@ -7,8 +7,9 @@ import pytest
 
 from flipperctl.config import EvalConfig, with_overrides
 from flipperctl.evaluation.evaluate import evaluate
+from flipperctl.evaluation.failure_causes import with_friction
 from flipperctl.evaluation.plan import Entry, Plan
-from flipperctl.evaluation.views.engines import document, explained, steps, with_friction
+from flipperctl.evaluation.views.engines import document, explained, steps
 from flipperctl.policies.source import load_policy
 
 
