@@ -34,7 +34,7 @@ from flipperctl.policies.source import load_policy
 from flipperctl.policies.trained import value_of
 from flipperctl.rollout.episode import Decision, decisions
 from flipperctl.rollout.seeds import EvaluationSeeds
-from flipperctl.testing.network import one_thread
+from flipperctl.testing.policies import one_thread
 
 ABOUT = (
     "CPU time of a decision of mpc with its hand-set cost, without the first, which compiles; its "

@@ -24,7 +24,7 @@ from flipperctl.api import SAMPLE_PERIOD, Profile, Start, Transition
 from flipperctl.bench import quantity
 from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.env.guarded_world import GuardedWorld
+from flipperctl.env.guarded import GuardedWorld
 from flipperctl.policies.source import load_policy
 from flipperctl.reward_sum import RewardSum
 from flipperctl.rollout.episode import decisions

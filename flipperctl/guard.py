@@ -16,8 +16,7 @@ from __future__ import annotations
 import inspect
 import sysconfig
 import traceback
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from numbers import Real
 from pathlib import Path
 from types import FrameType, TracebackType
@@ -30,7 +29,6 @@ from flipperctl.errors import (
     FlipperctlError,
     MissingExtraError,
     PluginFailedError,
-    TerrainError,
     missing_package,
 )
 
@@ -48,7 +46,7 @@ class naming:  # noqa: N801  # used like a function, as contextlib's own context
     A class, since a generator of ``contextlib`` takes six times as long to enter and exit.
     """
 
-    __slots__ = ("_method", "_plugin", "_raised", "_while")
+    __slots__ = ("_named", "_while")
 
     def __init__(
         self,
@@ -59,7 +57,7 @@ class naming:  # noqa: N801  # used like a function, as contextlib's own context
         while_: str = "",
     ) -> None:
         """Name ``plugin`` and ``method``; ``while_``: purpose of the call, for the text."""
-        self._plugin, self._method, self._raised, self._while = plugin, method, raised, while_
+        self._named, self._while = (plugin, method, raised), while_
 
     def __enter__(self) -> None:
         """Begin the context."""
@@ -72,7 +70,7 @@ class naming:  # noqa: N801  # used like a function, as contextlib's own context
     ) -> None:
         """Re-raise ``error``, if there is one; see ``raise_named``."""
         if error is not None:
-            raise_named(error, self._plugin, self._method, self._raised, while_=self._while)
+            raise_named(error, *self._named, while_=self._while)
 
 
 def raise_named(
@@ -105,15 +103,40 @@ def raise_named(
     raise raised(f"{plugin_label(plugin)}{while_}: {what} ({where})") from error
 
 
-@contextmanager
-def naming_seed(seed: int | None) -> Iterator[None]:
-    """Add the seed of an episode, if it has one, to errors about its ground and its start."""
-    try:
-        yield
-    except (TerrainError, PluginFailedError) as error:
-        if seed is not None:
-            error.args = (f"{error}; the episode's seed is {seed}",)
-        raise
+class Guarded:
+    """An object that a plugin built; errors of its methods name plugin, method and place."""
+
+    def __init__(self, plugin: Plugin, built: object) -> None:
+        """Guard what ``plugin`` built."""
+        self.plugin = plugin
+        self.unguarded: Any = built
+        """The plugin's own object."""
+
+    def call(self, method: str, *given: Any) -> Any:
+        """Return what a method of the object returns."""
+        try:  # not ``naming``, since there are several calls in each decision
+            return getattr(self.unguarded, method)(*given)
+        except BaseException as error:  # noqa: BLE001  # raised again
+            raise_named(error, self.plugin, method)
+
+    def refusal(
+        self,
+        method: str,
+        found: str,
+        allowed: str,
+        raised: type[FlipperctlError] = PluginFailedError,
+    ) -> FlipperctlError:
+        """Return the exception to raise for an invalid value that a method returned."""
+        text, owner = f"returned {found}; allowed: {allowed}", type(self.unguarded)
+        return refusal(self.plugin, method, text, raised, owner=owner)
+
+    def save(self) -> Any:
+        """Return a snapshot of the object's memory for ``load``."""
+        return self.call("save")
+
+    def load(self, saved: Any) -> None:
+        """Restore a snapshot."""
+        self.call("load", saved)
 
 
 def is_called_by_core(error: BaseException) -> bool:
@@ -127,12 +150,6 @@ def is_called_by_core(error: BaseException) -> bool:
     if caller is None or not _is_core(caller):
         return False
     return not _module(caller).startswith(_NO_CALLERS)
-
-
-def with_path(error: FlipperctlError, plugin: Plugin, path: str) -> FlipperctlError:
-    """Return the error with the plugin's configuration path added to the plugin's name."""
-    label = plugin_label(plugin)
-    return type(error)(str(error).replace(f"{label}:", f"{label} ({path}):", 1))
 
 
 def refusal(
@@ -152,13 +169,7 @@ def refusal(
 
 
 def as_real(value: object, plugin: Plugin) -> Real | None:
-    """Return the real number that ``__call__`` returned, or that of an array or tensor of one.
-
-    None stands for anything else.
-
-    Raises:
-        PluginFailedError: the code of the value that ``plugin`` returned failed.
-    """
+    """Return the real number that ``__call__`` returned, alone or in an array; None: none."""
     with naming(plugin, "__call__"):
         if getattr(value, "shape", None) == ():
             value = value.item()  # type: ignore[attr-defined]  # arrays and tensors have item()
@@ -222,7 +233,10 @@ def _culprit(
         for name in ("self", "cls"):
             owner: Any = frame.f_locals.get(name)
             cls = owner if isinstance(owner, type) else type(owner)
-            if issubclass(cls, Plugin) and _is_own_code(frame, cls) and owner is not seen:
+            if not issubclass(cls, Plugin) or owner is seen or _is_core(frame):
+                continue
+            # The plugin's own code rather than that of a library
+            if _is_foreign(frame) or _package(_module(frame)) == _package(cls.__module__):
                 seen, plugin, method = owner, owner, frame.f_code.co_name
     return plugin, method
 
@@ -254,12 +268,6 @@ def _module(frame: FrameType) -> str:
 
 def _is_core(frame: FrameType) -> bool:
     return _package(_module(frame)) == _CORE
-
-
-def _is_own_code(frame: FrameType, cls: type[Plugin]) -> bool:
-    """Return whether the code is the plugin's own rather than that of a library."""
-    same = _package(_module(frame)) == _package(cls.__module__)
-    return _is_foreign(frame) or (same and not _is_core(frame))
 
 
 def _is_foreign(frame: FrameType) -> bool:

@@ -27,7 +27,7 @@ from flipperctl.api import (
 )
 from flipperctl.config import Episode
 from flipperctl.core.targets import TargetRule, turns
-from flipperctl.env.guarded_world import place
+from flipperctl.env.guarded import place
 from flipperctl.env.termination import Termination
 from flipperctl.sim.versions import samples_in, simulated
 

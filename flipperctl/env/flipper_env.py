@@ -29,9 +29,9 @@ from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.config.identity import foreign_plugins
 from flipperctl.env import ground, repeating, start
 from flipperctl.env.drive import Drive
-from flipperctl.env.guarded_sensor import exact as exact_sensor
+from flipperctl.env.guarded import exact as exact_sensor
 from flipperctl.env.metrics import DRAWN, EpisodeMetrics, Pitches, measures
-from flipperctl.env.perceiving import Perceiver, initial_copy
+from flipperctl.env.perceiving import Perceiver, SceneSimulator, initial_copy
 from flipperctl.env.pictures import (
     MODES,
     Observer,
@@ -44,10 +44,9 @@ from flipperctl.env.pictures import (
     check_mode,
 )
 from flipperctl.env.repeating import require_unmoved
-from flipperctl.env.simulator import SceneSimulator
 from flipperctl.env.start import run_out_of
 from flipperctl.env.termination import ALLOWED, action_index
-from flipperctl.guard import naming_seed
+from flipperctl.errors import PluginFailedError, TerrainError
 from flipperctl.randomness import global_states
 from flipperctl.reward_sum import RewardSum
 
@@ -149,13 +148,17 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         sections = config.with_sampled_values(sampled)
         self.engine, self.robot, _ = sections
         self._sections = sections
-        with naming_seed(seed):
+        try:
             self.profile = self._generate(terrain_rng, difficulty)
             starts = self._place(start_rng)
             if self.profile.run_up is not None and start.is_lifted(self.drive.world, self._start):
                 self.profile = start.ahead(self.profile)  # beside the line there is no place for it
                 starts = self._place(start_rng)
             start.check_placed(self.drive.world, self._start, config, self.profile)
+        except (TerrainError, PluginFailedError) as error:
+            if seed is not None:
+                error.args = (f"{error}; the episode's seed is {seed}",)
+            raise
         self._rngs = rngs[0], rngs[1]
         attach(self.observers, self.drive, self.profile)
         self._perceiver = self._new_perceiver(self.drive, self._rngs)

@@ -1,4 +1,4 @@
-"""The perception of one episode: estimates from a sensor's measurements.
+"""The perception of one episode, and the simulator of its scene for policies that look ahead.
 
 In: true states, at samples and at decisions. Out: perceptions, which include earlier observations.
 """
@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,9 +14,12 @@ import numpy as np
 from flipperctl.api import (
     MAX_HISTORY,
     SAMPLE_PERIOD,
+    FloatArray,
     Measured,
     Mounting,
+    Outcome,
     Perception,
+    Profile,
     RobotGeometry,
     RobotState,
     Sensor,
@@ -25,16 +27,7 @@ from flipperctl.api import (
 )
 from flipperctl.core.observation import assemble
 from flipperctl.env.drive import Drive
-from flipperctl.env.guarded_sensor import MountedInstrument, mounted_parts
-
-
-@dataclass(frozen=True)
-class _Part:
-    """An instrument with its name and its own generator."""
-
-    name: str
-    instrument: MountedInstrument
-    rng: np.random.Generator
+from flipperctl.env.guarded import mounted_parts
 
 
 class Perceiver:
@@ -52,9 +45,6 @@ class Perceiver:
 
         ``robot``: the robot that policies are given; ``rngs``: the generators of the sensor's
         noise and of random policies; ``friction``: the friction that policies are given [-].
-
-        Raises:
-            PluginFailedError: the sensor's code failed.
         """
         self._robot, self._friction = robot, friction
         noise, self._controller_rng = rngs
@@ -64,9 +54,10 @@ class Perceiver:
         instruments, self._estimator = mounted_parts(sensor, mounting, robot)
         generators = [noise, *noise.spawn(len(instruments) - 1)] if instruments else []
         self._parts = [
-            _Part(name, instrument, rng)
+            (name, instrument, rng)
             for (name, instrument), rng in zip(instruments.items(), generators, strict=True)
         ]
+        self._periods = sorted({part.every for part in instruments.values() if part.every})
         self._pending: list[Measured] = []
         """Measurements that the estimator has not received yet, because of the delay."""
         self._reports: tuple[Callable[[Measured], None], ...] = ()
@@ -77,7 +68,7 @@ class Perceiver:
         If no instrument measures between decisions, ``drive`` is not changed.
         """
         self._reports = reports
-        for every in sorted({p.instrument.every for p in self._parts if p.instrument.every}):
+        for every in self._periods:
             drive.sample_every(every, self._sampler(every))
 
     def _sampler(self, every: int) -> Callable[[World], None]:
@@ -85,16 +76,16 @@ class Perceiver:
 
     def measure(self, state: RobotState) -> None:
         """Measure with every instrument that has a period, whether or not it is due."""
-        for every in sorted({p.instrument.every for p in self._parts if p.instrument.every}):
+        for every in self._periods:
             self._measure(every, state)
 
     def _measure(self, every: int | None, state: RobotState) -> None:
-        for part in self._parts:
-            if part.instrument.every == every:
-                value = part.instrument.measure(state, part.rng)
+        for name, instrument, rng in self._parts:
+            if instrument.every == every:
+                value = instrument.measure(state, rng)
                 if value is None:
                     continue
-                self._pending.append(Measured(part.name, state.time, value))
+                self._pending.append(Measured(name, state.time, value))
                 for report in self._reports:
                     report(self._pending[-1])
 
@@ -142,16 +133,16 @@ class Perceiver:
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot of memories, generators and recent observations for ``load``."""
-        parts = [(p.instrument.save(), p.rng.bit_generator.state) for p in self._parts]
+        parts = [(part.save(), rng.bit_generator.state) for _, part, rng in self._parts]
         random = self._controller_rng.bit_generator.state
         return parts, random, self._estimator.save(), tuple(self._pending), tuple(self._recent)
 
     def load(self, saved: tuple[Any, ...]) -> None:
         """Restore a snapshot."""
         parts, random, estimator, pending, recent = saved
-        for part, (memory, state) in zip(self._parts, parts, strict=True):
-            part.instrument.load(memory)
-            part.rng.bit_generator.state = state
+        for (_, part, rng), (memory, state) in zip(self._parts, parts, strict=True):
+            part.load(memory)
+            rng.bit_generator.state = state
         self._controller_rng.bit_generator.state = random
         self._estimator.load(estimator)
         self._pending = list(pending)
@@ -170,3 +161,101 @@ def initial_copy(rng: np.random.Generator) -> np.random.Generator:
     # A copy, since a sequence counts its children
     again = np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key, pool_size=seed.pool_size)
     return np.random.Generator(type(bits)(again))
+
+
+class SceneSimulator:
+    """Implements ``flipperctl.api.Simulator``; the world is built on first use."""
+
+    def __init__(
+        self,
+        make: Callable[[], Drive],
+        perceiver: Callable[[Drive, bool], Perceiver],
+        profile: Profile,
+        report_progress: Callable[[float], None],
+    ) -> None:
+        """Simulate the ``Drive`` that ``make`` builds; pass progress to ``report_progress``.
+
+        ``perceiver`` returns a new perceiver that measures at the samples of a ``Drive``: with the
+        noise of the episode, or, if its second argument is true, without errors.
+        """
+        self._make, self._make_perceiver = make, perceiver
+        self.profile = profile
+        """True ground of the episode."""
+        self._report_progress = report_progress
+        self.results: dict[str, float | str] = {}
+        """What the policy reported about its search."""
+        self.restart()
+
+    def restart(self) -> None:
+        """Return to the start in a new world, which reproduces the episode bit for bit."""
+        self._made: Drive | None = None
+        self._perceivers: dict[bool, Perceiver] = {}
+
+    @property
+    def _drive(self) -> Drive:
+        if self._made is None:
+            self._made = self._make()
+        return self._made
+
+    @property
+    def state(self) -> RobotState:
+        """Current state of the robot."""
+        return self._drive.state
+
+    @property
+    def robot(self) -> RobotGeometry:
+        """Geometry of the robot."""
+        return self._drive.robot
+
+    @property
+    def speed(self) -> float:
+        """Speed of the belts [m/s]."""
+        return self._drive.robot.track_speed
+
+    @property
+    def finish(self) -> float:
+        """World x that the chassis centre must pass [m]."""
+        return self._drive.termination.finish
+
+    @property
+    def poses(self) -> FloatArray:
+        """Poses of the last decision at 100 Hz, the pose before it first, (S + 1, 5)."""
+        return self._drive.poses
+
+    def perceive(self) -> Perception:
+        """Return the policy's current perception; see ``flipperctl.api.Simulator``."""
+        return self._perceiver(exact=False).perceive(self._drive.delayed_state)
+
+    def perceive_exactly(self) -> Perception:
+        """Return the perception of a sensor without errors; see ``flipperctl.api.Simulator``."""
+        return self._perceiver(exact=True).perceive(self._drive.state)
+
+    def _perceiver(self, *, exact: bool) -> Perceiver:
+        if exact not in self._perceivers:
+            self._perceivers[exact] = self._make_perceiver(self._drive, exact)
+        return self._perceivers[exact]
+
+    def step(self, action: int) -> Outcome | None:
+        """Simulate one decision; return the outcome, or None while the episode runs."""
+        return self._drive.decide(action)
+
+    def save(self) -> Any:
+        """Return a snapshot of the scene for ``load``."""
+        perceivers = {exact: (one, one.save()) for exact, one in self._perceivers.items()}
+        return self._drive.save(), perceivers
+
+    def load(self, saved: Any) -> None:
+        """Restore a snapshot."""
+        drive, perceivers = saved
+        self._drive.load(drive)
+        self._perceivers = {exact: perceiver for exact, (perceiver, _) in perceivers.items()}
+        for perceiver, memory in perceivers.values():
+            perceiver.load(memory)
+
+    def report_progress(self, fraction: float) -> None:
+        """Report the completed fraction of a long search, in [0, 1]."""
+        self._report_progress(fraction)
+
+    def report_result(self, **values: float | str) -> None:
+        """Report numbers and texts about the search, to be added to the episode's result."""
+        self.results.update(values)

@@ -12,7 +12,7 @@ from enum import StrEnum
 from flipperctl.api import Outcome, RobotState
 from flipperctl.config import EvalConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.env.guarded_sensor import exact
+from flipperctl.env.guarded import exact
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.rows import CAUSE, END, Row, reached
 from flipperctl.policies.source import PolicySource

@@ -11,7 +11,6 @@ on all installed plugins.
 """
 
 from flipperctl.errors import ConformanceError
-from flipperctl.testing.check import Check, NotChecked
-from flipperctl.testing.suite import Conformance, checks
+from flipperctl.testing.check import Check, Conformance, NotChecked, checks
 
 __all__ = ["Check", "Conformance", "ConformanceError", "NotChecked", "checks"]

@@ -1,24 +1,48 @@
-"""A check of one plugin: a callable whose error states the fault, its place and the value.
+"""The checks of a plugin: callables whose error states the fault, its place and the value.
 
-Plugins of every kind are checked for their registration, documentation and serialisation.
+In: a plugin's class. Out: its checks. Each runs on the plugin at its defaults, most of them also at
+the outermost values of each field. Those of every kind of plugin are here, its registration,
+documentation and serialisation; those of one kind are marked ``@of(kind, name)`` in the module of
+``_MODULES``.
 """
 
 from __future__ import annotations
 
 import inspect
 import json
+import math
 import re
 import time
-from collections.abc import Callable, Sequence
+import types
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import cache, partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any, ClassVar, Literal, NamedTuple, TypeVar, Union, get_args, get_origin
 from unittest import SkipTest
 
+from pydantic import ValidationError
+
+from flipperctl import plugins as loader
 from flipperctl.api import Plugin, registry
 from flipperctl.config import resolver
 from flipperctl.errors import ConformanceError, FlipperctlError
 from flipperctl.guard import error_line, error_place, plugin_label
-from flipperctl.testing.variants import Variant, numbers
+
+_MODULES = {
+    **{"terrain": "terrain", "sim": "engine", "perception": "sensor"},
+    **dict.fromkeys(("reward", "measure", "logger"), "recorded"),
+    **dict.fromkeys(("network", "controller"), "policies"),
+}
+"""Kind of plugin → module with its checks."""
+_BOUNDS = {"ge": 0, "le": 0, "gt": 1, "lt": -1}
+"""Kind of bound → direction from the bound to the nearest allowed value [-]."""
+
+TestT = TypeVar("TestT", bound=Callable[[Any], None])
+_tests: dict[str, list[tuple[str, Callable[[Any], None], bool]]] = defaultdict(list)
+"""Kind of plugin → names and functions of its checks, and whether each runs at every variant."""
 
 
 class NotChecked(SkipTest):  # pytest and unittest show it as a skipped test
@@ -41,15 +65,8 @@ class Check:
             ConformanceError: the plugin fails; the text gives plugin, value and what is allowed.
             NotChecked: a package that the check needs is not installed.
         """
-        try:
-            self.run()
-        except ConformanceError as error:
+        if error := _failure(self.run, self.plugin):
             raise ConformanceError(f"{plugin_label(self.plugin)} {error}") from error.__cause__
-        except (SkipTest, KeyboardInterrupt):
-            raise
-        except BaseException as error:  # the plugin's own code may raise anything
-            text = _describe(error, self.plugin)
-            raise ConformanceError(f"{plugin_label(self.plugin)} raises {text}") from error
 
     def __str__(self) -> str:
         """Return kind, plugin and check, as the id of a test."""
@@ -57,83 +74,95 @@ class Check:
         return f"{self.plugin.kind}-{name}-{self.name}"
 
 
-def run_on_variants(variants: Sequence[Variant], test: Callable[[Any], None]) -> None:
-    """Run a test on every variant of a plugin.
+class Conformance:
+    """Base class of a test class that names the ``plugin`` to check."""
 
-    Raises:
-        ConformanceError: a variant fails, or the plugin's own code raises. The text describes the
-            first failure and names the other variants that fail.
+    plugin: ClassVar[type[Plugin]]
+    pictures: ClassVar[Path | None] = None
+    """Folder for pictures of the terrain at its defaults and at each bound, if any."""
+
+    def pytest_generate_tests(self, metafunc: Any) -> None:
+        """Make one test of each check."""
+        if "check" in metafunc.fixturenames:
+            found = checks(self.plugin, pictures=self.pictures)
+            metafunc.parametrize("check", found, ids=str)
+
+    def test_keeps_the_contract(self, check: Check) -> None:
+        """Fail with the plugin, the value and the allowed values."""
+        check()
+
+
+def of(kind: str, name: str, *, everywhere: bool = True) -> Callable[[TestT], TestT]:
+    """Register a function as a check of one kind of plugin.
+
+    It runs at the plugin's defaults or, if ``everywhere``, at every variant.
     """
-    failed: list[tuple[str, ConformanceError]] = []
-    for variant in variants:
-        try:
-            test(variant.plugin)
-        except ConformanceError as error:
-            failed.append((variant.label, error))
-        except (SkipTest, KeyboardInterrupt):
-            raise
-        except BaseException as error:  # noqa: BLE001  # the plugin's own code may raise anything
-            failure = ConformanceError(_describe(error, variant.plugin))
-            failure.__cause__ = error
-            failed.append((variant.label, failure))
-    if failed:
-        label, first = failed[0]
-        others = ", ".join(label for label, _ in failed[1:])
-        more = f" (it also fails with {others})" if others else ""
-        raise ConformanceError(f"with {label}: {first}{more}") from first.__cause__
+
+    def decorate(test: TestT) -> TestT:
+        _tests[kind].append((name, test, everywhere))
+        return test
+
+    return decorate
 
 
-def require(holds: bool, text: str) -> None:
-    """Raise an error with this text unless the condition holds.
-
-    Raises:
-        ConformanceError: the condition does not hold.
-    """
-    if not holds:
-        raise ConformanceError(text)
+def checks(*plugins: type[Plugin], pictures: Path | None = None) -> list[Check]:
+    """Return all checks of the plugins; ``pictures`` is a folder for pictures of the terrains."""
+    loader.load()  # a plugin may contain others
+    return [check for cls in plugins for check in _checks(cls, pictures)]
 
 
-def _describe(error: BaseException, plugin: Plugin | type[Plugin]) -> str:
-    """Return the error in one line, with file and line unless the core raised it."""
-    where = "" if isinstance(error, FlipperctlError) else f" ({error_place(error, plugin, '')})"
-    return f"{error_line(error)}{where}"
+def _checks(cls: type[Plugin], pictures: Path | None) -> Iterator[Check]:
+    every = cache(lambda: variants(cls))
 
+    def at(name: str, test: Callable[[Any], None], *, everywhere: bool) -> Check:
+        last = None if everywhere else 1
+        return Check(cls, name, lambda: _run_on_variants(every()[:last], test))
 
-def run_check(one: Check) -> dict[str, Any]:
-    """Run one check; return ``ok``, ``skipped``, the message and the time taken [s]."""
-    begun, text, ok, skipped = time.perf_counter(), "", True, False
-    try:
-        one()
-    except ConformanceError as error:
-        text, ok = str(error), False
-    except NotChecked as error:
-        text, skipped = str(error), True
-    return {
-        "kind": one.plugin.kind,
-        "name": getattr(one.plugin, "plugin_name", one.plugin.__name__),
-        "check": one.name,
-        "ok": ok,
-        "skipped": skipped,
-        "message": text,
-        "seconds": time.perf_counter() - begun,
-    }
+    yield Check(cls, "registered", lambda: _registered(cls))
+    yield Check(cls, "documented", lambda: _documented(cls))
+    yield at("checkpoint", _checkpoint, everywhere=True)
+    if getattr(cls, "remote", False):
+        return
+    module = import_module(f"flipperctl.testing.{_MODULES[cls.kind]}")
+    # A search at its largest settings may take hours.
+    searches = getattr(cls, "searches_first", False)
+    for name, test, everywhere in _tests[cls.kind]:
+        yield at(name, test, everywhere=everywhere and not searches)
+    if cls.kind == "terrain" and pictures is not None:
+        yield Check(cls, "pictures", lambda: module.write_pictures(every(), pictures))
 
 
 def run_checks(todo: Sequence[Check], report: Callable[[str, float], None]) -> list[dict[str, Any]]:
-    """Run every check; ``report`` is given the name of the next one and the finished fraction."""
+    """Run every check; return whether each passed or was skipped, its message and its time [s].
+
+    ``report`` is given the name of the next one and the finished fraction.
+    """
     rows = []
-    for index, one in enumerate(todo):
-        report(str(one), index / len(todo))
-        rows.append(run_check(one))
+    for index, check in enumerate(todo):
+        report(str(check), index / len(todo))
+        begun, text, ok, skipped = time.perf_counter(), "", True, False
+        try:
+            check()
+        except ConformanceError as error:
+            text, ok = str(error), False
+        except NotChecked as error:
+            text, skipped = str(error), True
+        rows.append(
+            {
+                "kind": check.plugin.kind,
+                "name": getattr(check.plugin, "plugin_name", check.plugin.__name__),
+                "check": check.name,
+                "ok": ok,
+                "skipped": skipped,
+                "message": text,
+                "seconds": time.perf_counter() - begun,
+            }
+        )
     return rows
 
 
 def require_passed(rows: Sequence[dict[str, Any]]) -> None:
-    """Refuse the results of checks of which one failed.
-
-    Raises:
-        ConformanceError: a check failed; the text names plugins and checks.
-    """
+    """Raise ``ConformanceError`` if a check failed; the text names plugins and checks."""
     if failed := [f"{row['kind']} {row['name']} ({row['check']})" for row in rows if not row["ok"]]:
         raise ConformanceError(
             f"{len(failed)} of {len(rows)} checks failed: {', '.join(failed[:10])}"
@@ -141,10 +170,102 @@ def require_passed(rows: Sequence[dict[str, Any]]) -> None:
         )
 
 
-_LOWER, _UPPER = ("ge", "gt"), ("le", "lt")
+def require(holds: bool, text: str) -> None:
+    """Raise ``ConformanceError`` with this text unless the condition holds."""
+    if not holds:
+        raise ConformanceError(text)
 
 
-def registered(cls: type[Plugin]) -> None:
+def _failure(run: Callable[[], None], plugin: Plugin | type[Plugin]) -> ConformanceError | None:
+    """Return what a check raised, in one line with file and line unless the core raised it."""
+    try:
+        run()
+    except ConformanceError as error:
+        return error
+    except (SkipTest, KeyboardInterrupt):
+        raise
+    except BaseException as error:  # noqa: BLE001  # the plugin's own code may raise anything
+        where = "" if isinstance(error, FlipperctlError) else f" ({error_place(error, plugin, '')})"
+        failure = ConformanceError(f"raises {error_line(error)}{where}")
+        failure.__cause__ = error
+        return failure
+    return None
+
+
+def _run_on_variants(variants: Sequence[Variant], test: Callable[[Any], None]) -> None:
+    """Run a test on every variant; the error describes the first failure and names the others."""
+    found = ((v.label, _failure(partial(test, v.plugin), v.plugin)) for v in variants)
+    failed = [(label, error) for label, error in found if error]
+    if failed:
+        label, first = failed[0]
+        others = ", ".join(label for label, _ in failed[1:])
+        more = f" (it also fails with {others})" if others else ""
+        raise ConformanceError(f"with {label}: {first}{more}") from first.__cause__
+
+
+class Variant(NamedTuple):
+    """A plugin, labelled with the setting that differs from its defaults."""
+
+    label: str
+    plugin: Plugin
+
+
+def variants(cls: type[Plugin]) -> list[Variant]:
+    """Return the defaults, then each bound and each choice of each of the plugin's own fields.
+
+    Values that the plugin's validator rejects with other fields at their defaults are left out.
+    """
+    bases = (base for base in cls.__mro__[1:] if base.__module__.startswith("flipperctl.api."))
+    shared = {name for base in bases for name in getattr(base, "model_fields", ())}
+    try:
+        default = cls()
+    except ValidationError as error:
+        raise _invalid("its defaults", error) from error
+    found = [Variant("its defaults", default)]
+    for field in (name for name in cls.model_fields if name not in shared):
+        for value in _edges(cls, field):
+            if value == getattr(default, field):
+                continue
+            label = f"{field}={value}"
+            try:
+                found.append(Variant(label, cls(**{field: value})))
+            except ValidationError as error:
+                if error.errors()[0]["type"] != "value_error":
+                    raise _invalid(label, error) from error
+    return found
+
+
+def _invalid(label: str, error: ValidationError) -> ConformanceError:
+    first = error.errors()[0]
+    where = ".".join(map(str, first["loc"]))
+    text = f"{where + ': ' if where else ''}{first['msg']}; the value is {first['input']!r}"
+    return ConformanceError(f"with {label}: {text}")
+
+
+def _edges(cls: type[Plugin], field: str) -> Iterator[Any]:
+    """Yield the outermost values that a field's bounds allow, or its choices."""
+    info = cls.model_fields[field]
+    for bound in info.metadata:
+        for name, direction in _BOUNDS.items():
+            if (value := getattr(bound, name, None)) is None:
+                continue
+            if _numbers(info.annotation) == {int}:
+                yield int(value) + direction
+            else:
+                yield math.nextafter(value, math.inf * direction) if direction else value
+    if info.annotation is bool:
+        yield from (False, True)
+    elif get_origin(info.annotation) is Literal:
+        yield from get_args(info.annotation)
+
+
+def _numbers(annotation: Any) -> set[type]:
+    """Return the number types, ``int`` or ``float``, in a field's annotation or union."""
+    union = get_origin(annotation) in (Union, types.UnionType)
+    return {int, float}.intersection(get_args(annotation) if union else (annotation,))
+
+
+def _registered(cls: type[Plugin]) -> None:
     """Check that the plugin is registered under its name."""
     name = cls.__dict__.get("plugin_name")
     require(name is not None, f"has no name; decorate {cls.__name__} with @{cls.kind}(<name>)")
@@ -152,7 +273,7 @@ def registered(cls: type[Plugin]) -> None:
     require(found is cls, f"is not the class registered under its name, which is {found}")
 
 
-def documented(cls: type[Plugin]) -> None:
+def _documented(cls: type[Plugin]) -> None:
     """Check that the plugin has a docstring, and each field a description, a unit and bounds."""
     own = cls.__dict__.get("__doc__")
     require(bool(inspect.cleandoc(own or "").strip()), "has no docstring; describe it")
@@ -163,14 +284,14 @@ def documented(cls: type[Plugin]) -> None:
             f"has a field {field!r} without a unit: the description is {text!r}; "
             "end it in one, such as [m], or [-] without a dimension",
         )
-        if not numbers(info.annotation):
+        if not _numbers(info.annotation):
             continue
-        for names, side in ((_LOWER, "ge= or gt="), (_UPPER, "le= or lt=")):
+        for names, side in ((("ge", "gt"), "ge= or gt="), (("le", "lt"), "le= or lt=")):
             bounded = any(getattr(m, n, None) is not None for m in info.metadata for n in names)
             require(bounded, f"has a field {field!r} without a bound on one side: give it {side}")
 
 
-def survives_a_checkpoint(plugin: Plugin) -> None:
+def _checkpoint(plugin: Plugin) -> None:
     """Check that the plugin is unchanged after it is written as JSON and read again."""
     written = resolver.to_dict(plugin)
     again = resolver.create(plugin.kind, json.loads(json.dumps(written)), plugin.kind)

@@ -7,29 +7,26 @@ a policy that fails without an error in another engine, so no probe passes with 
 
 from __future__ import annotations
 
-import inspect
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from flipperctl.api import (
-    Engine,
     FloatArray,
     Mounting,
     Profile,
     Robot,
     RobotState,
-    Sensor,
     Start,
     World,
 )
 from flipperctl.config import EnvConfig
 from flipperctl.core.observation import ANGLES
 from flipperctl.core.targets import JOINTS, turns
-from flipperctl.env.guarded_world import place as place_guarded
+from flipperctl.env.guarded import place as place_guarded
 from flipperctl.env.perceiving import Perceiver
 from flipperctl.errors import ConformanceError
 from flipperctl.evaluation.views.engines import in_default_engine
@@ -61,18 +58,9 @@ class Probe:
         """Whether the measurement is within the tolerance."""
         return bool(abs(self.found - self.expected) <= self.tolerance)  # found may be numpy's
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data."""
-        return {**asdict(self), "holds": self.holds}
-
 
 def probe(config: EnvConfig, source: PolicySource) -> list[Probe]:
-    """Return the probes of both engines, of sensing and, if it is exported, of a policy's file.
-
-    Raises:
-        ConfigError: the default engine cannot have the configuration's settings.
-        PolicyError: the file is damaged.
-    """
+    """Return the probes of both engines, of sensing and, if it is exported, of a policy's file."""
     found = [*probe_world(in_default_engine(config)), *probe_world(config), *probe_sensing(config)]
     if source.is_exported:
         interface = ExportedPolicy(source.file).interface
@@ -80,32 +68,9 @@ def probe(config: EnvConfig, source: PolicySource) -> list[Probe]:
     return found
 
 
-def engine_conventions(engine: Engine) -> None:
-    """Check signs, frames, units and timing of an engine's motion.
-
-    The pressed flippers of an engine without forces, such as ``examples/kinematic.py``, do not
-    pitch the chassis at all; one with a wrong sign pitches it the other way.
-    """
-    found = list(probe_world(EnvConfig(terrain="flat", sim=engine)))
-    lifting = [one for one in found if "pressed down" in one.meaning]
-    without_forces = all(one.found == 0 for one in lifting)
-    require_conventions([one for one in found if not (without_forces and one in lifting)])
-
-
-def sensor_conventions(sensor: Sensor) -> None:
-    """Check signs, frames and units of a sensor that perceives one state without a motion."""
-    if inspect.unwrap(type(sensor).over) is not inspect.unwrap(Sensor.over):
-        require_conventions(list(probe_sensing(EnvConfig(terrain="flat", perception=sensor))))
-
-
 def require_conventions(found: Sequence[Probe]) -> None:
-    """Refuse probes of which one differs from the contract.
-
-    Raises:
-        ConformanceError: one does; the text has the first.
-    """
-    wrong = [one for one in found if not one.holds]
-    if wrong:
+    """Raise ``ConformanceError`` for the first of the probes that differs from the contract."""
+    if wrong := [one for one in found if not one.holds]:
         first = wrong[0]
         raise ConformanceError(
             f"{len(wrong)} of {len(found)} conventions do not hold, first {first.of}: "

@@ -1,4 +1,4 @@
-"""Checks of an engine: motion, repeatability, limits, snapshots, and rays if it casts them."""
+"""Checks of an engine: motion, signs, repeatability, limits, snapshots, and its rays, if any."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ from flipperctl.api import (
     Start,
     World,
 )
-from flipperctl.testing.check import require
+from flipperctl.config import EnvConfig
+from flipperctl.randomness import global_states, moved_since
+from flipperctl.testing.check import of, require
+from flipperctl.testing.conventions import probe_world, require_conventions
 
 SAMPLES = 100
 """Number of samples in a run: one second, in which the robot drives about 0.2 m [-]."""
@@ -35,6 +38,7 @@ _BEYOND = 0.05
 """Angle by which a flipper may yield past its limit [rad]."""
 
 
+@of("sim", "drives", everywhere=False)
 def drives(engine: Engine) -> None:
     """Check that the robot drives at about track speed on level ground and turns its flippers."""
     for robot in (Robot(track_speed=2 * Robot().track_speed), Robot()):
@@ -54,6 +58,7 @@ def drives(engine: Engine) -> None:
         )
 
 
+@of("sim", "end stops", everywhere=False)
 def end_stops(engine: Engine) -> None:
     """Check that the flippers begin as the start says, and that no command turns them too far."""
     limit = Robot().angle_limit
@@ -75,6 +80,7 @@ def end_stops(engine: Engine) -> None:
         )
 
 
+@of("sim", "samples")
 def samples(engine: Engine) -> None:
     """Check that ``advance`` returns finite poses, (S, 5), the last of which equals the state."""
     world = _place(engine, GROUND)
@@ -85,15 +91,17 @@ def samples(engine: Engine) -> None:
     require(bool(np.allclose(last, state[:5])), f"the last pose is {last}, the state {state[:5]}")
 
 
+@of("sim", "repeats")
 def repeats(engine: Engine) -> None:
     """Check that equal worlds advance bit for bit equally, without other randomness."""
-    before = np.random.get_state(legacy=False)  # noqa: NPY002  # read only, to see whether it is used
+    before = global_states()
     one, other = (_run(_place(engine, GROUND)) for _ in range(2))
     require(bool(np.array_equal(one, other)), "two equal worlds end up in unequal poses")
-    after = np.random.get_state(legacy=False)  # noqa: NPY002
-    require(str(before) == str(after), "draws from numpy's global generator; only rng is allowed")
+    moved = moved_since(before)
+    require(not moved, f"draws from {moved}; only rng is allowed")
 
 
+@of("sim", "stops", everywhere=False)
 def stops(engine: Engine) -> None:
     """Check that a run ends after the sample at which a limit is reached."""
     for ground, limits in ((LEVEL, Limits(x=START.x + 0.05)), (_RAMP, Limits(angle=0.1))):
@@ -105,6 +113,7 @@ def stops(engine: Engine) -> None:
         )
 
 
+@of("sim", "returns")
 def returns(engine: Engine) -> None:
     """Check that loading a snapshot restores the state, the targets and what follows."""
     world = _place(engine, GROUND)
@@ -124,6 +133,7 @@ def returns(engine: Engine) -> None:
     )
 
 
+@of("sim", "rays", everywhere=False)
 def rays(engine: Engine) -> None:
     """Check that rays, if the world casts them, end on the ground, or nowhere within reach."""
     world = _place(engine, GROUND)
@@ -132,16 +142,25 @@ def rays(engine: Engine) -> None:
     side = world.state().side
     directions = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.6, 0.0, -0.8]])
     found = world.cast_rays(np.array([-1.5, side, 0.06]), directions, 2.0)
-    expected = [
-        0.06,
-        1.5,
-        np.inf,
-        0.075,
-    ]  # down, to the face at x = 0, over level ground, sloping down
+    # Down, to the face at x = 0, over level ground, sloping down
+    expected = [0.06, 1.5, np.inf, 0.075]
     require(
         bool(np.allclose(found, expected, atol=0.005)),
         f"casts rays to {found} m; {expected} m are expected",
     )
+
+
+@of("sim", "conventions", everywhere=False)
+def conventions(engine: Engine) -> None:
+    """Check signs, frames, units and timing of an engine's motion.
+
+    The pressed flippers of an engine without forces, such as ``examples/kinematic.py``, do not
+    pitch the chassis at all; one with a wrong sign pitches it the other way.
+    """
+    found = list(probe_world(EnvConfig(terrain="flat", sim=engine)))
+    lifting = [one for one in found if "pressed down" in one.meaning]
+    without_forces = all(one.found == 0 for one in lifting)
+    require_conventions([one for one in found if not (without_forces and one in lifting)])
 
 
 def _place(engine: Engine, ground: Profile, start: Start = START, robot: Robot = _NUBOT) -> World:

@@ -7,10 +7,11 @@ may lack.
 from __future__ import annotations
 
 import dis
+import inspect
 import math
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import fields, is_dataclass
 from functools import cache
 from types import CodeType, FunctionType, ModuleType
 
@@ -33,63 +34,11 @@ from flipperctl.config import EnvConfig
 from flipperctl.env.drive import Drive
 from flipperctl.env.perceiving import Perceiver
 from flipperctl.guard import short_repr
-from flipperctl.testing.check import require
+from flipperctl.randomness import global_states, moved_since
+from flipperctl.testing.check import of, require
+from flipperctl.testing.conventions import probe_sensing, require_conventions
 
 _PRESENT = (*sys.stdlib_module_names, "numpy", "flipperctl.core")
-
-
-def foreign_names(cls: type) -> set[str]:
-    """Return the foreign names that the class's methods use, directly or via its module."""
-    return set(_foreign(cls, cls.__module__, set()))
-
-
-def _foreign(value: object, home: str, seen: set[int]) -> Iterator[str]:
-    if id(value) in seen:
-        return
-    seen.add(id(value))
-    module = value.__name__ if isinstance(value, ModuleType) else _module(value)
-    if module != home:
-        if not any(module == name or module.startswith(f"{name}.") for name in _PRESENT):
-            yield module if isinstance(value, ModuleType) else f"{module}.{_name(value)}"
-    elif isinstance(value, type):
-        for part in (*value.__bases__, *vars(value).values()):
-            yield from _foreign(_function(part), home, seen)
-    elif isinstance(value, FunctionType):
-        for name in _globals(value.__code__):
-            if name in value.__globals__:
-                yield from _foreign(_function(value.__globals__[name]), home, seen)
-        for name in _imports(value.__code__):
-            yield from _foreign(ModuleType(name), home, seen)
-
-
-def _globals(code: CodeType) -> set[str]:
-    """Return the global names that a function and those inside it use."""
-    found = {i.argval for i in dis.get_instructions(code) if i.opname == "LOAD_GLOBAL"}
-    return found.union(*(_globals(c) for c in code.co_consts if isinstance(c, CodeType)))
-
-
-def _imports(code: CodeType) -> set[str]:
-    """Return the modules that a function and those inside it import."""
-    found = {i.argval for i in dis.get_instructions(code) if i.opname == "IMPORT_NAME"}
-    return found.union(*(_imports(c) for c in code.co_consts if isinstance(c, CodeType)))
-
-
-def _function(part: object) -> object:
-    """Return the function that a property, method, cache or partial wraps; others unchanged."""
-    if isinstance(part, FunctionType | ModuleType | type):
-        return part
-    inner = (getattr(part, name, None) for name in ("fget", "__func__", "__wrapped__", "func"))
-    return next((_function(one) for one in inner if callable(one)), part)
-
-
-def _module(value: object) -> str:
-    """Return the module that defines a class or a function, or the class of any other value."""
-    named = isinstance(value, type | FunctionType)
-    return str(getattr(value if named else type(value), "__module__", "builtins"))
-
-
-def _name(value: object) -> str:
-    return str(getattr(value, "__qualname__", type(value).__qualname__))
 
 
 GROUND = Profile([(0.0, 0.0), (0.0, 0.2), (1.0, 0.2), (1.0, 0.0)])
@@ -101,45 +50,32 @@ _PERIOD = 0.6
 _RAISE = action_index(1, 0)
 
 
-@dataclass(frozen=True)
-class _Taken:
-    """A measurement: its instrument, its time [s], and what is wrong with its value, if anything.
-
-    The value itself, which may be a large scan, is not kept.
-    """
-
-    instrument: str
-    time: float
-    fault: str | None
-
-
-@dataclass(frozen=True)
-class _Episode:
-    """Perceptions and measurements of two decisions."""
-
-    perceptions: list[Perception]
-    taken: list[_Taken]
-
-
+_Taken = tuple[str, float, str | None]
+"""A measurement's instrument and time [s], and what is wrong with its value, which may be a large
+scan and is not kept; None: nothing."""
+_Episode = tuple[list[Perception], list[_Taken]]
+"""Perceptions and measurements of two decisions."""
 _first: dict[int, tuple[Sensor, _Episode]] = {}
 """Identity of a sensor → the sensor, and its first episode, which several checks read."""
 
 
+@of("perception", "senses")
 def senses(sensor: Sensor) -> None:
     """Check perceptions in an episode: shapes, finite numbers, points in order of x."""
-    for p in _first_episode(sensor).perceptions:
+    for p in _first_episode(sensor)[0]:
         require(bool((np.diff(p.points[:, 0]) >= 0).all()), "the points' x decreases")
 
 
+@of("perception", "samples")
 def samples(sensor: Sensor) -> None:
     """Check that instruments measure plain data, at the start and at multiples of their period."""
-    taken = _first_episode(sensor).taken
+    _, taken = _first_episode(sensor)
     instruments = sensor.instruments(_mounting(_drive(sensor))) or {}
     for name, instrument in instruments.items():
-        found = [measured for measured in taken if measured.instrument == name]
-        for measured in found:
-            require(measured.fault is None, f"instrument {name!r} returned {measured.fault}")
-        times = [measured.time for measured in found]
+        for measured, _, fault in taken:
+            if measured == name:
+                require(fault is None, f"instrument {name!r} returned {fault}")
+        times = [time for measured, time, _ in taken if measured == name]
         period = instrument.period or _PERIOD
         due = np.arange(round((2 * _PERIOD) / SAMPLE_PERIOD) + 1) * SAMPLE_PERIOD
         due = due[:: round(period / SAMPLE_PERIOD)]
@@ -152,16 +88,17 @@ def samples(sensor: Sensor) -> None:
         )
 
 
+@of("perception", "repeats")
 def repeats(sensor: Sensor) -> None:
     """Check that equal generators give equal perceptions and no other randomness is used."""
-    one = _first_episode(sensor).perceptions
-    before = np.random.get_state(legacy=False)  # noqa: NPY002  # read only, to see whether it is used
-    other = _episode(sensor).perceptions
+    (one, _), before = _first_episode(sensor), global_states()
+    other, _ = _episode(sensor)
     require(_equal(one, other), "equal generators give unequal perceptions")
-    after = np.random.get_state(legacy=False)  # noqa: NPY002
-    require(str(before) == str(after), "draws from numpy's global generator; only rng is allowed")
+    moved = moved_since(before)
+    require(not moved, f"draws from {moved}; only rng is allowed")
 
 
+@of("perception", "returns")
 def returns(sensor: Sensor) -> None:
     """Check that a snapshot restores the sensor's measurements, estimates and random draws."""
     first, *rest = _states()
@@ -177,6 +114,7 @@ def returns(sensor: Sensor) -> None:
     )
 
 
+@of("perception", "portable", everywhere=False)
 def portable(sensor: Sensor) -> None:
     """Check that the estimator needs only Python, numpy and ``flipperctl.core``."""
     if sensor.instruments(_mounting(_drive(sensor))) is None:
@@ -188,6 +126,63 @@ def portable(sensor: Sensor) -> None:
         f"its estimator {type(estimator).__name__} uses {', '.join(found)}; it runs on a robot, "
         "where Python, numpy and flipperctl.core are allowed",
     )
+
+
+@of("perception", "conventions", everywhere=False)
+def conventions(sensor: Sensor) -> None:
+    """Check signs, frames and units of a sensor that perceives one state without a motion."""
+    if inspect.unwrap(type(sensor).over) is not inspect.unwrap(Sensor.over):
+        require_conventions(list(probe_sensing(EnvConfig(terrain="flat", perception=sensor))))
+
+
+def foreign_names(cls: type) -> set[str]:
+    """Return the foreign names that the class's methods use, directly or via its module."""
+    return set(_foreign(cls, cls.__module__, set()))
+
+
+def _foreign(value: object, home: str, seen: set[int]) -> Iterator[str]:
+    if id(value) in seen:
+        return
+    seen.add(id(value))
+    named = isinstance(value, type | FunctionType)
+    module = str(getattr(value if named else type(value), "__module__", "builtins"))
+    if isinstance(value, ModuleType):
+        yield from _absent(value.__name__)
+    elif module != home:
+        name = getattr(value, "__qualname__", type(value).__qualname__)
+        yield from (f"{absent}.{name}" for absent in _absent(module))
+    elif isinstance(value, type):
+        for part in (*value.__bases__, *vars(value).values()):
+            yield from _foreign(_function(part), home, seen)
+    elif isinstance(value, FunctionType):
+        for instruction in _instructions(value.__code__):
+            name = instruction.argval
+            if instruction.opname == "IMPORT_NAME":
+                yield from _absent(name)
+            elif instruction.opname == "LOAD_GLOBAL" and name in value.__globals__:
+                yield from _foreign(_function(value.__globals__[name]), home, seen)
+
+
+def _absent(module: str) -> Iterator[str]:
+    """Yield the name of a module unless every robot has it."""
+    if not any(module == name or module.startswith(f"{name}.") for name in _PRESENT):
+        yield module
+
+
+def _instructions(code: CodeType) -> Iterator[dis.Instruction]:
+    """Yield the instructions of a function and of those inside it."""
+    yield from dis.get_instructions(code)
+    for inner in code.co_consts:
+        if isinstance(inner, CodeType):
+            yield from _instructions(inner)
+
+
+def _function(part: object) -> object:
+    """Return the function that a property, method, cache or partial wraps; others unchanged."""
+    if isinstance(part, FunctionType | ModuleType | type):
+        return part
+    inner = (getattr(part, name, None) for name in ("fget", "__func__", "__wrapped__", "func"))
+    return next((_function(one) for one in inner if callable(one)), part)
 
 
 def _drive(sensor: Sensor) -> Drive:
@@ -218,14 +213,14 @@ def _episode(sensor: Sensor) -> _Episode:
     perceiver, taken = _perceiver(sensor, drive), list[_Taken]()
 
     def keep(m: Measured) -> None:
-        taken.append(_Taken(m.instrument, m.time, _fault(m.value)))
+        taken.append((m.instrument, m.time, _fault(m.value)))
 
     perceiver.attach(drive, keep)
     found = [perceiver.perceive(drive.delayed_state)]
     for _ in range(2):
         drive.decide(_RAISE)
         found.append(perceiver.perceive(drive.delayed_state))
-    return _Episode(found, taken)
+    return found, taken
 
 
 @cache

@@ -8,30 +8,20 @@ from pathlib import Path
 import numpy as np
 from matplotlib.colors import to_rgb
 
-from flipperctl.api import Profile, Terrain
+from flipperctl.api import Profile, Robot, Terrain
 from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConformanceError, TerrainError
+from flipperctl.figures.figure import save
 from flipperctl.figures.render import CHASSIS, EARTH, Renderer
+from flipperctl.figures.terrain import SMALL, terrain_figure
+from flipperctl.files import make_folder
 from flipperctl.randomness import global_states, moved_since
-from flipperctl.testing.check import require
+from flipperctl.testing.check import Variant, of, require
 from flipperctl.testing.recorded import HOLD, NoReward
-from flipperctl.testing.variants import Variant
 
 _MIN_AREA = 1e-3
 """Smallest fraction of the picture that ground and chassis must each cover [-]."""
-
-
-def shows_ground_and_robot(terrain: Terrain) -> None:
-    """Check that ground and robot are visible in a video frame."""
-    env = environment(terrain)
-    env.reset(seed=0)
-    picture = Renderer()(env.scene).astype(int)
-    for what, colour in (("ground", EARTH), ("robot", CHASSIS)):
-        near = np.abs(picture - np.round(255 * np.array(to_rgb(colour)))).max(axis=2) <= 8
-        require(float(near.mean()) >= _MIN_AREA, f"its picture shows no {what} (in {colour})")
-
-
 SEEDS = range(5)
 MAX_LENGTH, MAX_HEIGHT = 100.0, 20.0
 """Largest length of a profile, and largest height above or below its first edge [m]."""
@@ -42,33 +32,34 @@ MIN_DRIVEN, MAX_DEPTH = 0.15, 0.02
 """Smallest distance driven in these decisions, and largest penetration by contact [m]."""
 
 
-def draws(terrain: Terrain) -> None:
-    """Check that ``generate`` returns a profile."""
-    for seed in SEEDS:
-        _draw(terrain, seed)
-
-
-def repeats(terrain: Terrain) -> None:
-    """Check that equal generators give equal profiles, independently of earlier calls."""
-    first = [_draw(terrain, seed).points.tobytes() for seed in SEEDS]
+@of("terrain", "profiles")
+def profiles(terrain: Terrain) -> None:
+    """Check that equal generators alone give equal profiles, not too long or high for a robot."""
+    before = global_states()
+    drawn = [_draw(terrain, seed) for seed in SEEDS]
+    moved = moved_since(before)
+    require(not moved, f"generate draws from {moved}; only rng is allowed")
     again = type(terrain)(**dict(terrain))
     for seed in reversed(SEEDS):
         for instance in (terrain, again):
             require(
-                _draw(instance, seed).points.tobytes() == first[seed],
+                _draw(instance, seed).points.tobytes() == drawn[seed].points.tobytes(),
                 f"two profiles from generators of seed {seed} differ; "
                 "every random choice must come from rng",
             )
+    for profile in drawn:
+        length = profile.end - profile.start
+        require(
+            length <= MAX_LENGTH, f"it is {length:g} m long; at most {MAX_LENGTH:g} m is allowed"
+        )
+        highest = float(np.abs(profile.points[:, 1] - profile.points[0, 1]).max())
+        require(
+            highest <= MAX_HEIGHT,
+            f"it reaches {highest:g} m above or below its first edge; {MAX_HEIGHT:g} m is allowed",
+        )
 
 
-def leaves_global_randomness(terrain: Terrain) -> None:
-    """Check that the global generators of Python, numpy and torch are not used."""
-    before = global_states()
-    _draw(terrain, 0)
-    moved = moved_since(before)
-    require(not moved, f"generate draws from {moved}; only rng is allowed")
-
-
+@of("terrain", "difficulty")
 def graded(terrain: Terrain) -> None:
     """Check that difficulties from 0 to 1 work and are followed by ones from 0 to 1."""
     for difficulty in (0.0, terrain.first_difficulty, 1.0):
@@ -81,25 +72,10 @@ def graded(terrain: Terrain) -> None:
         _draw(terrain.at(difficulty), 0)
 
 
-def extent(terrain: Terrain) -> None:
-    """Check that a profile is not too long or too high for any robot."""
-    for seed in SEEDS:
-        profile = _draw(terrain, seed)
-        length = profile.end - profile.start
-        require(
-            length <= MAX_LENGTH, f"it is {length:g} m long; at most {MAX_LENGTH:g} m is allowed"
-        )
-        heights = profile.points[:, 1] - profile.points[0, 1]
-        highest = float(np.abs(heights).max())
-        require(
-            highest <= MAX_HEIGHT,
-            f"it reaches {highest:g} m above or below its first edge; {MAX_HEIGHT:g} m is allowed",
-        )
-
-
+@of("terrain", "start")
 def starts(terrain: Terrain) -> None:
     """Check that the robot starts ahead of the terrain and drives off without penetrating it."""
-    env = environment(terrain)
+    env = _environment(terrain)
     for seed in SEEDS[:2]:
         try:
             env.reset(seed=seed)
@@ -126,23 +102,24 @@ def starts(terrain: Terrain) -> None:
         )
 
 
-def environment(terrain: Terrain) -> FlipperEnv:
-    """Return the default environment on this terrain."""
+@of("terrain", "picture", everywhere=False)
+def picture(terrain: Terrain) -> None:
+    """Check that ground and robot are visible in a video frame."""
+    env = _environment(terrain)
+    env.reset(seed=0)
+    picture = Renderer()(env.scene).astype(int)
+    for what, colour in (("ground", EARTH), ("robot", CHASSIS)):
+        near = np.abs(picture - np.round(255 * np.array(to_rgb(colour)))).max(axis=2) <= 8
+        require(float(near.mean()) >= _MIN_AREA, f"its picture shows no {what} (in {colour})")
+
+
+def _environment(terrain: Terrain) -> FlipperEnv:
     # NoReward is not a registered plugin, so that none is needed.
     return FlipperEnv(config=EnvConfig(terrain=terrain, rewards={"none": NoReward()}))
 
 
 def write_pictures(variants: Sequence[Variant], folder: Path) -> None:
-    """Draw the first variant large and the others small, thirteen per file.
-
-    Raises:
-        OutputError: the folder cannot be written.
-    """
-    from flipperctl.api import Robot
-    from flipperctl.figures.figure import save
-    from flipperctl.figures.terrain import SMALL, terrain_figure
-    from flipperctl.files import make_folder
-
+    """Draw the first variant large and the others small, thirteen per file."""
     name = variants[0].plugin.plugin_name
     for page, first in enumerate(range(0, len(variants), SMALL + 1)):
         shown = variants[first : first + SMALL + 1]

@@ -8,7 +8,7 @@ import torch
 
 from flipperctl import api
 from flipperctl.api import Controller, Network
-from flipperctl.testing import controller
+from flipperctl.testing import policies
 from tests.testing.failing import failure
 
 
@@ -87,8 +87,8 @@ def test_a_controller_that_fails_is_described(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     seconds = iter(range(10_000))
-    monkeypatch.setattr(controller, "ENOUGH", 1e9)
-    monkeypatch.setattr(controller, "perf_counter", lambda: float(next(seconds)))
+    monkeypatch.setattr(policies, "ENOUGH", 1e9)
+    monkeypatch.setattr(policies, "perf_counter", lambda: float(next(seconds)))
     text = failure(driving(act), check)
     assert [word for word in words if word not in text] == [], text
 

@@ -15,8 +15,8 @@ from flipperctl.api import Outcome, Profile, RewardTerm, Terrain
 from flipperctl.errors import MissingExtraError
 from flipperctl.export import onnx as onnx_export
 from flipperctl.testing import Conformance, NotChecked, checks
+from flipperctl.testing.check import variants
 from flipperctl.testing.recorded import transitions, transitions_in_arrays
-from flipperctl.testing.variants import variants
 from tests.testing.failing import failure
 
 Draw = Callable[[float, np.random.Generator], object]
@@ -47,13 +47,13 @@ def box(height: float, length: float = 1.0) -> Profile:
 @pytest.mark.parametrize(
     ("check", "draw", "words"),
     [
-        ("draws", lambda h, rng: [(0, 0)], ["with its defaults", "returns a list", "Profile"]),
-        ("draws", lambda h, rng: Profile([(0, 0), (-h, 0)]), ["seed 0", "x decreases"]),
-        ("draws", lambda h, rng: box(1 / (0.4 - h)), ["with height=0.4", "ZeroDivisionError"]),
-        ("repeats", lambda h, rng: box(np.random.default_rng().random()), ["must come from rng"]),
-        ("global randomness", lambda h, rng: box(random.random()), ["only rng is allowed"]),
-        ("extent", lambda h, rng: box(h, 500 * h + 1), ["101 m long", "at most 100 m", "=0.4"]),
-        ("extent", lambda h, rng: box(-99 * h), ["39.6 m", "20 m is allowed"]),
+        ("profiles", lambda h, rng: [(0, 0)], ["with its defaults", "returns a list", "Profile"]),
+        ("profiles", lambda h, rng: Profile([(0, 0), (-h, 0)]), ["seed 0", "x decreases"]),
+        ("profiles", lambda h, rng: box(1 / (0.4 - h)), ["with height=0.4", "ZeroDivisionError"]),
+        ("profiles", lambda h, rng: box(np.random.default_rng().random()), ["must come from rng"]),
+        ("profiles", lambda h, rng: box(random.random()), ["only rng is allowed"]),
+        ("profiles", lambda h, rng: box(h, 500 * h + 1), ["101 m long", "at most 100 m", "=0.4"]),
+        ("profiles", lambda h, rng: box(-99 * h), ["39.6 m", "20 m is allowed"]),
         ("start", lambda h, rng: box(400.0), ["observation space"]),
     ],
 )
@@ -159,7 +159,7 @@ def test_a_measure_of_maps_is_called() -> None:
         def __call__(self, episode: Any) -> float:
             return math.inf
 
-    assert "it must return a finite number" in failure(Mine, "finite")
+    assert "it must return a finite number" in failure(Mine, "values")
 
 
 def described(**field: object) -> type[Terrain]:

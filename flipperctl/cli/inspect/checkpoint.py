@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -115,6 +116,6 @@ def _check(source: PolicySource, overrides: list[str], *, as_json: bool) -> None
     config = compose_environment(Overrides.parse(with_engine(overrides)), primary)
     found = probe(config, source)
     holds = all(one.holds for one in found)
-    document = {"holds": holds, "probes": [one.to_dict() for one in found]}
+    document = {"holds": holds, "probes": [{**asdict(one), "holds": one.holds} for one in found]}
     show(document, lambda: print_table(table(found), console()), as_json=as_json)
     require_conventions(found)
