@@ -7,13 +7,15 @@ the chassis). Signs: a flipper angle is positive when the flipper is above the c
 and rear alike; the pitch is positive nose up.
 """
 
-from flipperctl.api.candidate import candidate_angle, candidate_angles
 from flipperctl.api.controllers import (
     Controller,
     CostPolicy,
+    Network,
     Policy,
     Simulator,
+    StateGroups,
     controller,
+    network,
 )
 from flipperctl.api.engines import (
     NO_LIMITS,
@@ -32,22 +34,12 @@ from flipperctl.api.engines import (
     World,
     engine,
 )
-from flipperctl.api.groups import StateGroups
-from flipperctl.api.loggers import Listener, Logger, RunInfo, logger, scalars
-from flipperctl.api.measures import Measure, measure
-from flipperctl.api.networks import Network, network
 from flipperctl.api.plugin import NAME_RULE, Plugin, is_plugin_name, registry
-from flipperctl.api.profile import Profile
+from flipperctl.api.profile import MirroredSurface, Profile, Surface
+from flipperctl.api.records import Listener, Logger, Measure, RunInfo, logger, measure, scalars
 from flipperctl.api.rewards import RewardTerm, Shaping, limited, reward
-from flipperctl.api.robot import Robot
-from flipperctl.api.sensors import (
-    GroundSensor,
-    Instrument,
-    Mounting,
-    Sensor,
-    sensor,
-)
-from flipperctl.api.surface import MirroredSurface, Surface
+from flipperctl.api.robot import Robot, candidate_angle, candidate_angles
+from flipperctl.api.sensors import GroundSensor, Instrument, Mounting, Sensor, sensor
 from flipperctl.api.terrains import AnyTerrain, Published, Terrain, terrain
 from flipperctl.api.transitions import LAST_PITCHES, RobotStates, Transitions
 from flipperctl.api.values import (

@@ -266,18 +266,16 @@ def engine(name: str) -> Callable[[type[EngineT]], type[EngineT]]:
         ValueError: the name is not valid or is already taken.
         TypeError: the class is not an ``Engine``, or its ``place`` takes no generator.
     """
-    registered = register(Engine, name)
+    return register(Engine, name, _check_place)
 
-    def decorate(cls: type[EngineT]) -> type[EngineT]:
-        place = inspect.signature(cls.place)
-        try:
-            place.bind("self", "profile", "robot", "start", "rng")
-        except TypeError:
-            raise TypeError(
-                f"@engine({name!r}): {cls.__name__}.place({', '.join(place.parameters)}) cannot be "
-                "called as place(profile, robot, start, rng); add the parameter rng, the generator "
-                "of values that vary between episodes"
-            ) from None
-        return registered(cls)
 
-    return decorate
+def _check_place(cls: type[Engine], where: str) -> None:
+    place = inspect.signature(cls.place)
+    try:
+        place.bind("self", "profile", "robot", "start", "rng")
+    except TypeError:
+        raise TypeError(
+            f"{where}: {cls.__name__}.place({', '.join(place.parameters)}) cannot be called as "
+            "place(profile, robot, start, rng); add the parameter rng, the generator of values "
+            "that vary between episodes"
+        ) from None

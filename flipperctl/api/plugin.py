@@ -55,12 +55,17 @@ def is_plugin_name(name: str) -> bool:
     return re.fullmatch(r"[a-z][a-z0-9_]*", name) is not None and name not in _YAML
 
 
-def register(family: type[Any], name: str) -> Callable[[type[PluginT]], type[PluginT]]:
+def register(
+    family: type[Any], name: str, check: Callable[[Any, str], None] | None = None
+) -> Callable[[type[PluginT]], type[PluginT]]:
     """Return a decorator that registers a class of ``family`` under ``name``.
+
+    ``check`` refuses a class, given with the words with which its errors begin.
 
     Raises:
         ValueError: the name is not valid or is already taken in the family.
-        TypeError: the decorated class is not a subclass of ``family``, or there is no name.
+        TypeError: the decorated class is not a subclass of ``family`` or is refused, or there is no
+            name.
     """
     decorator = _DECORATORS.get(family.kind, family.kind)
     if isinstance(name, type):  # the decorated class itself
@@ -69,12 +74,22 @@ def register(family: type[Any], name: str) -> Callable[[type[PluginT]], type[Plu
     if not is_plugin_name(name):
         raise ValueError(f"plugin name {name!r}: {NAME_RULE}")
 
+    where = f"@{decorator}({name!r})"
+
     def decorate(cls: type[PluginT]) -> type[PluginT]:
         if not issubclass(cls, family):
-            raise TypeError(f"@{decorator}({name!r}): {cls.__name__} is not a {family.__name__}")
-        _check_fields(cls, family, f"@{decorator}({name!r})")
-        taken = registry.get((family.kind, name))
-        if taken is not None:
+            raise TypeError(f"{where}: {cls.__name__} is not a {family.__name__}")
+        if "name" in cls.model_fields:
+            raise TypeError(f"{where}: a setting cannot be called name, which selects the plugin")
+        for field in cls.model_fields.keys() - family.model_fields.keys():
+            if hasattr(family, field):
+                raise TypeError(
+                    f"{where}: {field} is a part of {family.__name__}, not a setting; annotate it "
+                    "as ClassVar, or call the setting something else"
+                )
+        if check is not None:
+            check(cls, where)
+        if (taken := registry.get((family.kind, name))) is not None:
             raise ValueError(
                 f"two {family.kind} plugins are called {name!r}: "
                 f"{taken.__module__}.{taken.__qualname__} and {cls.__module__}.{cls.__qualname__}; "
@@ -85,18 +100,6 @@ def register(family: type[Any], name: str) -> Callable[[type[PluginT]], type[Plu
         return cls
 
     return decorate
-
-
-def _check_fields(cls: type[Plugin], family: type[Plugin], where: str) -> None:
-    """Refuse settings that would hide what the family reads."""
-    if "name" in cls.model_fields:
-        raise TypeError(f"{where}: a setting cannot be called name, which selects the plugin")
-    for field in cls.model_fields.keys() - family.model_fields.keys():
-        if hasattr(family, field):
-            raise TypeError(
-                f"{where}: {field} is a part of {family.__name__}, not a setting; annotate it as "
-                f"ClassVar, or call the setting something else"
-            )
 
 
 def registered_names(kind: str) -> list[str]:

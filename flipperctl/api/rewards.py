@@ -119,19 +119,17 @@ def reward(name: str) -> Callable[[type[RewardT]], type[RewardT]]:
         ValueError: the name is not valid or is already taken.
         TypeError: the class is not a ``RewardTerm``, or writes no form of the reward.
     """
-    registered = register(RewardTerm, name)
+    return register(RewardTerm, name, _check_forms)
 
-    def decorate(cls: type[RewardT]) -> type[RewardT]:
-        base: type[RewardTerm] = Shaping if issubclass(cls, Shaping) else RewardTerm
-        forms = ("potential", "potentials") if base is Shaping else ("__call__", "array")
-        if issubclass(cls, base) and not any(writes(cls, base, form) for form in forms):
-            raise TypeError(
-                f"@reward({name!r}): {cls.__name__} needs a method {forms[0]} of one decision, or "
-                f"{forms[1]} of many"
-            )
-        return registered(cls)
 
-    return decorate
+def _check_forms(cls: type[RewardTerm], where: str) -> None:
+    base: type[RewardTerm] = Shaping if issubclass(cls, Shaping) else RewardTerm
+    forms = ("potential", "potentials") if base is Shaping else ("__call__", "array")
+    if not any(writes(cls, base, form) for form in forms):
+        raise TypeError(
+            f"{where}: {cls.__name__} needs a method {forms[0]} of one decision, or {forms[1]} of "
+            "many"
+        )
 
 
 def limited(value: Any, low: float, high: float) -> float:

@@ -138,16 +138,14 @@ def sensor(name: str) -> Callable[[type[SensorT]], type[SensorT]]:
         TypeError: the class is not a ``Sensor``, or implements neither ``over`` nor
             ``instruments`` and ``estimator``.
     """
-    registered = register(Sensor, name)
+    return register(Sensor, name, _check_parts)
 
-    def decorate(cls: type[SensorT]) -> type[SensorT]:
-        whole = cls.over is not Sensor.over
-        parts = cls.instruments is not Sensor.instruments and cls.estimator is not Sensor.estimator
-        if not (whole or parts):
-            raise TypeError(
-                f"@sensor({name!r}): {cls.__name__} needs a method over(profile, margin), or both "
-                "instruments(mounting) and estimator(robot)"
-            )
-        return registered(cls)
 
-    return decorate
+def _check_parts(cls: type[Sensor], where: str) -> None:
+    whole = cls.over is not Sensor.over
+    parts = cls.instruments is not Sensor.instruments and cls.estimator is not Sensor.estimator
+    if not (whole or parts):
+        raise TypeError(
+            f"{where}: {cls.__name__} needs a method over(profile, margin), or both "
+            "instruments(mounting) and estimator(robot)"
+        )

@@ -7,7 +7,7 @@ each decision as a ``Transition``.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from operator import attrgetter
 
@@ -127,13 +127,9 @@ class Transitions:
         count, poses = len(self.after), self.path.shape[1:2]
         _require_shape("before.pitch", self.before.pitch, (count,))
         _require_shape("pitches", self.pitches, (count, self.pitches.shape[-1]))
-        for name, shape in {
-            "action": (2,),
-            "previous_action": (2,),
-            "path": (*poses, 3),
-            "flippers": (*poses, 2),
-        }.items():
-            _require_shape(name, getattr(self, name), (count, *shape))
+        shapes = {"path": (*poses, 3), "flippers": (*poses, 2)}
+        for name in _ARRAYS:
+            _require_shape(name, getattr(self, name), (count, *shapes.get(name, (2,))))
         if len(self.outcome) != count:
             raise ValueError(f"outcome has {len(self.outcome)} entries; {count} are allowed")
 
@@ -159,14 +155,14 @@ class Transitions:
             before=RobotStates.of([t.before for t in transitions]),
             after=RobotStates.of([t.after for t in transitions]),
             pitches=np.array([t.pitches[len(t.pitches) - shortest :] for t in transitions]),
-            action=np.array([t.action for t in transitions], np.intp),
-            previous_action=np.array([t.previous_action for t in transitions], np.intp),
-            path=np.array([t.path for t in transitions]),
-            flippers=np.array([t.flippers for t in transitions]),
             profile=first.profile,
             robot=first.robot,
             outcome=tuple(t.outcome for t in transitions),
             sample_period=first.sample_period,
+            **{
+                name: np.array([getattr(t, name) for t in transitions], kind)
+                for name, kind in _ARRAYS.items()
+            },
         )
 
     def __len__(self) -> int:
@@ -180,18 +176,12 @@ class Transitions:
 
     def ending(self, rows: NDArray[np.intp], outcome: Outcome) -> Transitions:
         """Return some of the decisions as if each had ended its episode with ``outcome``."""
-        return Transitions(
+        return replace(
+            self,
             before=self.before.take(rows),
             after=self.after.take(rows),
-            pitches=self.pitches[rows],
-            action=self.action[rows],
-            previous_action=self.previous_action[rows],
-            path=self.path[rows],
-            flippers=self.flippers[rows],
-            profile=self.profile,
-            robot=self.robot,
             outcome=(outcome,) * len(rows),
-            sample_period=self.sample_period,
+            **{name: getattr(self, name)[rows] for name in ("pitches", *_ARRAYS)},
         )
 
     @cached_property
@@ -227,18 +217,15 @@ class Transitions:
 
 
 _STATE: dict[str, tuple[int, ...]] = {
-    "position": (2,),
-    "pitch": (),
-    "front": (),
-    "rear": (),
-    "velocity": (2,),
-    "pitch_rate": (),
-    "time": (),
-    "roll": (),
-    "yaw": (),
-    "side": (),
+    **{"position": (2,), "pitch": (), "front": (), "rear": (), "velocity": (2,)},
+    **{"pitch_rate": (), "time": (), "roll": (), "yaw": (), "side": ()},
 }
 """Field of ``RobotState`` → shape of its value."""
+_ARRAYS: dict[str, type] = {
+    **dict.fromkeys(("action", "previous_action"), np.intp),
+    **dict.fromkeys(("path", "flippers"), np.float64),
+}
+"""Field of ``Transition`` → type of its numbers."""
 _NUMBERS = tuple(name for name, shape in _STATE.items() if not shape)
 _numbers = attrgetter(*_NUMBERS)
 
