@@ -29,8 +29,7 @@ from flipperctl.policies.source import load_policy
 from flipperctl.reward_sum import RewardSum
 from flipperctl.rollout.episode import decisions
 from flipperctl.rollout.seeds import EvaluationSeeds
-from flipperctl.sim.planar.compiled import step_alone
-from flipperctl.sim.planar.joints import TRACK
+from flipperctl.sim.planar.compiled import TRACK, step_alone
 from flipperctl.sim.planar.world import PlanarWorld
 
 ABOUT = (

@@ -16,7 +16,7 @@ from pymunk import PivotJoint
 from flipperctl.api import ACTIONS, NO_LIMITS, FloatArray, Limits
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import NonFiniteError
-from flipperctl.sim.planar.joints import TOLERANCE, Budget
+from flipperctl.sim.planar.compiled import TOLERANCE, Budget
 from flipperctl.sim.planar.world import PlanarWorld
 
 TERRAINS = (

@@ -7,17 +7,19 @@ points of the ground with its gaps filled.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from flipperctl.api import FloatArray
+from flipperctl.api import FloatArray, RobotState
 from flipperctl.core import observation
 from flipperctl.sim.jit import cached
 
 sum_heights = cached(njit)(observation.sum_heights)
-"""``core.observation.sum_heights``, compiled."""
+fill_gaps = cached(njit)(observation.fill_gaps)
+"""``core.observation.sum_heights`` and ``fill_gaps``, compiled."""
 
 
 def distances(
@@ -50,9 +52,8 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 _GRAZING = 1e-9
 """Largest difference of two slopes at which a line of sight along the ground is free [-]."""
-
-fill_gaps = cached(njit)(observation.fill_gaps)
-"""``core.observation.fill_gaps``, compiled."""
+_BEHIND = 10.0
+"""Range of the sensor behind the robot [m]; ahead it is the horizon."""
 
 
 @cached(njit)
@@ -116,3 +117,37 @@ def known_points(seen: NDArray[np.bool_], low: int, high: int) -> NDArray[np.int
         if seen[high - 1]:
             break
     return low + np.flatnonzero(seen[low:high])
+
+
+class Mast(NamedTuple):
+    """Mount and range of the ranging sensor."""
+
+    mount: tuple[float, float]
+    """Position (x, z) of the sensor in frame R [m]."""
+    body_length: float
+    """Length of the chassis, which hides the ground below it [m]."""
+    horizon: float
+    """Range ahead of the robot [m]."""
+
+
+class SeenGround:
+    """Remembers which points of the sampled outline a line of sight has reached."""
+
+    def __init__(self, cloud: FloatArray, spacing: float, vertices: FloatArray, mast: Mast) -> None:
+        """Begin with none of ``cloud`` seen, (P, 2), ``spacing`` apart along ``vertices`` [m]."""
+        # Edges between two sampled points hide the ground too, so the vertices are added.
+        along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(vertices, axis=0).T))])
+        at = np.concatenate([np.arange(len(cloud)) * spacing, along])  # (M,) [m]
+        order = np.argsort(at, kind="stable")
+        self._outline = np.concatenate([cloud, vertices])[order]
+        self._index = np.where(order < len(cloud), order, -1)
+        self._mast = mast
+        self.seen = np.zeros(len(cloud), dtype=np.bool_)
+        """Which points of the cloud were seen, (P,)."""
+
+    def scan(self, state: RobotState) -> None:
+        """Cast rays from the mount and remember the points that they reach."""
+        x, z = state.position.tolist()
+        mount, body, horizon = self._mast
+        pose, limits = (x, z, float(state.pitch)), (x - _BEHIND, x + horizon)
+        mark_seen(self._outline, self._index, pose, mount, body, limits, self.seen)

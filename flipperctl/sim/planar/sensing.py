@@ -2,7 +2,7 @@
 
 In: the true profile and state. Out: terrain points in frame L and the mean height of each bin.
 Without ``occlusion``, all points within the horizon are sensed, even those hidden by an edge or in
-a trench; with it, ``SeenGround`` determines which points a sensor on a mast has seen.
+a trench; with it, ``rays.SeenGround`` determines which points a sensor on a mast has seen.
 
 ``MapErrors`` is a cheap model of a map that a robot builds as it drives. Heights are wrong by a
 stationary process along x, which stays on the map. Odometry moves the robot on its map by a random
@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,23 +135,21 @@ class TerrainSensor:
 
     def __init__(self, profile: Profile, settings: PlanarSensor, margin: float) -> None:
         """Sample ``profile`` with ``margin`` [m] of level ground on either side."""
-        self.settings = settings
-        self._cloud = profile.sample(1 / settings.density, margin)
-        self._x = np.ascontiguousarray(self._cloud[:, 0])
-        self._reach = settings.reach
-        from flipperctl.sim.planar.rays import sum_heights  # numba takes a third of a second
+        from flipperctl.sim.planar import rays  # numba takes a third of a second to import
 
-        self._sum_heights = sum_heights
+        s = self.settings = settings
+        self._rays, self._spacing, self._reach = rays, 1 / s.density, s.reach
+        self._cloud = profile.sample(self._spacing, margin)
+        self._x = np.ascontiguousarray(self._cloud[:, 0])
         self._map_errors: MapErrors | None = None
-        s = settings
         if s.map_error or s.map_drift or s.map_jitter:
             size = MapErrorSize(s.map_error, s.map_length, s.map_drift, s.map_jitter)
             self._map_errors = MapErrors(self._x, size)
-        self._seen_ground: SeenGround | None = None
-        if settings.occlusion:
-            mount = settings.mount_x, settings.mount_z
-            mast = Mast(mount, settings.body_length, settings.horizon)
-            self._seen_ground = SeenGround(profile, mast, settings.density, margin)
+        self._seen_ground: rays.SeenGround | None = None
+        if s.occlusion:
+            mast = rays.Mast((s.mount_x, s.mount_z), s.body_length, s.horizon)
+            vertices = profile.extended(margin, margin)
+            self._seen_ground = rays.SeenGround(self._cloud, self._spacing, vertices, mast)
 
     def sense(
         self, state: RobotState, rng: np.random.Generator
@@ -168,159 +166,58 @@ class TerrainSensor:
         if s.angle_noise > 0:
             noise = rng.normal(0.0, s.angle_noise, 3)
             front, rear, pitch = front + noise[0], rear + noise[1], pitch + noise[2]
-        ground = SensedGround(points, self.heights(points), filled)
-        return ground, SensedAngles(front=float(front), rear=float(rear), pitch=float(pitch))
+        heights = mean_heights(points, s.bins, s.bin_width, self._rays.sum_heights)
+        angles = SensedAngles(front=float(front), rear=float(rear), pitch=float(pitch))
+        return SensedGround(points, heights, filled), angles
 
     def save(self) -> tuple[Any, Any]:
         """Return a snapshot of the seen points and of the map's errors."""
-        memories = self._seen_ground, self._map_errors
-        seen, errors = (None if memory is None else memory.save() for memory in memories)
-        return seen, errors
+        ground, errors = self._seen_ground, self._map_errors
+        return ground and ground.seen.copy(), errors and errors.save()
 
     def load(self, saved: tuple[Any, Any]) -> None:
         """Restore a snapshot."""
         seen, errors = saved
         if self._seen_ground is not None:
-            self._seen_ground.load(seen)
+            self._seen_ground.seen[:] = seen
         if self._map_errors is not None:
             self._map_errors.load(errors)
-
-    def points(self, position: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Return the sensed terrain points in frame L, x never decreasing, (P, 2) [m]."""
-        return self._sensed(position, rng)[0]
 
     def _sensed(
         self, position: FloatArray, rng: np.random.Generator
     ) -> tuple[FloatArray, NDArray[np.bool_] | None]:
-        """Return the points, and with occlusion which of them are filled."""
-        s = self.settings
-        x = float(position[0])
-        near = min(self._reach, s.horizon)
-        beyond = 0.0 if self._map_errors is None else LARGEST
+        """Return the points in frame L, (P, 2) [m], and with occlusion which of them are filled."""
+        s, x, ground, errors = (
+            self.settings,
+            float(position[0]),
+            self._seen_ground,
+            self._map_errors,
+        )
+        near, beyond = min(self._reach, s.horizon), LARGEST if errors else 0.0
         low = bisect_left(self._x.data, x - self._reach - beyond)
         high = bisect_left(self._x.data, x + near + beyond)
-        if self._seen_ground is None:
-            points = self._disturbed(self._cloud[low:high] - position, slice(low, high), rng)
-            points = points[self._inside(points, near)] if beyond else points
-            return (points[self._kept(points, rng)] if s.dropout > 0 else points), None
-        index = self._seen_ground.known(low, high)
-        points = self._disturbed(self._cloud[index] - position, index, rng)
-        offered = (index >= low) & (index < high)
-        if beyond:
-            offered &= self._inside(points, near)
-        if s.dropout > 0:
-            offered &= self._kept(points, rng)
-        return self._seen_ground.fill(points, index, offered, (-self._reach, near))
-
-    def _inside(self, points: FloatArray, near: float) -> NDArray[np.bool_]:
-        """Return which points are within reach behind and ``near`` [m] ahead, (P,)."""
-        return np.asarray((points[:, 0] >= -self._reach) & (points[:, 0] < near))
-
-    def _disturbed(
-        self, points: FloatArray, index: slice | NDArray[np.int64], rng: np.random.Generator
-    ) -> FloatArray:
-        """Add bias, noise and the map's errors to ``points``, in place, and return them.
-
-        ``index``: which points of the sampled ground these are.
-        """
-        s = self.settings
-        if self._map_errors is not None:
-            self._map_errors.apply(points, index)
+        index: Any = slice(low, high)
+        if ground is not None:
+            index = self._rays.known_points(ground.seen, low, high)
+        points = self._cloud[index] - position
+        if errors is not None:
+            errors.apply(points, index)
         if s.bias:
             points[:, 1] += s.bias
         if s.noise > 0:
             points[:, 1] += rng.normal(0.0, s.noise, len(points))
-        return points
-
-    def _kept(self, points: FloatArray, rng: np.random.Generator) -> NDArray[np.bool_]:
-        """Return which points do not drop out, (P,)."""
-        return np.asarray(rng.random(len(points)) >= self.settings.dropout)
-
-    def heights(self, points: FloatArray) -> FloatArray:
-        """Return the mean height of the points of each bin, (N,) in frame L [m]."""
-        s = self.settings
-        return mean_heights(points, s.bins, s.bin_width, self._sum_heights)
-
-
-_BEHIND = 10.0
-"""Range of the sensor behind the robot [m]; ahead it is the horizon."""
-
-
-class Mast(NamedTuple):
-    """Mount and range of the ranging sensor."""
-
-    mount: tuple[float, float]
-    """Position (x, z) of the sensor in frame R [m]."""
-    body_length: float
-    """Length of the chassis, which hides the ground below it [m]."""
-    horizon: float
-    """Range ahead of the robot [m]."""
-
-
-class SeenGround:
-    """Remembers which points of the sampled outline a line of sight has reached."""
-
-    def __init__(self, profile: Profile, mast: Mast, density: float, margin: float) -> None:
-        """Begin with nothing seen of ``profile`` and ``margin`` [m] of level ground on both sides.
-
-        ``density``: points per metre of its outline [1/m].
-        """
-        from flipperctl.sim.planar import rays  # numba takes a third of a second to import
-
-        self._rays, self._mast = rays, mast
-        self._spacing = 1 / density
-        cloud = profile.sample(self._spacing, margin)
-        # Edges between two sampled points hide the ground too, so the vertices are added.
-        vertices = profile.extended(margin, margin)
-        along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(vertices, axis=0).T))])
-        at = np.concatenate([np.arange(len(cloud)) * self._spacing, along])  # (M,) [m]
-        order = np.argsort(at, kind="stable")
-        self._outline = np.concatenate([cloud, vertices])[order]
-        self._index = np.where(order < len(cloud), order, -1)
-        self._seen = np.zeros(len(cloud), dtype=np.bool_)
-
-    def scan(self, state: RobotState) -> None:
-        """Cast rays from the mount and remember the points that they reach."""
-        mast = self._mast
-        x, z = state.position.tolist()
-        self._rays.mark_seen(
-            self._outline,
-            self._index,
-            (x, z, float(state.pitch)),
-            mast.mount,
-            mast.body_length,
-            (x - _BEHIND, x + mast.horizon),
-            self._seen,
-        )
-
-    def known(self, low: int, high: int) -> NDArray[np.int64]:
-        """Return the numbers of the seen points, (K,); see ``rays.known_points``."""
-        found: NDArray[np.int64] = self._rays.known_points(self._seen, low, high)
-        return found
-
-    def fill(
-        self,
-        points: FloatArray,
-        index: NDArray[np.int64],
-        offered: NDArray[np.bool_],
-        limits: tuple[float, float],
-    ) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Return the offered points and, where the ground was never seen, filled ones.
-
-        See ``rays.fill_gaps``.
-        """
-        found: tuple[FloatArray, NDArray[np.bool_]] = self._rays.fill_gaps(
-            points, index, offered, self._spacing, limits
-        )
-        return found
-
-    def save(self) -> NDArray[np.bool_]:
-        """Return a snapshot of the seen points."""
-        return self._seen.copy()
-
-    def load(self, saved: NDArray[np.bool_]) -> None:
-        """Restore a snapshot."""
-        self._seen[:] = saved
+        inside = (points[:, 0] >= -self._reach) & (points[:, 0] < near) if errors else None
+        if ground is None:
+            points = points if inside is None else points[inside]
+            return (points[rng.random(len(points)) >= s.dropout] if s.dropout > 0 else points), None
+        offered = (index >= low) & (index < high)
+        if inside is not None:
+            offered &= inside
+        if s.dropout > 0:
+            offered &= rng.random(len(points)) >= s.dropout
+        limits = -self._reach, near
+        found = self._rays.fill_gaps(points, index, offered, self._spacing, limits)
+        return found[0], found[1]
 
 
 NEAREST = 0.3

@@ -8,7 +8,7 @@ up.
 from __future__ import annotations
 
 import math
-from itertools import pairwise
+from itertools import groupby, pairwise
 from typing import Any
 
 import numpy as np
@@ -24,13 +24,28 @@ from flipperctl.api import (
     RobotState,
     Start,
 )
-from flipperctl.sim.planar.compiled import CompiledLoop
-from flipperctl.sim.planar.joints import GROUND, TRACK, Belt, Budget, join, largest_impulse
+from flipperctl.sim.planar.compiled import GROUND, TRACK, Belt, Budget, CompiledLoop
 from flipperctl.sim.planar.rays import distances
 from flipperctl.sim.planar.settings import PlanarSettings
 from flipperctl.sim.resting import height_at
 
 _LEVEL_GROUND = 20.0  # length of the level ground before and past the profile [m]
+_IMPULSE_SPEED = 1.25
+"""Largest impulse of a hinge in a substep, and largest cached impulse of a contact, per mass of
+the robot [m/s]: 56 N s for 45 kg, or 11 kN over a substep of 5 ms.
+
+Rule-based controllers reach 20 N s at the hinges and 40 N s at contacts, in landings.
+"""
+_CLOSING_SPEED = 0.5
+"""Largest speed at which a hinge corrects its error [m/s]; rule-based controllers need 0.4 m/s."""
+_STOP_PLAY = 1e-3
+"""Distance of the end stops past the largest target [rad], so that servos hold it undisturbed."""
+_STOP_RETURN = 0.1
+"""Speed at which a stop pushes a flipper back, as a fraction of the servo's [-].
+
+A flipper passes its stop for one substep before Chipmunk stops it. A slow return gives back little
+of the energy that pushed it there.
+"""
 
 
 class PlanarWorld:
@@ -51,15 +66,23 @@ class PlanarWorld:
         space.collision_bias = 0.2**60  # Chipmunk's default is far too soft at these substeps
         self._add_ground()
 
-        centre = (start.x, height_at(start, profile, robot))
-        half = robot.hinge_offset
-        self._chassis = self._add_chassis(centre, start.pitch, 2 * half)
+        centre, half = (start.x, height_at(start, profile, robot)), robot.hinge_offset
+        self._chassis = self._add_part(robot.chassis_mass, centre, start.pitch, 2 * half)
+        if robot.payload:
+            inertia = self._chassis.moment + sum(robot.load_inertia)
+            self._chassis.mass, self._chassis.moment = robot.carried_mass, inertia
+            self._chassis.center_of_gravity = robot.centre_of_mass
+            self._chassis.position = centre  # Chipmunk keeps the place of the centre of mass
         self._front, self._front_gear = self._add_flipper(half, start.front)
         self._rear, self._rear_gear = self._add_flipper(-half, start.rear)
+        self._bodies = self._chassis, self._front, self._rear
+        grip = math.inf  # normal impulses of a substep from which the motors limit the belts [N s]
+        if robot.track_force is not None:
+            grip = robot.track_force * sim.substep / sim.friction
         self._loop = CompiledLoop(
             space,
-            (self._chassis, self._front, self._rear),
-            Belt(robot.track_speed, largest_impulse(robot), self._grip),
+            self._bodies,
+            Belt(robot.track_speed, _IMPULSE_SPEED * robot.mass, grip),
             Budget.of(robot, sim.gravity),
             sim.substep,
             round(SAMPLE_PERIOD / sim.substep),
@@ -68,8 +91,7 @@ class PlanarWorld:
 
     def _add_ground(self) -> None:
         self._line = self.profile.extended(_LEVEL_GROUND, _LEVEL_GROUND)
-        line = [tuple(p) for p in self._line.tolist()]
-        line = [p for i, p in enumerate(line) if i == 0 or p != line[i - 1]]
+        line = [point for point, _ in groupby(map(tuple, self._line.tolist()))]
         ground = self.space.static_body
         segments = [pymunk.Segment(ground, a, b, 0.0) for a, b in pairwise(line)]
         for i, segment in enumerate(segments):
@@ -78,29 +100,11 @@ class PlanarWorld:
             segment.collision_type = GROUND
         self.space.add(*segments)
 
-    @property
-    def _grip(self) -> float:
-        """Normal impulses of a substep from which the tracks' motors limit the belts [N s]."""
-        force = self.robot.track_force
-        return math.inf if force is None else force * self.sim.substep / self.sim.friction
-
-    def _add_chassis(self, centre: tuple[float, float], angle: float, axle: float) -> pymunk.Body:
-        robot = self.robot
-        body = self._add_part(robot.chassis_mass, centre, angle, axle)
-        if robot.payload:
-            body.mass, body.moment = robot.carried_mass, body.moment + sum(robot.load_inertia)
-            body.center_of_gravity = robot.centre_of_mass
-            body.position = centre  # Chipmunk keeps the place of the centre of mass
-        return body
-
-    def _add_part(
-        self, mass: float, centre: tuple[float, float], angle: float, axle: float
-    ) -> pymunk.Body:
+    def _add_part(self, mass: float, centre: Any, angle: float, axle: float) -> pymunk.Body:
         a, b = (-axle / 2, 0.0), (axle / 2, 0.0)
         radius = self.robot.track_radius
         body = pymunk.Body(mass, pymunk.moment_for_segment(mass, a, b, radius))
-        body.position = centre
-        body.angle = angle
+        body.position, body.angle = centre, angle
         shape = pymunk.Segment(body, a, b, radius)
         shape.friction = 1.0  # Chipmunk multiplies the two shapes' friction
         shape.collision_type = TRACK
@@ -109,15 +113,27 @@ class PlanarWorld:
         return body
 
     def _add_flipper(self, hinge_x: float, angle: float) -> tuple[pymunk.Body, pymunk.GearJoint]:
-        robot = self.robot
-        side = math.copysign(1.0, hinge_x)
-        pitch = self._chassis.angle
+        """Add a flipper pair; return it and its servo, which holds the present angle."""
+        robot, pitch, side = self.robot, self._chassis.angle, math.copysign(1.0, hinge_x)
         turned = pitch + side * angle  # the engine's angle
         hinge = self._chassis.position + pymunk.Vec2d(hinge_x, 0.0).rotated(pitch)
         reach = side * robot.flipper_axle / 2
         centre = hinge + pymunk.Vec2d(reach, 0.0).rotated(turned)
         body = self._add_part(robot.flipper_mass, centre, turned, robot.flipper_axle)
-        return body, join(self._chassis, body, hinge_x, robot, self.sim.substep)
+        pivot = pymunk.PivotJoint(self._chassis, body, (hinge_x, 0.0), (-reach, 0.0))
+        pivot.max_bias = _CLOSING_SPEED
+        pivot.max_force = _IMPULSE_SPEED * robot.mass / self.sim.substep
+        # A gear joint of ratio 1 holds the angle `phase` with at most the rate `max_bias` and the
+        # torque `max_force`: a rate- and torque-limited servo without a callback.
+        servo = pymunk.GearJoint(self._chassis, body, body.angle - pitch, 1.0)
+        servo.max_bias, servo.max_force = robot.flipper_speed, robot.flipper_torque
+        largest = robot.angle_limit + _STOP_PLAY
+        stop = pymunk.RotaryLimitJoint(self._chassis, body, -largest, largest)
+        stop.max_bias = _STOP_RETURN * robot.flipper_speed
+        for joint in (pivot, servo, stop):  # the solver's order
+            joint.error_bias = 0.0
+            self.space.add(joint)
+        return body, servo
 
     def command(self, front: float, rear: float) -> None:
         """Set the target angles of the flippers in frame R [rad]."""
@@ -125,11 +141,7 @@ class PlanarWorld:
         self._rear_gear.phase = -rear
 
     def advance(self, samples: int = 1, limits: Limits = NO_LIMITS) -> FloatArray:
-        """Simulate up to ``samples`` sample periods; return the pose at the end of each.
-
-        The poses are (S, 5): x [m], z [m], pitch, front and rear flipper angle [rad]. The run
-        stops after the sample at which the chassis reaches a limit.
-        """
+        """Simulate up to ``samples`` sample periods; return the pose at the end of each, (S, 5)."""
         poses = np.empty((samples, 5))
         done = self._loop.run(poses, limits)
         self._time += done * SAMPLE_PERIOD
@@ -146,14 +158,14 @@ class PlanarWorld:
 
     def penetration(self) -> float:
         """Return the largest depth by which the robot overlaps the ground [m]."""
-        depth = 0.0
-        for body in (self._chassis, self._front, self._rear):
-            for shape in body.shapes:
-                for hit in self.space.shape_query(shape):
-                    if hit.shape is not None and hit.shape.collision_type == GROUND:
-                        points = hit.contact_point_set.points
-                        depth = max([depth, *(-p.distance for p in points)])
-        return depth
+        hits = [h for b in self._bodies for s in b.shapes for h in self.space.shape_query(s)]
+        depths = (
+            -point.distance
+            for hit in hits
+            if hit.shape is not None and hit.shape.collision_type == GROUND
+            for point in hit.contact_point_set.points
+        )
+        return max([0.0, *depths])
 
     def cast_rays(self, origin: FloatArray, directions: FloatArray, reach: float) -> FloatArray:
         """Return the distance from ``origin`` to the ground along each direction, (R,) [m].
@@ -194,16 +206,13 @@ class PlanarWorld:
         It lacks the engine's contact impulses, so a loaded run differs from an uninterrupted one,
         by 5e-5 m per decision at the median and by up to 0.02 m at hard contacts.
         """
-        bodies = [
-            (b.position, b.angle, b.velocity, b.angular_velocity)
-            for b in (self._chassis, self._front, self._rear)
-        ]
+        bodies = [(b.position, b.angle, b.velocity, b.angular_velocity) for b in self._bodies]
         return bodies, self._front_gear.phase, self._rear_gear.phase, self._time
 
     def load(self, saved: tuple[Any, ...]) -> None:
         """Restore a snapshot."""
         bodies, self._front_gear.phase, self._rear_gear.phase, self._time = saved
-        for body, pose in zip((self._chassis, self._front, self._rear), bodies, strict=True):
+        for body, pose in zip(self._bodies, bodies, strict=True):
             # The angle first, as the position depends on it if a load shifts the centre of mass.
             position, body.angle, body.velocity, body.angular_velocity = pose
             body.position = position

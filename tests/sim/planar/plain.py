@@ -6,7 +6,7 @@ import numpy as np
 import pymunk
 
 from flipperctl.api import FloatArray, Limits
-from flipperctl.sim.planar.joints import (
+from flipperctl.sim.planar.compiled import (
     GROUND,
     TRACK,
     Belt,

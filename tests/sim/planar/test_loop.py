@@ -11,9 +11,8 @@ import pytest
 from flipperctl.api import Limits, Robot, Start
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
-from flipperctl.sim.planar import Planar, compiled, joints, world
-from flipperctl.sim.planar.compiled import CompiledLoop
-from flipperctl.sim.planar.joints import GROUND, TRACK, Belt, Budget
+from flipperctl.sim.planar import Planar, compiled, world
+from flipperctl.sim.planar.compiled import GROUND, TRACK, Belt, Budget, CompiledLoop
 from flipperctl.sim.planar.world import PlanarWorld
 from tests.long.energy import Balance, measure, violations
 from tests.sim.planar.plain import PlainLoop
@@ -178,13 +177,17 @@ def test_no_sample_gains_more_energy_than_the_drives_give(
 ) -> None:
     found = balance(terrain, seed, actions)
     assert violations([found]) == []
-    assert found.excess <= joints.TOLERANCE + 1e-6
+    assert found.excess <= compiled.TOLERANCE + 1e-6
     assert found.gain < 5.5  # servos 1.75, belts at most 2.65, tolerance 1
 
 
 def test_without_bounds_a_wedged_robot_is_thrown_away(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("_IMPULSE_SPEED", "_CLOSING_SPEED", "TOLERANCE"):
-        monkeypatch.setattr(joints, name, math.inf)
+    for module, name in (
+        (world, "_IMPULSE_SPEED"),
+        (world, "_CLOSING_SPEED"),
+        (compiled, "TOLERANCE"),
+    ):
+        monkeypatch.setattr(module, name, math.inf)
     found = balance("plum", 100441, 100441)
     assert found.gain > 1000.0
     assert violations([found]) == [found]
@@ -193,13 +196,13 @@ def test_without_bounds_a_wedged_robot_is_thrown_away(monkeypatch: pytest.Monkey
 def test_energies_by_hand() -> None:
     # 2 kg at 3 m with (3, 4) m/s and 5 rad/s of 0.4 kg m²: 25 + 5 J, and 2 · 10 · 3 = 60 J.
     states, inertia = np.array([0.0, 3.0, 0.1, 3.0, 4.0, 5.0]), np.array([[2.0, 0.4]])
-    assert joints.kinetic_energy(states, inertia) == pytest.approx(30.0)
-    assert joints.potential_energy(states, inertia, 10.0) == pytest.approx(60.0)
-    factor = joints.slowdown(30.0, 22.5)  # a quarter is left
+    assert compiled.kinetic_energy(states, inertia) == pytest.approx(30.0)
+    assert compiled.potential_energy(states, inertia, 10.0, 0.0, 0.0) == pytest.approx(60.0)
+    factor = compiled.slowdown(30.0, 22.5)  # a quarter is left
     assert factor == pytest.approx(0.5)
     states[3:] *= factor
-    assert joints.kinetic_energy(states, inertia) == pytest.approx(7.5)
-    assert joints.slowdown(30.0, 40.0) == 0.0
+    assert compiled.kinetic_energy(states, inertia) == pytest.approx(7.5)
+    assert compiled.slowdown(30.0, 40.0) == 0.0
     # A loaded chassis with its nose up: what is ahead is above.
     robot = Robot(payload=5.0, payload_x=0.4, payload_z=-0.2)
     budget = Budget.of(robot, 10.0)
@@ -207,13 +210,13 @@ def test_energies_by_hand() -> None:
     states = np.zeros(18)
     states[2] = math.pi / 2
     inertia = np.array([[40.0, 1.0], [5.0, 1.0], [5.0, 1.0]])
-    assert joints.potential_energy(states, inertia, 10.0, 0.05, 0.0) == pytest.approx(20.0)
+    assert compiled.potential_energy(states, inertia, 10.0, 0.05, 0.0) == pytest.approx(20.0)
 
 
 def test_a_gain_that_no_drive_gave_is_taken_from_the_velocities(
     both: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(joints, "TOLERANCE", -1e6)  # as if all of it came from nowhere
+    monkeypatch.setattr(compiled, "TOLERANCE", -1e6)  # as if all of it came from nowhere
 
     def state() -> list[float]:
         placed = PlanarWorld(FLAT, Robot(), Planar(), Start(0.0))

@@ -14,7 +14,6 @@ from flipperctl.sim.planar.sensing import NEAREST, MapErrors, MapErrorSize, corr
 
 FLAT = Profile([(0.0, 0.0)])
 STEP = Profile([(0.0, 0.0), (0.0, 0.2)])
-CENTRE = np.array([0.05, 0.3])  # [m]; the 0.05 keeps every point off the bins' edges
 
 
 def sensor(profile: Profile, **settings: float) -> TerrainSensor:
@@ -23,73 +22,61 @@ def sensor(profile: Profile, **settings: float) -> TerrainSensor:
     return TerrainSensor(profile, PlanarSensor(**chosen), margin=3.0)
 
 
-def look(of: TerrainSensor, position: np.ndarray = CENTRE, seed: int = 0) -> np.ndarray:
-    return of.points(position, np.random.default_rng(seed))
+def state(x: float, z: float = 0.1, pitch: float = 0.0) -> RobotState:
+    return RobotState(np.array([x, z]), pitch, 0.0, 0.0, np.zeros(2), 0.0, 0.0)
+
+
+def look(of: TerrainSensor, x: float = 0.05, z: float = 0.3) -> SensedGround:
+    """Return what is sensed from (x, z) [m]; the 0.05 keeps every point off the bins' edges."""
+    return of.sense(state(x, z), np.random.default_rng(0))[0]
 
 
 def test_heights_lie_below_the_chassis_centre_in_frame_l_which_stays_level() -> None:
-    flat, of = sensor(FLAT), sensor(STEP)
-    assert flat.heights(look(flat)) == pytest.approx([-0.3, -0.3, -0.3])
+    of = sensor(STEP)
+    assert look(sensor(FLAT)).heights == pytest.approx([-0.3, -0.3, -0.3])
     # Middle bin, world x in [-0.45, 0.55): -0.4 … 0.0 are five points at 0 m; the face adds one
     # at 0.1 m and the corner at 0.2 m; 0.1 … 0.5 are five more at 0.2 m.
     # (0.1 + 0.2 + 5 · 0.2) / 12 = 0.10833 m, seen from 0.3 m.
-    assert of.heights(look(of)) == pytest.approx([-0.3, 0.10833 - 0.3, 0.2 - 0.3], abs=1e-5)
-    ahead = look(of, CENTRE + np.array([1.0, 0.2]))
+    assert look(of).heights == pytest.approx([-0.3, 0.10833 - 0.3, 0.2 - 0.3], abs=1e-5)
     # 1 m ahead and 0.2 m up on the step: the face is now in the rear bin.
-    assert of.heights(ahead) == pytest.approx([0.10833 - 0.5, -0.3, -0.3], abs=1e-5)
-    assert np.diff(ahead[:, 0]).min() >= 0
+    ahead = look(of, 1.05, 0.5)
+    assert ahead.heights == pytest.approx([0.10833 - 0.5, -0.3, -0.3], abs=1e-5)
+    assert np.diff(ahead.points[:, 0]).min() >= 0
 
 
 @pytest.mark.parametrize(("bins", "width"), [(3, 1.0), (15, 0.15), (7, 0.4)])
 def test_points_and_heights_follow_the_number_and_width_of_bins(bins: int, width: float) -> None:
-    of = sensor(FLAT, bins=bins, bin_width=width, density=100.0)
-    points = look(of)
-    reach = bins * width / 2
-    assert of.heights(points).shape == (bins,)
-    assert points[:, 0].min() == pytest.approx(-reach, abs=0.011)
-    assert points[:, 0].max() == pytest.approx(reach, abs=0.011)
-    assert len(points) == pytest.approx(200 * reach, abs=1)
-    settings = PlanarSensor()  # as the paper's
-    assert (settings.bins, settings.size, settings.reach) == (15, 18, pytest.approx(1.125))
+    ground, reach = look(sensor(FLAT, bins=bins, bin_width=width, density=100.0)), bins * width / 2
+    assert ground.heights.shape == (bins,)
+    ends = ground.points[[0, -1], 0]
+    assert ends == pytest.approx([-reach, reach], abs=0.011)
+    assert len(ground.points) == pytest.approx(200 * reach, abs=1)
 
 
 def test_terrain_beyond_the_horizon_is_not_seen_yet() -> None:
     wall = Profile([(1.0, 0.0), (1.0, 1.0)])
-    near, far = sensor(wall, horizon=0.6), sensor(wall)
-    assert look(near)[:, 0].max() < 0.6
-    assert (
-        look(near)[:, 0].min() == look(far)[:, 0].min()
-    )  # behind the robot, every point stays in view
-    assert look(near)[:, 1].max() == pytest.approx(-0.3)
-    assert look(far)[:, 1].max() == pytest.approx(0.7)
-    assert near.heights(look(near)) == pytest.approx([-0.3, -0.3, -0.3])
+    near, far = look(sensor(wall, horizon=0.6)), look(sensor(wall))
+    assert near.points[:, 0].max() < 0.6
+    assert near.points[0, 0] == far.points[0, 0]  # behind the robot, every point stays in view
+    assert near.points[:, 1].max() == pytest.approx(-0.3)
+    assert far.points[:, 1].max() == pytest.approx(0.7)
+    assert near.heights == pytest.approx([-0.3, -0.3, -0.3])
 
 
-def test_noise_is_normal_in_height_alone() -> None:
-    clean, noisy = sensor(FLAT, density=1000.0), sensor(FLAT, density=1000.0, noise=0.02)
-    error = look(noisy) - look(clean)
+def test_noise_is_normal_in_height_alone_and_dropout_removes_its_fraction() -> None:
+    clean, noisy, few = (
+        look(sensor(FLAT, density=1000.0, **errors)).points
+        for errors in ({}, {"noise": 0.02}, {"dropout": 0.3})
+    )
+    error = noisy - clean
     assert len(error) == pytest.approx(3000, abs=1)
     assert not error[:, 0].any()
     # 3000 draws: the mean varies by 0.02 / √3000 = 0.0004, the deviation 0.02 / √6000 = 0.0003
     assert error[:, 1].mean() == pytest.approx(0.0, abs=0.0016)
     assert error[:, 1].std() == pytest.approx(0.02, abs=0.0012)
-
-
-def test_dropout_removes_that_fraction_of_the_points() -> None:
-    points = look(sensor(FLAT, density=1000.0, dropout=0.3))
     # 3000 · 0.7 = 2100 remain, ± √(3000 · 0.3 · 0.7) = 25
-    assert len(points) == pytest.approx(2100, abs=100)
-    assert np.isin(points[:, 0], look(sensor(FLAT, density=1000.0))[:, 0]).all()
-
-
-def test_equal_generators_give_equal_points() -> None:
-    of = sensor(STEP, noise=0.05, dropout=0.2)
-    assert np.array_equal(look(of, seed=3), look(of, seed=3))
-    assert not np.array_equal(look(of, seed=3)[:5], look(of, seed=4)[:5])
-    before = look(of)
-    for seed in range(5):
-        look(of, seed=seed)
-    assert np.array_equal(before, look(of))  # sensing does not change the terrain
+    assert len(few) == pytest.approx(2100, abs=100)
+    assert np.isin(few[:, 0], clean[:, 0]).all()
 
 
 # Lines of sight; the eye is 0.4 m above the chassis centre
@@ -103,10 +90,6 @@ def masted(profile: Profile, **settings: float | bool) -> TerrainSensor:
     fixed = {"bins": 6, "bin_width": 1.0, "density": 100.0, "mount_x": 0.0, "mount_z": 0.4}
     chosen = {"occlusion": True, "body_length": 0.0, **fixed, **settings}
     return TerrainSensor(profile, PlanarSensor.model_validate(chosen), margin=6.0)
-
-
-def state(x: float, z: float = 0.1, pitch: float = 0.0) -> RobotState:
-    return RobotState(np.array([x, z]), pitch, 0.0, 0.0, np.zeros(2), 0.0, 0.0)
 
 
 def scan(of: TerrainSensor, x: float, z: float = 0.1, pitch: float = 0.0) -> SensedGround:
@@ -198,14 +181,6 @@ def test_an_edge_between_two_sampled_points_hides_the_ground_too() -> None:
     assert points[:, 0].max() < 0.06
 
 
-def test_the_horizon_ends_view_and_filling() -> None:
-    ground = scan(masted(WALL, horizon=1.5), -1.0)
-    assert ground.points[:, 0].max() == pytest.approx(1.5, abs=0.011)
-    near = scan(masted(WALL, horizon=0.5), -1.0)
-    assert near.points[:, 0].max() == pytest.approx(0.5, abs=0.011)
-    assert near.points[:, 1] == pytest.approx(-0.1)
-
-
 def test_filled_points_carry_the_bias_and_noise_of_their_neighbours_and_never_drop_out() -> None:
     exact = filled(scan(masted(WALL), -1.0), -1.0)
     biased = filled(scan(masted(WALL, bias=0.05, dropout=0.9), -1.0), -1.0)
@@ -213,12 +188,6 @@ def test_filled_points_carry_the_bias_and_noise_of_their_neighbours_and_never_dr
     noisy = filled(scan(masted(WALL, noise=0.05), -1.0), -1.0)
     assert np.ptp(noisy[:, 1]) == 0
     assert 0 < abs(noisy[0, 1] - exact[0, 1]) < 0.25
-
-
-def test_a_mount_below_the_ground_sees_nothing() -> None:
-    ground = scan(masted(WALL, mount_x=0.5), -0.4)
-    assert ground.points.shape == (0, 2)
-    assert ground.heights.tolist() == 6 * [0.0]
 
 
 def test_without_occlusion_the_numbers_are_those_of_the_outline_bit_for_bit() -> None:
