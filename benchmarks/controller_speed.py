@@ -22,7 +22,7 @@ from flipperctl.ros.devices import Step, read_recording
 from flipperctl.ros.shadowing import setup_of
 from flipperctl.ros.topics import Names
 from flipperctl.runtime import Cloud, FlipperController, RobotSetup
-from flipperctl.sim.lidar.sensor import LidarSensor
+from flipperctl.sim.lidar import LidarSensor
 
 _TURN = 0.1
 """Time of a turn of the LiDAR [s]."""

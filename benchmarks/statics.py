@@ -28,8 +28,8 @@ from flipperctl import entry, plugins
 from flipperctl.api import FloatArray, Robot
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.rollout.seeds import EvaluationSeeds
+from flipperctl.sim.ground import inflated
 from flipperctl.sim.jit import cached
-from flipperctl.sim.resting import inflated
 
 _SPACING = 0.005
 """Distance of the places at which the ground is known [m]."""

@@ -62,14 +62,10 @@ _OUTLIER = 0.05
 """Largest residual of a point that the alignment counts; larger ones are clipped to it [m]."""
 _PRIOR = 0.02
 """Penalty on corrections of the guess, as residual per metre; it decides on level ground [-]."""
-_EXACT = 0.002
-"""Noise below which the latest scan alone is the ground [m]."""
-_CELL = 0.03
-"""Length of the cells in which noisy points are averaged [m]."""
-_TOLERANCE = 0.002
-"""Thinning of the ground without noise [m]."""
-_FEWEST = 8
-"""Points of a scan below which it tells neither the motion nor the noise [-]."""
+_EXACT = 0.002  # noise below which the latest scan alone is the ground [m]
+_CELL = 0.03  # length of the cells in which noisy points are averaged [m]
+_TOLERANCE = 0.002  # thinning of the ground without noise [m]
+_FEWEST = 8  # points of a scan below which it tells neither the motion nor the noise [-]
 _NARROW = 0.05
 """Hollows narrower than this are bridged, since the tracks sink into them by 3 mm at most [m]."""
 

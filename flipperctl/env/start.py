@@ -15,7 +15,7 @@ import numpy as np
 from flipperctl.api import Profile, Robot, Start, World
 from flipperctl.config import EnvConfig, Episode
 from flipperctl.errors import ConfigError, TerrainError
-from flipperctl.sim.resting import OVERLAP, resting
+from flipperctl.sim.ground import OVERLAP, resting
 
 _STRIDE = 0.05
 """Distance between two places that are tried [m]."""

@@ -37,7 +37,7 @@ from flipperctl.core.risk import MEANING as MEANING_OF_RISK
 from flipperctl.core.targets import JOINTS, MEANING, turns
 from flipperctl.errors import ExportError, MissingExtraError
 from flipperctl.runtime.interface import FORMAT_VERSION, PREFIX
-from flipperctl.sim.lidar.sensor import LidarSensor
+from flipperctl.sim.lidar import LidarSensor
 
 
 def folded(network: nn.Module) -> nn.Module:

@@ -44,10 +44,8 @@ MOST_EXACT = 240
 """The same with ground that is known as it is: recorded ground has a point each 1 or 2 cm."""
 MARGIN = 0.02
 """Gap below which a contact is solved [m]."""
-_SLOP = 0.0005
-"""Overlap that is not corrected [m]."""
-_PUSH = 0.3
-"""Largest speed at which an overlap is corrected [m/s]."""
+_SLOP = 0.0005  # overlap that is not corrected [m]
+_PUSH = 0.3  # largest speed at which an overlap is corrected [m/s]
 
 
 @cached(FAST)

@@ -37,8 +37,7 @@ from flipperctl.sim.versions import samples_in, simulated
 
 FLIPPERS, TARGETS = 6, 8
 """Index in a state of the flippers' angles, and of their targets."""
-_STRAIGHT = 1e-6
-"""Distance from a straight edge within which points are left out [m]."""
+_STRAIGHT = 1e-6  # distance from a straight edge within which points are left out [m]
 _LEVEL_GROUND = 20.0  # length of the level ground on both sides of the known ground [m]
 
 
@@ -220,16 +219,12 @@ _OUTCOMES[OVERTURNED], _OUTCOMES[REACHED] = Outcome.OVERTURNED, Outcome.REACHED
 class Nodes:
     """M predicted robots, each before its next decision."""
 
-    states: FloatArray
-    """States of the prediction model, (M, ``STATE``)."""
-    places: FloatArray
-    """x and z of the chassis centre, (M, 2) [m]."""
+    states: FloatArray  # states of the prediction model, (M, ``STATE``)
+    places: FloatArray  # x and z of the chassis centre, (M, 2) [m]
     pitches: FloatArray
     """Pitch at the last decisions and now, (M, T) [rad]; at most ``LAST_PITCHES``."""
-    turns: NDArray[np.int64]
-    """Turns (front, rear) of the last decision, (M, 2); 0 before the first."""
-    time: FloatArray
-    """Time since the start of the episode, (M,) [s]."""
+    turns: NDArray[np.int64]  # turns (front, rear) of the last decision, (M, 2); 0 before the first
+    time: FloatArray  # time since the start of the episode, (M,) [s]
 
     def __len__(self) -> int:
         return len(self.states)
@@ -320,8 +315,7 @@ def transitions(
     )
 
 
-_SPACING = 0.02
-"""Distance between two points of the ground's outline [m]."""
+_SPACING = 0.02  # distance between two points of the ground's outline [m]
 
 
 class Ground:

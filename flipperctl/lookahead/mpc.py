@@ -72,16 +72,11 @@ class CostAccount:
     """What the plans of M nodes have cost so far."""
 
     of: HandSetCost
-    begin: float
-    """x of the chassis centre at the root [m]."""
-    depth: int
-    """Number of decisions from the root."""
-    variation: FloatArray
-    """Pitch variation from the root, (M,) [rad]."""
-    paid: FloatArray
-    """Cost of postures and turns from the root, (M,) [s]."""
-    steep: FloatArray
-    """Largest absolute pitch from the root, (M,) [rad]."""
+    begin: float  # x of the chassis centre at the root [m]
+    depth: int  # number of decisions from the root
+    variation: FloatArray  # pitch variation from the root, (M,) [rad]
+    paid: FloatArray  # cost of postures and turns from the root, (M,) [s]
+    steep: FloatArray  # largest absolute pitch from the root, (M,) [rad]
 
     def take(self, rows: NDArray[np.int64]) -> CostAccount:
         """Return the account of some of the nodes."""
@@ -123,12 +118,10 @@ NO_PLAN = 1000.0
 STANDS = 0.25
 """Share of the way of a decision at full speed below which the robot counts as standing still
 [-]."""
-_PATIENCE = 3
-"""Number of decisions without progress after which the search widens again [-]."""
+_PATIENCE = 3  # number of decisions without progress after which the search widens again [-]
 _MOST_HURRY = 4
 """Largest multiple of the wide search's width, and of reductions of its cost weights [-]."""
-_CLOSE = 0.05
-"""Largest gap or overlap at which robot and sensed ground count as touching [m]."""
+_CLOSE = 0.05  # largest gap or overlap at which robot and sensed ground count as touching [m]
 _MAX_ERROR = np.array([0.04, 0.04, 0.05])
 """Largest errors of x, z [m] and pitch [rad] at which predicted velocities are reused."""
 
@@ -313,16 +306,12 @@ def _touching(line: FloatArray, p: Perception, robot: Robot) -> float:
 
 _EPISODE = Episode()
 """A robot does not know its episode's own settings; plans are made for the defaults."""
-_EDGE = 0.03
-"""Height difference to the ground ahead that counts as an edge [m]."""
-_AVERAGING = 0.5
-"""Share of the estimates at smaller depths in the return of a plan [-]."""
+_EDGE = 0.03  # height difference to the ground ahead that counts as an edge [m]
+_AVERAGING = 0.5  # share of the estimates at smaller depths in the return of a plan [-]
 _LONG, _WIDEST = 3, 4
 """Decisions of standing after which the search widens again, and its largest multiple [-]."""
-_STANDS_STILL = 2
-"""Decisions of standing from which plans hurry, with ``hurry_below`` [-]."""
-_SLIPPERY = 0.8
-"""Factor of the assumed friction after as many decisions of standing [-]."""
+_STANDS_STILL = 2  # decisions of standing from which plans hurry, with ``hurry_below`` [-]
+_SLIPPERY = 0.8  # factor of the assumed friction after as many decisions of standing [-]
 
 
 class ReturnPolicy(MpcPolicy):

@@ -24,24 +24,18 @@ from flipperctl.lookahead.model import FLIPPERS, Model, next_targets, nominal
 from flipperctl.lookahead.search import HOLD, highest_at_finish, moves, target_cell
 from flipperctl.lookahead.settings import STEEP, STEEP_FROM, PlannerSettings
 
-_ROUNDS = 8
-"""Largest number of decisions of a node in one distance bin."""
+_ROUNDS = 8  # largest number of decisions of a node in one distance bin
 
 
 @dataclass(frozen=True)
 class Goal:
     """Where a search ends, and the cost weights of its plans."""
 
-    finish: float
-    """World x that the chassis centre must pass [m]."""
-    top: float
-    """Largest world z of the chassis' ends at the finish [m]."""
-    smoothness: float
-    """Cost weight of the pitch variation at 100 Hz [s/rad]."""
-    distance: float = math.inf
-    """Distance after which a search ends short of the finish [m]."""
-    pitch: float = 0.0
-    """Cost weight of the absolute pitch after that distance [s/rad]."""
+    finish: float  # world x that the chassis centre must pass [m]
+    top: float  # largest world z of the chassis' ends at the finish [m]
+    smoothness: float  # cost weight of the pitch variation at 100 Hz [s/rad]
+    distance: float = math.inf  # distance after which a search ends short of the finish [m]
+    pitch: float = 0.0  # cost weight of the absolute pitch after that distance [s/rad]
 
 
 class SearchResult(NamedTuple):
@@ -50,8 +44,7 @@ class SearchResult(NamedTuple):
     actions: tuple[int, ...]
     cost: float
     """Cost from the root: time, remaining time at full speed, weighted pitch variation [s]."""
-    complete: bool
-    """Whether the plan reaches the finish or the requested distance."""
+    complete: bool  # Whether the plan reaches the finish or the requested distance
 
 
 @dataclass
@@ -85,10 +78,8 @@ class Beam:
     model: Model
     robot: Robot
     goal: Goal
-    width: int
-    """Nodes that are expanded in each distance bin."""
-    bin_length: float
-    """Length of a distance bin [m]."""
+    width: int  # nodes that are expanded in each distance bin
+    bin_length: float  # length of a distance bin [m]
     cell: float
     """Nodes closer than this in position and pitch, with equal targets, are merged [m, rad]."""
     spent: int = field(default=0, init=False)
@@ -228,8 +219,7 @@ def _trace(expanded: list[_Nodes], node: int, action: int) -> tuple[int, ...]:
     return tuple(actions[::-1])
 
 
-_LEANING = 0.5
-"""Pitch at the end of a short search that the cost bound allows for [rad]."""
+_LEANING = 0.5  # pitch at the end of a short search that the cost bound allows for [rad]
 
 
 @dataclass
@@ -237,11 +227,9 @@ class Trajectory:
     """A trajectory from the start; ``step`` plays its next decision in the simulator."""
 
     simulator: Simulator
-    smoothness: float
-    """Cost weight of the pitch variation at 100 Hz [s/rad]."""
+    smoothness: float  # cost weight of the pitch variation at 100 Hz [s/rad]
     actions: list[int] = field(default_factory=list)
-    variation: float = 0.0
-    """Pitch variation at 100 Hz so far [rad]."""
+    variation: float = 0.0  # pitch variation at 100 Hz so far [rad]
     outcome: Outcome | None = None
 
     def __post_init__(self) -> None:
@@ -294,23 +282,17 @@ def play(
     return played
 
 
-_BIN_LENGTH = 0.12
-"""Length of a distance bin, in which nodes compete [m]."""
-_STARTS = ("level", "okada", "mpc")
-"""Controllers whose trajectories the search starts from."""
-_TOLERANCE = 0.3
-"""Increase of a plan's predicted cost that triggers a new search [s]."""
+_BIN_LENGTH = 0.12  # length of a distance bin, in which nodes compete [m]
+_STARTS = ("level", "okada", "mpc")  # controllers whose trajectories the search starts from
+_TOLERANCE = 0.3  # increase of a plan's predicted cost that triggers a new search [s]
 _SHORT_DISTANCE, _SHORT_PATIENCE, _PITCH = 1.5, 2, 3.0
 """Distance of the short search [m], decisions between its searches, and its cost weight of the
 final pitch [s/rad]."""
 _IMPROVEMENTS = ((4, math.inf, 0.0), (_SHORT_PATIENCE, 2 * _SHORT_DISTANCE, _PITCH))
 """Decisions between searches, their distance [m] and cost weight of the final pitch [s/rad]."""
-_CUTS = (0.0, 0.2, 0.4, 0.6, 0.8)
-"""Fractions of the best trajectory that an improvement keeps."""
-_LEAST = 0.05
-"""Smallest improvement that starts another round [s]."""
-_INITIAL_SHARE = 0.15
-"""Share of the progress for the trajectories of other policies."""
+_CUTS = (0.0, 0.2, 0.4, 0.6, 0.8)  # fractions of the best trajectory that an improvement keeps
+_LEAST = 0.05  # smallest improvement that starts another round [s]
+_INITIAL_SHARE = 0.15  # share of the progress for the trajectories of other policies
 
 
 class PlannerPolicy:

@@ -53,8 +53,7 @@ HOLD = action_index(0, 0)
 _CELL = np.array([0.03, 0.03, 0.03])
 """Nodes whose x, z [m] and pitch [rad] fall into one cell, and their targets, are merged."""
 
-_EQUAL = 1e-6
-"""Difference of costs up to which plans that end the episode count as equal."""
+_EQUAL = 1e-6  # difference of costs up to which plans that end the episode count as equal
 
 
 class Scores(NamedTuple):
@@ -118,15 +117,11 @@ class _Level:
 
     states: FloatArray
     account: Account
-    first: NDArray[np.int64]
-    """First action of each node's plan."""
-    parent: NDArray[np.int64]
-    """Index of each node's parent in the previous level."""
-    action: NDArray[np.int64]
-    """Action that led to each node."""
+    first: NDArray[np.int64]  # first action of each node's plan
+    parent: NDArray[np.int64]  # index of each node's parent in the previous level
+    action: NDArray[np.int64]  # action that led to each node
     lost_time: FloatArray
-    seed: int
-    """Index of the node that follows the previous plan, or -1."""
+    seed: int  # index of the node that follows the previous plan, or -1
 
 
 @dataclass(frozen=True)
@@ -135,10 +130,8 @@ class Search:
 
     robot: Robot
     objective: Objective
-    width: int
-    """Nodes that are kept at each depth."""
-    depth: int
-    """Decisions to the horizon."""
+    width: int  # nodes that are kept at each depth
+    depth: int  # decisions to the horizon
     beam_per_action: int = 0
     """Nodes that are kept at each depth for each first action, whatever their cost, so that the
     cost of every action is known."""
@@ -307,8 +300,7 @@ class History:
         )
 
 
-_SLOW = 0.3
-"""Share of the way at full speed below which a plan stands [-]."""
+_SLOW = 0.3  # share of the way at full speed below which a plan stands [-]
 
 
 @dataclass(frozen=True)
@@ -318,17 +310,12 @@ class Returns:
     rewards: RewardSum
     horizon: Callable[[Nodes], FloatArray]
     """Returns the expected discounted return from nodes on, (M,) [-]."""
-    gamma: float
-    """Discount per decision [-]."""
-    profile: Profile
-    """The known ground."""
+    gamma: float  # discount per decision [-]
+    profile: Profile  # the known ground
     robot: Robot
-    root: Nodes
-    """The robot before its decision, one node."""
-    standing: int
-    """Number of decisions in which the robot has stood until now."""
-    patience: int
-    """Number of decisions without progress after which an episode ends as stuck [-]."""
+    root: Nodes  # the robot before its decision, one node
+    standing: int  # number of decisions in which the robot has stood until now
+    patience: int  # number of decisions without progress after which an episode ends as stuck [-]
     averaging: float = 0.0
     """Share of the estimates at smaller depths in the return of a plan, 0 to 1. The best of many
     plans is often the one whose value errs most; its errors at several depths average out."""
@@ -350,12 +337,9 @@ class ReturnAccount:
 
     objective: Returns
     nodes: Nodes
-    depth: int
-    """Number of decisions from the root."""
-    earned: FloatArray
-    """Discounted rewards from the root, (M,) [-]."""
-    estimate: FloatArray
-    """Estimated return of the plans, (M,) [-]."""
+    depth: int  # number of decisions from the root
+    earned: FloatArray  # discounted rewards from the root, (M,) [-]
+    estimate: FloatArray  # estimated return of the plans, (M,) [-]
 
     def take(self, rows: NDArray[np.int64]) -> ReturnAccount:
         """Return the account of some of the nodes."""

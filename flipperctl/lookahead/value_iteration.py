@@ -53,26 +53,20 @@ from flipperctl.lookahead.search import HOLD, History, Returns, Search, highest_
 from flipperctl.lookahead.settings import ValueIterationSettings
 from flipperctl.reward_sum import RewardSum
 
-_SHARE = 0.5
-"""Length of a cell as a share of the way of a decision at full speed [-]."""
-_PITCH, _HEIGHT = 0.08, 0.1
-"""Size of a cell in pitch [rad] and in height [m]."""
-_MOST = 60_000
-"""Number of represented states from which no further ones are explored [-]."""
+_SHARE = 0.5  # length of a cell as a share of the way of a decision at full speed [-]
+_PITCH, _HEIGHT = 0.08, 0.1  # size of a cell in pitch [rad] and in height [m]
+_MOST = 60_000  # number of represented states from which no further ones are explored [-]
 _DROP, _SETTLE = 0.45, 1.5
 """Height of the robots above the ground at the start [m], and time to come to rest [s]; of longer
 flippers, more of both."""
-_BEYOND = 1.5
-"""Distance before the start and past the finish at which the exploration ends [m]."""
-_SLOW = 0.1
-"""Share of the way of a decision at full speed below which the robot stands [-]."""
+_BEYOND = 1.5  # distance before the start and past the finish at which the exploration ends [m]
+_SLOW = 0.1  # share of the way of a decision at full speed below which the robot stands [-]
 _BESIDE = sorted(
     (shift for shift in product((-1, 0, 1), repeat=3) if any(shift)),
     key=lambda shift: sum(map(abs, shift)),
 )
 """Shifts in x, z and pitch to the cells beside one, the nearest first."""
-_ACCURACY = 1e-3
-"""Largest change of a value in the last sweep [-]."""
+_ACCURACY = 1e-3  # largest change of a value in the last sweep [-]
 _SWEEPS = 1000
 
 
@@ -81,12 +75,9 @@ class Course:
     """A known ground with start and finish."""
 
     profile: Profile
-    start: float
-    """World x of the chassis centre at the start [m]."""
-    finish: float
-    """World x that the chassis centre must pass [m]."""
-    patience: int
-    """Number of decisions without progress after which the robot counts as stuck [-]."""
+    start: float  # world x of the chassis centre at the start [m]
+    finish: float  # world x that the chassis centre must pass [m]
+    patience: int  # number of decisions without progress after which the robot counts as stuck [-]
 
 
 class _Edges(NamedTuple):
@@ -94,10 +85,8 @@ class _Edges(NamedTuple):
 
     parent: NDArray[np.int64]
     action: NDArray[np.int64]
-    child: NDArray[np.int64]
-    """Represented state after the decision; -1 where the episode ends."""
-    reward: FloatArray
-    """Expected reward [-]."""
+    child: NDArray[np.int64]  # represented state after the decision; -1 where the episode ends
+    reward: FloatArray  # expected reward [-]
     kept: FloatArray
     """Factor of the next value: the discount times the probability that the episode goes on."""
 
@@ -270,14 +259,11 @@ def _iterated(reward: FloatArray, kept: FloatArray, child: NDArray[np.int64]) ->
 
 SIZE = 16
 """Number of states of a group [-]."""
-_WINDOW = 0.15
-"""Largest distance of a group's states from its middle, at 0.12 m a decision [m]."""
+_WINDOW = 0.15  # largest distance of a group's states from its middle, at 0.12 m a decision [m]
 _WALKERS, _STEPS = 96, 120
 """Number of walks along the ground, and their largest length in decisions [-]."""
-_RANDOM = (0.0, 0.05, 0.1, 0.2)
-"""Probabilities that a walk begins some equal random decisions [-]."""
-_EQUAL = 6
-"""Number of equal random decisions in a row that a walk stays below [-]."""
+_RANDOM = (0.0, 0.05, 0.1, 0.2)  # probabilities that a walk begins some equal random decisions [-]
+_EQUAL = 6  # number of equal random decisions in a row that a walk stays below [-]
 
 
 def sample_groups(

@@ -30,7 +30,7 @@ from flipperctl.ros.transforms import Pose as FramePose
 from flipperctl.ros.transforms import estimated
 from flipperctl.runtime.intake import Intake
 from flipperctl.runtime.messages import Cloud, Limits, RobotSetup
-from flipperctl.sim.lidar.sensor import LidarSensor
+from flipperctl.sim.lidar import LidarSensor
 
 
 class Drift:

@@ -20,7 +20,7 @@ from flipperctl.ros.devices import Recording, read_recording
 from flipperctl.ros.topics import Names
 from flipperctl.runtime.messages import RobotSetup
 from flipperctl.runtime.recordings import Shadow
-from flipperctl.sim.lidar.sensor import LidarSensor
+from flipperctl.sim.lidar import LidarSensor
 
 LOG = OutputKind(
     "a log", (".jsonl",), re.compile(rb'\A\{"time": [^\n]*"setpoints": [^\n]*"measured": ')

@@ -33,10 +33,8 @@ PACKAGE = Path(__file__).parents[1]
 SOURCES = ("api", "core", "lookahead", "sim")
 """Folders of the package that hold all functions and constants in compiled code."""
 _NAME = "machine_code"
-_KEPT = 4
-"""Number of folders of other digests that are kept however old they are."""
-_UNUSED = 86_400.0
-"""Time without a process that used a folder, after which it may be removed [s]."""
+_KEPT = 4  # number of folders of other digests that are kept however old they are
+_UNUSED = 86_400.0  # time without a process that used a folder, after which it may be removed [s]
 
 
 @cache

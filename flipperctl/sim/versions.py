@@ -8,8 +8,7 @@ from collections.abc import Mapping
 from flipperctl.api import SAMPLE_PERIOD, Engine
 from flipperctl.guard import naming, refusal, short_repr
 
-_EXACT = 1e-9
-"""Part of a sample that is an error of rounding [-]."""
+_EXACT = 1e-9  # part of a sample that is an error of rounding [-]
 
 
 def samples_in(duration: float) -> int:

@@ -10,9 +10,9 @@ from flipperctl.api import Profile, Robot, Start, World
 from flipperctl.env import flipper_env
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError, TerrainError
+from flipperctl.sim.ground import height_at, resting
 from flipperctl.sim.mujoco import Mujoco
 from flipperctl.sim.planar import Planar
-from flipperctl.sim.resting import height_at, resting
 
 RADIUS, AXLE, HALF = 0.1, 0.336, 0.28
 EXACT = {"start_noise": 0.0}

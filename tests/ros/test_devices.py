@@ -12,7 +12,7 @@ from flipperctl.ros.episode import TYPES, Stamped, write_bag
 from flipperctl.ros.messages import JOINTS, Messages
 from flipperctl.ros.perceiving import replay
 from flipperctl.ros.topics import Names
-from flipperctl.sim.lidar.sensor import LidarSensor
+from flipperctl.sim.lidar import LidarSensor
 from tests.ros.driving import FRONT, HEIGHT, MOUNT, REAR, SECONDS, SPEED, driving, points, state
 
 _EPOCH = 1_000_000_000

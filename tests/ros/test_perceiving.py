@@ -18,7 +18,7 @@ from flipperctl.ros.messages import Messages
 from flipperctl.ros.perceiving import Drift, replay
 from flipperctl.ros.topics import Names
 from flipperctl.runtime.messages import REP_103
-from flipperctl.sim.lidar.sensor import LidarSensor
+from flipperctl.sim.lidar import LidarSensor
 from tests.cli.call import call
 from tests.ros.driving import (
     AXIS,

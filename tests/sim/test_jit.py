@@ -22,7 +22,6 @@ MODULES = [
     "flipperctl.sim.ground",
     "flipperctl.sim.planar.compiled",
     "flipperctl.sim.planar.rays",
-    "flipperctl.sim.resting",
 ]
 
 

@@ -13,11 +13,11 @@ import pytest
 from flipperctl.api import Engine, FloatArray, Limits, Profile, Robot, Start
 from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.sim.ground import resting
 from flipperctl.sim.mujoco import Mujoco
 from flipperctl.sim.mujoco.world import MujocoWorld
 from flipperctl.sim.planar import Planar
 from flipperctl.sim.planar.world import PlanarWorld
-from flipperctl.sim.resting import resting
 
 FLAT = Profile([(0.0, 0.0)])
 STILL = 1e-9  # [m/s] belts that brake: the smallest speed that the settings allow

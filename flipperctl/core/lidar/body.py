@@ -51,41 +51,29 @@ def mounting(axis: float) -> FloatArray:
     return np.array([[sin, 0.0, cos], [0.0, 1.0, 0.0], [-cos, 0.0, sin]])
 
 
-_CIRCLES = 21
-"""Circles that stand for the outline of the chassis or of a flipper [-]."""
+_CIRCLES = 21  # circles that stand for the outline of the chassis or of a flipper [-]
 
 
 class _Box(NamedTuple):
     """A box that is turned about the y axis."""
 
-    x: float
-    """Position of its centre in frame R [m]."""
-    z: float
-    """Height of its centre in frame R [m]."""
-    half_length: float
-    """Half its length, along the turned x axis [m]."""
-    inner: float
-    """Smallest distance of its parts from the middle plane of the robot [m]."""
-    outer: float
-    """Largest distance of its parts from the middle plane of the robot [m]."""
-    tilt: float
-    """Angle of its x axis above that of frame R [rad]."""
+    x: float  # position of its centre in frame R [m]
+    z: float  # height of its centre in frame R [m]
+    half_length: float  # half its length, along the turned x axis [m]
+    inner: float  # smallest distance of its parts from the middle plane of the robot [m]
+    outer: float  # largest distance of its parts from the middle plane of the robot [m]
+    tilt: float  # angle of its x axis above that of frame R [rad]
 
 
 @dataclass(frozen=True)
 class Body:
     """Lengths of the robot, all in [m]."""
 
-    chassis_length: float
-    """Length of the chassis, round ends included."""
-    flipper_length: float
-    """Length of a flipper, round ends included."""
-    track_radius: float
-    """Radius of the tracks' round ends."""
-    chassis_width: float
-    """Width of the chassis between the flippers."""
-    overall_width: float
-    """Width over the outer sides of the flippers."""
+    chassis_length: float  # length of the chassis, round ends included
+    flipper_length: float  # length of a flipper, round ends included
+    track_radius: float  # radius of the tracks' round ends
+    chassis_width: float  # width of the chassis between the flippers
+    overall_width: float  # width over the outer sides of the flippers
 
     def contains(
         self, points: FloatArray, front: float, rear: float, margin: float

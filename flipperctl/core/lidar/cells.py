@@ -22,10 +22,8 @@ _BESIDE = 6
 _RANK = 4
 """The usual number of points is that of the fourth fullest of these: vertical faces, which receive
 far more than level ground, fill up to three cells [-]."""
-_SPARSE = 0.1
-"""Fraction of the usual number of points below which a cell is sparse [-]."""
-_EDGE = 1e-3
-"""Rounded points lie so far from their lane at most, in its widths [-]."""
+_SPARSE = 0.1  # fraction of the usual number of points below which a cell is sparse [-]
+_EDGE = 1e-3  # rounded points lie so far from their lane at most, in its widths [-]
 
 
 _MOST = 0.35

@@ -40,8 +40,7 @@ from flipperctl.core.lidar.scans import (
 )
 from flipperctl.core.sensing import Measured, SensedAngles, SensedGround
 
-_OLDEST = 5.0
-"""Largest age of the newest message with which an estimate is made [s]."""
+_OLDEST = 5.0  # largest age of the newest message with which an estimate is made [s]
 
 _MOST_POINTS = 10_000
 """Points of a turn that are used; more are thinned, since the map keeps no more of them [-]."""
@@ -51,10 +50,8 @@ the points of a turn are used, or more [-]."""
 _LEVEL, _LEVEL_ON_BELTS = 0.1, 0.02
 """Largest pitch of a robot that stands on level ground at the start: on its flippers, and on the
 belts of its chassis, besides three deviations of the measured pitch [rad]."""
-_LOWERED = 0.01
-"""Angle by which a flipper is lowered [rad]."""
-_FADING = 30.0
-"""Time in which an inertial unit's error of the pitch changes [s]."""
+_LOWERED = 0.01  # angle by which a flipper is lowered [rad]
+_FADING = 30.0  # time in which an inertial unit's error of the pitch changes [s]
 
 
 class LidarEstimator:

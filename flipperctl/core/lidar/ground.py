@@ -30,10 +30,8 @@ from flipperctl.core.lidar.outline import (
 from flipperctl.core.observation import mean_heights, occupied
 from flipperctl.core.sensing import SensedGround
 
-_SECTORS = 256
-"""Sectors around the LiDAR in which the rays are sorted [-]."""
-_BIN = 0.025
-"""Length of the parts of a sector [m]."""
+_SECTORS = 256  # sectors around the LiDAR in which the rays are sorted [-]
+_BIN = 0.025  # length of the parts of a sector [m]
 
 
 class FreeSpace:
@@ -90,12 +88,9 @@ def clearances(circles: FloatArray, radius: float, points: FloatArray) -> FloatA
     return np.asarray(gap.min(axis=0, initial=np.inf))
 
 
-_FEWEST = 8
-"""Points of a column, and columns, without which no slope is estimated [-]."""
-_WIDE = 0.1
-"""Standard deviation of the places beside the line that a column needs [m]."""
-_LARGEST_SLOPE = 0.7
-"""Larger slopes are of edges along the way, not of the ground [-]."""
+_FEWEST = 8  # points of a column, and columns, without which no slope is estimated [-]
+_WIDE = 0.1  # standard deviation of the places beside the line that a column needs [m]
+_LARGEST_SLOPE = 0.7  # larger slopes are of edges along the way, not of the ground [-]
 
 
 def lateral_slope(points: FloatArray, cell: float) -> float:
@@ -130,38 +125,29 @@ def straightened(points: FloatArray, slope: float) -> FloatArray:
 
 _SPACING = 0.02
 """Distance between the points along the ground, as dense as ``perception=planar``'s [m]."""
-_GAP = 0.06
-"""Seen columns farther apart than this have unseen ground between them [m]."""
+_GAP = 0.06  # seen columns farther apart than this have unseen ground between them [m]
 _PAST = 1.5
 """Length of the map past the bins that is evaluated, so that gaps at their ends are filled [m]."""
-_MARGIN = 0.4
-"""Width of the map beside the strip, for headings that turn [m]."""
-_GAIN = 0.3
-"""Fraction of the robot's clearance above the map that is corrected at once [-]."""
+_MARGIN = 0.4  # width of the map beside the strip, for headings that turn [m]
+_GAIN = 0.3  # fraction of the robot's clearance above the map that is corrected at once [-]
 _LARGEST = 0.06
 """Largest correction of the map's height, and of a scan's height against the map [m]."""
 _LEVEL = 0.1, 0.03
 """Ground is level if it rises by at most the second length within the first to both sides [m]."""
 _NEAREST, _FARTHEST = 0.2, 1.6
 """Range ahead of the robot in which a scan is compared with the map [m]."""
-_REGISTERED = 20
-"""Points of a column of the map with which a scan is compared [-]."""
-_FEWEST_COLUMNS = 8
-"""Columns that scan and map must have in common to be compared [-]."""
-_BEFORE = 3.0
-"""A ray counts up to this before its return, in standard deviations of a point [-]."""
-_ABOVE = 0.03
-"""Height above a ray from which points of the map are not ground [m]."""
+_REGISTERED = 20  # points of a column of the map with which a scan is compared [-]
+_FEWEST_COLUMNS = 8  # columns that scan and map must have in common to be compared [-]
+_BEFORE = 3.0  # a ray counts up to this before its return, in standard deviations of a point [-]
+_ABOVE = 0.03  # height above a ray from which points of the map are not ground [m]
 
 
 @dataclass(frozen=True)
 class Stance:
     """The robot's outline on the ground."""
 
-    circles: FloatArray
-    """(C, 2) centres of circles that the tracks cover, in frame L [m]."""
-    radius: float
-    """Radius of the circles [m]."""
+    circles: FloatArray  # (C, 2) centres of circles that the tracks cover, in frame L [m]
+    radius: float  # radius of the circles [m]
 
 
 MEANING = (

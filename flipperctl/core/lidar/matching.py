@@ -20,27 +20,19 @@ import numpy as np
 
 from flipperctl.core.arrays import FloatArray
 
-_FAR = 6.0
-"""Farthest points that are matched [m]."""
+_FAR = 6.0  # farthest points that are matched [m]
 _THIN, _THINNER = 0.06, 0.12
 """Size of the cells of which a keyframe and a scan that is matched keep one point [m]."""
-_NEIGHBOURS = 12
-"""Points by which the plane through a point of a keyframe is found [-]."""
-_KEYFRAMES = 12
-"""Keyframes that are remembered [-]."""
-_NEXT = 0.25, 0.15
-"""Motion [m] and change of the view [rad] after which a scan becomes a keyframe."""
+_NEIGHBOURS = 12  # points by which the plane through a point of a keyframe is found [-]
+_KEYFRAMES = 12  # keyframes that are remembered [-]
+_NEXT = 0.25, 0.15  # motion [m] and change of the view [rad] after which a scan becomes a keyframe
 _GATE = 0.01
 """Share of the information below which a direction is not corrected, and twice which it is wholly:
 on level ground no point tells how far the robot has moved [-]."""
-_PAIRED = 0.2
-"""Largest distance of a point from the one to whose plane it is matched [m]."""
-_LARGEST = 0.3
-"""Largest correction [m]."""
-_MOST = 5000
-"""From so many points on, some are left out [-]."""
-_FEWEST = 100
-"""Points without which a scan is not matched [-]."""
+_PAIRED = 0.2  # largest distance of a point from the one to whose plane it is matched [m]
+_LARGEST = 0.3  # largest correction [m]
+_MOST = 5000  # from so many points on, some are left out [-]
+_FEWEST = 100  # points without which a scan is not matched [-]
 _ERROR, _SHARED = 0.02, 10.0
 """Deviation of a point from its plane [m], and points that err alike [-]."""
 _SLIP, _STEEP, _JITTER, _TURN = 0.05, 0.5, 0.001, 2e-4
@@ -51,20 +43,16 @@ _SINKING, _LIFTED = 2.0, 0.7
 """Deviations of the guess along the ground and upwards, per error of its height: belts slip where
 the robot tips over an edge or sinks with its flippers, and both show in its height. Without the
 second, motion along a slope would explain that the robot was lifted [-]."""
-_STEPS = 5
-"""Largest number of Gauss-Newton steps [-]."""
-_ENOUGH = 2e-4
-"""Steps shorter than this are the last [m]."""
+_STEPS = 5  # largest number of Gauss-Newton steps [-]
+_ENOUGH = 2e-4  # steps shorter than this are the last [m]
 
 
 @dataclass(frozen=True)
 class Keyframe:
     """Points of an earlier scan with the planes through them."""
 
-    points: FloatArray
-    """(P, 3) in frame M [m]."""
-    normals: FloatArray
-    """(P, 3) unit normals; 0 where there is no plane."""
+    points: FloatArray  # (P, 3) in frame M [m]
+    normals: FloatArray  # (P, 3) unit normals; 0 where there is no plane
 
 
 class ScanMatcher:

@@ -100,17 +100,14 @@ class SpecificForce:
 
 _LARGEST = {"x": 1e5, "y": 1e5, "z": 1e5, "speed": 10.0, "yaw_rate": 100.0}
 """Largest position [m], speed [m/s] and rate [rad/s] that a robot can have."""
-_LARGEST_ANGLE = 1e4
-"""Largest angle; headings may count turns [rad]."""
+_LARGEST_ANGLE = 1e4  # largest angle; headings may count turns [rad]
 _LIMITS: Mapping[type[Pose | Joints | Inertial | Belts], Mapping[str, float]] = {
     kind: {field.name: _LARGEST.get(field.name, _LARGEST_ANGLE) for field in fields(kind)}
     for kind in (Inertial, Belts, Joints, Pose)
 }
 """The largest number of each field of a message, by its class."""
-_LARGEST_TIME = 1e12
-"""Largest time, in either direction; clocks may count from 1970 [s]."""
-_FARTHEST = 1e3
-"""Farthest point of a scan [m]."""
+_LARGEST_TIME = 1e12  # largest time, in either direction; clocks may count from 1970 [s]
+_FARTHEST = 1e3  # farthest point of a scan [m]
 
 
 class PerceptionError(ValueError):

@@ -16,16 +16,12 @@ from numpy.typing import NDArray
 
 from flipperctl.core.arrays import FloatArray
 
-_SPREAD = 2.6
-"""Spread of a level column's heights between their 10 % and 90 % quantiles, in σ [-]."""
-_SLOPE = 1.5
-"""Rise of a steep slope within a column, in lengths of the column [-]."""
-_APART = 2.5
-"""Columns this far apart are not neighbours, in lengths of the column [-]."""
+_SPREAD = 2.6  # spread of a level column's heights between their 10 % and 90 % quantiles, in σ [-]
+_SLOPE = 1.5  # rise of a steep slope within a column, in lengths of the column [-]
+_APART = 2.5  # columns this far apart are not neighbours, in lengths of the column [-]
 _FACE = 0.2
 """Fraction of a face's height at either end whose points do not tell where it stands [-]."""
-_HIDDEN = 0.7
-"""Slope of a fall through unseen ground from which an edge hides it [-]."""
+_HIDDEN = 0.7  # slope of a fall through unseen ground from which an edge hides it [-]
 
 _INDEX, _HEIGHT, _QUANTUM = 20, 26, 1e-5
 """Bits of a point's index and of its height in a key for sorting [-]; unit of the height [m]."""
@@ -35,22 +31,14 @@ _INDEX, _HEIGHT, _QUANTUM = 20, 26, 1e-5
 class Columns:
     """The points of the map by columns along x, those without enough points left out."""
 
-    x: FloatArray
-    """(C,) middle of each column [m]."""
-    median: FloatArray
-    """(C,) median height [m]."""
-    low: FloatArray
-    """(C,) 10 % quantile of the heights [m]."""
-    high: FloatArray
-    """(C,) 90 % quantile of the heights [m]."""
-    begin: NDArray[np.int64]
-    """(C,) index of each column's first point in ``points``."""
-    end: NDArray[np.int64]
-    """(C,) index past each column's last point in ``points``."""
-    points: FloatArray
-    """(P, 2) x and z of the points, by column, then by height [m]."""
-    cell: float
-    """Length of a column [m]."""
+    x: FloatArray  # (C,) middle of each column [m]
+    median: FloatArray  # (C,) median height [m]
+    low: FloatArray  # (C,) 10 % quantile of the heights [m]
+    high: FloatArray  # (C,) 90 % quantile of the heights [m]
+    begin: NDArray[np.int64]  # (C,) index of each column's first point in ``points``
+    end: NDArray[np.int64]  # (C,) index past each column's last point in ``points``
+    points: FloatArray  # (P, 2) x and z of the points, by column, then by height [m]
+    cell: float  # length of a column [m]
 
 
 def sorted_points(points: FloatArray, cell: float) -> tuple[NDArray[np.int64], FloatArray]:

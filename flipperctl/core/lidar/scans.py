@@ -20,14 +20,10 @@ from flipperctl.core.arrays import FloatArray
 from flipperctl.core.lidar.body import attitude, heading
 from flipperctl.core.lidar.messages import Inertial, Pose, Scan
 
-_STEP = 1e-3
-"""Ages are rounded to multiples of this, so that few attitudes are computed [s]."""
-_LONGEST = 0.5
-"""Older points are taken for as old as this [s]."""
-_UNKNOWN = -math.inf
-"""Time of the pose before any is recorded [s]."""
-_MOST = 256
-"""Poses that are remembered [-]."""
+_STEP = 1e-3  # ages are rounded to multiples of this, so that few attitudes are computed [s]
+_LONGEST = 0.5  # older points are taken for as old as this [s]
+_UNKNOWN = -math.inf  # time of the pose before any is recorded [s]
+_MOST = 256  # poses that are remembered [-]
 
 
 class Trail:
@@ -125,10 +121,8 @@ on a plane through both [-]."""
 _BEND = 1.5
 """Difference of that slope to the next one on either side, which a steep surface does not have [-].
 """
-_SAME = 0.001
-"""Elevations of a ring, and azimuths of a column, are this close [rad]."""
-_NEIGHBOURS = 0.12
-"""Largest angle between neighbouring rays [rad]."""
+_SAME = 0.001  # elevations of a ring, and azimuths of a column, are this close [rad]
+_NEIGHBOURS = 0.12  # largest angle between neighbouring rays [rad]
 
 
 def without_mixed(scan: Scan) -> Scan:
@@ -180,35 +174,25 @@ def _between(
 _SIDE = 0.8
 """Largest distance of the points from the robot's middle plane. Points beside the robot tell both
 errors apart, since their distances are longer [m]."""
-_ACROSS = 0.05
-"""Deviation of the ground's slope across the robot, which is estimated too [rad]."""
-_AHEAD = 0.95
-"""Farthest point ahead of the chassis centre; there is no edge before it [m]."""
+_ACROSS = 0.05  # deviation of the ground's slope across the robot, which is estimated too [rad]
+_AHEAD = 0.95  # farthest point ahead of the chassis centre; there is no edge before it [m]
 _BETWEEN = 0.35
 """Largest distance from the robot's middle plane of points that it will drive over [m]."""
 _ELSEWHERE, _SHARE = 0.04, 0.9
 """Largest distance from the ground of this part of its points, distances that err included [m]."""
-_STEEP_RAY = 0.3
-"""Smallest drop of a ray per its length [-]."""
-_APART = 0.08
-"""Points farther than this above or below the ground are not on it [m]."""
-_FEWEST = 30
-"""Points that are needed [-]."""
-_LARGEST = 0.05
-"""Largest error of the distances that is believed [m]."""
-_NOISE, _SHARED = 0.012, 3.0
-"""Deviation of a point's height [m], and points that err alike [-]."""
-_BIAS = 0.02
-"""Deviation of the error of the distances [m]."""
+_STEEP_RAY = 0.3  # smallest drop of a ray per its length [-]
+_APART = 0.08  # points farther than this above or below the ground are not on it [m]
+_FEWEST = 30  # points that are needed [-]
+_LARGEST = 0.05  # largest error of the distances that is believed [m]
+_NOISE, _SHARED = 0.012, 3.0  # deviation of a point's height [m], and points that err alike [-]
+_BIAS = 0.02  # deviation of the error of the distances [m]
 
 
 class StartErrors(NamedTuple):
     """Errors at the start."""
 
-    distance: float = 0.0
-    """By how much distances are too long [m]."""
-    pitch: float = 0.0
-    """By how much the pitch is too large [rad]."""
+    distance: float = 0.0  # by how much distances are too long [m]
+    pitch: float = 0.0  # by how much the pitch is too large [rad]
 
 
 def is_elsewhere(points: FloatArray, lidar: FloatArray, below: float) -> bool:
@@ -265,8 +249,7 @@ def without_bias(scan: Scan, bias: float) -> Scan:
     return replace(scan, points=scan.points * (1 - bias / np.maximum(distance, 2 * abs(bias))))
 
 
-_LONGEST_STEP = 0.5
-"""Longest pause between two messages over which a motion is integrated [s]."""
+_LONGEST_STEP = 0.5  # longest pause between two messages over which a motion is integrated [s]
 
 
 def advanced(pose: Pose, inertial: Inertial, speed: float, elapsed: float) -> Pose:

@@ -88,12 +88,9 @@ _WIDE = 0.5  # largest width of the strips farther away [m]
 class Strip(NamedTuple):
     """A part of the ground along x that is constant over its width."""
 
-    low: float
-    """Its right border's y [m]."""
-    high: float
-    """Its left border's y [m]."""
-    line: FloatArray
-    """Its outline, level ground before and past it included, (V, 2) of x and z [m]."""
+    low: float  # its right border's y [m]
+    high: float  # its left border's y [m]
+    line: FloatArray  # its outline, level ground before and past it included, (V, 2) of x and z [m]
 
 
 def reach(sim: MujocoSettings) -> float:
@@ -212,12 +209,9 @@ ROUGH_MARGIN = 0.2
 class Box(NamedTuple):
     """A box in world whose upper face is ground."""
 
-    centre: tuple[float, float, float]
-    """x, y, z [m]."""
-    half: tuple[float, float, float]
-    """Half its length, width and thickness [m]."""
-    tilt: float
-    """Slope of its upper face, up towards +x positive [rad]."""
+    centre: tuple[float, float, float]  # x, y, z [m]
+    half: tuple[float, float, float]  # half its length, width and thickness [m]
+    tilt: float  # slope of its upper face, up towards +x positive [rad]
 
 
 def boxes(profile: Profile, sim: MujocoSettings, rng: np.random.Generator) -> list[Box]:

@@ -42,8 +42,7 @@ overdamped ones hop least at the default substep; statics are not affected.
 """
 _SLIP = 10.0
 """Stiffness of friction relative to that of contacts, so that a held robot does not creep [-]."""
-_ROTOR_INERTIA = 1.0
-"""Inertia of a flipper's geared motor at its hinge; a guess [kg m²]."""
+_ROTOR_INERTIA = 1.0  # inertia of a flipper's geared motor at its hinge; a guess [kg m²]
 _SERVO = 2000.0
 """Torque of a flipper's servo for each rad/s of velocity error [N m s/rad], before its limit."""
 ROBOT_GROUP = 1
@@ -57,10 +56,8 @@ class Model(NamedTuple):
     model: Any
     """``mujoco.MjModel``; the robot's free joint comes first, then the flippers' hinges, in the
     order front left, rear left, front right, rear right."""
-    belts: FloatArray
-    """(G, 6) ``geom_surfacevel`` of belts that run at the robot's speed."""
-    sides: FloatArray
-    """(G,) 1 for parts on the left, -1 for those on the right, 0 for the ground."""
+    belts: FloatArray  # (G, 6) ``geom_surfacevel`` of belts that run at the robot's speed
+    sides: FloatArray  # (G,) 1 for parts on the left, -1 for those on the right, 0 for the ground
 
 
 def build(

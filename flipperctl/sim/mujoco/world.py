@@ -30,10 +30,10 @@ from flipperctl.api import (
     View,
 )
 from flipperctl.errors import NonFiniteError
+from flipperctl.sim.ground import OVERLAP, height_at
 from flipperctl.sim.mujoco.ground import GROUND_WIDTH, ROUGH_MARGIN, add_scenery, boxes
 from flipperctl.sim.mujoco.model import ROBOT_GROUP, Model, build
 from flipperctl.sim.mujoco.settings import MujocoSettings
-from flipperctl.sim.resting import OVERLAP, height_at
 
 if TYPE_CHECKING:
     from flipperctl.sim.mujoco.camera import Camera
@@ -86,12 +86,10 @@ def clear(pose: FloatArray, start: Start, most: float, penetration: Callable[[],
         pose[0] = max(nearest, pose[0] - depth)
 
 
-_SIDES = 1.0, -1.0
-"""Left and right, as in ``Model.sides``."""
+_SIDES = 1.0, -1.0  # left and right, as in ``Model.sides``
 _LARGEST_STEER = 0.5
 """Largest difference of a belt's speed from the robot's by steering, as a fraction [-]."""
-_STEER_AHEAD = 1.0
-"""Steering aims at the middle of the ground this far ahead [m]."""
+_STEER_AHEAD = 1.0  # steering aims at the middle of the ground this far ahead [m]
 _AVERAGING = 0.1
 """Time over which normal forces are averaged for the motors' limit; contacts hop [s]."""
 
@@ -154,8 +152,7 @@ class Tracks:
                 self._model.geom_friction[self._sides == side, 0] = usable
 
 
-_SERVO_RATE = 25.0
-"""Velocity that a servo demands for each rad of its angle's error [1/s]."""
+_SERVO_RATE = 25.0  # velocity that a servo demands for each rad of its angle's error [1/s]
 _STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _HINGES = slice(7, 11)  # of qpos, after the free joint
 _RAY_GROUPS = np.array([group != ROBOT_GROUP for group in range(6)], np.uint8)

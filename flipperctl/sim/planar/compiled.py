@@ -55,10 +55,8 @@ The engine does not limit the belts' motors and may report any force in a wedge.
 class Belt(NamedTuple):
     """Values that a callback sets at each contact of a track with the ground."""
 
-    speed: float
-    """Speed of the belt's surface along the outline [m/s]."""
-    largest: float
-    """Largest impulse that a contact caches from one substep for the next [N s]."""
+    speed: float  # speed of the belt's surface along the outline [m/s]
+    largest: float  # largest impulse that a contact caches from one substep for the next [N s]
     grip: float = math.inf
     """Sum of the normal impulses of a substep up to which friction alone limits the belts [N s].
 
@@ -70,18 +68,13 @@ class Belt(NamedTuple):
 class Budget(NamedTuple):
     """Constants of a robot's energy balance."""
 
-    gravity: float
-    """Downward acceleration [m/s²]."""
-    servos: float
-    """Largest work of both servos in a sample [J]."""
-    belts: float
-    """Largest work of all belts in a sample [J]."""
-    tolerance: float
-    """Gain in a sample that is allowed beyond that work [J]."""
+    gravity: float  # downward acceleration [m/s²]
+    servos: float  # largest work of both servos in a sample [J]
+    belts: float  # largest work of all belts in a sample [J]
+    tolerance: float  # gain in a sample that is allowed beyond that work [J]
     ahead: float = 0.0
     """Distance of the loaded chassis' centre of mass ahead of its centre, in frame R [m]."""
-    above: float = 0.0
-    """Height of that centre of mass above the chassis centre, in frame R [m]."""
+    above: float = 0.0  # height of that centre of mass above the chassis centre, in frame R [m]
 
     @classmethod
     def of(cls, robot: Robot, gravity: float) -> Budget:
@@ -232,18 +225,13 @@ class _Access(NamedTuple):
     chassis: int
     front: int
     rear: int
-    reading: int
-    """pymunk's request to append the states of a body."""
-    read: NDArray[np.int32]
-    """Number of values in ``states`` that are filled, (1,)."""
+    reading: int  # pymunk's request to append the states of a body
+    read: NDArray[np.int32]  # number of values in ``states`` that are filled, (1,)
     states: FloatArray
     """States of chassis, front and rear flippers in their order, flat; see ``STATE``."""
-    writing: int
-    """pymunk's request to take the velocities of a body."""
-    written: NDArray[np.int32]
-    """Number of values in ``velocities`` that are taken, (1,)."""
-    velocities: FloatArray
-    """Velocity (x, z) [m/s] and angular velocity [rad/s] of the bodies, flat."""
+    writing: int  # pymunk's request to take the velocities of a body
+    written: NDArray[np.int32]  # number of values in ``velocities`` that are taken, (1,)
+    velocities: FloatArray  # velocity (x, z) [m/s] and angular velocity [rad/s] of the bodies, flat
 
 
 @cached(njit)

@@ -52,8 +52,7 @@ def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
 
 _GRAZING = 1e-9
 """Largest difference of two slopes at which a line of sight along the ground is free [-]."""
-_BEHIND = 10.0
-"""Range of the sensor behind the robot [m]; ahead it is the horizon."""
+_BEHIND = 10.0  # range of the sensor behind the robot [m]; ahead it is the horizon
 
 
 @cached(njit)
@@ -122,12 +121,9 @@ def known_points(seen: NDArray[np.bool_], low: int, high: int) -> NDArray[np.int
 class Mast(NamedTuple):
     """Mount and range of the ranging sensor."""
 
-    mount: tuple[float, float]
-    """Position (x, z) of the sensor in frame R [m]."""
-    body_length: float
-    """Length of the chassis, which hides the ground below it [m]."""
-    horizon: float
-    """Range ahead of the robot [m]."""
+    mount: tuple[float, float]  # position (x, z) of the sensor in frame R [m]
+    body_length: float  # length of the chassis, which hides the ground below it [m]
+    horizon: float  # range ahead of the robot [m]
 
 
 class SeenGround:

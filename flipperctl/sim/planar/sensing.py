@@ -230,12 +230,9 @@ LARGEST = 0.3
 class MapErrorSize:
     """Parameters of the model."""
 
-    height: float
-    """Standard deviation of the heights' error [m]."""
-    length: float
-    """Distance along x over which the heights' error loses its correlation [m]."""
-    drift: float
-    """Standard deviation of the odometry's error over 1 m of the way [m]."""
+    height: float  # standard deviation of the heights' error [m]
+    length: float  # distance along x over which the heights' error loses its correlation [m]
+    drift: float  # standard deviation of the odometry's error over 1 m of the way [m]
     jitter: float = 0.0
     """Standard deviation of a displacement that is drawn anew at each decision [m]."""
 

@@ -24,10 +24,10 @@ from flipperctl.api import (
     RobotState,
     Start,
 )
+from flipperctl.sim.ground import height_at
 from flipperctl.sim.planar.compiled import GROUND, TRACK, Belt, Budget, CompiledLoop
 from flipperctl.sim.planar.rays import distances
 from flipperctl.sim.planar.settings import PlanarSettings
-from flipperctl.sim.resting import height_at
 
 _LEVEL_GROUND = 20.0  # length of the level ground before and past the profile [m]
 _IMPULSE_SPEED = 1.25

@@ -13,11 +13,12 @@ from flipperctl.sim.lidar.instruments import (
     BeltEncoders,
     InertialErrors,
     InertialUnit,
+    RangeErrors,
+    Scanner,
     Tracking,
     levelled,
     to_world,
 )
-from flipperctl.sim.lidar.scanner import RangeErrors, Scanner
 from flipperctl.sim.mujoco import Mujoco
 from tests.core.lidar.level_ground import BODY
 from tests.sim.lidar.test_lidar import EXACT

@@ -15,7 +15,7 @@ from flipperctl.core.lidar.messages import Joints, Pose, Scan
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
 from flipperctl.sim.lidar import LidarSensor
-from flipperctl.sim.lidar.scanner import (
+from flipperctl.sim.lidar.instruments import (
     RINGS,
     OwnHits,
     RangeErrors,

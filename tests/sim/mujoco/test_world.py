@@ -11,9 +11,9 @@ import pytest
 from flipperctl.api import EndingWorld, Outcome, Profile, Robot, Start, action_index
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError, NonFiniteError
+from flipperctl.sim.ground import OVERLAP
 from flipperctl.sim.mujoco import Mujoco
 from flipperctl.sim.mujoco.world import MujocoWorld
-from flipperctl.sim.resting import OVERLAP
 
 FLAT = Profile([(0.0, 0.0)])
 STILL = Robot(track_speed=1e-9)
