@@ -9,7 +9,7 @@ import typer
 
 from benchmarks.settings import MEASURES, run
 from flipperctl import entry
-from flipperctl.cli import bench, options
+from flipperctl.cli import options, train
 from flipperctl.cli.command import App, TrainingCommand
 from flipperctl.cli.main import run_app
 from flipperctl.terminal.streams import plain_streams
@@ -40,7 +40,7 @@ change nothing there.
   python -m benchmarks solve bench.seeds=3 bench.limit=300 terrain=step --output speed
 """
 
-app = App(rich_markup_mode="rich", pretty_exceptions_enable=False, add_completion=False)
+app = App(pretty_exceptions_enable=False, add_completion=False)
 
 
 @app.command(help=HELP, cls=TrainingCommand)
@@ -53,9 +53,9 @@ def benchmarks(
             show_default=False,
         ),
     ] = None,
-    small: bench.Small = False,
+    small: train.Small = False,
     repeats: Annotated[str | None, typer.Option(metavar="N", help="Rounds [10].")] = None,
-    output: bench.OutputFolder = None,
+    output: train.OutputFolder = None,
     as_json: options.AsJson = False,
     plugins: options.PluginPaths = None,
 ) -> None:

@@ -20,7 +20,7 @@ from sphinx.pycode import ModuleAnalyzer
 
 from flipperctl import plugins
 from flipperctl.api import Robot, Settings, registry
-from flipperctl.cli.hydra import compose, config_store
+from flipperctl.cli.hydra import compose
 from flipperctl.cli.main import app
 from flipperctl.config import (
     Agent,
@@ -140,7 +140,7 @@ def _top_level() -> Iterator[Field]:
     """Yield the keys that name a plugin or a variant, and those outside of all sections."""
     from flipperctl.config.describe import settings as all_settings
 
-    config_store.register_defaults()
+    compose.register_defaults()
     (config,) = compose.compose_train()
     for setting in all_settings(config):
         f = setting.field

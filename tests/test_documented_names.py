@@ -18,7 +18,8 @@ import typer.main
 from benchmarks import __main__ as benchmarks
 from benchmarks import settings as benchmark_settings
 from docs import generate
-from flipperctl.cli.main import COMMANDS, app, run_app
+from flipperctl.cli.main import app, run_app
+from tests.cli.call import COMMANDS
 
 ROOT = Path(__file__).parents[1]
 NAMES = ["README.md", "CONTRIBUTING.md", "SECURITY.md"]

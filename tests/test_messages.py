@@ -4,10 +4,10 @@ import pytest
 
 from flipperctl.api import registry
 from flipperctl.api.plugin import Plugin
-from flipperctl.cli.main import COMMANDS
 from flipperctl.errors import MissingExtraError, missing_package
 from flipperctl.guard import naming
 from flipperctl.messages import close_match, closest
+from tests.cli.call import COMMANDS
 
 PLUGINS = sorted(name for _, name in registry)
 SETTINGS = ["gamma", "learning_rate", "batch_size", "epsilon_decisions", "friction", "substep"]

@@ -13,9 +13,9 @@ from sphinx.util.inventory import InventoryFile
 
 from docs import generate
 from flipperctl.api import Plugin, Settings, registry
-from flipperctl.cli.main import COMMANDS, app
+from flipperctl.cli.main import app
 from flipperctl.config import EvalConfig, TrainConfig
-from tests.cli.call import GROUPS, SUBCOMMANDS
+from tests.cli.call import COMMANDS, GROUPS, SUBCOMMANDS
 
 ROOT = Path(__file__).parents[1]
 BASES = {

@@ -1,16 +1,11 @@
-"""Parse the options of every subcommand: one value for each, and unknown ones are explained.
-
-``App.add`` registers a module with its function ``run`` and its ``HELP`` as a ``Command``. An
-``App`` is a ``Group``, which explains unknown options in the same way.
-"""
+"""Parse the options of every subcommand: one value for each, and unknown ones are explained."""
 
 from __future__ import annotations
 
+import inspect
 import re
 import shlex
-from collections.abc import Iterator, Sequence
-from importlib import import_module
-from types import ModuleType
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, ClassVar
 
 import typer
@@ -47,28 +42,26 @@ class Command(TyperCommand):
         if values.get("help"):
             return
         for option in single:
-            if len(given := values.get(option.name) or ()) > 1:
-                raise RequestError(_twice(option, given))
-        for argument in self.get_params(ctx):
-            if argument.param_type_name == "argument" and (found := values.get(argument.name)):
-                words += [found] if isinstance(found, str) else found
+            given: list[str] = values.get(option.name) or []
+            if len(given) > 1:
+                name, first, second = option.opts[0], given[0], given[1]
+                text = f"{name} is given twice: {first} and {second}; one is allowed"
+                if option.metavar == "NAMES":
+                    text += f"; several names are written as {name} {first},{second}"
+                raise RequestError(text)
+        arguments = [p for p in self.get_params(ctx) if p.param_type_name == "argument"]
+        for found in filter(None, (values.get(argument.name) for argument in arguments)):
+            words += [found] if isinstance(found, str) else found
         known = [name for option in options for name in option.opts] + [*self.foreign_options]
         for word in words:
             name = word.partition("=")[0]
             check_moved(ctx.command_path, name)
             check_moved(ctx.command_path, word)
             if name.startswith("-") and name not in ("-", *known):
-                self._refuse(name, args, known)
-
-    def _refuse(self, name: str, args: list[str], known: list[str]) -> None:
-        marks = ("OVERRIDE", "[SETTING...]")
-        overridable = any(m in str(param.metavar) for param in self.params for m in marks)
-        primary = self.primary if overridable else None
-        takes_run = any(
-            param.param_type_name == "argument" and "RUN" in str(param.metavar)
-            for param in self.params
-        )
-        raise _unknown(name, _value(name, args), known, primary, takes_run=takes_run)
+                taken = " ".join(str(argument.metavar) for argument in arguments)
+                primary = self.primary if re.search(r"OVERRIDE|\[SETTING\.\.\.\]", taken) else None
+                value = _value(name, args)
+                raise _unknown(name, value, known, primary, takes_run="RUN" in taken)
 
 
 class TrainingCommand(Command):
@@ -89,7 +82,9 @@ class Group(TyperGroup):
             if not name.startswith("-") or name in ("-", "--"):
                 break
             if name not in known:
-                self._refuse(name, args, known)
+                named = next((self.commands[w] for w in args if w in self.commands), None)
+                value = "" if (found := _value(name, args)) in self.commands else found
+                raise _unknown(name, value, known, getattr(named, "primary", "train"))
         return super().parse_args(ctx, args)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
@@ -97,12 +92,6 @@ class Group(TyperGroup):
         if not ctx.resilient_parsing:
             check_moved(ctx.command_path, args[0])
         return super().resolve_command(ctx, args)
-
-    def _refuse(self, name: str, args: list[str], known: list[str]) -> None:
-        named = next((self.commands[word] for word in args if word in self.commands), None)
-        value = "" if (found := _value(name, args)) in self.commands else found
-        primary = getattr(named, "primary", TrainingCommand.primary)
-        raise _unknown(name, value, known, primary)
 
 
 def _unknown(
@@ -155,32 +144,14 @@ def _value(name: str, args: Sequence[str]) -> str:
     return after if not value and not after.startswith("-") and "=" not in after else value
 
 
-def _twice(option: TyperOption, values: Sequence[str]) -> str:
-    text = f"{option.opts[0]} is given twice: {values[0]} and {values[1]}; one is allowed"
-    if option.metavar == "NAMES":
-        text += f"; several names are written as {option.opts[0]} {values[0]},{values[1]}"
-    return text
-
-
 class App(typer.Typer):
     """A Typer application that is a ``Group`` of ``Command``."""
 
     def __init__(self, **settings: Any) -> None:
         """Take the settings of ``typer.Typer``."""
-        super().__init__(**{"cls": Group, **settings})
+        super().__init__(cls=Group, rich_markup_mode="rich", **settings)
 
-    def add(self, name: str, module: ModuleType) -> None:
-        """Register a subcommand: the module's ``run``, ``HELP`` and, if it has one, ``COMMAND``.
-
-        ``COMMAND`` is a subclass of ``Command``.
-        """
-        cls: type[Command] = getattr(module, "COMMAND", Command)
-        text = re.sub(r"(?<=\S)\n(?=\S)", " ", module.HELP)  # paragraphs of any width
-        self.command(name, help=text, cls=cls, context_settings=cls.context)(module.run)
-
-    def add_group(self, name: str, package: ModuleType) -> None:
-        """Register a group of subcommands: the package's ``HELP``, and its modules ``VIEWS``."""
-        group = App(name=name, help=package.HELP, no_args_is_help=True, rich_markup_mode="rich")
-        for view in package.VIEWS:
-            group.add(view, import_module(f"{package.__name__}.{view.replace('-', '_')}"))
-        self.add_typer(group)
+    def add(self, name: str, run: Callable[..., Any], cls: type[Command] = Command) -> None:
+        """Register a function as a subcommand, whose help is its docstring."""
+        text = re.sub(r"(?<=\S)\n(?=\S)", " ", inspect.getdoc(run) or "")  # paragraphs of any width
+        self.command(name, help=text, cls=cls, context_settings=cls.context)(run)

@@ -6,30 +6,15 @@ import os
 import sys
 from collections.abc import Sequence
 from contextlib import nullcontext
-from importlib import import_module
 
 import typer
 from typer.exceptions import TyperException
 
 from flipperctl import entry
-from flipperctl.cli.command import App
+from flipperctl.cli import evaluate, inspect, reward, robot, train, write
+from flipperctl.cli.command import App, TrainingCommand
 from flipperctl.errors import InterruptedRunError, RequestError
 from flipperctl.terminal.streams import log_to_stderr, plain_streams, reserved_stdout
-
-COMMANDS = (
-    "train",
-    "eval",
-    "map",
-    "replay",
-    "compare",
-    "card",
-    "export",
-    "inspect",
-    "robot",
-    "new",
-    "bench",
-)
-"""Modules beside this one, each with a subcommand; help lists them in this order."""
 
 # Without these defaults, Typer imports pydantic to validate absent flags, which delays every
 # subcommand's help by 65 ms.
@@ -40,7 +25,6 @@ app = App(
     help="Train, evaluate, export and explain flipper policies of tracked rescue robots.",
     no_args_is_help=True,
     add_completion=True,
-    rich_markup_mode="rich",
     pretty_exceptions_enable=False,
     context_settings={
         "default_map": {**_ABSENT, "inspect": {"help": False}, "robot": {"help": False}}
@@ -53,12 +37,39 @@ def root(version: bool = typer.Option(False, "--version", help="Print the versio
     """Train, evaluate, export and explain flipper policies of tracked rescue robots."""
 
 
-for _name in COMMANDS:
-    _module = import_module(f"flipperctl.cli.{_name}")
-    if hasattr(_module, "VIEWS"):
-        app.add_group(_name, _module)
-    else:
-        app.add(_name, _module)
+app.add("train", train.train, train.TrainCommand)
+app.add("eval", evaluate.evaluate)
+app.add("map", evaluate.map_success)
+app.add("replay", evaluate.replay)
+app.add("compare", evaluate.compare)
+app.add("card", write.card)
+app.add("export", write.export)
+app.add("new", write.new)
+app.add("bench", train.bench, TrainingCommand)
+
+_views = App(
+    name="inspect",
+    help="Look at plugins, terrains, rewards, files, runs and settings.",
+    no_args_is_help=True,
+)
+_views.add("plugins", inspect.plugins)
+_views.add("terrain", inspect.terrain)
+_views.add("reward", reward.reward)
+_views.add("checkpoint", inspect.checkpoint)
+_views.add("run", inspect.run)
+_views.add("config", inspect.config, TrainingCommand)
+app.add_typer(_views)
+
+_robots = App(
+    name="robot",
+    help="Check a robot's sensing and signs, and use what it recorded.",
+    no_args_is_help=True,
+)
+_robots.add("check", robot.check)
+_robots.add("shadow", robot.shadow)
+_robots.add("ground", robot.ground)
+_robots.add("self-test", robot.self_test)
+app.add_typer(_robots)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

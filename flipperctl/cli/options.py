@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -60,43 +59,3 @@ Episodes = Annotated[str | None, typer.Option(metavar="N", help="Episodes per sc
 Seed = Annotated[str | None, typer.Option(metavar="N", help="Seed of the episodes [0].")]
 Jobs = Annotated[str | None, typer.Option(metavar="N", help="Processes [1].")]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON document on stdout.")]
-
-
-class Convention(StrEnum):
-    """Signs of flipper angles."""
-
-    rep103 = "rep103"
-    flipperctl = "flipperctl"
-
-
-CloudTopic = Annotated[
-    str | None,
-    typer.Option("--topic", metavar="NAME", help="Topic of the PointCloud2, if several."),
-]
-ImuTopic = Annotated[
-    str | None, typer.Option("--imu", metavar="NAME", help="Topic of the Imu, if several.")
-]
-BeltTopic = Annotated[
-    str | None,
-    typer.Option(
-        metavar="NAME",
-        help="Belt speeds, Float64 or Odometry; /belt_speed or the only Odometry if not given.",
-    ),
-]
-FixedFrame = Annotated[
-    str, typer.Option(metavar="NAME", help="Frame in which the ground is at rest.")
-]
-BaseFrame = Annotated[str, typer.Option(metavar="NAME", help="Frame of the chassis.")]
-FrontJoints = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--front", metavar="JOINT", help="A joint of the front flippers; may be repeated."
-    ),
-]
-RearJoints = Annotated[
-    list[str] | None,
-    typer.Option("--rear", metavar="JOINT", help="A joint of the rear flippers; may be repeated."),
-]
-AngleSigns = Annotated[
-    Convention, typer.Option(metavar="NAME", help="Signs of the flippers' angles.")
-]

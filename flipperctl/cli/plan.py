@@ -5,12 +5,13 @@ In: overrides, policies, baselines and a suite. Out: an entry for each policy on
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
-from flipperctl.cli.hydra import compose, config_store
+from flipperctl.cli.hydra.compose import compose_eval, register_trained
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import DEFAULT_ENGINE, EvalConfig, resolver
 from flipperctl.config.words import key_of
@@ -41,8 +42,8 @@ def scenes(
 ) -> list[Scene]:
     """Return a configuration and the policy's source for each scene.
 
-    Exactly one of ``checkpoint`` and ``controller`` must be given; ``words`` are overrides.
-    ``tell`` is called with lines on how the evaluation of a checkpoint differs from its training.
+    ``words`` are overrides; ``controller`` is the policy if there is no ``checkpoint``. ``tell`` is
+    called with lines on how the evaluation of a checkpoint differs from its training.
 
     Raises:
         CheckpointError: there is no such policy, its observation layout differs, or the plugin of
@@ -52,7 +53,7 @@ def scenes(
     if checkpoint is None:
         resolver.get("controller", controller, "--controller")
         overrides = Overrides.parse([f"controller={controller}", *words])
-        found = compose.compose_eval(overrides)
+        found = compose_eval(overrides)
         made = [(config, PolicySource(settings=settings)) for config, settings in found]
         for note in dict.fromkeys(note for config, source in made for note in source.notes(config)):
             tell(note)
@@ -61,8 +62,8 @@ def scenes(
     overrides = Overrides.parse(words)
     terrains = [c.choice("terrain") for c in overrides.combinations()]
     trained = read_config(source, terrains, tell)
-    primary = config_store.register_trained(trained)
-    configs = [config for config, _ in compose.compose_eval(overrides, primary)]
+    primary = register_trained(trained)
+    configs = [config for config, _ in compose_eval(overrides, primary)]
     # This raises for a wrong layout or robot, before the first episode.
     for config in configs:
         source.build(config)
@@ -89,7 +90,7 @@ def one_scene(
     (policy,) = policies
     if any(key_of(word) == "suite" for word in settings):
         raise RequestError(f"suite=…: {command} takes one scene; leave it out")
-    found = scenes(settings, policy.run, None if policy.run else policy.method)
+    found = scenes(settings, policy.run, policy.method)
     if len(found) != 1:
         raise RequestError(f"{command} takes one scene; the settings give {len(found)}")
     return Entry(*found[0])
@@ -133,11 +134,9 @@ def make_plan(
     """
     suite, arguments = split_suite(list(words))
     arguments, engines = _split_engines(arguments)
-    names = dict.fromkeys(entrant.method for entrant in entrants)
-    title = ", ".join(map(short, names))
     if suite is None and len(entrants) == 1:
         (policy,) = entrants
-        found = scenes(arguments, policy.run, None if policy.run else policy.method, tell)
+        found = scenes(arguments, policy.run, policy.method, tell)
         source = found[0][1]
         against = controllers(baseline, "--baseline", source.baselines())
         entries = [Entry(*scene) for scene in found]
@@ -147,6 +146,7 @@ def make_plan(
     parts = suite.scenes if suite else (SuiteScene("", ()),)
     beside = standing(baseline, entrants)
     entries = _entries(arguments, entrants, beside, parts, tell, engines=engines)
+    title = ", ".join(map(short, dict.fromkeys(entrant.method for entrant in entrants)))
     title = f"suite {suite.name}: {title}" if suite else title
     return Plan(tuple(entries), title, with_best_known=baseline != "none")
 
@@ -192,15 +192,16 @@ def _entries(
 
     The controllers ``beside`` are played once under each policy's conditions.
     """
-    sections = [part.with_words(list(words)) for part in parts]
-    composer = _Composer([part.name_with(list(words)) for part in parts], sections, tell)
+    sections = [(part.name_with(list(words)), part.with_words(list(words))) for part in parts]
     found: dict[tuple[str, str, int, int], list[Entry]] = {}
     several = {e.method for e in entrants if sum(o.method == e.method for o in entrants) > 1}
 
     def add(entry: Entry) -> None:
         rows = found.setdefault(entry.ground, [])
-        ours = entry.source, _scoring(entry.config)
-        if all(ours != (other.source, _scoring(other.config)) for other in rows):
+        # What results on equal episodes depend on.
+        ours = entry.source, entry.config.rewards, entry.config.perception.layout
+        others = ((o.source, o.config.rewards, o.config.perception.layout) for o in rows)
+        if ours not in others:
             rows.append(entry)
 
     made = [
@@ -208,13 +209,13 @@ def _entries(
             *(config, source, scene, entrant.method),
             entrant.training_seed if entrant.method in several else None,
         )
-        for entrant in entrants
-        for scene, config, source in composer.of(entrant)
+        for entrant, own in zip(entrants, _composed(entrants, sections, tell), strict=True)
+        for scene, config, source in own
     ]
     for entry in _steps(made) if engines else made:
         add(entry)
     _tell_unlike([entry for rows in found.values() for entry in rows], tell)
-    keys = [key_of(word).rpartition("@")[2] for part in sections for word in part]
+    keys = [key_of(word).rpartition("@")[2] for _, part in sections for word in part]
     chosen = any(key.startswith("rewards") for key in keys)
     controllers = [(e, load_policy(e.method, "--baseline")) for e in beside]
     for rows in list(found.values()):
@@ -222,39 +223,14 @@ def _entries(
         if not chosen:  # as when they are asked for by name, so that the same blocks serve
             own = EvalConfig(terrain=configs[0].terrain).rewards
             configs = [configs[0].model_copy(update={"rewards": own})]
-        scene = rows[0].scene
-        for entrant, source in controllers:
-            for config in configs:
-                add(Entry(config, source, scene, entrant.method, is_baseline=True))
+        for (entrant, source), config in product(controllers, configs):
+            add(Entry(config, source, rows[0].scene, entrant.method, is_baseline=True))
     if not chosen and any(len(_of_each_reward(rows)) > 1 for rows in found.values()):
         tell(
             "return: these policies have different rewards, so their returns do not compare; "
             "rewards=… sets the same for all"
         )
     return [entry for rows in found.values() for entry in rows]
-
-
-def _tell_unlike(entries: Sequence[Entry], tell: Tell) -> None:
-    """Tell if methods play different scenes, as policies that bring their own ground."""
-    played: dict[str, dict[str, None]] = {}
-    for entry in entries:
-        scene = f"{entry.terrain} {entry.conditions.hash}"
-        played.setdefault(entry.method, {})[scene] = None
-    if len({frozenset(scenes) for scenes in played.values()}) > 1:
-        each = "; ".join(_first(method, scenes) for method, scenes in played.items())
-        tell(
-            f"these policies play different scenes, so they do not compare ({each}); terrain=… and "
-            "conditions=… set the same for all"
-        )
-
-
-def _first(method: str, scenes: Collection[str]) -> str:
-    return f"{method}: {next(iter(scenes))}{' …' if len(scenes) > 1 else ''}"
-
-
-def _scoring(config: EvalConfig) -> tuple[object, object]:
-    """Return what results on equal episodes depend on beside the policy."""
-    return config.rewards, config.perception.layout
 
 
 def _of_each_reward(entries: Sequence[Entry]) -> list[EvalConfig]:
@@ -266,49 +242,63 @@ def _of_each_reward(entries: Sequence[Entry]) -> list[EvalConfig]:
     return found
 
 
-class _Composer:
-    """Composes the scenes of policies, once for those that inherit equal settings."""
+def _tell_unlike(entries: Sequence[Entry], tell: Tell) -> None:
+    """Tell if methods play different scenes, as policies that bring their own ground."""
+    played: dict[str, dict[str, None]] = {}
+    for entry in entries:
+        scene = f"{entry.terrain} {entry.conditions.hash}"
+        played.setdefault(entry.method, {})[scene] = None
+    if len({frozenset(scenes) for scenes in played.values()}) > 1:
+        each = "; ".join(
+            f"{method}: {next(iter(scenes))}{' …' if len(scenes) > 1 else ''}"
+            for method, scenes in played.items()
+        )
+        tell(
+            f"these policies play different scenes, so they do not compare ({each}); terrain=… and "
+            "conditions=… set the same for all"
+        )
 
-    def __init__(self, names: Sequence[str], sections: Sequence[Sequence[str]], tell: Tell) -> None:
-        """``sections`` are the words of each scene; ``tell`` is called once with each line."""
-        self._names, self._sections = names, sections
-        self._known: list[tuple[Inherited | None, list[tuple[str, EvalConfig]]]] = []
-        self._told: set[str] = set()
-        self._tell_user = tell
 
-    def _tell(self, line: str) -> None:
-        if line not in self._told:
-            self._told.add(line)
-            self._tell_user(line)
+def _composed(
+    entrants: Sequence[Entrant], sections: Sequence[tuple[str, Sequence[str]]], tell: Tell
+) -> Iterator[list[tuple[str, EvalConfig, PolicySource]]]:
+    """Yield the scenes of each policy, composed once for those that inherit equal settings.
 
-    def of(self, entrant: Entrant) -> list[tuple[str, EvalConfig, PolicySource]]:
-        """Return the name, configuration and policy of each scene of an entrant.
+    ``sections`` are the names and words of the scenes; ``tell`` is called once with each line. A
+    controller with settings among the words has scenes of its own.
+    """
+    told: set[str] = set()
+    known: list[tuple[Inherited | None, list[tuple[str, EvalConfig]]]] = []
 
-        A controller with settings among the words has scenes of its own.
-        """
+    def once(line: str) -> None:
+        if line not in told:
+            told.add(line)
+            tell(line)
+
+    for entrant in entrants:
         inherited, own = None, False
         if entrant.run is not None:
-            source = load_policy(entrant.run, takes="file", tell=self._tell)
+            source = load_policy(entrant.run, takes="file", tell=once)
             inherited = Inherited.of(read_config(source, [], lambda text: None))
         else:
             source = load_policy(entrant.method, "--controller", "controller", fields={})
-            keys = [key_of(word) for part in self._sections for word in part]
+            keys = [key_of(word) for _, part in sections for word in part]
             own = any(key.startswith("controller.") for key in keys)
-        known = next((found for who, found in self._known if who == inherited), None)
-        if known is None or own:
-            controller = None if entrant.run else entrant.method
+        equal = next((configs for who, configs in known if who == inherited), None)
+        if equal is None or own:
             composed = [
                 (name, *scene)
-                for name, words in zip(self._names, self._sections, strict=True)
-                for scene in scenes(words, entrant.run, controller, self._tell)
+                for name, words in sections
+                for scene in scenes(words, entrant.run, entrant.method, once)
             ]
             if not own:
-                self._known.append((inherited, [(name, config) for name, config, _ in composed]))
-            return composed
-        for _, config in known:
+                known.append((inherited, [(name, config) for name, config, _ in composed]))
+            yield composed
+            continue
+        for _, config in equal:
             if entrant.run is not None:
                 source.build(config)  # it raises before the first episode
                 continue
             for note in source.notes(config):
-                self._tell(note)
-        return [(name, config, source) for name, config in known]
+                once(note)
+        yield [(name, config, source) for name, config in equal]

@@ -1,7 +1,9 @@
-"""``flipperctl train``."""
+"""The commands whose overrides are a training's: ``train`` and ``bench``."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Annotated, ClassVar
 
@@ -9,39 +11,21 @@ import typer
 
 from flipperctl.cli import options
 from flipperctl.cli.command import TrainingCommand
-
-HYDRA_OPTIONS = [
-    *("-m", "--multirun", "-c", "--cfg", "-p", "--package", "--resolve", "-i", "--info"),
-    *("-cd", "--config-dir", "-cn", "--config-name", "-cp", "--config-path", "--hydra-help"),
-]
-
-HELP = """Train a policy. Progress goes to stderr, everything else to the run directory.
-
-OVERRIDES are Hydra's: key=value. [bold]flipperctl inspect config[/] shows every key.
-
-[bold]Examples[/]
-
-  flipperctl train terrain=stair
-
-  flipperctl train terrain=step seed=3 rewards.pitch.lambda_2=8
-
-  flipperctl train -m terrain=step,stair seed=1,2 --output runs/compared
-
-  flipperctl train --resume runs/stair/2026-01-31_12-00-00
-"""
+from flipperctl.errors import RequestError
+from flipperctl.terminal.streams import print_note, show
 
 
 class TrainCommand(TrainingCommand):
     """The subcommand, which passes Hydra's options on."""
 
-    foreign_options = HYDRA_OPTIONS
+    foreign_options = (
+        *("-m", "--multirun", "-c", "--cfg", "-p", "--package", "--resolve", "-i", "--info"),
+        *("-cd", "--config-dir", "-cn", "--config-name", "-cp", "--config-path", "--hydra-help"),
+    )
     context: ClassVar = {"ignore_unknown_options": True}  # Hydra's own arrive as overrides
 
 
-COMMAND = TrainCommand
-
-
-def run(
+def train(
     overrides: options.Overrides = None,
     resume: Annotated[
         Path | None,
@@ -61,7 +45,20 @@ def run(
     ] = None,
     plugins: options.PluginPaths = None,
 ) -> None:
-    """See HELP."""
+    """Train a policy. Progress goes to stderr, everything else to the run directory.
+
+    OVERRIDES are Hydra's: key=value. [bold]flipperctl inspect config[/] shows every key.
+
+    [bold]Examples[/]
+
+      flipperctl train terrain=stair
+
+      flipperctl train terrain=step seed=3 rewards.pitch.lambda_2=8
+
+      flipperctl train -m terrain=step,stair seed=1,2 --output runs/compared
+
+      flipperctl train --resume runs/stair/2026-01-31_12-00-00
+    """
     arguments = list(overrides or [])
     if resume is not None:
         from flipperctl.evaluation.policies import refuse_beside
@@ -95,3 +92,83 @@ def _resume(run: Path, words: list[str]) -> None:
         print_best(resume(run, changes, reports(), check=check_resumed))
     except KeyboardInterrupt as error:  # outside the episodes, which stop by themselves
         raise session.interrupted_run(run) from error
+
+
+Small = Annotated[bool, typer.Option("--small", help="Run all in seconds, to test that it works.")]
+OutputFolder = Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for bench.json.")]
+
+
+def bench(
+    words: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[MEASURE]... [OVERRIDE]...",
+            help="training, evaluation, decision; and key=value.",
+            show_default=False,
+        ),
+    ] = None,
+    small: Small = False,
+    repeats: Annotated[
+        int | None, typer.Option(min=2, max=10_000, metavar="N", help="Rounds [10].")
+    ] = None,
+    output: OutputFolder = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
+) -> None:
+    """Measure how fast flipperctl is on this machine.
+
+    [bold]training[/] decisions per second, updates included; [bold]evaluation[/] simulated time per
+    CPU time of each engine; [bold]decision[/] of an exported policy. The table shows medians with
+    quartiles. OVERRIDES are those of train.
+
+    [bold]Examples[/]
+
+      flipperctl bench
+
+      flipperctl bench training decision terrain=stair network=mlp --output speed
+
+      flipperctl bench --small --json
+    """
+    from flipperctl import bench
+    from flipperctl.cli.hydra.compose import compose_train, only_one
+    from flipperctl.cli.hydra.overrides import Overrides
+    from flipperctl.results import json_result
+    from flipperctl.show import console, print_table
+    from flipperctl.terminal.progress import steps_progress
+
+    chosen, overrides = split_arguments(words or (), tuple(bench.MEASURES))
+    sizes = bench.SMALL if small else bench.Sizes()
+    sizes = sizes if repeats is None else replace(sizes, repeats=repeats)
+    config = only_one(compose_train(Overrides.parse(overrides)))
+    own = {"machine": bench.machine(), "settings": asdict(sizes), "overrides": overrides}
+    document = {**own, "measures": (measures := {})}
+    with json_result(output, "bench") as write:
+        for name in chosen:
+            with steps_progress(name) as report:
+                measures[name] = bench.MEASURES[name](config, sizes, report)
+            for text in measures[name].get("missing", ()):
+                print_note(f"{name}: {text}")
+        write(document)
+
+    def printed() -> None:
+        for name, found in measures.items():
+            print_table(bench.table(name, found), console())
+
+    show(document, printed, as_json=as_json)
+
+
+def split_arguments(words: Sequence[str], known: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return the measures, in the order of those ``known``, and the overrides."""
+    from flipperctl.messages import close_match
+
+    overrides = [word for word in words if "=" in word or word.startswith("~")]
+    names = [word for word in words if word not in overrides]
+    allowed = ("all", *known)
+    for name in names:
+        if name not in allowed:
+            raise RequestError(
+                f"there is no measure {name!r}{close_match(name, allowed)}; "
+                f"known: {', '.join(allowed)}; an override is key=value"
+            )
+    every = not names or "all" in names
+    return [one for one in known if every or one in names], overrides

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -34,23 +34,21 @@ class _Cell:
         from IPython.display import display
 
         self._unit, self._shown = unit, 0.0
-        self.lines: list[str] = []
         self._handle: Any = display({"text/plain": ""}, raw=True, display_id=True)
 
-    def show(self, done: float, total: int, state: str, *, now: bool = False) -> None:
+    def bar(
+        self, done: float, total: int, state: str, below: Sequence[str] = (), *, now: bool = False
+    ) -> None:
         """Move the bar, unless it has just moved and ``now`` is False."""
         if now or time.perf_counter() - self._shown >= _PERIOD:
+            self._shown = time.perf_counter()
             full = min(_WIDTH, int(_WIDTH * done / max(1, total)))
             bar = "█" * full + "░" * (_WIDTH - full)
-            self._update([f"{bar} {done:.0f}/{total} {self._unit}  {state}", *self.lines])
+            self.text("\n".join([f"{bar} {done:.0f}/{total} {self._unit}  {state}", *below]))
 
-    def clear(self) -> None:
-        """Remove the text."""
-        self._update([])
-
-    def _update(self, lines: list[str]) -> None:
-        self._shown = time.perf_counter()
-        self._handle.update({"text/plain": "\n".join(lines)}, raw=True)
+    def text(self, text: str) -> None:
+        """Show the text in place of the bar."""
+        self._handle.update({"text/plain": text}, raw=True)
 
 
 class TrainingCell:
@@ -59,7 +57,7 @@ class TrainingCell:
     def __init__(self, total: int, done: int) -> None:
         """``total`` and ``done`` are decisions."""
         self._total, self._done, self._state = total, done, ""
-        self._rate, self._cell = Rate(), _Cell("decisions")
+        self._rate, self._cell, self._lines = Rate(), _Cell("decisions"), list[str]()
         self.close()
 
     def episode(self, row: Mapping[str, Any]) -> None:
@@ -68,7 +66,7 @@ class TrainingCell:
         self._rate.take(self._done)
         left = self._rate.left_text(self._done, self._total)
         self._state = "  ".join(filter(None, [left, state_text(row, self._rate.per_second)]))
-        self._cell.show(self._done, self._total, self._state)
+        self._cell.bar(self._done, self._total, self._state, self._lines)
 
     def validation(self, row: Mapping[str, Any]) -> None:
         """Add a line below the bar."""
@@ -76,27 +74,25 @@ class TrainingCell:
 
     def note(self, text: str) -> None:
         """Add a line below the bar."""
-        self._cell.lines.append(text)
+        self._lines.append(text)
         self.close()
 
     def close(self) -> None:
         """Show the last state."""
-        self._cell.show(self._done, self._total, self._state, now=True)
+        self._cell.bar(self._done, self._total, self._state, self._lines, now=True)
 
 
 def _episodes_in_a_cell() -> Progress:
     """Return a bar for some episodes after the other; it is empty between them and at the end."""
-    cells: list[_Cell] = []
+    cell = _Cell("episodes")
 
     @contextmanager
     def progress(label: str, total: int) -> Iterator[Callable[[float], None]]:
-        if not cells:
-            cells.append(_Cell("episodes"))
-        cells[0].show(0, total, label)
+        cell.bar(0, total, label)
         try:
-            yield lambda done: cells[0].show(done, total, label)
+            yield lambda done: cell.bar(done, total, label)
         finally:
-            cells[0].clear()
+            cell.text("")
 
     return progress
 

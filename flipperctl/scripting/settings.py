@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from enum import Enum
 
 import numpy as np
@@ -146,37 +146,36 @@ def _plain(value: object) -> object:
     return value
 
 
-_SCRIPT = "__main__"
-
-
 def check_training(config: TrainConfig) -> None:
     """Check the plugins of a training, whose episodes workers play unless it is exact."""
     if config.train.mode != "exact":
-        used = [*_environment(config), config.network, config.teacher.controller]
-        _check(used, "train with train={'mode': 'exact'}")
+        others = [config.network, config.teacher.controller]
+        _check(config, others, "train with train={'mode': 'exact'}")
 
 
 def check_evaluation(config: EnvConfig, jobs: int, controller: str | None) -> None:
     """Check the plugins of an evaluation, whose episodes workers play if there are several jobs."""
     if jobs > 1:
-        own = [] if controller is None else [registry["controller", controller]]
-        _check([*_environment(config), *own], "leave jobs at 1")
+        _check(
+            config, [registry["controller", controller]] if controller else [], "leave jobs at 1"
+        )
 
 
-def _environment(config: EnvConfig) -> list[Plugin]:
-    return [config.terrain, config.sim, config.perception, *config.rewards.values()]
-
-
-def _check(used: Iterable[Plugin | type[Plugin] | None], otherwise: str) -> None:
+def _check(
+    config: EnvConfig | TrainConfig,
+    others: Sequence[Plugin | type[Plugin] | None],
+    otherwise: str,
+) -> None:
     # Every measure is taken, whether a configuration names it or not.
     classes = [cls for (kind, _), cls in registry.items() if kind == Measure.kind]
-    for one in used:
+    own = [config.terrain, config.sim, config.perception, *config.rewards.values()]
+    for one in [*own, *others]:
         if isinstance(one, Plugin):
             classes += [type(part) for part in resolver.nested_plugins(one)]
         elif one is not None:
             classes.append(one)
     for cls in classes:
-        if cls.__module__ == _SCRIPT:
+        if cls.__module__ == "__main__":
             raise PluginError(
                 f"{cls.kind} {cls.plugin_name!r} is defined in this script or notebook, which "
                 f"worker processes do not run: save it in a file and give plugins=[FILE], or "

@@ -6,11 +6,13 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
-from flipperctl import api, plugins
-from flipperctl.cli import inspect, robot
-from flipperctl.cli.main import COMMANDS, main
+import typer.main
 
-GROUPS = {"inspect": inspect.VIEWS, "robot": robot.VIEWS}
+from flipperctl import api, plugins
+from flipperctl.cli.main import app, main
+
+COMMANDS = typer.main.get_command(app).commands
+GROUPS = {name: list(one.commands) for name, one in COMMANDS.items() if hasattr(one, "commands")}
 SUBCOMMANDS = [
     *([name] for name in COMMANDS if name not in GROUPS),
     *([group, view] for group, views in GROUPS.items() for view in views),

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from flipperctl import bench
-from flipperctl.cli.bench import split_arguments
+from flipperctl.cli.train import split_arguments
 from tests.cli.call import call
 
 

@@ -142,24 +142,6 @@ def test_a_run_with_other_settings_is_refused_by_name(whole: Path, tmp_path: Pat
     assert (folder / "sweep.csv").read_text() == "as it was"
 
 
-def test_a_failing_run_costs_none_of_the_others(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    train = Trainer._train_episode
-
-    def fail(self: Trainer, collector: object) -> None:
-        train(self, collector)
-        if self.config.seed == 2:
-            raise OSError("the sensor burnt")
-
-    monkeypatch.setattr(Trainer, "_train_episode", fail)
-    done = sweep(tmp_path, "hydra.sweep.dir=s")
-    assert done.code == 1
-    assert "the sensor burnt" in done.err.splitlines()[-1]
-    expected = [("1", "finished"), ("2", "failed"), ("3", "finished")]
-    assert states(tmp_path / "s") == expected
-
-
 def test_ctrl_c_before_the_first_run_begins_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -98,7 +98,7 @@ def test_run_and_exported_file_name_the_plugins_files_and_no_folder(made: Path) 
 @pytest.mark.parametrize("policy", ["run", "run.onnx"])
 def test_a_missing_terrain_is_named_with_its_file(made: Path, policy: str) -> None:
     file = "run/checkpoints/best.safetensors" if policy == "run" else policy
-    for terrain in ([], ["terrain=ridge"], ["terrain=step,ridge"]):
+    for terrain in ([], ["terrain=step,ridge"]):
         done = call("eval", "--checkpoint", policy, *terrain, *NETWORK, cwd=made)
         assert (done.code, done.out) == (2, "")
         assert done.err == (
@@ -109,7 +109,7 @@ def test_a_missing_terrain_is_named_with_its_file(made: Path, policy: str) -> No
 
 @pytest.mark.parametrize("policy", ["run", "run.onnx"])
 def test_another_terrain_needs_no_plugin_of_the_training(made: Path, policy: str) -> None:
-    command = ["eval", "--checkpoint", policy, "terrain=step", "--episodes", "2", "--json"]
+    command = ["eval", "--checkpoint", policy, "terrain=step", "--episodes", "1", "--json"]
     network = NETWORK if policy == "run" else ()
     alone = call(*command, *network, cwd=made)
     assert alone.code == 0, alone.err
@@ -145,7 +145,7 @@ def test_a_run_keeps_its_plugins_and_loads_them_where_it_is_trusted(
         content, name = line.split("  ")
         assert hashlib.sha256((kept / name).read_bytes()).hexdigest() == content
     assert (kept / "calm.py").read_text() == CALM
-    command = ("eval", "run", "--episodes", "2", "--json")
+    command = ("eval", "run", "--episodes", "1", "--json")
     asked = call(*command, "--plugins", "run/plugins", cwd=made)
     assert asked.code == 0, asked.err
     monkeypatch.setenv(checkpoint.TRUST, str(made))

@@ -115,6 +115,7 @@ class Slow(Controller):
 """
 
 
+@pytest.mark.long
 def test_a_second_ctrl_c_kills_what_the_processes_are_at(
     interrupt: Callable[..., None], tmp_path: Path
 ) -> None:

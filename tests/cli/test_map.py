@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from flipperctl.api import Robot
 from flipperctl.errors import WriteError
 from flipperctl.evaluation.play import EpisodeRunner
-from tests.cli.call import call, refused
+from tests.cli.call import call
 
 AXES = "terrain.height=0.2:0.5:2,sim.friction=0.5:1.0:2"
 MAP = ("map", "okada", "terrain=uplift", "--episodes", "1", "--over")
@@ -40,23 +40,21 @@ def test_a_map_is_printed_and_written_and_its_failures_can_be_replayed(
     assert json.loads(again.out) == document  # nothing was played a second time
 
 
-def test_a_map_as_text(tmp_path: Path) -> None:
-    done = call(*MAP, "robot.chassis_mass=30:31:3,sim.friction=0.9:1:2", cwd=tmp_path)
+def test_a_map_as_text_which_a_full_disk_does_not_lose(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(folder: Path, found: object) -> None:
+        raise WriteError(f"{folder}: writing failed half way (No space left on device)")
+
+    monkeypatch.setattr("flipperctl.evaluation.views.map.write", full)
+    axes = "robot.chassis_mass=30:31:3,sim.friction=0.9:1:2"
+    done = call(*MAP, axes, "--output", "found", cwd=tmp_path)
     assert [line.split() for line in done.out.splitlines()[2:5]] == [
         ["1", "100", "100", "100"],
         ["0.9", "100", "100", "100"],
         ["30", "30.5", "31"],  # as many digits as tell them apart
     ]
-
-
-def test_a_full_disk_does_not_lose_the_map(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(folder: Path, found: object) -> None:
-        raise WriteError(f"{folder}: writing failed half way (No space left on device)")
-
-    monkeypatch.setattr("flipperctl.evaluation.views.map.write", full)
-    axes = "terrain.height=0.3:0.4:2,sim.friction=1:1.1:2"
-    done = call(*MAP, axes, "--output", "found", cwd=tmp_path)
-    assert (done.code, "4 of 4 points played" in done.out) == (1, True)
+    assert done.code == 1
     assert "writing failed half way" in done.err.splitlines()[-1]
 
 
@@ -95,10 +93,6 @@ def test_a_failure_is_recorded_and_played_again_with_pictures_of_its_robot(
     assert "wrong.json: the episode differs from the recorded one: digest" in done.err
 
 
-def test_settings_of_a_replay_are_those_of_the_record(tmp_path: Path) -> None:
-    assert "sim.friction=2" in refused("replay", "failure.json", "sim.friction=2", cwd=tmp_path)
-
-
 HIGH = ("terrain=step", "terrain.low=0.4", "terrain.high=0.4", "sim.friction=0.6")
 
 
@@ -125,7 +119,7 @@ def test_engines_stand_side_by_side_and_failures_have_causes_and_records(
 
 # A step of 0.9 m that no controller crosses, or one of 0.1 m that the others cross.
 WALL = "terrain.parts=[{name:step,low:0.9,high:0.9},{name:step,low:0.1,high:0.1}]"
-FEW = ["--episodes", "6", "terrain=mix", WALL, "sim.friction=0.8"]
+FEW = ["--episodes", "4", "terrain=mix", WALL, "sim.friction=0.8"]
 
 
 def test_a_draw_that_nobody_crosses_counts_against_nobody(tmp_path: Path) -> None:
@@ -136,7 +130,7 @@ def test_a_draw_that_nobody_crosses_counts_against_nobody(tmp_path: Path) -> Non
     text = (tmp_path / "evaluated" / "episodes.csv").read_text()
     rows = list(csv.DictReader(text.splitlines()))
     crossed = [row for row in rows if row["crossed_by"]]
-    assert 0 < len(crossed) < 6
+    assert 0 < len(crossed) < 4
     assert {row["crossed_by"] for row in crossed} <= {"okada", "random"}
     assert scene["passable"]["episodes"] == len(crossed)
     assert scene["passable"]["success_rate"] == pytest.approx(
@@ -145,8 +139,6 @@ def test_a_draw_that_nobody_crosses_counts_against_nobody(tmp_path: Path) -> Non
     others = [row for row in rows if not row["crossed_by"]]
     beyond = sum(row["outcome"] == "reached" for row in others)
     assert scene["passable"]["beyond"] == beyond
-    done = call(*asked, "--output", "evaluated", cwd=tmp_path)
-    assert "of passable" in done.out.splitlines()[1]
 
 
 FAILS = """

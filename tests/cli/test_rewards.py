@@ -8,7 +8,6 @@ from typing import Any
 
 import pytest
 
-from flipperctl import checkpoint
 from flipperctl.errors import FlipperctlError
 from flipperctl.training import run as final_regret
 from flipperctl.training.run import SEED, FinalRegret
@@ -32,7 +31,7 @@ def regret(*arguments: str, cwd: Path) -> list[dict[str, Any]]:
 
 
 def test_returns_are_those_of_an_evaluation_on_the_same_episodes(tmp_path: Path) -> None:
-    asked = ["--controller", "okada", "terrain=step,ramp", "--episodes", "5", "eval.seed=5"]
+    asked = ["--controller", "okada", "terrain=step,ramp", "--episodes", "2", "eval.seed=5"]
     scenes = regret(*asked, "--against", "level", cwd=tmp_path)
     evaluated = json.loads(call("eval", *asked, "--json", cwd=tmp_path).out)["scenes"]
     assert [scene["terrain"] for scene in scenes] == ["step", "ramp"]
@@ -43,7 +42,7 @@ def test_returns_are_those_of_an_evaluation_on_the_same_episodes(tmp_path: Path)
             *(found["returns"] for found in (one["policy"], one["references"]["level"])),
             strict=True,
         )
-        best = sum(max(pair) for pair in pairs) / 5
+        best = sum(max(pair) for pair in pairs) / 2
         assert one["best_known"]["return"]["mean"] == pytest.approx(best)
 
 
@@ -83,15 +82,9 @@ def test_a_training_ends_with_what_the_inspection_says(
     assert found["seed"] == inspected["seed"]
 
 
-def test_it_leaves_the_checkpoints_as_they_are(compared: tuple[Path, str], tmp_path: Path) -> None:
-    assert call(*train(0, "plain"), cwd=tmp_path).code == 0
-    assert json.loads((tmp_path / "plain" / "summary.json").read_text())["regret"] is None
-    read = [checkpoint.read(run / checkpoint.LAST) for run in (tmp_path / "plain", compared[0])]
-    first, second = (found.document.state for found in read)
-    assert first == second
-
-
-@pytest.mark.parametrize("trouble", ["Ctrl-C", "Ctrl-C twice", "death", "failure"])
+@pytest.mark.parametrize(
+    "trouble", ["Ctrl-C", pytest.param("Ctrl-C twice", marks=pytest.mark.long), "death", "failure"]
+)
 def test_whatever_happens_meanwhile_the_training_is_finished_and_goes_on(
     trouble: str, compared: tuple[Path, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -145,28 +138,18 @@ def test_a_teacher_that_is_a_rule_is_compared(
     assert list(found) == names
 
 
-def compare(names: str, *arguments: str, cwd: Path, episodes: int = 5) -> list[dict[str, Any]]:
-    options = ["--compare", names, "--episodes", str(episodes), "--json"]
-    done = call("inspect", "reward", *options, *arguments, cwd=cwd)
-    assert done.code == 0, done.err
-    scenes = json.loads(done.out)["scenes"]
-    assert isinstance(scenes, list)
-    return scenes
-
-
-def verdicts(scene: dict[str, Any]) -> dict[str, str]:
-    return {ranking["rewards"]: ranking["verdict"] for ranking in scene["rankings"]}
-
-
+@pytest.mark.long
 def test_the_presets_pay_the_smooth_way_and_a_price_of_turning_does_not(tmp_path: Path) -> None:
     # Over a ramp mpc swings less than the rule and turns the flippers for it.
     small = ["controller.beam=4", "controller.horizon=6"]
     ramp = ["terrain=ramp", "terrain.slope_low=20", "terrain.slope_high=25"]
     sets = ["rewards=tuned,smooth", "rewards.travel.weight=0.02,0.8"]
-    (scene,) = compare("okada,mpc", *ramp, *sets, *small, cwd=tmp_path)
+    options = ["--compare", "okada,mpc", "--episodes", "5", "--json"]
+    done = call("inspect", "reward", *options, *ramp, *sets, *small, cwd=tmp_path)
+    (scene,) = json.loads(done.out)["scenes"]
     assert scene["by_pitch_variation_100hz"] == ["mpc", "okada"]
     assert (scene["episodes"], scene["common"]) == (5, 5)
-    assert verdicts(scene) == {
+    assert {one["rewards"]: one["verdict"] for one in scene["rankings"]} == {
         "tuned rewards.travel.weight=0.02": "agrees",
         "smooth rewards.travel.weight=0.02": "agrees",
         "tuned rewards.travel.weight=0.8": "contradicts",

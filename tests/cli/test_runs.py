@@ -97,25 +97,11 @@ def _damage(run: Path, name: str, text: bytes) -> None:
     ("arrange", "resumed", "text"),
     [
         (lambda run: (run / checkpoint.LAST).unlink(), "run", "lacks checkpoints/last.safetensors"),
-        (
-            lambda run: [(run / name).unlink() for name in (checkpoint.LAST, "config.yaml")],
-            "run",
-            "lacks checkpoints/last.safetensors, from which it would be resumed",
-        ),
         (lambda run: _damage(run, "metrics.csv", b"\xff"), "run", "run/metrics.csv is damaged"),
         (
             lambda run: [shutil.rmtree(run / "checkpoints"), _damage(run, "config.yaml", b"a: [")],
             "run",
             "run/config.yaml is damaged",
-        ),
-        (
-            lambda run: [
-                run.rename(run.with_name("x")),
-                run.mkdir(),
-                (run / "config.yaml").touch(),
-            ],
-            "run",
-            "must be started again",  # no checkpoint, so there is nothing to lose
         ),
         (lambda run: run.rename(run.with_name(".hydra")), ".hydra", "must be started again"),
         (
@@ -137,6 +123,7 @@ def test_what_cannot_be_resumed_says_why_and_is_kept(
     assert files(tmp_path) | {config: b""} == before | {config: b""}
 
 
+@pytest.mark.long
 def test_a_run_that_started_from_another_needs_it_no_more(
     whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -171,17 +158,13 @@ def test_a_run_directory_that_is_deleted_is_one_clear_error(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("words", [["--help"], ["inspect", "config", "--json"]], ids=" ".join)
-def test_an_output_that_is_full_is_one_clear_error(words: list[str]) -> None:
-    if not Path("/dev/full").exists():
-        pytest.skip("this system has no device that is always full")
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_an_output_that_is_full_is_one_clear_error() -> None:
+    command = [sys.executable, "-m", "flipperctl", "inspect", "config", "--json"]
     with Path("/dev/full").open("w") as full:
-        command = [sys.executable, "-m", "flipperctl", *words]
-        done = subprocess.run(
-            command, stdout=full, stderr=subprocess.PIPE, text=True, check=False, timeout=60
-        )
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60)
     assert done.returncode == 1
-    assert done.stderr == ("error: standard output cannot be written: No space left on device\n")
+    assert done.stderr == "error: standard output cannot be written: No space left on device\n"
 
 
 def test_folders_are_named_after_what_is_swept() -> None:
@@ -227,7 +210,6 @@ def test_a_policy_that_no_validation_chose_is_evaluated_with_a_word(
 RUN = ["train", *QUICK, "hydra.run.dir=run"]
 
 
-@pytest.mark.slow
 def test_what_is_refused_before_its_first_decision_leaves_nothing_of_its_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -257,7 +239,6 @@ def test_a_cluster_that_does_not_answer_leaves_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.slow
 def test_what_fails_after_a_decision_keeps_the_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -86,11 +86,3 @@ def test_a_command_without_arguments_shows_its_help_and_no_error(
     done = call(*command, cwd=tmp_path)
     assert (done.code, done.err) == (2, "")
     assert "Usage: flipperctl" in done.out
-
-
-def test_completion_is_still_offered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # Else typer asks which shell runs the tests.
-    monkeypatch.setenv("_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION", "1")
-    done = call("--show-completion", "bash", cwd=tmp_path)
-    assert done.code == 0
-    assert "_FLIPPERCTL_COMPLETE" in done.out

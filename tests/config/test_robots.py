@@ -7,8 +7,7 @@ import pytest
 import yaml
 
 from flipperctl.api import Robot
-from flipperctl.cli.hydra.compose import compose_environment
-from flipperctl.cli.hydra.config_store import register_robot
+from flipperctl.cli.hydra.compose import compose_environment, register_robot
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.plan import scenes
 from flipperctl.config import EnvConfig

@@ -14,7 +14,7 @@ import torch
 
 from flipperctl import checkpoint
 from flipperctl.agent.learner import arrays
-from flipperctl.cli.inspect.checkpoint import print_checkpoint as show
+from flipperctl.cli.inspect import print_checkpoint as show
 from flipperctl.config import with_overrides
 from flipperctl.export.policy import export
 from flipperctl.policies.exported import exported_config

@@ -11,7 +11,7 @@ import torch
 
 from flipperctl import checkpoint
 from flipperctl.api import Robot
-from flipperctl.cli.hydra import compose, config_store
+from flipperctl.cli.hydra import compose
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import EnvConfig, TrainConfig, to_dict
 from flipperctl.env.flipper_env import FlipperEnv
@@ -179,7 +179,7 @@ def test_a_shipped_policy_has_the_configuration_of_its_command_and_reaches_the_f
     assert f"experiment={name}" in card
     saved = checkpoint.read(load_policy(name).file)
     assert saved.path == path
-    config_store.register_defaults()
+    compose.register_defaults()
     (experiment,) = compose.compose_train(Overrides.parse(command(path, saved.config())))
     trained, wanted = to_dict(saved.config()), to_dict(experiment)
     for terrain in (trained["terrain"], wanted["terrain"]):

@@ -29,8 +29,8 @@ from flipperctl.errors import (
 )
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import decisions
+from flipperctl.scripting import interface
 from flipperctl.scripting import progress as notebook
-from flipperctl.scripting import training
 from tests.cli.call import call
 from tests.test_documentation import example
 
@@ -107,7 +107,7 @@ def test_a_wrong_training_is_refused_in_one_line(request_: dict, text: str) -> N
 def test_a_stopped_training_says_how_to_resume(
     stopped: BaseException, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(training, "start", lambda *given, **named: (_ for _ in ()).throw(stopped))
+    monkeypatch.setattr(interface, "start", lambda *given, **named: (_ for _ in ()).throw(stopped))
     with pytest.raises(InterruptedRunError) as raised:
         flipperctl.train(directory=tmp_path / "run", progress=False)
     assert f"flipperctl.train(resume={str(tmp_path / 'run')!r})" in str(raised.value)

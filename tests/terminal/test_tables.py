@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from rich.cells import cell_len
 
 from flipperctl import bench, show
+from flipperctl.cli import inspect
 from flipperctl.cli.hydra.sweeps import print_comparison
-from flipperctl.cli.inspect import run
 from flipperctl.evaluation.views import evaluation
 from flipperctl.show import Column, PlainConsole, Table, console, print_table
 from flipperctl.terminal import tables
@@ -70,7 +70,7 @@ DOCUMENTS: dict[str, Callable[[], None]] = {
     "check": lambda: tables.print_perception(SENSED, None),
     "shadow": lambda: tables.print_shadow(SHADOW),
     "bench": lambda: print_table(bench.table("latency", BENCH), console()),
-    "run": lambda: run._print(RUN, None),
+    "run": lambda: inspect._print(RUN, None),
     "published": lambda: print_table(Table(evaluation._PUBLISHED, [OURS], "Published"), console()),
     "sweep": lambda: print_comparison(
         Path("sweep"), [SweepRun(0, SWEPT, Path("sweep/0_all_of_these_settings"), None, SUMMARY)]
@@ -80,7 +80,7 @@ DOCUMENTS: dict[str, Callable[[], None]] = {
 MADE_BY = {
     *(
         "cli/hydra/sweeps.py",
-        "cli/inspect/run.py",
+        "cli/inspect.py",
         "terminal/tables.py",
         "testing/conventions.py",
         "bench.py",

@@ -8,7 +8,7 @@ import pytest
 
 from flipperctl import checkpoint
 from flipperctl.api import Controller, FloatArray, Perception, Policy, Simulator, StateGroups
-from flipperctl.cli.hydra import compose, config_store
+from flipperctl.cli.hydra import compose
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import TrainConfig
 from flipperctl.errors import CheckpointError, ConfigError, PluginFailedError
@@ -42,7 +42,7 @@ TINY = [
 
 def tiny(decisions: int, mode: str = "exact") -> TrainConfig:
     """Return the configuration of the experiment ``searched`` with a small budget."""
-    config_store.register_defaults()
+    compose.register_defaults()
     more = [f"train.decisions={decisions}", f"train.mode={mode}", "train.workers=2"]
     (config,) = compose.compose_train(Overrides.parse([*TINY, *more]))
     return config
@@ -70,7 +70,7 @@ def test_the_experiment_resumes_bit_for_bit_with_its_groups(tmp_path: Path) -> N
 
 def test_any_network_learns_from_groups_alone(tmp_path: Path) -> None:
     """The temporal difference has a weight of 0, and the shape of the network's targets."""
-    config_store.register_defaults()
+    compose.register_defaults()
     more = ["network=quantile", "teacher.td_weight=0", "train.decisions=24"]
     words = [word for word in TINY if not word.startswith("network.")]
     (config,) = compose.compose_train(Overrides.parse([*words, *more]))

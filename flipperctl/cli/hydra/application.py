@@ -5,12 +5,12 @@ In: the words of the command, including Hydra's options. Out: a run in each job'
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import io
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -22,9 +22,15 @@ from hydra.types import RunMode
 from omegaconf import OmegaConf, read_write
 
 from flipperctl import session
-from flipperctl.cli.hydra import config_store
-from flipperctl.cli.hydra.compose import check_training_effect, compose_train, parse_training
-from flipperctl.cli.hydra.config_store import strict_files
+from flipperctl.cli.hydra.compose import (
+    CONFIGS,
+    check_training_effect,
+    compose_train,
+    parse_training,
+    register_defaults,
+    register_sweepers,
+    strict_files,
+)
 from flipperctl.cli.hydra.errors import convert_hydra_errors
 from flipperctl.cli.hydra.overrides import SEARCH_PATH, Overrides
 from flipperctl.cli.hydra.sweeps import named_by_time
@@ -52,25 +58,21 @@ def train(arguments: list[str], *, check: bool) -> None:
         RequestError: a word is wrong, or the terrain, device or network cannot be used.
         InterruptedRunError: Ctrl-C was pressed; the training so far is saved.
     """
-    config_store.register_defaults()
-    config_store.register_sweepers()
-    chosen = _options(arguments)
-    overrides = Overrides.parse(chosen.overrides)
-    several = _several(overrides, multirun=chosen.multirun)
-    _check_options(chosen, overrides, several=several)
-    options = [
-        word
-        for name in _VALUED
-        if (value := getattr(chosen, name))
-        for word in (f"--{name}".replace("_", "-"), value)
-    ]
+    register_defaults()
+    register_sweepers()
+    parser = get_args_parser()
+    parser.error = _refuse  # type: ignore[method-assign]  # its own prints two dozen lines
+    chosen = vars(parser.parse_intermixed_args(arguments))  # options may stand between overrides
+    overrides = Overrides.parse(chosen["overrides"])
+    several = _several(chosen, overrides)
+    options = [(_typed(name), value) for name in _VALUED if (value := chosen[name])]
     # They may add other configuration files; then each job checks its own.
     checked = check and not options
     overrides.check_training(several=several or bool(options))
     if checked:
         _check(overrides)
-    options += [f"--{name}".replace("_", "-") for name in _FLAGS if getattr(chosen, name)]
-    arguments = [*options, *overrides.words]
+    flags = [_typed(name) for name in _FLAGS if chosen[name]]
+    words = [*(word for option in options for word in option), *flags, *overrides.words]
     errors: list[BaseException] = []
     job = _Job(CommandProcess.current(), checked)
 
@@ -86,15 +88,14 @@ def train(arguments: list[str], *, check: bool) -> None:
             errors.append(stopped if isinstance(error, KeyboardInterrupt) else error)
             return None
 
-    configured = hydra.main(config_store.CONFIGS, "train", version_base="1.3")
-    previous_argv, sys.argv = sys.argv, ["flipperctl train", *arguments]
+    application = hydra.main(CONFIGS, "train", version_base="1.3")(task)
+    previous_argv, sys.argv = sys.argv, ["flipperctl train", *words]
     try:
         # Hydra passes exceptions on instead of printing them. The processes of a launcher must not
         # import from the working directory, where a user's random.py may lie.
         environment = {"HYDRA_FULL_ERROR": "1", "PYTHONSAFEPATH": "1"}
         with convert_hydra_errors(), strict_files(), env_override(environment):
-            application = configured(task)
-            _show(application) if chosen.cfg else application()
+            _show(application) if chosen["cfg"] else application()
         if errors:
             raise errors[0]
     except KeyboardInterrupt as error:  # while worker processes train
@@ -111,15 +112,12 @@ def train(arguments: list[str], *, check: bool) -> None:
             shut_down()  # Hydra's launcher leaves it running
 
 
-def _options(arguments: Sequence[str]) -> argparse.Namespace:
-    """Return the words as Hydra's options and overrides, which may stand in any order."""
-    parser = get_args_parser()
+def _typed(name: str) -> str:
+    return f"--{name}".replace("_", "-")
 
-    def refuse(message: str) -> NoReturn:
-        raise ConfigError(f"{message}; see flipperctl train --hydra-help")
 
-    parser.error = refuse  # type: ignore[method-assign]  # its own prints two dozen lines
-    return parser.parse_intermixed_args(arguments)
+def _refuse(message: str) -> NoReturn:
+    raise ConfigError(f"{message}; see flipperctl train --hydra-help")
 
 
 def _show(application: Callable[[], object]) -> None:
@@ -133,20 +131,19 @@ def _show(application: Callable[[], object]) -> None:
     sys.stderr.write(said.getvalue())
 
 
-def _several(overrides: Overrides, *, multirun: bool) -> bool:
-    """Return whether the command makes several runs: by its option, or by Hydra's setting."""
+def _several(chosen: Mapping[str, Any], overrides: Overrides) -> bool:
+    """Return whether the command makes several runs: by its option, or by Hydra's setting.
+
+    Options that do not go together, on which Hydra fails, are refused.
+    """
     modes = [mode.name for mode in RunMode]
     mode = overrides.choice("hydra.mode")
     if mode is not None and mode not in modes:
         raise ConfigError(f"hydra.mode: {' or '.join(modes)} is allowed; the value is {mode}")
-    if multirun and mode == RunMode.RUN.name:
+    if chosen["multirun"] and mode == RunMode.RUN.name:
         raise ConfigError(f"hydra.mode={mode}: no meaning beside --multirun; leave it out")
-    return multirun or mode == RunMode.MULTIRUN.name
-
-
-def _check_options(chosen: argparse.Namespace, overrides: Overrides, *, several: bool) -> None:
-    """Refuse options of Hydra that do not go together, on which Hydra fails."""
-    shown = [f"--{name}" for name in ("cfg", "info") if getattr(chosen, name)]
+    several = chosen["multirun"] or mode == RunMode.MULTIRUN.name
+    shown = [f"--{name}" for name in ("cfg", "info") if chosen[name]]
     if shown and (several or overrides.swept):
         raise ConfigError(
             f"{shown[0]}: it shows one configuration; leave --multirun out, and give one value of "
@@ -155,8 +152,9 @@ def _check_options(chosen: argparse.Namespace, overrides: Overrides, *, several:
     if len(shown) > 1:
         raise ConfigError(f"{shown[1]}: no meaning beside {shown[0]}; leave one out")
     for name in ("resolve", "package"):
-        if getattr(chosen, name) and not chosen.cfg:
+        if chosen[name] and not chosen["cfg"]:
             raise ConfigError(f"--{name}: no meaning without --cfg")
+    return bool(several)
 
 
 def _check(overrides: Overrides) -> None:
@@ -183,7 +181,6 @@ class _Job:
     def run(self, composed: Any) -> float | None:
         """Train with the composed configuration; return the objective of a search."""
         from flipperctl.terminal.training import print_best, reports
-        from flipperctl.training.run import start, start_or_continue
         from flipperctl.training.search_space import objective
 
         settings = HydraConfig.get()
@@ -199,37 +196,35 @@ class _Job:
             training_run.check(config)
             print_notices(config)
         directory = Path(settings.runtime.output_dir)
-        keep = _keeper(composed)
+        keep = partial(_keep, composed)
         if settings.mode is RunMode.MULTIRUN:
             stop = stop_of(Path(settings.runtime.cwd, settings.sweep.dir), self.process.holder)
             if stop():
                 raise InterruptedRunError(f"{directory.name} was not started")
-            run = start_or_continue(
-                config, directory, reports(), keep_more=lambda: keep(directory), stop=stop
+            run = training_run.start_or_continue(
+                config, directory, reports(), keep_more=partial(keep, directory), stop=stop
             )
         else:
             own: Any = HydraConfig.instance().cfg
             numbered = named_by_time(own, "run")
-            run = start(config, directory, reports(), keep_more=keep, numbered=numbered)
+            run = training_run.start(
+                config, directory, reports(), keep_more=keep, numbered=numbered
+            )
         print_best(run)
         train = config.train
         return objective(run.summary["best"], train.validation_episodes, train.best_by)
 
 
-def _keeper(composed: Any) -> Callable[[Path], None]:
-    """Return a function that writes Hydra's own files, to call once the directory is locked."""
-
-    def keep(directory: Path) -> None:
-        settings = HydraConfig.get()
-        runtime: Any = settings.runtime
-        with read_write(runtime):  # another one was taken
-            runtime.output_dir = str(directory)
-        if settings.output_subdir is None:  # else Hydra has written them
-            documents = {
-                "config": composed,
-                "hydra": {"hydra": OmegaConf.to_container(settings)},
-                "overrides": settings.overrides.task,
-            }
-            run_folder.write_hydra(directory, documents)
-
-    return keep
+def _keep(composed: Any, directory: Path) -> None:
+    """Write Hydra's own files, once the directory is locked."""
+    settings = HydraConfig.get()
+    runtime: Any = settings.runtime
+    with read_write(runtime):  # another one was taken
+        runtime.output_dir = str(directory)
+    if settings.output_subdir is None:  # else Hydra has written them
+        documents = {
+            "config": composed,
+            "hydra": {"hydra": OmegaConf.to_container(settings)},
+            "overrides": settings.overrides.task,
+        }
+        run_folder.write_hydra(directory, documents)

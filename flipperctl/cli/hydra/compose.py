@@ -1,42 +1,164 @@
 """Compose validated configurations from overrides, with Hydra.
 
-In: overrides. Out: a ``TrainConfig`` or ``EvalConfig`` for each combination of the lists among the
-overrides. ``config_store`` holds the defaults.
+In: overrides, the registry, the models' defaults, a policy's configuration. Out: a ``TrainConfig``
+or ``EvalConfig`` for each combination of the lists among the overrides. Files, such as those of
+``--config-dir``, are read by our strict reader as long as a command composes; what another
+application of Hydra in this process reads stays Hydra's.
 """
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from importlib import resources
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any, TypeVar
 
 from hydra import compose, initialize_config_dir
+from hydra._internal.core_plugins.file_config_source import FileConfigSource
+from hydra._internal.core_plugins.importlib_resources_config_source import (
+    ImportlibResourcesConfigSource,
+)
+from hydra._internal.sources_registry import SourcesRegistry
+from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
+from hydra.core.plugins import Plugins
 from hydra.errors import ConfigCompositionException, MissingConfigException
+from hydra.plugins.config_source import ConfigLoadError, ConfigResult, ConfigSource
 from omegaconf import DictConfig, OmegaConf
 
-from flipperctl.cli.hydra import config_store, errors
-from flipperctl.cli.hydra.config_store import (
-    CONFIGS,
-    EVAL_CHECKPOINT,
-    EVAL_CONTROLLER,
-    EVAL_EXPORT,
-    strict_files,
-)
+from flipperctl.api import ObservationLayout, Plugin, Robot, registry
+from flipperctl.cli.hydra import errors
 from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, parse
-from flipperctl.config.defaults import missing_entry, refuse_ineffective
+from flipperctl.config import (
+    DEFAULT_ENGINE,
+    EnvConfig,
+    EvalConfig,
+    TrainConfig,
+    parse,
+    strict_yaml,
+    to_dict,
+)
+from flipperctl.config.defaults import LISTS, entries, missing_entry, refuse_ineffective, sections
+from flipperctl.config.randomise import OMITTED, PATH_SECTIONS
 from flipperctl.errors import ConfigError
-from flipperctl.evaluation.conditions import NOMINAL, TRAINED, explain_missing_training
+from flipperctl.evaluation.conditions import NOMINAL, TRAINED, Inherited, explain_missing_training
 from flipperctl.terminal.notices import print_notices
+from flipperctl.training.search_space import SearchSettings
 
+CONFIGS = str(resources.files("flipperctl.configs"))
+EVAL_CONTROLLER = "eval"
+"""Primary configuration of an evaluation of a controller."""
+_CHECKPOINT, _EXPORT = "flipperctl_eval_trained", "flipperctl_eval_exported"
+"""Those of an evaluation of a checkpoint and of an exported file."""
+_ROBOT = "flipperctl_eval_robot"
+"""That of an evaluation of a controller with a robot that a file describes."""
+_TRAINED = "_trained"  # terrain, robot and rewards of a policy, as group entries
+_registered: dict[tuple[str, str], type[Plugin]] = {}
+_SWEEPERS = "hydra_plugins.flipperctl_sweepers"
+_HEADER = 512
+"""Length of the text in which Hydra looks for ``# @package`` [characters]."""
 Composed = TypeVar("Composed")
 
 
-def parse_training(composed: DictConfig) -> TrainConfig:
-    """Validate the training configuration that Hydra composed."""
-    return _training(_plain(composed))
+class _SharedStore(ConfigStore):
+    """Hydra's store of configurations, which copies of Hydra's repository share.
+
+    Hydra copies its repository for each composition, and with it every entry of the store, which
+    takes two fifths of a composition's time. It copies an entry again when it loads it.
+    """
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> _SharedStore:
+        return self
+
+
+def register_defaults() -> None:
+    """Store the defaults of every registered plugin and every section in the ConfigStore.
+
+    Do nothing if no plugin has been registered since the last call.
+    """
+    if _registered == registry:
+        return
+    store = ConfigStore.instance()
+    if type(store) is ConfigStore:
+        store.__class__ = _SharedStore
+    for group, name, node in entries():
+        # Several entries of a list may be chosen; an entry without settings adds nothing.
+        package = f"{group}.{name}" if group in LISTS and node else None
+        store.store(group=group, name=name, node=node, package=package)
+    store.store(name="flipperctl_train", node=_with_paths(sections(TrainConfig)))
+    store.store(name="flipperctl_eval", node=_with_paths(sections(EvalConfig)))
+    _registered.clear()
+    _registered.update(registry)
+
+
+def _with_paths(sections: dict[str, Any]) -> dict[str, Any]:
+    """Return the sections, with the mappings of ``randomise`` open for new keys without a +."""
+    randomise = sections["randomise"]
+    open_for_keys = {
+        section: OmegaConf.create(randomise.get(section, {}), flags={"struct": False})
+        for section in PATH_SECTIONS
+    }
+    return {**sections, "randomise": {**OMITTED, **randomise, **open_for_keys}}
+
+
+def register_trained(config: TrainConfig | EvalConfig) -> str:
+    """Register the evaluation of a policy as a primary configuration; return its name.
+
+    The sections of its training become ``conditions=trained``, unless the file lacks them.
+    """
+    store = ConfigStore.instance()
+    found = Inherited.of(config)
+    for group, node in found.chosen.items():
+        store.store(group=group, name=_TRAINED, node=node)
+    primary, plugins = _EXPORT, ("sim", "perception")
+    if found.trained is not None:
+        primary, own = _CHECKPOINT, dict(found.trained)
+        for group in plugins:
+            store.store(group=group, name=_TRAINED, node=own.pop(group))
+        choices = [{f"override /{group}": _TRAINED} for group in plugins]
+        node = {"defaults": choices, **_with_paths(own)}
+        store.store(group="conditions", name=TRAINED, node=node, package="_global_")
+    # Later entries override earlier ones.
+    defaults = [
+        *({group: _TRAINED} for group in found.chosen),
+        *({group: DEFAULT_ENGINE} for group in plugins),
+        *("_self_", {"conditions": NOMINAL}),
+    ]
+    nominal = _with_paths(found.nominal)
+    store.store(name=primary, node={"defaults": defaults, **nominal, **found.kept})
+    return primary
+
+
+def register_robot(robot: Robot, layout: ObservationLayout | None = None) -> str:
+    """Register the evaluation of another robot as a primary configuration; return its name.
+
+    ``layout`` is its observation layout, if that differs as well. Overrides change both.
+    """
+    chosen = {"override /robot": _TRAINED}
+    node: dict[str, Any] = {"defaults": [EVAL_CONTROLLER, "_self_", chosen]}
+    if layout is not None:
+        node["perception"] = to_dict(layout)
+    store = ConfigStore.instance()
+    store.store(group="robot", name=_TRAINED, node=to_dict(robot))
+    store.store(name=_ROBOT, node=node)
+    return _ROBOT
+
+
+def register_sweepers() -> None:
+    """Register ``hydra/sweeper=optuna``, and our sweeper over lists as ``hydra/sweeper=basic``.
+
+    Hydra discovers the classes themselves (see ``hydra_plugins``). Their names are registered here,
+    for this process alone; other Hydra applications keep their own ``basic`` and ``optuna``.
+    """
+    Plugins.instance()  # the discovery registers Hydra's own entries, which ours replace
+    settings: dict[str, dict[str, Any]] = {
+        "basic": {"_target_": f"{_SWEEPERS}.ListSweeper", "max_batch_size": None, "params": None},
+        "optuna": {"_target_": f"{_SWEEPERS}.OptunaSweeper", **SearchSettings().model_dump()},
+    }
+    for name, node in settings.items():
+        ConfigStore.instance().store(group="hydra/sweeper", name=name, node=node)
 
 
 def compose_train(overrides: Overrides = Overrides()) -> list[TrainConfig]:  # noqa: B008  # frozen
@@ -46,12 +168,23 @@ def compose_train(overrides: Overrides = Overrides()) -> list[TrainConfig]:  # n
         ConfigError: an override is unknown, of the wrong type, out of bounds or without effect.
     """
     found = []
-    for combination, plain in _compositions("train", overrides):
-        config = _training(plain)
+    for combination, composed in _compositions("train", overrides):
+        config = parse_training(composed)
         check_training_effect(config, combination)
         print_notices(config)
         found.append(config)
     return found
+
+
+def parse_training(composed: DictConfig) -> TrainConfig:
+    """Validate the training configuration that Hydra composed."""
+    plain = _plain(composed)
+    teacher, agent = plain.get("teacher"), plain.get("agent")
+    if isinstance(teacher, dict) and isinstance(agent, dict) and "controller" in teacher:
+        gamma = f"agent.gamma={agent.get('gamma')}"
+        own = with_preset(teacher["controller"], "teacher.controller", "train", gamma)
+        plain = {**plain, "teacher": {**teacher, "controller": own}}
+    return parse(TrainConfig, {"logger": {}, **plain})
 
 
 def check_training_effect(config: TrainConfig, overrides: Overrides) -> None:
@@ -74,7 +207,8 @@ def compose_eval(
 ) -> list[tuple[EvalConfig, dict[str, Any] | None]]:
     """Return the configuration of each combination, and the controller's settings, if any."""
     found = []
-    for combination, plain in _compositions(primary, overrides):
+    for combination, composed in _compositions(primary, overrides):
+        plain = _plain(composed)
         settings = with_preset(plain.pop("controller", None), "controller")
         plain["conditions"] = combination.choice("conditions") or NOMINAL
         config = parse(EvalConfig, plain)
@@ -98,7 +232,7 @@ def with_preset(controller: Any, path: str, primary: str = EVAL_CONTROLLER, *wor
     name = controller.get("rewards") if isinstance(controller, dict) else None
     if not isinstance(name, str):
         return controller
-    config_store.register_defaults()
+    register_defaults()
     with _initialized():
         options = GlobalHydra.instance().config_loader().get_group_options("rewards")
         if name not in (known := [option for option in options if option[0] != "_"]):
@@ -117,22 +251,31 @@ def only_one(found: Sequence[Composed]) -> Composed:
     return found[0]
 
 
-def _compositions(primary: str, overrides: Overrides) -> Iterator[tuple[Overrides, dict[str, Any]]]:
+def _compositions(primary: str, overrides: Overrides) -> Iterator[tuple[Overrides, DictConfig]]:
     """Yield each combination of the sweeps, and its composed configuration."""
-    config_store.register_defaults()
+    register_defaults()
     with errors.convert_hydra_errors(), _initialized():
         for combination in overrides.combinations():
-            if primary != EVAL_CHECKPOINT and combination.choice("conditions") == TRAINED:
-                raise ConfigError(explain_missing_training(exported=primary == EVAL_EXPORT))
+            if primary != _CHECKPOINT and combination.choice("conditions") == TRAINED:
+                raise ConfigError(explain_missing_training(exported=primary == _EXPORT))
             try:
-                yield combination, _plain(compose(primary, combination.words))
+                yield combination, compose(primary, combination.words)
             except MissingConfigException as error:
                 raise errors.missing_choice(error) from error
             except ConfigCompositionException as error:
                 raise errors.unknown_key(error, primary, combination) from error
 
 
-@contextmanager
+def _plain(composed: DictConfig) -> dict[str, Any]:
+    with errors.convert_hydra_errors():
+        plain = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
+    if not isinstance(plain, dict):
+        raise ConfigError("the configuration is not a mapping")
+    # Without this key, the model's defaults would replace the terms dropped by ~rewards.
+    return {"rewards": {}, **{str(k): v for k, v in plain.items() if k != "hydra"}}
+
+
+@contextlib.contextmanager
 def _initialized() -> Iterator[None]:
     """Let Hydra compose in the body.
 
@@ -145,19 +288,43 @@ def _initialized() -> Iterator[None]:
         yield
 
 
-def _training(plain: dict[str, Any]) -> TrainConfig:
-    teacher, agent = plain.get("teacher"), plain.get("agent")
-    if isinstance(teacher, dict) and isinstance(agent, dict) and "controller" in teacher:
-        gamma = f"agent.gamma={agent.get('gamma')}"
-        found = with_preset(teacher["controller"], "teacher.controller", "train", gamma)
-        plain = {**plain, "teacher": {**teacher, "controller": found}}
-    return parse(TrainConfig, {"logger": {}, **plain})
+@contextlib.contextmanager
+def strict_files() -> Iterator[None]:
+    """Let Hydra read the files of its configuration with ours while the body composes."""
+    resolve = SourcesRegistry.resolve
+
+    def resolve_strictly(self: SourcesRegistry, scheme: str) -> type[ConfigSource]:
+        ours = {source.scheme(): source for source in (_Files, _Packages)}
+        return ours.get(scheme) or resolve(self, scheme)
+
+    # Not registered in their place, since launchers hand the registry to their processes.
+    SourcesRegistry.resolve = resolve_strictly  # type: ignore[method-assign]  # for a while
+    try:
+        yield
+    finally:
+        SourcesRegistry.resolve = resolve  # type: ignore[method-assign]  # Hydra's own
 
 
-def _plain(composed: DictConfig) -> dict[str, Any]:
-    with errors.convert_hydra_errors():
-        plain = OmegaConf.to_container(composed, resolve=True, throw_on_missing=True)
-    if not isinstance(plain, dict):
-        raise ConfigError("the configuration is not a mapping")
-    # Without this key, the model's defaults would replace the terms dropped by ~rewards.
-    return {"rewards": {}, **{str(k): v for k, v in plain.items() if k != "hydra"}}
+class _Files(FileConfigSource):
+    def load_config(self, config_path: str) -> ConfigResult:
+        return _read(self, Path(self.path), config_path)
+
+
+class _Packages(ImportlibResourcesConfigSource):
+    def load_config(self, config_path: str) -> ConfigResult:
+        return _read(self, resources.files(self.path), config_path)
+
+
+def _read(source: ConfigSource, folder: Traversable, name: str) -> ConfigResult:
+    file = folder.joinpath(source._normalize_file_name(name))
+    if not file.is_file():
+        raise ConfigLoadError(f"Config not found : {file}")
+    text = strict_yaml.read_text(file, str(file))
+    found = strict_yaml.parse(text, str(file))
+    if not isinstance(found, dict | None):
+        raise ConfigError(f"{file}: a mapping is allowed; it holds {found!r:.60}")
+    try:
+        header = source._get_header_dict(text[:_HEADER])
+    except ValueError as error:
+        raise ConfigError(f"{file}: {error}") from error
+    return ConfigResult(source.provider, source.full_path(), OmegaConf.create(found or {}), header)

@@ -96,30 +96,34 @@ def unknown_key(
 ) -> ConfigError:
     """Return the error for an override of an unknown key, or ``error`` in one line."""
     choices = [word for word in overrides.words if word.partition("=")[0] in CHOICES]
-    try:
-        compose(primary, choices)
-    except ConfigCompositionException:  # a choice itself is wrong, as controller=… of a training
+    if _refusal(primary, choices):  # a choice itself is wrong, as controller=… of a training
         choices = []
+    # The first word that Hydra refuses; it applies overrides of groups before those of keys.
     others = [o for o in overrides.parsed if str(o.input_line) not in choices]
-    refused = _first_refused(primary, choices, others)
-    if refused is None:
+    accepted = list(choices)
+    for override in sorted(others, key=lambda o: not _is_group(o)):
+        accepted.append(str(override.input_line))
+        if wrong := _refusal(primary, accepted):
+            break
+        if _is_group(override):
+            choices.append(accepted[-1])
+    else:
         return ConfigError(_one_line(error))
-    override, wrong, accepted = refused
-    if replacement := _replacement(override, primary, accepted):
+    key, cause, group = override.key_or_group, wrong.__cause__, _is_group(override)
+    replacement = str(override.input_line).removeprefix("+")
+    if override.is_add() and group and not _refusal(primary, [*choices, replacement]):
         return ConfigError(
-            f"{override.package or override.key_or_group} exists already; to replace it, write "
-            f"{replacement}"
+            f"{override.package or key} exists already; to replace it, write {replacement}"
         )
     if not _names_no_key(override, wrong):
         return ConfigError(_one_line(error))
-    cause, key = wrong.__cause__, override.key_or_group
-    node: Any = OmegaConf.to_container(compose(primary, accepted), resolve=True)
-    if override.is_delete() and _is_group(override) and override.value() and not override.package:
+    node: Any = OmegaConf.to_container(compose(primary, choices), resolve=True)
+    if override.is_delete() and group and override.value() and not override.package:
         key = f"{key}={override.value()}"
     if isinstance(cause, OmegaConfBaseException) and cause.object_type is not dict:
         return ConfigError(f"{key}: {_one_line(cause)}")  # in Hydra's own section
     addition = None if override.is_delete() else _addition(override, node)
-    if addition and _is_group(override):
+    if addition and group:
         key = addition.partition("@")[2].partition("=")[0]
     if override.is_add() and OmegaConf.select(OmegaConf.create(node), key) is not None:
         return ConfigError(f"{key} exists already; write it without +")
@@ -130,37 +134,13 @@ def unknown_key(
     return ConfigError(explain_unknown_key(key, node) + hint)
 
 
-def _first_refused(
-    primary: str, choices: list[str], others: list[Override]
-) -> tuple[Override, ConfigCompositionException, list[str]] | None:
-    """Return the first of ``others`` that does not compose, its exception, and the choices so far.
-
-    Hydra applies overrides of config groups before overrides of keys.
-    """
-    groups = [o for o in others if _is_group(o)]
-    ordered = groups + [o for o in others if o not in groups]
-    accepted, before = list(choices), list(choices)
-    for override in ordered:
-        accepted.append(str(override.input_line))
-        try:
-            compose(primary, accepted)
-        except ConfigCompositionException as error:
-            return override, error, before
-        if override in groups:
-            before.append(str(override.input_line))
-    return None
-
-
-def _replacement(override: Override, primary: str, accepted: list[str]) -> str | None:
-    """Return the word that replaces an entry which the override adds although it exists."""
-    if not (override.is_add() and _is_group(override)):
-        return None
-    word = str(override.input_line).removeprefix("+")
+def _refusal(primary: str, words: list[str]) -> ConfigCompositionException | None:
+    """Return Hydra's exception for these words, None if they compose."""
     try:
-        compose(primary, [*accepted, word])
-    except ConfigCompositionException:
-        return None
-    return word
+        compose(primary, words)
+    except ConfigCompositionException as error:
+        return error
+    return None
 
 
 def _addition(override: Override, node: Mapping[str, Any]) -> str | None:
@@ -184,11 +164,9 @@ def _addition(override: Override, node: Mapping[str, Any]) -> str | None:
 def _names_no_key(override: Override, error: ConfigCompositionException) -> bool:
     """Return whether ``error`` is about the override's key, rather than about its value."""
     added = override.is_add() or override.is_force_add()
-    if not override.key_or_group:
-        return False
-    if _is_group(override):
+    if override.key_or_group and _is_group(override):
         return not added
-    if override.package is not None:
+    if not override.key_or_group or override.package is not None:
         return False
     if error.__cause__ is None:  # the key to delete is missing, or the key to add exists
         return True

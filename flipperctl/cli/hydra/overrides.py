@@ -23,7 +23,6 @@ from flipperctl.training.search_space import Interval
 
 SEARCH_PATH = "hydra.searchpath"
 """Key of the folders with further configuration files."""
-_FOLDERS = ("hydra.run.dir", "hydra.sweep.dir")
 
 
 @dataclass(frozen=True)
@@ -59,7 +58,11 @@ class Overrides:
     @property
     def typed(self) -> dict[str, str]:
         """The word that overrides each key or group; a mapping overrides all keys in it."""
-        return {key: str(o.input_line) for o in self.parsed for key in _keys(o)}
+        found: dict[str, str] = {}
+        for o in self.parsed:
+            value = None if o.is_delete() or o.is_sweep_override() else o.value()
+            found |= dict.fromkeys(_keys(o.key_or_group, value), str(o.input_line))
+        return found
 
     @property
     def swept(self) -> list[str]:
@@ -87,16 +90,15 @@ class Overrides:
     def check_training(self, *, several: bool) -> None:
         """Refuse lists without ``several`` runs, empty folders, and what ``check`` refuses."""
         for override in self.parsed:
+            key, typed = override.get_key_element(), str(override.input_line)
             if override.is_sweep_override() and not several:
-                key, _, value = str(override.input_line).partition("=")
+                name, _, value = typed.partition("=")
                 raise ConfigError(
-                    f"{override.input_line}: several values make several runs; add -m for them, or "
-                    f"brackets if the setting is a list: {key}=[{value}]"
+                    f"{typed}: several values make several runs; add -m for them, or brackets if "
+                    f"the setting is a list: {name}=[{value}]"
                 )
-        for override in self.parsed:
-            key = override.get_key_element()
             # An empty name would mix runs with the user's own files.
-            if key in _FOLDERS and override.value() in ("", None):
+            if key in ("hydra.run.dir", "hydra.sweep.dir") and override.value() in ("", None):
                 raise ConfigError(
                     f"{key}: the name of a folder is allowed, or . for the working directory; "
                     f"the value is {override.value()!r}"
@@ -108,7 +110,7 @@ class Overrides:
         dropped = {o.key_or_group: o.input_line for o in self.parsed if o.is_delete()}
         for override in self.parsed:
             key, value, typed = override.get_key_element(), override.value(), override.input_line
-            swept, deletes = override.is_sweep_override(), override.is_delete()
+            deletes = override.is_delete()
             word = dropped.get(str(override.package))
             if word and not deletes:  # ~rewards.pitch beside reward@rewards.pitch=…
                 raise ConfigError(
@@ -128,7 +130,9 @@ class Overrides:
                     f"{SEARCH_PATH}: a list of folders is allowed, as in [my,pkg://package]; the "
                     f"value is {value!r}"
                 )
-            if not _is_choice(override) or swept or isinstance(value, dict):
+            name = override.key_or_group
+            is_choice = name in CHOICES or "/" in name or override.package is not None
+            if not is_choice or override.is_sweep_override() or isinstance(value, dict):
                 continue
             if value is None and not deletes:
                 raise ConfigError(f"{typed}: null is not allowed here; give a name")
@@ -137,17 +141,14 @@ class Overrides:
 
     def sampled(self) -> tuple[dict[str, Interval | Sequence[str]], list[str]]:
         """Return the intervals and lists that a search samples, by key, and the other words."""
-        found: dict[str, Interval | Sequence[str]] = {}
-        fixed = []
-        for override in self.parsed:
-            key, typed = override.get_key_element(), str(override.input_line)
-            if override.is_interval_sweep():
-                found[key] = _interval(override)
-            elif override.is_sweep_override():
-                found[key] = _swept_values(override)
-            else:
-                fixed.append(typed)
-        return found, fixed
+        found: dict[str, Interval | Sequence[str]] = {
+            override.get_key_element(): _interval(override)
+            if override.is_interval_sweep()
+            else _swept_values(override)
+            for override in self.parsed
+            if override.is_sweep_override()
+        }
+        return found, [str(o.input_line) for o in self.parsed if not o.is_sweep_override()]
 
     def combinations(self) -> Iterator[Overrides]:
         """Yield every combination of the values in lists, without intervals.
@@ -157,15 +158,12 @@ class Overrides:
         self.check()
         parts: list[Sequence[Override]] = []
         for override in self.parsed:
-            if override.is_interval_sweep():
-                continue
-            if override.is_sweep_override():
+            if override.is_sweep_override() and not override.is_interval_sweep():
                 key = override.get_key_element()
                 words = [f"{key}={value}" for value in _swept_values(override)]
                 parts.append(Overrides.parse(words, check=False).parsed)
-                values = [one.value() for one in parts[-1]]
-                check_different(str(override.input_line), values)
-            else:
+                check_different(str(override.input_line), [o.value() for o in parts[-1]])
+            elif not override.is_sweep_override():
                 parts.append([override])
         for combination in map(Overrides, itertools.product(*parts)):
             combination.check()
@@ -181,23 +179,11 @@ class Overrides:
                     yield Overrides((*self.parsed[:index], probe, *self.parsed[index + 1 :]))
 
 
-def _is_choice(override: Override) -> bool:
-    """Return whether an override chooses an entry of a config group."""
-    key = override.key_or_group
-    return key in CHOICES or "/" in key or override.package is not None
-
-
-def _keys(override: Override) -> Iterator[str]:
-    """Yield the key or group of an override, and the keys in a mapping that it gives."""
-    yield override.key_or_group
-    if not override.is_delete() and not override.is_sweep_override():
-        yield from _inner_keys(override.key_or_group, override.value())
-
-
-def _inner_keys(key: str, value: object) -> Iterator[str]:
+def _keys(key: str, value: object) -> Iterator[str]:
+    """Yield a key, and those in a mapping that is its value."""
+    yield key
     for name, item in value.items() if isinstance(value, Mapping) else ():
-        yield f"{key}.{name}"
-        yield from _inner_keys(f"{key}.{name}", item)
+        yield from _keys(f"{key}.{name}", item)
 
 
 def _swept_values(override: Override) -> list[str]:

@@ -58,9 +58,7 @@ def connect(launcher: Launcher) -> None:
     starts one; at the address ``local``, it always starts one.
     """
     module = sys.modules.get(_MODULE)
-    if module is None or not isinstance(launcher, module.RayLauncher):
-        return
-    if is_connected():
+    if module is None or not isinstance(launcher, module.RayLauncher) or is_connected():
         return
     found: Any = launcher
     settings: Any = OmegaConf.to_container(found.ray_cfg.init, resolve=True)
@@ -101,14 +99,13 @@ def launched_by(launcher: Launcher, config: DictConfig) -> Sweep:
         return [job_result(job) for job in launcher.launch(words, initial_job_idx=first)]
 
     unresolved: Any = OmegaConf.to_container(config.hydra.sweep, resolve=False)
-    # The basic launcher runs the jobs in sequence and would continue after Ctrl-C.
-    serial = isinstance(launcher, BasicLauncher)
     sweep = Sweep(
         Path(str(config.hydra.sweep.dir)),
         launch,
         print_comparison,
         named=bool(unresolved["subdir"] == UNNAMED),
-        serial=serial,
+        # It runs the jobs in sequence and would continue after Ctrl-C.
+        serial=isinstance(launcher, BasicLauncher),
         numbered=named_by_time(config, "sweep"),
         tell=print_note,
     )
@@ -188,8 +185,7 @@ def print_comparison(folder: Path, runs: Sequence[SweepRun]) -> None:
     columns = [*(Column(f"swept {key}", key, named=True) for key in keys), *_COLUMNS]
     rows = []
     for run in runs[:_ROWS]:
-        row = run.row()
-        success = row["success_rate"]
+        row, success = run.row(), run.row()["success_rate"]
         rows.append(
             row
             | {f"swept {key}": run.swept.get(key, "") for key in keys}

@@ -6,11 +6,12 @@ from typing import Any
 import pytest
 from hydra.core.config_store import ConfigStore
 
-from flipperctl.cli.hydra import compose, config_store
+from flipperctl.cli.hydra import compose
 from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.cli.reward_scenes import policies
+from flipperctl.cli.reward import controller_fields
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, to_dict, with_overrides
 from flipperctl.errors import ConfigError
+from flipperctl.evaluation.policies import policies
 from flipperctl.lookahead.controllers import Mpc
 from flipperctl.sim.planar import PlanarSensor
 from tests.cli.call import EXACT, call
@@ -23,7 +24,7 @@ def compose_train(words: list[str]) -> list[TrainConfig]:
 
 
 def compose_eval(
-    words: list[str], primary: str = config_store.EVAL_CONTROLLER
+    words: list[str], primary: str = compose.EVAL_CONTROLLER
 ) -> list[tuple[EvalConfig, dict[str, Any] | None]]:
     return compose.compose_eval(Overrides.parse(words), primary)
 
@@ -34,7 +35,7 @@ def compose_environment(words: list[str]) -> EnvConfig:
 
 @pytest.fixture(autouse=True)
 def defaults() -> None:
-    config_store.register_defaults()
+    compose.register_defaults()
 
 
 @pytest.mark.parametrize(
@@ -59,7 +60,7 @@ def test_a_checkpoint_brings_its_terrain_robot_and_layout_to_its_evaluation() ->
         "eval.episodes": 7,
     }
     trained = with_overrides(base, changes)
-    primary = config_store.register_trained(trained)
+    primary = compose.register_trained(trained)
     ((nominal, controller),) = compose_eval([], primary)
     assert controller is None
     assert nominal.conditions == "nominal"
@@ -147,7 +148,7 @@ def test_a_presets_terms_are_changed_added_and_dropped(preset: str, term: str, f
 
 def test_a_checkpoint_is_judged_by_its_own_rewards_or_by_a_preset() -> None:
     (trained,) = compose_train(["rewards=tuned", "rewards.swing.slope=5"])
-    primary = config_store.register_trained(trained)
+    primary = compose.register_trained(trained)
     ((own, _),) = compose_eval([], primary)
     assert own.rewards == trained.rewards
     ((changed, _),) = compose_eval(["rewards.swing.weight=4"], primary)
@@ -207,12 +208,14 @@ def test_a_teacher_has_presets_with_the_discount_of_the_training() -> None:
 
 
 def test_compared_controllers_with_that_field_have_the_preset() -> None:
-    sources, others = policies("level,mpc", ["controller.rewards=tuned", "terrain=step"])
+    words = Overrides.parse(["controller.rewards=tuned", "terrain=step"])
+    fields, others = controller_fields(words, "--compare")
+    sources = policies("level,mpc", fields, print)
     assert (sources["mpc"].settings or {})["rewards"] == preset("tuned")
     assert "rewards" not in (sources["level"].settings or {})
     assert others.words == ["terrain=step"]
     with pytest.raises(ConfigError, match=r"controller.rewards: .*'tune'; did you mean 'tuned'"):
-        policies("level,mpc", ["controller.rewards=tune"])
+        controller_fields(Overrides.parse(["controller.rewards=tune"]), "--compare")
 
 
 def test_a_preset_of_a_configuration_folder_counts_in_a_training(tmp_path: Path) -> None:

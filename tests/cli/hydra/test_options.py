@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from hydra.core import utils
 
+from flipperctl import train
 from flipperctl.errors import OutputError
 from flipperctl.results import hold
-from flipperctl.scripting.training import train
 from tests.cli.call import EXACT, call, refused
 
 QUICK = [

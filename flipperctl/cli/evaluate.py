@@ -1,0 +1,294 @@
+"""The commands that play episodes or read them: ``eval``, ``map``, ``replay`` and ``compare``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from flipperctl.cli import options
+from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
+from flipperctl.terminal.streams import print_note, show
+
+
+def evaluate(
+    words: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="POLICY... [SETTING...]", help="Policies; key=value, as in terrain=stair."
+        ),
+    ] = None,
+    checkpoint: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="RUN_OR_FILE", help="A further policy; may be repeated."),
+    ] = None,
+    controller: Annotated[
+        str | None, typer.Option(metavar="NAMES", help="Further controllers, such as okada,mpc.")
+    ] = None,
+    baseline: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAMES", help="Controllers to compare with, such as level,okada, or none."
+        ),
+    ] = None,
+    passable: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAMES",
+            help="Also report success over the episodes that one of these can solve.",
+        ),
+    ] = None,
+    by: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAMES", help="Group results by drawn numbers, such as steps,slope+up."
+        ),
+    ] = None,
+    columns: Annotated[
+        str | None,
+        typer.Option(metavar="NAMES", help="Further columns, such as max_pitch,return, or all."),
+    ] = None,
+    episodes: options.Episodes = None,
+    seed: options.Seed = None,
+    jobs: options.Jobs = None,
+    output: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for results, tables and pictures.")
+    ] = None,
+    film: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.gif", help="Film of the first episode of the only scene."),
+    ] = None,
+    record: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Recorded episodes, to teach a training.")
+    ] = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
+) -> None:
+    """Evaluate policies on any terrain, with 95 % intervals.
+
+    A POLICY is a run, a checkpoint, an .onnx file, the folder of a sweep, a shipped policy or a
+    controller. Give several to compare them on the same episodes; a sweep counts as one method per
+    setting, with its training seeds. SETTINGS apply to the evaluation, not to the trained network;
+    terrain=a,b evaluates on both. A trained policy is evaluated on its own terrain by default.
+
+    conditions=… chooses physics, sensing, start and randomisation: nominal (the default), varied,
+    wide, or trained (those of the checkpoint). Other settings are applied on top.
+
+    Repeat a command with the same --output to play only what is missing.
+
+    [bold]Examples[/]
+
+      flipperctl eval runs/stair/2026-01-31_12-00-00 --baseline level
+
+      flipperctl eval best.safetensors terrain=paper_step,paper_stair --json
+
+      flipperctl eval okada terrain=stair perception.noise=0.01 --by steps
+
+      flipperctl eval runs/sweep okada,mpc terrain=stair,ramp --output judged
+
+      flipperctl eval generalist suite=robustness --output judged
+
+      flipperctl eval generalist terrain=pallet --episodes 1 --film pallet.gif
+
+      flipperctl eval okada terrain=ramp --seed 5 --record okada.safetensors
+    """
+    from flipperctl.cli.plan import make_plan
+    from flipperctl.config.words import with_flags
+    from flipperctl.evaluation.evaluate import Result
+    from flipperctl.evaluation.policies import controllers, entrants, split_policies
+    from flipperctl.evaluation.run import run
+    from flipperctl.evaluation.views import evaluation, strata
+    from flipperctl.evaluation.views.summary import Document
+    from flipperctl.terminal.progress import EvaluationProgress
+
+    names, overrides = split_policies(words)
+    names += [*map(str, checkpoint or ()), *([controller] if controller is not None else [])]
+    if not names:
+        raise RequestError("name a policy, as in: flipperctl eval generalist terrain=stair")
+    flagged = with_flags(overrides, episodes=episodes, seed=seed, jobs=jobs)
+    chosen = evaluation.parse_columns(columns)
+    plan = make_plan(flagged, entrants(names, print_note), baseline, print_note)
+    if record is not None and any(entry.config.eval.ray is not None for entry in plan.entries):
+        raise RequestError("eval.ray: no meaning beside --record, which plays here; leave it out")
+    references = controllers(passable, "--passable")
+    groups = strata.parse(by, "--by", [entry.config for entry in plan.rows])
+    progress = EvaluationProgress()
+
+    def printed(result: Result, document: Document) -> None:
+        show(document, lambda: evaluation.print_result(result, document, chosen), as_json=as_json)
+
+    run(
+        plan,
+        references=references,
+        by=groups,
+        outputs={"folder": output, "film": film, "record": record},
+        show=printed,
+        progress=progress,
+        planned=progress.plan,
+        tell=print_note,
+    )
+
+
+def map_success(
+    words: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="POLICY [SETTING...]", help="A policy; key=value."),
+    ] = None,
+    over: Annotated[
+        str | None,
+        typer.Option(metavar="SETTINGS", help="Two settings, such as terrain.height,sim.friction."),
+    ] = None,
+    checkpoint: options.CheckpointFile = None,
+    controller: options.ControllerName = None,
+    episodes: Annotated[
+        str | None, typer.Option(metavar="N", help="Episodes at each point [10].")
+    ] = None,
+    seed: options.Seed = None,
+    jobs: options.Jobs = None,
+    output: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for the map and its picture.")
+    ] = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
+) -> None:
+    """Map where a policy succeeds, over two settings.
+
+    A coarse grid is played first, and then the points where success changes. --over names two
+    settings with their ranges, LOW:HIGH or LOW:HIGH:VALUES; + joins settings with one common value.
+    Repeat a command with the same --output to play only what is missing.
+
+    [bold]Examples[/]
+
+      flipperctl map okada terrain=uplift --over terrain.height,sim.friction
+
+      flipperctl map generalist --over terrain.height=0.1:0.6:8,sim.friction
+    """
+    from flipperctl.cli.plan import one_scene, player
+    from flipperctl.config.words import with_default, with_flags
+    from flipperctl.evaluation.views import map as view
+    from flipperctl.evaluation.views.axes import parse_axes
+    from flipperctl.show import console, print_lines
+
+    if over is None:
+        raise RequestError(f"name two settings, as in --over {view.EXAMPLE}")
+    flagged = with_flags(words, episodes=episodes, seed=seed, jobs=jobs)
+    flagged = with_default(flagged, "eval.episodes", view.EPISODES)
+    entry = one_scene(flagged, checkpoint, controller, "map")
+    if entry.config.eval.ray is not None:
+        raise RequestError("eval.ray: a map is played here; leave it out")
+    axes = parse_axes(over, entry.config)
+    with player(output, "map", view.NAMES) as (plays, folder):
+        for note in view.notes(entry, axes):
+            print_note(note)
+        found = view.capability_map(entry, axes, plays)
+        try:
+            show(
+                found.to_dict(), lambda: print_lines(console(), view.lines(found)), as_json=as_json
+            )
+        finally:  # files are written even if the pipe is closed
+            if folder is not None:
+                folder.replace(lambda part: view.write(part, found))
+                print_note(f"saved to {folder.path}")
+        if found.interrupted:
+            raise InterruptedRunError(f"interrupted: {found.played} points are finished")
+
+
+def replay(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recorded failure.")],
+    checkpoint: Annotated[
+        Path | None,
+        typer.Option(metavar="RUN_OR_FILE", help="The policy, if it has moved since."),
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Folder for replay.json and replay.png.")
+    ] = None,
+    film: Annotated[Path | None, typer.Option(metavar="FILE.gif", help="Film of it.")] = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
+) -> None:
+    """Play a recorded failure once more, and check that it is the same bit for bit.
+
+    eval --output and map --output record failures as failure_….json.
+
+    [bold]Examples[/]
+
+      flipperctl replay evaluated/failure_stair_3.json --film stair.gif
+    """
+    from flipperctl.evaluation.replay import lines, replay_file
+    from flipperctl.show import console, print_lines
+    from flipperctl.terminal.progress import episodes_progress
+
+    found = replay_file(file, checkpoint, output, film, progress=episodes_progress, tell=print_note)
+    show(found.to_dict(), lambda: print_lines(console(), lines(found)), as_json=as_json)
+    if found.differences:
+        raise FlipperctlError(
+            f"{file}: the episode differs from the recorded one: {'; '.join(found.differences)}"
+        )
+
+
+def compare(
+    folders: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="[METHOD=]DIR...",
+            help="A folder of eval --output, or a folder with one for each training seed.",
+        ),
+    ],
+    against: Annotated[
+        str | None,
+        typer.Option(metavar="METHOD", help="Compare with this method [the first], or all."),
+    ] = None,
+    measure: Annotated[
+        str, typer.Option(metavar="NAME", help="The measure of the score; less is better.")
+    ] = "pitch_variation_100hz",
+    price: Annotated[
+        float | None, typer.Option(metavar="X", help="Score of a failed episode [6.283].")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="A table, .tex, or a picture.")
+    ] = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
+) -> None:
+    """Compare methods over their training seeds, from folders that eval --output wrote.
+
+    A failed episode counts with a price. --against all compares every pair; --output writes the
+    table for LaTeX (.tex), or a picture of performance profiles (.png, .svg, .pdf).
+
+    [bold]Examples[/]
+
+      flipperctl compare judged --against level --output profile.png
+
+      flipperctl compare plain=a searched=b --against all --output table.tex
+    """
+    from flipperctl.evaluation.views import compare as view
+    from flipperctl.figures.figure import PICTURE, save
+    from flipperctl.files import check_output, write_bytes
+    from flipperctl.show import TABLE, console, latex, print_lines, print_table
+
+    kind = TABLE if output is not None and output.suffix in TABLE.suffixes else PICTURE
+    if output is not None:
+        check_output(output, kind)
+    found = view.compare(folders, measure=measure, price=price, against=against)
+    document = view.document(found)
+    for notice in found.stored.notices:
+        print_note(f"warning: {notice}")
+    tables = list(view.tables(document, found.label))
+    if output is not None and kind is TABLE:
+        write_bytes(output, "\n".join(map(latex, tables)).encode())
+    elif output is not None:
+        save(view.figure(found), output)
+
+    def printed() -> None:
+        out = console()
+        print_lines(out, view.price_warnings(document))
+        for at, table in enumerate(tables):
+            if at:
+                out.print()
+            print_table(table, out)
+        print_lines(out, view.seed_warnings(document))
+
+    show(document, printed, as_json=as_json)
+    if output is not None:
+        print_note(f"wrote {output}")

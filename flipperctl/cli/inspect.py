@@ -1,0 +1,312 @@
+"""``flipperctl inspect``: plugins, terrains, checkpoints, runs and settings."""
+
+from __future__ import annotations
+
+import contextlib
+import shlex
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from flipperctl.cli import options
+from flipperctl.errors import CheckpointError, RequestError
+from flipperctl.terminal.streams import show
+
+if TYPE_CHECKING:
+    from flipperctl.checkpoint import Checkpoint
+
+
+def plugins(
+    name: Annotated[str | None, typer.Argument(help="Only the plugins of this name.")] = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Run the conformance suite; fail if a check fails.")
+    ] = False,
+    output: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="With --check: a folder for pictures of the terrains."),
+    ] = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
+) -> None:
+    """List every registered plugin: its source, and its fields with default, bounds and unit.
+
+    With [bold]--check[/], run the conformance suite on them instead: terrains at every bound,
+    rewards on recorded episodes of every outcome, networks including their ONNX export, controllers
+    within a time limit, signs, frames, units and timing of engines and sensors.
+
+    [bold]Examples[/]
+
+      flipperctl inspect plugins
+
+      flipperctl inspect plugins stair --json
+
+      flipperctl inspect plugins --plugins my_terrain.py
+
+      flipperctl inspect plugins mine --check --plugins mine.py --output pictures
+    """
+    from flipperctl.api import registry
+    from flipperctl.config.describe import describe_plugin, plugin_keys
+    from flipperctl.terminal.tables import print_checks, print_plugins
+
+    if output is not None and not check:
+        raise RequestError("--output needs --check; inspect terrain draws a single picture")
+    chosen = plugin_keys(name)
+    if check:
+        from flipperctl.terminal.progress import steps_progress
+        from flipperctl.testing import checks
+        from flipperctl.testing.check import require_passed, run_checks
+
+        wanted = checks(*(registry[key] for key in chosen), pictures=output)
+        with steps_progress("check") as report:
+            rows = run_checks(wanted, report)
+        show(rows, lambda: print_checks(rows), as_json=as_json)
+        require_passed(rows)
+        return
+    found = [describe_plugin(*key) for key in chosen]
+    show(found, lambda: print_plugins(found), as_json=as_json)
+
+
+def terrain(
+    name: Annotated[str, typer.Argument(help="A terrain plugin.")],
+    overrides: options.Overrides = None,
+    output: options.Picture = None,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first profile.")] = 0,
+    draws: Annotated[int, typer.Option(min=1, max=100, help="Number of profiles to sample.")] = 4,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
+) -> None:
+    """Sample profiles of a terrain: their sizes, and a picture with --output.
+
+    [bold]Examples[/]
+
+      flipperctl inspect terrain stair --output stair.png
+
+      flipperctl inspect terrain step terrain.high=0.2 --seed 3 --draws 6 --json
+    """
+    from flipperctl.cli.hydra.compose import compose_environment
+    from flipperctl.cli.hydra.overrides import Overrides
+    from flipperctl.config import resolver
+    from flipperctl.figures.terrain import sample
+    from flipperctl.terminal.tables import print_terrain
+
+    for override in overrides or []:
+        if override.startswith("eval."):
+            raise RequestError(
+                f"{override}: has no effect here; --seed and --draws choose the profiles"
+            )
+    resolver.get("terrain", name, "terrain")
+    words = [f"terrain={name}", *(overrides or [])]
+    config = compose_environment(Overrides.parse(words))
+    sampled = sample(config, range(seed, seed + draws))
+    rows = [row for _, row in sampled]
+    if output is not None:
+        from flipperctl.figures.figure import save
+        from flipperctl.figures.terrain import terrain_figure
+
+        profiles, labels = [p for p, _ in sampled], [f"seed {row['seed']}" for row in rows]
+        save(terrain_figure(profiles, f"{name}, {labels[0]}", config.robot, labels), output)
+    document = {"terrain": resolver.to_dict(config.terrain), "draws": rows}
+    show(document, lambda: print_terrain(name, rows, output), as_json=as_json)
+
+
+def checkpoint(
+    path: Annotated[Path, typer.Argument(metavar="RUN_OR_FILE", help="A run or a checkpoint.")],
+    overrides: options.Overrides = None,
+    check: Annotated[
+        bool, typer.Option("--check", help="Probe the conventions; fail if one does not hold.")
+    ] = False,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
+) -> None:
+    """Describe a checkpoint. Nothing in the file is executed, and no plugin is needed.
+
+    The SHA-256 of the content covers configuration, results, state and weights: it is equal for
+    equal runs, whatever versions of the packages wrote them.
+
+    With [bold]--check[/], probe signs, frames, units and timing with the file's robot and
+    observation: in two engines the robot drives on level ground, raises and lowers each pair of
+    flippers, and drives up a ramp; the sensor measures a step. Actions, targets and period of an
+    exported .onnx file are compared with that robot, or with yours after robot.… overrides. sim=…
+    names the engine that is probed beside the default one. Fail if any of it differs from the
+    contract.
+
+    [bold]Examples[/]
+
+      flipperctl inspect checkpoint runs/stair/2026-01-31_12-00-00
+
+      flipperctl inspect checkpoint best.safetensors --json
+
+      flipperctl inspect checkpoint policy.onnx --check robot.flipper_speed=0.5
+    """
+    from flipperctl import checkpoint
+    from flipperctl.policies.source import load_policy
+
+    source = load_policy(path, takes="file")
+    file = source.file
+    if check:
+        from flipperctl.cli.hydra.compose import compose_environment, register_robot
+        from flipperctl.cli.hydra.overrides import Overrides
+        from flipperctl.config.words import with_engine
+        from flipperctl.show import console, print_table
+        from flipperctl.testing.conventions import probe, require_conventions, table
+
+        own, words = source.config(), Overrides.parse(with_engine(list(overrides or [])))
+        primary = register_robot(own.robot, own.perception.layout)
+        probes = probe(compose_environment(words, primary), source)
+        holds = all(one.holds for one in probes)
+        document = {"holds": holds, "probes": [{**asdict(p), "holds": p.holds} for p in probes]}
+        show(document, lambda: print_table(table(probes), console()), as_json=as_json)
+        require_conventions(probes)
+        return
+    if overrides:
+        raise RequestError(f"{overrides[0]}: overrides need --check")
+    if source.is_exported:
+        raise RequestError(
+            f"{file} is an exported file, not a checkpoint; "
+            f"python -m flipperctl.runtime {shlex.quote(str(file))} prints its interface, "
+            "and --check probes it"
+        )
+    saved = checkpoint.read(file)
+    found = saved.to_dict()
+    show(found, lambda: print_checkpoint(found, saved), as_json=as_json)
+
+
+def print_checkpoint(found: dict[str, Any], saved: Checkpoint) -> None:
+    """Print a line for each part of a checkpoint (``Checkpoint.to_dict``)."""
+    from flipperctl.terminal.progress import pitch_variation_text
+
+    config, state, document = found["config"], found.get("state") or {}, saved.document
+    kind = "the best policy" if found["kind"] == "best" else "a whole run to resume"
+    weights = (f"{name} (weight {term['weight']:g})" for name, term in config["rewards"].items())
+    best = document.validation or (document.state.best if document.state else None)
+    lines = {
+        "file": f"{found['path']} ({found['bytes']} bytes, SHA-256 matches)",
+        "content": f"SHA-256 {found['content_sha256']}",
+        "holds": f"{kind}, format {found['format']}",
+        "trained on": f"{config['terrain']['name']}, seed {config['seed']}",
+        "network": config["network"]["name"],
+        "rewards": ", ".join(weights),
+        "decision": str(found.get("decision") or state.get("decision")),
+        "numbers": ", ".join(f"{name} {count}" for name, count in found["numbers"].items()),
+        "versions": ", ".join(map(" ".join, found["versions"].items())),
+        "plugins": ", ".join(f"{p.kind} {p.name} ({p.file or p.module})" for p in document.plugins),
+    }
+    if best:
+        lines["best"] = (
+            f"at decision {best.decision}: success {best.success_rate:.1%}, "
+            f"{pitch_variation_text(best.model_dump(), 3)}, t_cost {best.t_cost:.1f} s"
+        )
+    for name, text in lines.items():
+        print(f"{name:<11}{text}")
+
+
+def run(
+    run: Annotated[Path, typer.Argument(metavar="RUN", help="A run directory.")],
+    output: options.Picture = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
+) -> None:
+    """Summarise a training run, and plot its learning curves with --output.
+
+    [bold]Examples[/]
+
+      flipperctl inspect run runs/stair/2026-01-31_12-00-00 --output curves.png
+    """
+    from flipperctl.training.folder import RunRows, summarise
+
+    rows = RunRows.read(run)
+    if output is not None:
+        from flipperctl.figures.figure import save
+        from flipperctl.figures.learning import learning_figure
+
+        save(learning_figure(rows.episodes, rows.validations, str(run)), output)
+    found = summarise(run, rows)
+    show(found, lambda: _print(found, output), as_json=as_json)
+
+
+def _print(found: dict[str, Any], picture: Path | None) -> None:
+    """Print a row for each validation (``training.folder.summarise``), and the picture's name."""
+    from flipperctl.show import Column, Table, console, print_table
+    from flipperctl.terminal.progress import HEADING, PAPERS_HEADING
+
+    summary = found["summary"]
+    state = "still running" if found["running"] else "finished"
+    if not (found["running"] or (summary and summary["finished"])):
+        ended = "interrupted" if summary else "ended by an error, or killed"
+        state = f"{ended}; resume with: {_resume_command(Path(found['run']))}"
+    rows = [
+        row
+        | {
+            "decision": f"{row['decision']:.0f}",
+            "success": f"{row['success_rate']:.1%}",
+            "return": row["return"] if row["mean_return"] is None else row["mean_return"],
+        }
+        for row in found["validations"]
+    ]
+    columns = (
+        Column("decision", "decision", named=True),
+        Column("success", "success"),
+        Column("pitch_variation_100hz", HEADING, 3),
+        Column("pitch_variation", PAPERS_HEADING, 3),
+        Column("t_cost", "t_cost [s]", 1),
+        Column("return", "return"),
+    )
+    print_table(Table(columns, rows, f"{found['run']}: {state}"), console())
+    if picture is not None:
+        print(f"picture: {picture}")
+
+
+def _resume_command(run: Path) -> str:
+    """Return the command that resumes the run, and the names of plugin files to be added to it.
+
+    A run records the names of its plugins' files, but not their folders.
+    """
+    from flipperctl import checkpoint, session
+
+    command = session.command("train", "--resume", run)
+    files: list[str] = []
+    if not session.plugin_paths():
+        with contextlib.suppress(CheckpointError):  # train --resume says what is damaged
+            named = checkpoint.read(run / checkpoint.LAST).document.plugins
+            files = list(dict.fromkeys(p.file for p in named if p.file))
+    return f"{command} (and --plugins for {', '.join(files)})" if files else command
+
+
+def config(
+    overrides: options.Overrides = None,
+    describe: Annotated[
+        bool, typer.Option("--describe", help="List every setting with default, bounds and unit.")
+    ] = False,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
+) -> None:
+    """Print the composed, validated training configuration as YAML.
+
+    With [bold]--describe[/], list its settings instead: value, default, bounds, unit and meaning.
+
+    [bold]Examples[/]
+
+      flipperctl inspect config terrain=stair
+
+      flipperctl inspect config experiment=wide_stair agent.gamma=0.98 --json
+
+      flipperctl inspect config terrain=ramp rewards=tuned --describe
+    """
+    from omegaconf import OmegaConf
+
+    from flipperctl.cli.hydra import compose
+    from flipperctl.cli.hydra.overrides import Overrides
+    from flipperctl.config import to_dict
+    from flipperctl.config.describe import list_settings
+    from flipperctl.terminal.tables import print_settings
+
+    config = compose.only_one(compose.compose_train(Overrides.parse(overrides or ())))
+    if describe:
+        (default,) = compose.compose_train()
+        found = list_settings(config, default)
+        show(found, lambda: print_settings(found), as_json=as_json)
+        return
+    plain = to_dict(config)
+    show(plain, lambda: print(OmegaConf.to_yaml(plain).rstrip()), as_json=as_json)

@@ -1,0 +1,256 @@
+"""``flipperctl robot``: what a robot recorded, and the signs of its devices."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from flipperctl.cli import options
+from flipperctl.terminal.streams import show
+
+if TYPE_CHECKING:
+    from flipperctl.config import EnvConfig
+
+
+class Convention(StrEnum):
+    """Signs of flipper angles."""
+
+    rep103 = "rep103"
+    flipperctl = "flipperctl"
+
+
+CloudTopic = Annotated[
+    str | None,
+    typer.Option("--topic", metavar="NAME", help="Topic of the PointCloud2, if several."),
+]
+ImuTopic = Annotated[
+    str | None, typer.Option("--imu", metavar="NAME", help="Topic of the Imu, if several.")
+]
+BeltTopic = Annotated[
+    str | None,
+    typer.Option(
+        metavar="NAME",
+        help="Belt speeds, Float64 or Odometry; /belt_speed or the only Odometry if not given.",
+    ),
+]
+FixedFrame = Annotated[
+    str, typer.Option(metavar="NAME", help="Frame in which the ground is at rest.")
+]
+BaseFrame = Annotated[str, typer.Option(metavar="NAME", help="Frame of the chassis.")]
+FrontJoints = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--front", metavar="JOINT", help="A joint of the front flippers; may be repeated."
+    ),
+]
+RearJoints = Annotated[
+    list[str] | None,
+    typer.Option("--rear", metavar="JOINT", help="A joint of the rear flippers; may be repeated."),
+]
+AngleSigns = Annotated[
+    Convention, typer.Option(metavar="NAME", help="Signs of the flippers' angles.")
+]
+
+
+def recorded_robot(
+    overrides: Sequence[str] | None,
+) -> tuple[EnvConfig, str | None, frozenset[str]]:
+    """Return the robot and LiDAR of a recording, ``perception.pose`` and the settings given.
+
+    ``perception.pose`` is None if it is not among these.
+    """
+    from flipperctl.cli.hydra.compose import compose_environment
+    from flipperctl.cli.hydra.overrides import Overrides
+
+    words = list(overrides or ())
+    config = compose_environment(Overrides.parse(["perception=lidar", *words]))
+    given = frozenset(Overrides.parse(words).typed)
+    pose = getattr(config.perception, "pose", None) if "perception.pose" in given else None
+    return config, pose, given
+
+
+def check(
+    bag: Annotated[Path, typer.Argument(help="A bag, or a folder of clouds and poses.txt.")],
+    overrides: options.Overrides = None,
+    output: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="A film .gif; with --at a picture .png.")
+    ] = None,
+    at: Annotated[float | None, typer.Option(min=0, help="Time of a picture in s.")] = None,
+    topic: CloudTopic = None,
+    imu: ImuTopic = None,
+    belts: BeltTopic = None,
+    fixed_frame: FixedFrame = "odom",
+    base_frame: BaseFrame = "base_link",
+    front: FrontJoints = None,
+    rear: RearJoints = None,
+    signs: AngleSigns = Convention.rep103,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
+) -> None:
+    """Replay what a robot recorded through the estimator that runs on it: will its sensing do?
+
+    BAG is a bag of ROS 1 or 2, or a folder of clouds and poses.txt (see flipperctl robot ground).
+    The table tells which scans are used, how much ground is seen, how certain it is and how the
+    odometry drifts. --output shows the cloud, the map, heights, faces, filled and unseen ground: a
+    film (.gif), or with --at SECONDS one instant (.png, .svg, .pdf).
+
+    OVERRIDES are the robot and the estimator, as in robot=absolem perception.pose=matched.
+
+    [bold]Examples[/]
+
+      flipperctl robot check recorded_bag --output perceived.gif
+
+      flipperctl robot check run.mcap robot=mine.yaml --topic /points --json
+
+      flipperctl robot check recorded_bag --at 12 --output edge.png
+    """
+    from flipperctl.ros.messages import JOINTS
+    from flipperctl.ros.perceiving import replay
+    from flipperctl.ros.topics import Names
+    from flipperctl.terminal.progress import episodes_progress
+    from flipperctl.terminal.tables import print_perception
+
+    if output is not None or at is not None:
+        from flipperctl.figures.perceiving import check_output, draw
+
+        check_output(output, at)
+    joints = front or JOINTS[:2], rear or JOINTS[2:]
+    names = Names(topic, imu, belts, fixed_frame, base_frame, *joints, signs.value)
+    config, pose, _ = recorded_robot(overrides)
+    found = replay(bag, config.perception, config.robot, pose, names)
+    if output is not None:
+        with episodes_progress("drawing", 1) as report:
+            draw(output, found, config.robot, at, report)
+    show(found.summary, lambda: print_perception(found.summary, output), as_json=as_json)
+
+
+def shadow(
+    policy: Annotated[Path, typer.Argument(help="An exported policy, an .onnx file.")],
+    bag: Annotated[Path, typer.Argument(help="A bag of ROS 1 or 2.")],
+    overrides: options.Overrides = None,
+    output: Annotated[Path, typer.Option(metavar="FILE.jsonl", help="The log to write.")] = Path(
+        "shadow.jsonl"
+    ),
+    topic: CloudTopic = None,
+    imu: ImuTopic = None,
+    belts: BeltTopic = None,
+    base_frame: BaseFrame = "base_link",
+    front: FrontJoints = None,
+    rear: RearJoints = None,
+    signs: AngleSigns = Convention.rep103,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
+) -> None:
+    """Run an exported policy on what a robot recorded, and log what it would have done.
+
+    Nothing moves: POLICY is stepped as on the robot (flipperctl.runtime.FlipperController) with the
+    messages of BAG in their order. The log has a line of JSON for each decision and each change of
+    state: time, proposed targets and setpoints, whether the belts might run, state, fault and
+    reason, and the angles that were measured.
+
+    OVERRIDES are widths and errors of the robot, as in perception.overall_width=0.6.
+
+    [bold]Examples[/]
+
+      flipperctl robot shadow stair.onnx recorded_bag --output shadow.jsonl
+
+      flipperctl robot shadow stair.onnx run.mcap perception.pose=matched
+    """
+    from flipperctl.ros.messages import JOINTS
+    from flipperctl.ros.shadowing import check_used, shadow
+    from flipperctl.ros.topics import Names
+    from flipperctl.terminal.tables import print_shadow
+
+    config, pose, given = recorded_robot(overrides)
+    check_used(given)
+    joints = front or JOINTS[:2], rear or JOINTS[2:]
+    names = Names(topic, imu, belts, "odom", base_frame, *joints, signs.value)
+    found = shadow(policy, bag, config.perception, pose, names, output)
+    show(found, lambda: print_shadow(found), as_json=as_json)
+
+
+def ground(
+    source: Annotated[Path, typer.Argument(help="A bag, or a folder of clouds and poses.txt.")],
+    output: Annotated[Path, typer.Option(metavar="FILE.xyz", help="The file to write.")],
+    overrides: options.Overrides = None,
+    topic: CloudTopic = None,
+    fixed_frame: FixedFrame = "odom",
+    base_frame: BaseFrame = "base_link",
+    reach: Annotated[
+        float,
+        typer.Option(min=0.5, help="Distance in m beyond which points are left out."),
+    ] = 5.0,
+    cell: Annotated[
+        float,
+        typer.Option(min=0.005, max=0.2, help="One point is kept in a cube of this edge in m."),
+    ] = 0.02,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
+) -> None:
+    """Make recorded ground from a bag of ROS 1 or 2, or from a folder of clouds with poses.
+
+    The points of all clouds are put into one frame by the recorded transforms or odometry, without
+    those of the robot, and thinned. The command prints how to drive over them
+    (terrain=profile_file). A folder has clouds (.pcd, .ply, .xyz, .npy) in the frame of the
+    chassis, and poses.txt with a line for each: 8 numbers (stamp, x, y, z, qx, qy, qz, qw), or 12
+    (the rows of [[R|t]]).
+
+    OVERRIDES are the robot that recorded, as in robot=absolem, whose own points are left out.
+
+    [bold]Examples[/]
+
+      flipperctl robot ground recorded_bag --output ground.xyz
+
+      flipperctl robot ground run.mcap --output ground.xyz --fixed-frame map
+    """
+    from flipperctl.api import Robot
+    from flipperctl.cli.hydra.overrides import Overrides
+    from flipperctl.export.policy import robot_fields
+    from flipperctl.ros.ground import convert
+    from flipperctl.ros.topics import Names
+    from flipperctl.terminal.tables import print_ground
+
+    robot = Robot(**robot_fields(Overrides.parse(overrides or ()).values(), "robot ground"))
+    names = Names(clouds=topic, fixed=fixed_frame, base=base_frame)
+    found = convert(source, output, robot, names, reach, cell)
+    show(found, lambda: print_ground(found), as_json=as_json)
+
+
+def self_test(
+    messages: Annotated[str, typer.Argument(help="Lines of JSON, or - for a pipe.")],
+    signs: Annotated[
+        Convention, typer.Option(metavar="NAME", help="Signs of the messages.")
+    ] = Convention.flipperctl,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
+) -> int:
+    """Find wrong signs on a robot: move each part when told, and see how it was measured.
+
+    MESSAGES is a file of JSON lines with what the robot's devices measure, or - for a pipe. Each
+    sign that is wrong is named with what to set. Exit code 0: every motion was measured with the
+    right sign.
+
+    The robot's own computer needs only numpy and onnxruntime for the same test: python -m
+    flipperctl.runtime --self-test MESSAGES.
+
+    [bold]Examples[/]
+
+      flipperctl robot self-test messages.jsonl --signs rep103
+
+      my_driver | flipperctl robot self-test - --signs rep103
+    """
+    from dataclasses import asdict
+
+    from flipperctl.runtime.messages import CONVENTIONS, RobotSetup
+    from flipperctl.runtime.recordings import opened
+    from flipperctl.runtime.recordings import self_test as tested
+
+    setup = RobotSetup(signs=CONVENTIONS[signs.value])
+    test = tested(*opened(messages), setup)  # it prints what to do meanwhile
+    document = {"passed": test.passed, "verdicts": [asdict(one) for one in test.verdicts]}
+    show(document, lambda: None, as_json=as_json)
+    return 0 if test.passed else 1

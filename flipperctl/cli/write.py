@@ -1,0 +1,266 @@
+"""The commands that write files for others: ``card``, ``export`` and ``new``."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from collections.abc import Mapping, Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from flipperctl.cli import options
+from flipperctl.errors import FlipperctlError, RequestError
+from flipperctl.terminal.streams import print_note, show
+
+
+def card(
+    policy: Annotated[
+        Path, typer.Argument(metavar="RUN_OR_POLICY", help="A run, a checkpoint or a shipped one.")
+    ],
+    results: Annotated[
+        list[Path] | None, typer.Argument(metavar="RESULTS", help="Folders of eval --output.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The card, else standard output.")
+    ] = None,
+    plugins: options.PluginPaths = None,
+) -> None:
+    """Write a policy's card: what it is, how it was trained, what it reached and where it fails.
+
+    The card is Markdown with the front matter of the Hugging Face Hub, whose model-index has the
+    results. RESULTS are folders of [bold]eval --output[/] with this policy; their baselines stand
+    beside it. Each command in the card gives the same hash of conditions, which is checked.
+
+    [bold]Examples[/]
+
+      flipperctl eval generalist --baseline okada,level --output evaluated
+
+      flipperctl card generalist evaluated --output card.md
+    """
+    from flipperctl.evaluation.views.card import CARD, card_text, policy_rows
+    from flipperctl.files import check_output, write_bytes
+    from flipperctl.policies.source import load_policy
+
+    file = load_policy(policy, takes="checkpoint", tell=print_note).file
+    if output is not None:
+        check_output(output, CARD)
+    folders = results or []
+    rows = policy_rows(file, folders)  # raises for wrong results, before anything is composed
+    text = card_text(policy, file, rows, evaluation_commands(policy, file, folders))
+    if output is None:
+        print(text, end="")
+    else:
+        write_bytes(output, text.encode())
+        print_note(f"wrote {output}")
+
+
+def evaluation_commands(policy: Path, file: Path, results: Sequence[Path]) -> list[str]:
+    """Return a command for each group of stored scenes with equal conditions and options.
+
+    A comment follows where no command gives the stored conditions. ``policy`` is the name or path
+    that the commands show, ``file`` its checkpoint.
+    """
+    from flipperctl.cli.hydra.compose import register_trained
+    from flipperctl.evaluation.conditions import read_config
+    from flipperctl.evaluation.views.card import read_document
+    from flipperctl.policies.source import PolicySource
+
+    primary = register_trained(read_config(PolicySource(file), ["flat"], lambda line: None))
+    groups: dict[tuple[tuple[str, ...], str], dict[str, None]] = {}
+    for folder in results:
+        for scene in read_document(folder)["scenes"]:
+            words, note = _words(primary, scene)
+            groups.setdefault((tuple(words), note), {})[scene["terrain"]] = None
+    eval_ = ("flipperctl", "eval", str(policy))
+    return [
+        shlex.join([*eval_, *words, f"terrain={','.join(terrains)}"]) + note
+        for (words, note), terrains in groups.items()
+    ]
+
+
+def _words(primary: str, scene: Mapping[str, Any]) -> tuple[list[str], str]:
+    """Return the options and overrides of a scene, and a note if they miss its conditions."""
+    from flipperctl.cli.hydra.compose import compose_eval
+    from flipperctl.cli.hydra.overrides import Overrides
+    from flipperctl.config import DEFAULT_ENGINE
+    from flipperctl.evaluation.conditions import Conditions
+    from flipperctl.evaluation.views.summary import compared
+
+    stored = scene["conditions"]
+    options = ["--episodes", str(scene["episodes"]), "--seed", str(scene["seed"])]
+    if names := [other["controller"] for other in compared(scene)]:
+        options += ["--baseline", ",".join(names)]
+    plugins = {kind: stored[kind]["name"] for kind in ("sim", "perception")}
+    words = [f"conditions={stored['name']}"]
+    words += [f"{kind}={name}" for kind, name in plugins.items() if name != DEFAULT_ENGINE]
+
+    def conditions(*changes: str) -> Conditions:
+        every = Overrides.parse([*words, *changes, f"terrain={scene['terrain']}"])
+        ((config, _),) = compose_eval(every, primary)
+        return Conditions.of(config)
+
+    try:
+        changes = [
+            f"{section}.{name}={json.dumps(value, separators=(',', ':'))}"
+            for section, values in conditions().settings.items()
+            if isinstance(values, Mapping)
+            for name, value in stored[section].items()
+            if name != "name" and value != values.get(name)
+        ]
+        exact = conditions(*changes).hash == stored["hash"]
+    except FlipperctlError:
+        changes, exact = [], False
+    note = "" if exact else "  # and further settings: the hash of conditions differs"
+    return [*options, *words, *changes], note
+
+
+class Kind(StrEnum):
+    """File formats of an exported policy, scene or episode."""
+
+    onnx = "onnx"
+    pt2 = "pt2"
+    mjcf = "mjcf"
+    urdf = "urdf"
+    mcap = "mcap"
+
+
+def export(
+    kind: Annotated[Kind, typer.Argument(help="The format.")],
+    checkpoint: options.CheckpointFile = None,
+    overrides: options.Overrides = None,
+    controller: options.DefaultOkada = None,
+    seed: options.Seed = None,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="[<terrain>.<format>]; mcap: a folder.", show_default=False
+        ),
+    ] = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
+) -> None:
+    """Write a policy for the robot: [bold]onnx[/], or [bold]pt2[/] (torch.export); a scene for
+    other simulators: [bold]mjcf[/], [bold]urdf[/]; an episode as a bag of ROS 2: [bold]mcap[/].
+
+    Before a policy is saved, it is compared with torch on at least 1,000 observations of real
+    rollouts; a mismatch is an error. OVERRIDES are then the robot, as in robot.angle_limit=0.9, if
+    it is another than that of the training; the command prints the changes.
+
+    A scene or an episode is the first one of eval with the same OVERRIDES, checkpoint and seed.
+
+    [bold]Examples[/]
+
+      flipperctl export onnx --checkpoint runs/first --output stair.onnx
+
+      flipperctl export pt2 --checkpoint best.safetensors
+
+      flipperctl export onnx --checkpoint generalist robot.flipper_speed=0.5
+
+      flipperctl export urdf terrain=stair robot=absolem --output absolem.urdf
+
+      flipperctl export mcap --controller okada sim=mujoco perception=lidar
+    """  # noqa: D205  # the summary, which help prints, has two lines
+    words = list(overrides or [])
+    if kind in (Kind.onnx, Kind.pt2):
+        if controller is not None or seed is not None:
+            raise RequestError(f"--controller and --seed are for mjcf, urdf and mcap, not {kind}")
+        if checkpoint is None:
+            given = [word for word in words if "=" not in word]
+            hint = f"; write --checkpoint {given[0]}" if given else ""
+            raise RequestError(f"{kind}: --checkpoint RUN_OR_FILE is missing{hint}")
+        _export_policy(kind, checkpoint, words, output, as_json=as_json)
+        return
+    from flipperctl.cli.hydra.compose import only_one
+    from flipperctl.cli.plan import scenes
+    from flipperctl.config.words import with_engine, with_flags
+    from flipperctl.evaluation.policies import controller_or_okada
+    from flipperctl.export.scene import export_scene
+    from flipperctl.ros.episode import export_bag
+    from flipperctl.terminal.tables import print_bag, print_scene
+
+    words = with_flags(words, seed=seed)
+    if kind is not Kind.mcap:
+        words = with_engine(words)
+    named = controller_or_okada(checkpoint, controller)
+    config, source = only_one(scenes(words, checkpoint, named))
+    name = config.terrain.plugin_name
+    if kind is Kind.mcap:
+        bag = export_bag(config, source, output or Path(name))
+        show(bag, lambda: print_bag(bag), as_json=as_json)
+        return
+    target = output or Path(f"{name}.xml" if kind is Kind.mjcf else f"{name}.urdf")
+    scene = export_scene(config, "mjcf" if kind is Kind.mjcf else "urdf", target)
+    show(scene, lambda: print_scene(scene), as_json=as_json)
+
+
+def _export_policy(
+    kind: Kind, checkpoint: Path, words: list[str], output: Path | None, *, as_json: bool
+) -> None:
+    from flipperctl import checkpoint as checkpoints
+    from flipperctl.cli.hydra.overrides import Overrides
+    from flipperctl.export.policy import KINDS, export, robot_fields
+    from flipperctl.files import check_output
+    from flipperctl.policies.source import load_policy
+    from flipperctl.terminal.tables import print_export
+
+    source = load_policy(checkpoint, takes="checkpoint", tell=print_note)
+    saved = checkpoints.read(source.file)
+    shipped = source.label() in checkpoints.shipped_policies()
+    name = source.label() if shipped else saved.config().terrain.plugin_name
+    target = output or Path(f"{name}.{kind.value}")
+    check_output(target, KINDS[kind.value])
+    robot = robot_fields(Overrides.parse(words).values())
+    print(f"exporting {saved.path} and comparing it with torch …", file=sys.stderr, flush=True)
+    found = export(saved, "onnx" if kind is Kind.onnx else "pt2", target, robot)
+    show(found, lambda: print_export(target, saved.path, found), as_json=as_json)
+
+
+def new(
+    kind: Annotated[
+        str,
+        typer.Argument(
+            metavar="KIND",
+            help="terrain, reward, network, controller, engine, sensor, measure, logger.",
+        ),
+    ],
+    name: Annotated[
+        str,
+        typer.Argument(
+            help="Name of the plugin: lower-case letters, digits and _.", show_default=False
+        ),
+    ],
+    package: Annotated[
+        bool,
+        typer.Option("--package", help="Write a project with pyproject, source, test and README."),
+    ] = False,
+    output: Annotated[
+        Path, typer.Option(metavar="DIR", help="Folder to write to.", show_default=False)
+    ] = Path(),
+    plugins: options.PluginPaths = None,
+) -> None:
+    """Write a plugin as a starting point: one file, or with --package an installable project.
+
+    KIND is terrain, reward, network, controller, engine, sensor, measure or logger. The plugin
+    works as written and passes the conformance suite. Existing files are never overwritten.
+
+    [bold]Examples[/]
+
+      flipperctl new terrain mine
+
+      flipperctl new reward calm --output plugins
+
+      flipperctl new controller brave --package
+
+      flipperctl new engine glider
+    """
+    from flipperctl.scaffold.draft import Draft, next_commands
+
+    draft = Draft(kind, name)
+    made = draft.write_package(output) if package else draft.write_file(output)
+    print(f"wrote {made}; next:")
+    for command in next_commands(draft, made, package=package):
+        print(f"  {command}")

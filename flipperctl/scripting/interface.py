@@ -1,0 +1,514 @@
+"""The Python interface: train, evaluate and load policies, as the commands do.
+
+Policies of files act on observations alone. Controllers may need points of the ground or a
+simulator, so they act on the perceptions of an environment.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import gymnasium
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from flipperctl.api import MAX_HISTORY, ObservationLayout, Perception, Policy, Robot, registry
+from flipperctl.cli.hydra.compose import compose_train, run_directory, with_preset
+from flipperctl.cli.hydra.overrides import Overrides
+from flipperctl.cli.plan import make_plan
+from flipperctl.config import EnvConfig, TrainConfig
+from flipperctl.config.words import key_of
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import (
+    ConfigError,
+    FlipperctlError,
+    InterruptedRunError,
+    MissingExtraError,
+    NonFiniteError,
+    PolicyError,
+    RequestError,
+)
+from flipperctl.evaluation import evaluate as results
+from flipperctl.evaluation import run as evaluation
+from flipperctl.evaluation.conditions import read_config
+from flipperctl.evaluation.policies import Entrant, controllers, entrants
+from flipperctl.evaluation.run import episode_rows
+from flipperctl.evaluation.views import strata
+from flipperctl.evaluation.views.evaluation import csv_rows, parse_columns, print_result
+from flipperctl.evaluation.views.summary import Document, rate_text
+from flipperctl.policies.source import FilePolicy, PolicySource, load_policy
+from flipperctl.results import METRICS
+from flipperctl.scripting import progress as shown
+from flipperctl.scripting.settings import (
+    Paths,
+    begin,
+    check_evaluation,
+    check_training,
+    short_errors,
+    words,
+)
+from flipperctl.session import interrupts
+from flipperctl.terminal.streams import print_note
+from flipperctl.terminal.training import check_resumed, print_best
+from flipperctl.training.listeners import read_rows
+from flipperctl.training.run import Finished, check, check_resumable, start
+from flipperctl.training.run import resume as resume_run
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+
+@short_errors()
+def load(policy: str | os.PathLike[str], *, plugins: Paths = (), **fields: object) -> LoadedPolicy:
+    """Load a policy to call.
+
+    ``policy``: a run, a checkpoint, an exported ``.onnx`` file, or the name of a shipped policy or
+    of a controller, whose settings are the ``fields``. ``plugins``: files or folders of plugins.
+
+    Raises:
+        CheckpointError: the run or checkpoint is missing or damaged, or lacks a plugin.
+        ConfigError: there is no such policy, or a field of the controller is wrong.
+        PluginError: a plugin cannot be loaded.
+        PolicyError: the exported file is damaged.
+        RequestError: fields are given for a file, whose settings are fixed.
+    """
+    begin(plugins)
+    if ("controller", str(policy)) in registry:
+        own = with_preset({"name": str(policy), **fields}, "controller")
+        return LoadedPolicy(load_policy(policy, "controller", fields=own), None, fields)
+    source = load_policy(policy, "policy", tell=print_note)
+    if fields:
+        raise RequestError(
+            f"{policy}: {', '.join(fields)}: settings are those of a controller; a file has its own"
+        )
+    return LoadedPolicy(source, read_config(source, (), print_note))
+
+
+class LoadedPolicy:
+    """A policy to call; ``flipperctl.load`` returns it."""
+
+    def __init__(
+        self,
+        source: PolicySource,
+        own: EnvConfig | None = None,
+        fields: Mapping[str, object] = {},
+    ) -> None:
+        """``own``: the environment that a file describes; ``fields``: those of a controller."""
+        self.source = source
+        self.fields = dict(fields)
+        self._policy: Policy | None = None
+        self._config: EnvConfig | None = None
+        self._recent: deque[NDArray[np.float32]] = deque(maxlen=MAX_HISTORY)
+        if own is not None:
+            self._build(own)
+
+    def __repr__(self) -> str:
+        return f"LoadedPolicy({self.name!r})"
+
+    @property
+    def name(self) -> str:
+        """Name of the shipped policy or controller, else the path of the file."""
+        return self.source.label()
+
+    @property
+    def layout(self) -> ObservationLayout | None:
+        """Layout of the observations; None of a controller before its first ``reset``."""
+        return None if self._config is None else self._config.perception.layout
+
+    @property
+    def robot(self) -> Robot | None:
+        """Robot that the policy drives; None of a controller before its first ``reset``."""
+        return None if self._config is None else self._config.robot
+
+    def reset(self, env: gymnasium.Env[Any, Any] | None = None) -> None:
+        """Begin an episode.
+
+        ``env``: the environment, after its own ``reset``. A policy of a file needs none; with one,
+        its layout and its robot are checked. A controller needs one.
+
+        Raises:
+            CheckpointError: the environment has another observation layout.
+            ConfigError: its robot contradicts what an exported file applies itself.
+            RequestError: it is no environment of flipperctl, or no episode of it runs.
+        """
+        self._recent.clear()
+        if env is None:
+            self._observing("reset()").reset()
+            return
+        task = env.unwrapped
+        if not isinstance(task, FlipperEnv):
+            raise RequestError(f"{env}: an environment of flipperctl is allowed (Flipper-v0)")
+        if not task.running:
+            raise RequestError("reset(env) begins the policy's episode after env.reset()")
+        if task.config is not self._config or self._policy is None:
+            self._build(task.config)
+        assert self._policy is not None
+        self._policy.reset(task.simulator())
+
+    def __call__(self, observation: ArrayLike) -> int:
+        """Return the action, an index into ``flipperctl.api.ACTIONS``, for an observation.
+
+        ``observation``: (N + 3,) in SI units, in the order of ``layout``. Earlier observations
+        since ``reset`` are remembered for networks that take several.
+
+        Raises:
+            NonFiniteError: a number of the observation is NaN or infinite.
+            PolicyError: the observation has another shape.
+            RequestError: the policy is a controller, which acts on perceptions.
+        """
+        policy = self._observing("an observation")
+        try:
+            array = np.array(observation, dtype=np.float32)
+        except (TypeError, ValueError) as error:
+            raise PolicyError(f"{self.name}: the observation is not numbers: {error}") from error
+        assert self.layout is not None  # as of every policy that acts on observations
+        if array.shape != (self.layout.size,):
+            raise PolicyError(
+                f"{self.name}: the observation has shape {array.shape}; ({self.layout.size},) is "
+                f"allowed: {self.layout.bins} terrain heights and 3 angles"
+            )
+        if not np.isfinite(array).all():
+            raise NonFiniteError(f"{self.name}: the observation is not finite: {array}")
+        self._recent.append(array)
+        return policy.act_on(tuple(self._recent))
+
+    def act(self, perception: Perception) -> int:
+        """Return the action, an index into ``flipperctl.api.ACTIONS``, for a perception.
+
+        ``perception``: ``env.unwrapped.perception``, which holds the earlier observations as well.
+
+        Raises:
+            PluginFailedError: the controller's code failed.
+            RequestError: a controller's episode was not begun by ``reset(env)``.
+        """
+        if self._policy is None:
+            raise RequestError(f"{self.name}: reset(env) must begin the episode of a controller")
+        return self._policy.act(perception)
+
+    def _build(self, config: EnvConfig) -> None:
+        for note in self.source.notes(config):
+            print_note(note)
+        self._policy, self._config = self.source.build(config), config
+
+    def _observing(self, given: str) -> FilePolicy:
+        if self.source.checkpoint is not None:
+            return cast("FilePolicy", self._policy)
+        raise RequestError(
+            f"{self.name} is a controller, which may need more than {given}: points of the ground "
+            "or a simulator. Begin its episodes with reset(env), and call "
+            "act(env.unwrapped.perception)"
+        )
+
+
+def data_frame(rows: Iterable[Mapping[str, object]]) -> DataFrame:
+    """Return a data frame with a row for each mapping; a column that a row lacks is empty there.
+
+    Raises:
+        MissingExtraError: pandas is not installed.
+    """
+    try:
+        import pandas
+    except ImportError as error:
+        raise MissingExtraError(
+            "data frames need pandas: pip install 'flipperctl[frames]'"
+        ) from error
+    return pandas.DataFrame(list(rows))
+
+
+@dataclass(frozen=True)
+class Run:
+    """A training that is finished, and its files."""
+
+    directory: Path
+    """The run directory: configuration, checkpoints, metrics."""
+    summary: Mapping[str, Any] = field(repr=False)
+    """Contents of ``summary.json``: the best validation, and how long the training took."""
+
+    def __fspath__(self) -> str:
+        return str(self.directory)
+
+    def metrics(self) -> list[dict[str, float | str | None]]:
+        """Return the rows of ``metrics.csv``: one for each episode and each validation.
+
+        ``kind`` is ``episode`` or ``validation``; a number that a row lacks is None.
+        """
+        rows = read_rows(self.directory / METRICS)
+        return [{name: _value(cell) for name, cell in row.items()} for row in rows]
+
+    def metrics_frame(self) -> DataFrame:
+        """Return the rows of ``metrics.csv`` as a data frame of pandas.
+
+        Raises:
+            MissingExtraError: pandas is not installed.
+        """
+        return data_frame(self.metrics())
+
+    def policy(self) -> LoadedPolicy:
+        """Return the best policy of the run, ready to act.
+
+        Raises:
+            CheckpointError: its checkpoint was deleted or damaged.
+        """
+        return load(self.directory)
+
+
+def _value(cell: str) -> float | str | None:
+    """Return the number in a cell, None if it is empty, else its text."""
+    if not cell:
+        return None
+    for number in (int, float):
+        try:
+            return number(cell)
+        except ValueError:
+            continue
+    return cell
+
+
+_FOLDER = "hydra.run.dir"
+
+
+@short_errors()
+def train(
+    *,
+    directory: str | os.PathLike[str] | None = None,
+    resume: str | os.PathLike[str] | None = None,
+    overrides: Sequence[str] = (),
+    plugins: Paths = (),
+    progress: bool = True,
+    **settings: object,
+) -> Run:
+    """Train a policy to the end of its budget; return its run.
+
+    ``settings`` are configuration keys: a name chooses (``terrain="stair"``,
+    ``experiment="quick"``), a nested mapping (``train={"decisions": 20_000}``) or a dotted key
+    (``**{"rewards.pitch.lambda_2": 8}``) sets fields, the settings of a plugin may be an object
+    (``terrain=Ridge(height=0.3)``). ``overrides``: further ones as on the command line, such as
+    ``"+reward@rewards.energy=energy"``. ``directory``: the run directory, which must hold no run;
+    by default ``runs/<terrain>/<time>``. ``resume``: a run to resume where it stopped; of the
+    settings, those of ``train``, ``device``, ``collector`` and ``logger`` alone can be given with
+    it, but for some of ``train`` that hold for a whole run. ``plugins``: files or folders of
+    plugins. ``progress``: whether progress is shown, on stderr or in the notebook.
+
+    Raises:
+        InterruptedRunError: the run was stopped by Ctrl-C or by the notebook's stop button;
+            all is saved, and the text says how to resume it.
+        OutputError: the directory already holds a run, or cannot be written.
+        RequestError: a setting or plugin is wrong, or the training cannot begin (ConfigError,
+            PluginError, TerrainError, CheckpointError, RunHeldError).
+        FlipperctlError: the training failed, such as PluginFailedError.
+    """
+    begin(plugins)
+    typed = words(settings, overrides)
+    reports = shown.training_reports(progress)
+    if resume is not None:
+        run = Path(resume)
+        if directory is not None:
+            raise ConfigError("directory: a resumed run stays in its own; leave it out")
+        check_resumable(typed)
+        changes = Overrides.parse(typed).values()
+        finished = _interruptible(
+            lambda: resume_run(run, changes, reports, check=check_resumed), [run], plugins
+        )
+    else:
+        config, folder = _composed(typed, directory)
+        unnamed = directory is None and _FOLDER not in map(key_of, typed)
+        places = [folder]
+        finished = _interruptible(
+            lambda: start(config, folder, reports, keep_more=places.append, numbered=unnamed),
+            *(places, plugins),
+        )
+    if progress:
+        print_best(finished)
+    return Run(finished.directory, finished.summary)
+
+
+def _composed(
+    typed: list[str], directory: str | os.PathLike[str] | None
+) -> tuple[TrainConfig, Path]:
+    """Return the checked configuration and the run directory."""
+    folder = {} if directory is None else {_FOLDER: os.fspath(directory)}
+    every = Overrides.parse([*typed, *words(folder)])
+    for key in every.swept:
+        raise ConfigError(f"{key}: several values make several runs; call train once for each")
+    for key in every.where(lambda key: key.startswith("hydra") and key != _FOLDER).typed:
+        raise ConfigError(f"{key}: a training from Python has no such setting")
+    every.check_training(several=False)
+    # pymunk would swallow a KeyboardInterrupt that is raised while it frees a body.
+    with interrupts("stopping …") as stop:
+        (config,) = compose_train(every.where(lambda key: key != _FOLDER))
+        check_training(config)
+        check(config)
+    if stop():
+        raise KeyboardInterrupt
+    return config, run_directory(every).absolute()
+
+
+def _interruptible(work: Callable[[], Finished], runs: list[Path], plugins: Paths) -> Finished:
+    """Train; say in Python how a run that was stopped, the last of ``runs``, is resumed."""
+    try:
+        return work()
+    except (KeyboardInterrupt, InterruptedRunError) as error:
+        named = f", plugins={[os.fspath(path) for path in plugins]!r}" if plugins else ""
+        call = f"flipperctl.train(resume={str(runs[-1])!r}{named})"
+        # Ctrl-C is raised before or after the episodes, which end by themselves.
+        interrupted = isinstance(error, KeyboardInterrupt)
+        said = "interrupted. Resume with:" if interrupted else f"{error}, or in Python:"
+        raise InterruptedRunError(f"{said} {call}") from error
+
+
+@dataclass(frozen=True, repr=False)
+class Evaluation:
+    """Policies on their scenes; SI units throughout."""
+
+    result: results.Result
+    """The plan and the episodes."""
+    document: Document = field(compare=False)
+    """Plain data: what ``flipperctl eval --json`` prints."""
+
+    def __repr__(self) -> str:
+        scenes = ", ".join(
+            f"{s['terrain']}: success {rate_text(s['success'])}" for s in self.scenes
+        )
+        return f"Evaluation({self.document['controller']}; {scenes})"
+
+    @property
+    def scenes(self) -> list[Document]:
+        """The results on each scene, as plain data (see ``to_dict``)."""
+        found: list[Document] = self.document["scenes"]
+        return found
+
+    @property
+    def interruption(self) -> results.Interruption | None:
+        """How far the evaluation came before it was stopped; None if it was not."""
+        return self.result.interruption
+
+    @property
+    def failures(self) -> tuple[results.PolicyError, ...]:
+        """Policies that failed on a scene; their results are left out."""
+        return self.result.failures
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data: what ``flipperctl eval --json`` prints."""
+        return self.document
+
+    def show(self, columns: Sequence[str] = ()) -> None:
+        """Print the tables that ``flipperctl eval`` prints, with further ``columns``."""
+        print_result(self.result, self.document, parse_columns(",".join(columns) or None))
+
+    def scenes_frame(self) -> DataFrame:
+        """Return a row for each scene and policy: means with their 95 % intervals.
+
+        The columns are those of ``table.csv``, not rounded.
+
+        Raises:
+            MissingExtraError: pandas is not installed.
+        """
+        return data_frame(csv_rows(self.document))
+
+    def episodes_frame(self) -> DataFrame:
+        """Return a row for each episode of the policies and baselines, as in ``episodes.csv``.
+
+        Raises:
+            MissingExtraError: pandas is not installed.
+        """
+        return data_frame(episode_rows(self.result))
+
+
+Named = str | os.PathLike[str] | LoadedPolicy
+
+
+@short_errors()
+def evaluate(
+    policy: Named | Sequence[Named],
+    *,
+    episodes: int | None = None,
+    seed: int | None = None,
+    jobs: int | None = None,
+    baselines: Sequence[str] | None = None,
+    passable: Sequence[str] = (),
+    by: Sequence[str] = (),
+    output: str | os.PathLike[str] | None = None,
+    record: str | os.PathLike[str] | None = None,
+    film: str | os.PathLike[str] | None = None,
+    overrides: Sequence[str] = (),
+    plugins: Paths = (),
+    progress: bool = True,
+    **settings: object,
+) -> Evaluation:
+    """Evaluate one or several policies on scenes, with 95 % intervals; return the result.
+
+    ``policy``: a run (``train`` returns one), a checkpoint, an exported ``.onnx`` file, the folder
+    of a sweep, the name of a shipped policy or a controller, or what ``load`` returned; several in
+    a list are compared on the same episodes. ``episodes`` per scene (100), ``seed`` of the episodes
+    (0), processes (``jobs``, 1). ``baselines``: controllers that play the same episodes; None takes
+    those of the policy, if it has any, and an empty list none. ``passable``: references that find
+    out which episodes can be crossed. ``by``: drawn numbers to show results by, as in ``["steps",
+    "slope+up"]``. ``output``: folder for tables and pictures; ``record``: file for the episodes, to
+    teach from; ``film``: file for a ``.gif`` of the first episode. ``settings`` and ``overrides``
+    are as in ``train`` and apply to the evaluation; several names are several scenes, as in
+    ``terrain=["stair", "step"]``, and ``suite="robustness"`` chooses those of a suite. ``plugins``:
+    files or folders of plugins. ``progress``: whether progress is shown, on stderr or in the
+    notebook.
+
+    Raises:
+        InterruptedRunError: the evaluation was stopped; ``output``, ``record`` and the error's
+            ``result`` have the episodes that are finished.
+        RequestError: the policy, a setting or a plugin is wrong, or a file cannot be written
+            (CheckpointError, ConfigError, PluginError, PolicyError, OutputError).
+        FlipperctlError: a policy or plugin failed, or a file could not be written; what was played
+            is the error's ``result``, which lists the ``failures``.
+    """
+    begin(plugins)
+    show, tell = shown.episodes(progress), shown.notes(progress)
+    given = [policy] if isinstance(policy, str | os.PathLike | LoadedPolicy) else list(policy)
+    found: dict[Entrant, None] = {}
+    own: dict[str, object] = {}
+    for one in given:
+        if isinstance(one, LoadedPolicy):
+            file = one.source.checkpoint
+            found[Entrant(one.name, file)] = None
+            own |= {"controller": one.fields} if one.fields else {}
+        else:
+            found |= dict.fromkeys(entrants([os.fspath(one)], tell))
+    suite = settings.pop("suite", None)
+    if not isinstance(suite, str | os.PathLike | None):
+        raise RequestError(f"suite: a name or a file is allowed; the value is {suite!r}")
+    numbers = {"eval.episodes": episodes, "eval.seed": seed, "eval.jobs": jobs}
+    chosen = settings | {key: number for key, number in numbers.items() if number is not None}
+    typed = [] if suite is None else [f"suite={os.fspath(suite)}"]
+    typed += [*words(own), *words(chosen, overrides)]
+    plan = make_plan(typed, list(found), _names("baselines", baselines), tell)
+    for entry in plan.rows:
+        check_evaluation(entry.config, entry.config.eval.jobs, entry.source.controller_name)
+    files = {"folder": output, "film": film, "record": record}
+    done: list[Evaluation] = []
+
+    def keep(result: results.Result, document: Document) -> None:
+        done.append(Evaluation(result, document))
+
+    try:
+        evaluation.run(
+            plan,
+            references=controllers(_names("passable", passable or None), "passable"),
+            by=strata.parse(_names("by", by or None), "by", [e.config for e in plan.rows]),
+            outputs={name: None if file is None else Path(file) for name, file in files.items()},
+            show=keep,
+            progress=show,
+            tell=tell,
+        )
+    except FlipperctlError as error:
+        error.result = done[0] if done else None
+        raise
+    return done[0]
+
+
+def _names(argument: str, names: Sequence[str] | None) -> str | None:
+    """Return names as the options of the command take them."""
+    if isinstance(names, str):
+        raise RequestError(f"{argument}: a list of names is allowed; the value is {names!r}")
+    return None if names is None else ",".join(names) or "none"
