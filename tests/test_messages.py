@@ -18,10 +18,8 @@ WORDS = [*PLUGINS, *SETTINGS, *OPTIONS, *COMMANDS]
 @pytest.mark.parametrize(
     ("typed", "meant"),
     [
-        *(("stiar", "stair"), ("Stair", "stair"), ("stairs", "stair"), ("okado", "okada")),
-        *(("pich", "pitch"), ("paper-step", "paper_step"), ("gama", "gamma")),
-        *(("batchsize", "batch_size"), ("friktion", "friction"), ("controler", "controller")),
-        *(("multi-run", "multirun"), ("trian", "train"), ("evaluate", "eval"), ("sed", "seed")),
+        *(("stiar", "stair"), ("Stair", "stair"), ("pich", "pitch"), ("paper-step", "paper_step")),
+        *(("batchsize", "batch_size"), ("controler", "controller"), ("evaluate", "eval")),
     ],
 )
 def test_a_slip_finds_the_word(typed: str, meant: str) -> None:
@@ -32,8 +30,7 @@ def test_a_slip_finds_the_word(typed: str, meant: str) -> None:
 @pytest.mark.parametrize(
     "typed",
     [
-        *("none", "info", "resume", "foo", "x", "qwerty", "lr", "help", "config", "yes", "123"),
-        *("asdf", "model", "name", "nope", "hello", "verbose", "epochs", "mlflow", ""),
+        *("none", "resume", "x", "lr", "config", "123", "model", "verbose", ""),
     ],
 )
 def test_another_word_finds_nothing(typed: str) -> None:

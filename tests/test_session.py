@@ -129,19 +129,23 @@ def test_who_ignores_ctrl_c_goes_on_doing_so(tmp_path: Path) -> None:
     assert "okada" in out
 
 
-READ = {
-    "json": ("command", ["inspect", "plugins", "--json"]),
-    "help": ("command", ["--help"]),
-    "cfg": ("command", ["train", "--cfg", "job"]),
-    "eval json": ("command", [*EVAL[:-1], "1", "--json"]),
-    "runtime": ("runtime", []),
-    "clock": ("clock", ["1000", "0"]),
-}
+LONG = pytest.mark.long
 
 
-@pytest.mark.parametrize("name", READ)
-def test_a_reader_that_goes_away_sees_no_traceback(name: str, tmp_path: Path) -> None:
-    program, words = READ[name]
+@pytest.mark.parametrize(
+    ("program", "words"),
+    [
+        ("command", ["inspect", "plugins", "--json"]),
+        pytest.param("command", ["--help"], marks=LONG),
+        ("command", ["train", "--cfg", "job"]),
+        pytest.param("command", [*EVAL[:-1], "1", "--json"], marks=LONG),
+        ("runtime", []),
+        pytest.param("clock", ["1000", "0"], marks=LONG),
+    ],
+)
+def test_a_reader_that_goes_away_sees_no_traceback(
+    program: str, words: list[str], tmp_path: Path
+) -> None:
     if program != "command":
         words = [str(write(tmp_path / "p.onnx")), *words]
     process = start(program, words, tmp_path)
@@ -181,22 +185,20 @@ def test_the_first_signal_asks_for_a_stop(
     assert [signal.getsignal(number) for number in STOPS] == before
 
 
-@pytest.mark.parametrize("number", REPEATED)
-def test_a_signal_that_is_sent_repeatedly_interrupts_nothing(number: signal.Signals) -> None:
+def test_a_signal_that_is_sent_repeatedly_interrupts_nothing() -> None:
     """A terminal that closes sends SIGHUP twice, and the limit of CPU time SIGXCPU each second."""
-    with interrupts("saving …") as stop:
-        for sent in (number, number, signal.SIGTERM):  # a scheduler's warning, then its first stop
-            os.kill(os.getpid(), sent)
-        assert stop()
-        with pytest.raises(KeyboardInterrupt):
-            os.kill(os.getpid(), signal.SIGINT)
+    for number in REPEATED:
+        with interrupts("saving …") as stop:
+            for sent in (number, number, signal.SIGTERM):  # a scheduler's warning, then its stop
+                os.kill(os.getpid(), sent)
+            assert stop()
+            with pytest.raises(KeyboardInterrupt):
+                os.kill(os.getpid(), signal.SIGINT)
 
 
-@pytest.mark.parametrize("number", REPEATED)
-def test_what_the_caller_ignores_or_handles_stays_so(number: signal.Signals) -> None:
+def test_what_the_caller_ignores_or_handles_stays_so() -> None:
     received: list[int] = []
-    with interrupts("saving …") as stop:
-        pass
+    number = REPEATED[0]
     for handler in (signal.SIG_IGN, lambda number, frame: received.append(number)):
         signal.signal(number, handler)
         with interrupts("saving …") as stop:

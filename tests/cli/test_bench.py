@@ -5,8 +5,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
-
 from flipperctl import bench
 from flipperctl.cli.train import split_arguments
 from tests.cli.call import call
@@ -48,10 +46,3 @@ def test_an_unsolved_run_is_told_as_such() -> None:
     unsolved = {"unit": "s", "median": None, "low": None, "high": None, "values": [None]}
     found = {"about": "a", "quantities": {"sb3": unsolved}, "unfinished": "not within 600 s"}
     assert bench.table("solve", found).texts() == [["sb3", "not within 600 s", "–", "s"]]
-
-
-@pytest.mark.parametrize(
-    ("value", "text"), [(0, "0"), (12345.6, "12,346"), (1.2345, "1.23"), (0.01234, "0.0123")]
-)
-def test_numbers_have_three_digits(value: float, text: str) -> None:
-    assert bench.number(value) == text

@@ -68,10 +68,8 @@ def test_suites_beside_a_plugin_have_names(tmp_path: Path, monkeypatch: pytest.M
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("scenes: []", "about: TEXT and scenes"),
         ("scene: {a: terrain=flat}", "about: TEXT and scenes"),
         ("scenes: {a: [terrain=flat]}", "scenes.a: about: TEXT"),
-        ("scenes: {a: flat}", "scenes.a: 'flat' is no override"),
         ("scenes: {a: 'x", "line 1: no YAML"),
     ],
 )

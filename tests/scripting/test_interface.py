@@ -64,8 +64,7 @@ def test_an_evaluation_is_that_of_the_command(shown: tuple[Path, dict[str, Any]]
 
 
 def test_a_run_has_its_files_and_its_metrics(shown: tuple[Path, dict[str, Any]]) -> None:
-    folder, names = shown
-    run = names["run"]
+    folder, run = shown[0], shown[1]["run"]
     assert run.directory == folder / "runs/python"
     assert run.summary == json.loads((run.directory / "summary.json").read_text())
     first, *_, last = run.metrics()
@@ -267,13 +266,9 @@ def troubled(registry: dict) -> None:
 def test_a_suite_is_played_as_by_the_command(tmp_path: Path) -> None:
     suite = tmp_path / "mine.yaml"
     suite.write_text("scenes:\n  dry: terrain=flat\n  wet: terrain=flat sim.friction=0.5\n")
-    asked = {"episodes": 1, "progress": False}
-    for given in ({"overrides": [f"suite={suite}"]}, {"suite": suite}):
-        found = flipperctl.evaluate("okada", **given, **asked)
-        rows = [(scene["suite_scene"], scene["controller"]) for scene in found.scenes]
-        assert rows == [(name, who) for name in ("dry", "wet") for who in ("okada", "level")]
-    alone = flipperctl.evaluate("okada", suite=str(suite), baselines=[], **asked)
-    assert [scene["suite_scene"] for scene in alone.scenes] == ["dry", "wet"]
+    found = flipperctl.evaluate("okada", suite=suite, episodes=1, progress=False)
+    rows = [(scene["suite_scene"], scene["controller"]) for scene in found.scenes]
+    assert rows == [(name, who) for name in ("dry", "wet") for who in ("okada", "level")]
 
 
 @pytest.mark.usefixtures("troubled")
@@ -294,15 +289,3 @@ def test_what_was_played_before_a_stop_is_in_the_error() -> None:
     assert found.scenes[0]["episodes"] == 1
     assert (found.interruption.finished, found.interruption.planned) == (1, 3)
     assert found.to_dict()["interrupted"] is True
-
-
-def test_a_picture_that_cannot_be_written_loses_no_episode(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def full(*given: object, **named: object) -> None:
-        raise FlipperctlError("no space left")
-
-    monkeypatch.setattr("flipperctl.evaluation.replay.film_scene", full)
-    with pytest.raises(FlipperctlError, match="no space left") as raised:
-        flipperctl.evaluate("level", baselines=[], episodes=1, film=tmp_path / "a.gif", **ONE)
-    assert len(raised.value.result.scenes) == 1

@@ -29,18 +29,12 @@ def compose_eval(
     return compose.compose_eval(Overrides.parse(words), primary)
 
 
-def compose_environment(words: list[str]) -> EnvConfig:
-    return compose.compose_environment(Overrides.parse(words))
-
-
 @pytest.fixture(autouse=True)
 def defaults() -> None:
     compose.register_defaults()
 
 
-@pytest.mark.parametrize(
-    "word", ["terrain=stair,step,stair", "seed=1,2,1", "sim.friction=1,0.5,1.0", "terrain='a','a'"]
-)
+@pytest.mark.parametrize("word", ["sim.friction=1,0.5,1.0", "terrain='a','a'"])
 def test_a_list_with_a_value_twice_is_refused(word: str) -> None:
     with pytest.raises(ConfigError, match="is given twice; once is allowed"):
         list(Overrides.parse([word]).combinations())
@@ -86,13 +80,9 @@ def test_a_checkpoint_brings_its_terrain_robot_and_layout_to_its_evaluation() ->
     assert (other.sim.friction, other.perception.noise, other.eval.episodes) == (0.9, 0.02, 7)
 
 
-@pytest.mark.parametrize("word", ["sim={friction:0.7}", "sim={friction:0.7,gravity:9}"])
-def test_a_mapping_of_sampled_settings_has_no_effect(word: str) -> None:
+def test_a_mapping_of_sampled_settings_has_no_effect() -> None:
     with pytest.raises(ConfigError, match=r"^sim=\{friction:0\.7.*: it has no effect"):
-        compose_train(["terrain=flat", "conditions=varied", word])
-
-
-# Teachers
+        compose_train(["terrain=flat", "conditions=varied", "sim={friction:0.7,gravity:9}"])
 
 
 def test_several_loggers_and_their_settings_are_chosen_by_name() -> None:
@@ -123,26 +113,19 @@ def test_the_taught_experiment_takes_any_teacher() -> None:
     assert to_dict(config.teacher.controller) == {**MPC, "beam": 6, "horizon": 8, "of_each": 1}
 
 
-# Presets of rewards
-
-
 def test_the_default_is_the_papers_rewards_everywhere() -> None:
     paper = EnvConfig(terrain="stair").rewards
-    (named,) = compose_train(["rewards=paper"])
     (train,) = compose_train([])
-    assert named.rewards == train.rewards == compose_environment([]).rewards == paper
+    assert train.rewards == compose.compose_environment(Overrides()).rewards == paper
 
 
-@pytest.mark.parametrize(
-    ("preset", "term", "field"), [("paper", "pitch", "lambda_2"), ("tuned", "swing", "slope")]
-)
-def test_a_presets_terms_are_changed_added_and_dropped(preset: str, term: str, field: str) -> None:
-    changes = [f"rewards.{term}.{field}=5", "~rewards.flipper", "+reward@rewards.hit=impact"]
+def test_a_presets_terms_are_changed_added_and_dropped() -> None:
+    changes = ["rewards.swing.slope=5", "~rewards.flipper", "+reward@rewards.hit=impact"]
     other = "reward@rewards.end=progress"
-    (plain,) = compose_train([f"rewards={preset}"])
-    (config,) = compose_train([f"rewards={preset}", *changes, other])
+    (plain,) = compose_train(["rewards=tuned"])
+    (config,) = compose_train(["rewards=tuned", *changes, other])
     assert set(config.rewards) == set(plain.rewards) - {"flipper"} | {"hit"}
-    assert config.rewards[term].model_dump()[field] == 5
+    assert config.rewards["swing"].model_dump()["slope"] == 5
     assert config.rewards["end"].plugin_name == "progress"
 
 
@@ -168,11 +151,11 @@ def preset(name: str) -> dict[str, Any]:
     return {term: to_dict(settings) for term, settings in config.rewards.items()}
 
 
-@pytest.mark.parametrize("name", ["paper", "tuned", "smooth"])
-def test_the_preset_is_that_of_the_environment(name: str) -> None:
-    own = compose.with_preset({"name": "mpc", "rewards": name}, "controller")
-    assert own["rewards"] == preset(name)
-    assert controller_of(f"controller.rewards={name}", "rewards=paper")["rewards"] == preset(name)
+def test_the_preset_is_that_of_the_environment() -> None:
+    own = compose.with_preset({"name": "mpc", "rewards": "tuned"}, "controller")
+    assert own["rewards"] == preset("tuned")
+    words = ("controller.rewards=tuned", "rewards=paper")
+    assert controller_of(*words)["rewards"] == preset("tuned")
 
 
 def test_a_preset_of_a_plugin_counts() -> None:
@@ -184,27 +167,12 @@ def test_a_preset_of_a_plugin_counts() -> None:
         del ConfigStore.instance().repo["rewards"]["calm_one.yaml"]
 
 
-@pytest.mark.parametrize(
-    ("words", "text"),
-    [
-        (["controller=mpc", "controller.rewards=smoth"], r"controller.rewards: .*'smoth'; did you"),
-        (["controller=okada", "controller.rewards=smooth"], "controller.rewards: there is no such"),
-    ],
-)
-def test_what_cannot_be_is_refused(words: list[str], text: str) -> None:
-    with pytest.raises(ConfigError, match=text):
-        compose.compose_eval(Overrides.parse(words))
-
-
 def test_a_teacher_has_presets_with_the_discount_of_the_training() -> None:
     words = ["teacher=mpc", "teacher.controller.rewards=smooth", "agent.gamma=0.9"]
     (config,) = compose.compose_train(Overrides.parse(words))
     controller = to_dict(config)["teacher"]["controller"]
     assert controller["rewards"]["shaped_progress"]["gamma"] == 0.9
     assert list(controller["rewards"]) == list(preset("smooth"))
-    wrong = Overrides.parse(["teacher=mpc", "teacher.controller.rewards=smoth"])
-    with pytest.raises(ConfigError, match=r"teacher.controller.rewards: .*'smooth'"):
-        compose.compose_train(wrong)
 
 
 def test_compared_controllers_with_that_field_have_the_preset() -> None:

@@ -28,11 +28,6 @@ def my(tmp_path: Path) -> Path:
     return file
 
 
-def test_one_word_with_a_space_may_be_one_value_or_several_words(tmp_path: Path) -> None:
-    text = refused("train", "hydra.run.dir=my run=1", cwd=tmp_path)
-    assert """if it is one value, quote it: 'hydra.run.dir="my run=1"'""" in text
-
-
 def test_the_folder_of_a_run_and_of_a_sweep_is_the_output(tmp_path: Path) -> None:
     one = call("train", *QUICK, "--output", "my runs/one", cwd=tmp_path)
     assert one.code == 0, one.err
@@ -49,9 +44,8 @@ def test_options_may_stand_between_overrides(tmp_path: Path) -> None:
     assert "batch_size: 9" in done.out
 
 
-@pytest.mark.parametrize("word", ["--config-dir my", "hydra.searchpath=[file://my]"])
-def test_files_of_configuration_are_read_strictly(tmp_path: Path, my: Path, word: str) -> None:
-    words = [*word.split(), "experiment=mine", "--cfg", "job", "--package", "agent"]
+def test_files_of_configuration_are_read_strictly(tmp_path: Path, my: Path) -> None:
+    words = ["--config-dir", "my", "experiment=mine", "--cfg", "job", "--package", "agent"]
     done = call("train", *words, cwd=tmp_path)
     assert "batch_size: '064'" in done.out  # 64, as on the command line
     assert "learning_rate: 0.0001" in done.out
