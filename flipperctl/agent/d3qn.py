@@ -19,7 +19,7 @@ from flipperctl.agent.losses import (
 from flipperctl.agent.networks import difference_loss, difference_targets, naming_network
 from flipperctl.agent.noise import seeded
 from flipperctl.agent.replay import Batch, GroupBatch
-from flipperctl.core.schedules import linear
+from flipperctl.config.agent import linear
 from flipperctl.errors import NonFiniteError
 
 

@@ -30,7 +30,7 @@ from flipperctl.agent.noise import seeded
 from flipperctl.agent.replay import Batch
 from flipperctl.api import Network, ObservationLayout
 from flipperctl.config import Agent
-from flipperctl.core.schedules import linear
+from flipperctl.config.agent import linear
 from flipperctl.errors import NonFiniteError
 
 _VALUE_RATE: Final = 1e-3

@@ -52,7 +52,7 @@ from flipperctl.api.values import (
     Settings,
     Transition,
 )
-from flipperctl.core.arrays import FloatArray
+from flipperctl.core import FloatArray
 from flipperctl.core.sensing import Estimator, Measured, SensedAngles, SensedGround
 from flipperctl.core.targets import ACTIONS, action_index
 

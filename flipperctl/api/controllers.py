@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from flipperctl.api.plugin import Plugin, register
 from flipperctl.api.profile import Profile
 from flipperctl.api.values import ObservationLayout, Outcome, Perception, RobotGeometry, RobotState
-from flipperctl.core.arrays import FloatArray
+from flipperctl.core import FloatArray
 
 if TYPE_CHECKING:
     import torch

@@ -21,7 +21,7 @@ from flipperctl.api.plugin import Plugin, register
 from flipperctl.api.profile import Profile
 from flipperctl.api.robot import Robot
 from flipperctl.api.values import Outcome, RobotState
-from flipperctl.core.arrays import FloatArray
+from flipperctl.core import FloatArray
 
 SAMPLE_PERIOD = 0.01
 """Time between two samples of the pose, from which the 100 Hz θ̂_R is measured [s]."""

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from flipperctl.core.arrays import FloatArray
+from flipperctl.core import FloatArray
 
 
 class Surface(ABC):

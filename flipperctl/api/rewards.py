@@ -19,7 +19,7 @@ from flipperctl.api.plugin import Plugin, register
 from flipperctl.api.profile import Profile
 from flipperctl.api.transitions import RobotStates, Transitions
 from flipperctl.api.values import RobotGeometry, RobotState, Transition
-from flipperctl.core.arrays import FloatArray
+from flipperctl.core import FloatArray
 
 
 def _renew(cls: type, forms: dict[str, Callable[..., object]]) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 
 from flipperctl.api.values import RobotGeometry
-from flipperctl.core.arrays import FloatArray
+from flipperctl.core import FloatArray
 
 
 class Robot(RobotGeometry):

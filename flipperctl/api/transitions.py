@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from flipperctl.api.profile import Profile
 from flipperctl.api.values import Outcome, RobotGeometry, RobotState, Transition
-from flipperctl.core.arrays import FloatArray
+from flipperctl.core import FloatArray
 
 LAST_PITCHES = 8
 """Number of last pitches that a search passes at least, unless the episode has fewer [-]."""

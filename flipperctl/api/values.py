@@ -23,8 +23,7 @@ from pydantic_core import core_schema
 
 from flipperctl.api.profile import Profile
 from flipperctl.api.removed import without_removed
-from flipperctl.core import observation
-from flipperctl.core.arrays import FloatArray
+from flipperctl.core import FloatArray, observation
 
 MAX_HISTORY = 32
 """Largest number of observations in ``Perception.recent`` [-]."""

@@ -9,8 +9,12 @@ from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
 from flipperctl.api import Controller, Outcome, Settings
 from flipperctl.config.resolver import create, to_dict
 from flipperctl.core.risk import EscapeRule
-from flipperctl.core.schedules import linear
 from flipperctl.errors import ConfigError
+
+
+def linear(start: float, end: float, fraction: float) -> float:
+    """Interpolate from ``start`` at fraction 0 to ``end`` at fraction 1, constant outside."""
+    return start + (end - start) * min(1.0, max(0.0, fraction))
 
 
 class PolicyGradient(Settings):

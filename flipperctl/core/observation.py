@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.core.arrays import FloatArray
+from flipperctl.core import FloatArray
 
 ANGLES = ("theta_f1", "theta_f2", "theta_R")
 """Names of the angles after the heights: front flippers, rear flippers, pitch."""

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.core.arrays import FloatArray
+from flipperctl.core import FloatArray
 
 
 @dataclass(frozen=True)

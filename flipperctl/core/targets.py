@@ -12,7 +12,7 @@ from itertools import product
 
 import numpy as np
 
-from flipperctl.core.arrays import FloatArray
+from flipperctl.core import FloatArray
 
 ACTIONS: tuple[tuple[int, int], ...] = tuple((i, j) for i, j in product((-1, 0, 1), repeat=2))
 """Action index → (front, rear); +1 raises the flipper pair by one angle step (paper Eq. 3)."""

@@ -18,11 +18,11 @@ import numpy as np
 
 from flipperctl.core import observation as layout
 from flipperctl.core.lidar.body import Body
-from flipperctl.core.lidar.certainty import accuracy_of
 from flipperctl.core.lidar.estimator import LidarEstimator
 from flipperctl.core.lidar.ground import MapQuality, MapSettings
 from flipperctl.core.lidar.matching import ScanMatcher
 from flipperctl.core.lidar.messages import Belts
+from flipperctl.core.lidar.outline import accuracy_of
 from flipperctl.core.sensing import Measured
 from flipperctl.errors import MissingExtraError, PolicyError
 from flipperctl.runtime.intake import Accepted, Fault, Intake

@@ -9,7 +9,7 @@ import numpy as np
 from flipperctl import plugins
 from flipperctl.agent.learner import Learner, arrays
 from flipperctl.config import TrainConfig, to_dict
-from flipperctl.core.schedules import linear
+from flipperctl.config.agent import linear
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.source import controller_notes
 from flipperctl.rollout.actor import teacher_of, training_policy

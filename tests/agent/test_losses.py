@@ -20,7 +20,7 @@ from flipperctl.agent.losses import (
 )
 from flipperctl.api import Network, ObservationLayout
 from flipperctl.config import resolver
-from flipperctl.core.schedules import linear
+from flipperctl.config.agent import linear
 
 
 def test_the_online_network_chooses_and_the_target_network_values() -> None:

@@ -11,12 +11,12 @@ import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.core.arrays import FloatArray
+from flipperctl.core import FloatArray
 from flipperctl.core.lidar.messages import Joints
 
 
@@ -49,6 +49,15 @@ def mounting(axis: float) -> FloatArray:
     """
     cos, sin = math.cos(axis), math.sin(axis)
     return np.array([[sin, 0.0, cos], [0.0, 1.0, 0.0], [-cos, 0.0, sin]])
+
+
+T = TypeVar("T", float, FloatArray)
+
+
+def turned(x: T, y: T, angle: float) -> tuple[T, T]:
+    """Return the components of the vectors (x, y) along axes turned by this angle [rad]."""
+    cos, sin = math.cos(angle), math.sin(angle)
+    return cos * x + sin * y, cos * y - sin * x
 
 
 _CIRCLES = 21  # circles that stand for the outline of the chassis or of a flipper [-]
@@ -85,9 +94,10 @@ class Body:
         near &= (np.abs(points[:, 0]) <= reach) & (np.abs(points[:, 2]) <= reach)
         points = points.compress(near, axis=0)
         inside = np.zeros(len(points), np.bool_)
-        side, level = np.abs(points[:, 1]), np.ascontiguousarray(points[:, [0, 2]])
-        for box in self._boxes(front, rear):
-            along, above = _turned(level - (box.x, box.z), box.tilt)
+        x, side, z = np.ascontiguousarray(points.T)
+        side = np.abs(side)
+        for box in (self._chassis, *self._flippers(front, rear)):
+            along, above = turned(x - box.x, z - box.z, box.tilt)
             inside |= (
                 (np.abs(along) <= box.half_length + margin)
                 & (np.abs(above) <= self.track_radius + margin)
@@ -102,7 +112,7 @@ class Body:
 
         It is infinite for rays that miss it; ``directions`` are (R, 3) unit vectors in frame R.
         """
-        return self._nearest(origin, directions, [self._chassis()])
+        return self._nearest(origin, directions, [self._chassis])
 
     def distances_to_flippers(
         self, origin: FloatArray, directions: FloatArray, front: float, rear: float
@@ -145,6 +155,7 @@ class Body:
         cos, sin = math.cos(pitch), math.sin(pitch)
         return np.asarray(np.concatenate(parts) @ np.array([[cos, sin], [-sin, cos]]))
 
+    @property
     def _chassis(self) -> _Box:
         return _Box(0.0, 0.0, self.chassis_length / 2, 0.0, self.chassis_width / 2, 0.0)
 
@@ -161,10 +172,6 @@ class Body:
             x, z = hinge.x + ahead * middle * math.cos(angle), middle * math.sin(angle)
             yield hinge._replace(x=x, z=z, tilt=ahead * angle)
 
-    def _boxes(self, front: float, rear: float) -> Iterator[_Box]:
-        yield self._chassis()
-        yield from self._flippers(front, rear)
-
 
 def _crossed(
     origin: FloatArray, directions: FloatArray, boxes: Iterable[_Box], half_height: float
@@ -177,11 +184,11 @@ def _crossed(
     middle = origin[1] == 0.0  # both sides of the robot are then equal
     beside = np.abs(directions[:, 1]) if middle else directions[:, 1]
     for box in boxes:
-        begin = _turned(origin[None, [0, 2]] - (box.x, box.z), box.tilt)
-        along, above = _turned(directions[:, [0, 2]], box.tilt)
+        x, z = turned(float(origin[0]) - box.x, float(origin[2]) - box.z, box.tilt)
+        along, above = turned(directions[:, 0], directions[:, 2], box.tilt)
         spans = [
-            _span(begin[0][0], along, -box.half_length, box.half_length),
-            _span(begin[1][0], above, -half_height, half_height),
+            _span(x, along, -box.half_length, box.half_length),
+            _span(z, above, -half_height, half_height),
         ]
         sides = ((box.inner, box.outer), (-box.outer, -box.inner))
         whole = ((-box.outer, box.outer),)
@@ -189,13 +196,6 @@ def _crossed(
             both = [*spans, _span(float(origin[1]), beside, low, high)]
             enter = np.maximum.reduce([s for s, _ in both])
             yield enter, np.minimum.reduce([s for _, s in both])
-
-
-def _turned(vectors: FloatArray, tilt: float) -> tuple[FloatArray, FloatArray]:
-    """Return the components of ``vectors`` (V, 2) along and across axes at ``tilt`` [rad]."""
-    cos, sin = math.cos(tilt), math.sin(tilt)
-    x, z = vectors.T
-    return cos * x + sin * z, cos * z - sin * x
 
 
 def _span(begin: float, rate: FloatArray, low: float, high: float) -> tuple[FloatArray, FloatArray]:

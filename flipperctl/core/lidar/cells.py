@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.core.arrays import FloatArray
+from flipperctl.core import FloatArray
+from flipperctl.core.lidar.body import turned
 
 _BESIDE = 6
 """Cells before and behind with which a cell is compared: 15 cm, wider than most shadows [-]."""
@@ -70,14 +71,15 @@ class Cells:
         Points outside the window are dropped. ``way``: what the robot had moved when it saw them,
         or each of them, (P,) [m].
         """
-        points, (x, y) = _rotated(points, -self._axis), self._in_window(x, y)
+        points, (x, y) = _rotated(points, -self._axis), turned(x, y, self._axis)
         near = (np.abs(points[:, 0] - x) < self._ahead) & (np.abs(points[:, 1] - y) < self._beside)
         points = points.compress(near, axis=0)
         if not len(points):
             return
         ways = np.broadcast_to(way, near.shape)[near]
-        place = self._places(points)
-        slot = self._slots(place)
+        place = np.floor(points[:, :2] / (self._cell, self._lane)).astype(np.int64)
+        rows, lanes = self._shape
+        slot = (place[:, 0] % rows) * lanes + place[:, 1] % lanes
         order = np.argsort(slot, kind="stable")
         points, place, slot = points.take(order, axis=0), place.take(order, axis=0), slot[order]
         first = np.flatnonzero(np.concatenate([[True], slot[1:] != slot[:-1]]))
@@ -114,8 +116,8 @@ class Cells:
 
         ``ceilings`` returns heights for points (Q, 3) in frame M, (Q,) [m].
         """
-        reach, (x, y) = (-self._ahead, self._ahead), self._in_window(x, y)
-        slots = self._near(x, y, 0.0, reach, self._beside)
+        x, y = turned(x, y, self._axis)
+        slots = self._near(x, y, 0.0, (-self._ahead, self._ahead), self._beside)
         middle = (self._place[slots] + 0.5) * (self._cell, self._lane)
         above = ceilings(_rotated(middle, self._axis)) + margin
         passed = np.isfinite(above)
@@ -143,7 +145,7 @@ class Cells:
         Those from ``reach[0]`` to ``reach[1]`` along it and within ``side`` beside it are returned;
         ``dense``: without those of cells that have few for their neighbours.
         """
-        (x, y), yaw = self._in_window(x, y), yaw - self._axis
+        (x, y), yaw = turned(x, y, self._axis), yaw - self._axis
         slots = self._near(x, y, yaw, reach, side)
         if dense:
             slots = slots[~self._sparse(x)[slots]]
@@ -151,7 +153,7 @@ class Cells:
         filled = np.arange(keep) < self._count[slots, None]
         index = (keep * slots[:, None] + np.arange(keep))[filled]
         found = self._points.reshape(-1, 3).take(index, axis=0).astype(np.float64)
-        along, beside = _turned(found[:, 0] - x, found[:, 1] - y, yaw)
+        along, beside = turned(found[:, 0] - x, found[:, 1] - y, yaw)
         inside = (along >= reach[0]) & (along < reach[1]) & (np.abs(beside) <= side)
         return np.column_stack([along[inside], beside[inside], found[inside, 2]])
 
@@ -179,10 +181,10 @@ class Cells:
 
         Both are (C,) [m]; the parameters are those of ``around``.
         """
-        (x, y), yaw = self._in_window(x, y), yaw - self._axis
+        (x, y), yaw = turned(x, y, self._axis), yaw - self._axis
         slots = self._near(x, y, yaw, reach, side)
         middle = (self._place[slots] + 0.5) * (self._cell, self._lane) - (x, y)
-        along, beside = _turned(middle[:, 0], middle[:, 1], yaw)
+        along, beside = turned(middle[:, 0], middle[:, 1], yaw)
         inside = np.abs(beside) <= side
         return along[inside], self._seen_at[slots[inside]]
 
@@ -195,7 +197,7 @@ class Cells:
         corners = [(u * cos - v * sin) for u in reach for v in (-side, side)]
         low = math.floor((x + max(min(corners), -self._ahead)) / self._cell)
         high = math.floor((x + min(max(corners), self._ahead)) / self._cell)
-        wanted = np.arange(low, high + 1)[: self._shape[0]]
+        wanted = np.arange(low, high + 1)[:rows]
         slots = ((wanted % rows)[:, None] * lanes + np.arange(lanes)).ravel()
         held = (self._place[slots, 0] == np.repeat(wanted, lanes)) & (self._count[slots] > 0)
         across = [(u * sin + v * cos) for u in reach for v in (-side, side)]
@@ -203,20 +205,6 @@ class Cells:
         held &= lane >= math.floor((y + min(across)) / self._lane - _EDGE)
         held &= lane <= math.floor((y + max(across)) / self._lane + _EDGE)
         return np.asarray(slots[held])
-
-    def _places(self, points: FloatArray) -> NDArray[np.int64]:
-        """Return the numbers of the points' cells along x and y, (P, 2)."""
-        return np.asarray(np.floor(points[:, :2] / np.array([self._cell, self._lane])), np.int64)
-
-    def _slots(self, place: NDArray[np.int64]) -> NDArray[np.int64]:
-        rows, lanes = self._shape
-        return (place[:, 0] % rows) * lanes + place[:, 1] % lanes
-
-    def _in_window(self, x: float, y: float) -> tuple[float, float]:
-        if not self._axis:
-            return x, y
-        cos, sin = math.cos(self._axis), math.sin(self._axis)
-        return cos * x + sin * y, cos * y - sin * x
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot, which later points do not change."""
@@ -226,14 +214,7 @@ class Cells:
     def load(self, saved: tuple[Any, ...]) -> None:
         """Restore a snapshot."""
         arrays, self._axis = saved
-        copies = (array.copy() for array in arrays)
-        self._points, self._count, self._place, self._seen_at = copies
-
-
-def _turned(dx: FloatArray, dy: FloatArray, yaw: float) -> tuple[FloatArray, FloatArray]:
-    """Return the components of (``dx``, ``dy``) along a heading and to its left [m]."""
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    return cos * dx + sin * dy, cos * dy - sin * dx
+        self._points, self._count, self._place, self._seen_at = (a.copy() for a in arrays)
 
 
 def _rotated(points: FloatArray, turn: float) -> FloatArray:

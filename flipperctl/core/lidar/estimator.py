@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.core.arrays import FloatArray
+from flipperctl.core import FloatArray
 from flipperctl.core.lidar.body import Body, Mount, attitude
-from flipperctl.core.lidar.ground import GroundSeen, MapSettings, Stance
+from flipperctl.core.lidar.ground import GroundSeen, MapSettings
 from flipperctl.core.lidar.matching import ScanMatcher
 from flipperctl.core.lidar.messages import (
     Belts,
@@ -101,21 +101,18 @@ class LidarEstimator:
         time, value = message
         self._newest = time
         if isinstance(value, Scan):
-            value = without_near(value, self._mount.near)
-            value = without_mixed(thinned(value, self._most_points(time)))
+            elapsed = math.inf if self._scanned is None else time - self._scanned
+            self._scanned = time
+            # A turn is not always exactly 0.1 s.
+            share = round(min(1.0, max(_LEAST_SHARE, elapsed / _TURN)), 3)
+            value = thinned(without_near(value, self._mount.near), round(_MOST_POINTS * share))
+            value = without_mixed(value)
             pose = self._trail.pose_at(time, self._pose)  # newer attitudes may have come first
             if self._calibrated is None:
                 self._begin(value, time, pose)
             self._add(without_bias(value, self._errors.distance), time, pose)
         else:
             self._receive(value, time)
-
-    def _most_points(self, time: float) -> int:
-        """Return how many points of a scan are used, by the time since the one before."""
-        elapsed = math.inf if self._scanned is None else time - self._scanned
-        self._scanned = time
-        share = min(1.0, max(_LEAST_SHARE, elapsed / _TURN))
-        return round(_MOST_POINTS * round(share, 3))  # a turn is not always exactly 0.1 s
 
     def _begin(self, scan: Scan, time: float, pose: Pose) -> None:
         """Assume ground at the start, and estimate the constant errors, by the first scan.
@@ -146,13 +143,6 @@ class LidarEstimator:
         limit = _LEVEL if lowered else min(_LEVEL, _LEVEL_ON_BELTS + 3 * self._tilt())
         return abs(pose.pitch) <= limit
 
-    def _corrected(self, value: Inertial, time: float) -> Inertial:
-        """Return the attitude without the error of the start, which fades."""
-        if self._calibrated is None:
-            return value
-        fading = math.exp(-max(0.0, time - self._calibrated) / _FADING)
-        return replace(value, pitch=value.pitch - fading * self._errors.pitch)
-
     def _receive(self, value: Pose | Joints | Inertial | Belts, time: float) -> None:
         if isinstance(value, Pose):
             self._pose, self._reckoned = value, None
@@ -163,8 +153,10 @@ class LidarEstimator:
             self._speed = value.speed
         else:
             elapsed = 0.0 if self._reckoned is None else time - self._reckoned
-            corrected = self._corrected(value, time)
-            self._pose = advanced(self._pose, corrected, self._speed, elapsed)
+            if self._calibrated is not None:  # the error of the start, which fades
+                fading = math.exp(-max(0.0, time - self._calibrated) / _FADING)
+                value = replace(value, pitch=value.pitch - fading * self._errors.pitch)
+            self._pose = advanced(self._pose, value, self._speed, elapsed)
             self._reckoned = time
             self._trail.record(time, self._pose)
 
@@ -180,9 +172,8 @@ class LidarEstimator:
         self._start(self._pose)
         pose, joints = self._pose, self._joints
         circles = self._body.circles(pose.pitch, joints.front, joints.rear)
-        stance = Stance(circles, self._body.track_radius)
-        position = np.array([pose.x, pose.y, pose.z])
-        ground = self._ground.sensed(position, pose.yaw, stance, unknown)
+        position, radius = np.array([pose.x, pose.y, pose.z]), self._body.track_radius
+        ground = self._ground.sensed(position, pose.yaw, circles, radius, unknown)
         ground = replace(ground, position=np.array([pose.x, pose.z]))
         return ground, SensedAngles(front=joints.front, rear=joints.rear, pitch=pose.pitch)
 
@@ -237,7 +228,11 @@ class LidarEstimator:
         Poses of newer attitudes, which came before the scan, are corrected alike.
         """
         before = pose
-        points = self._levelled(scan, time, pose)
+        points, kept = self._ground_points(scan)
+        if scan.ages is None or not self._settings.quality.deskew:
+            points = points @ attitude(pose.roll, pose.pitch, pose.yaw).T
+        else:
+            points = self._trail.levelled(points, scan.ages[kept], time, pose)
         if self._matcher is not None:
             guess = np.array([pose.x, pose.y, pose.z])
             facing = attitude(pose.roll, pose.pitch, pose.yaw)[:, 0]
@@ -258,16 +253,6 @@ class LidarEstimator:
     def _ground_points(self, scan: Scan) -> tuple[FloatArray, NDArray[np.bool_]]:
         """Return what ``Mount.ground_points`` keeps of a scan, with the flippers where they are."""
         return self._mount.ground_points(scan.points, self._body, self._joints)
-
-    def _levelled(self, scan: Scan, time: float, pose: Pose) -> FloatArray:
-        """Return the ground's points from the robot in the directions of frame M, (P, 3) [m].
-
-        ``pose``: that of the robot at ``time``.
-        """
-        points, kept = self._ground_points(scan)
-        if scan.ages is None or not self._settings.quality.deskew:
-            return points @ attitude(pose.roll, pose.pitch, pose.yaw).T
-        return self._trail.levelled(points, scan.ages[kept], time, pose)
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot, which later messages do not change."""

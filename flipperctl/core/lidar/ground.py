@@ -15,13 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.core import observation
-from flipperctl.core.arrays import FloatArray
+from flipperctl.core import FloatArray, observation
+from flipperctl.core.lidar.body import turned
 from flipperctl.core.lidar.cells import Cells
-from flipperctl.core.lidar.certainty import Accuracy, deviations
 from flipperctl.core.lidar.outline import (
+    Accuracy,
     Columns,
     columns,
+    deviations,
     points_along,
     polyline,
     with_assumed,
@@ -142,14 +143,6 @@ _BEFORE = 3.0  # a ray counts up to this before its return, in standard deviatio
 _ABOVE = 0.03  # height above a ray from which points of the map are not ground [m]
 
 
-@dataclass(frozen=True)
-class Stance:
-    """The robot's outline on the ground."""
-
-    circles: FloatArray  # (C, 2) centres of circles that the tracks cover, in frame L [m]
-    radius: float  # radius of the circles [m]
-
-
 MEANING = (
     "map of the ground in which the policy was trained: lengths cell along and lane across the "
     "way, half_width to each side and noise of a point's height in m, keep points a cell, fewest "
@@ -241,9 +234,7 @@ class GroundSeen:
         Level parts of the map ahead of the robot at (x, y) [m] count; 0 if there are too few.
         """
         q, reach = self._quality, (_NEAREST, _FARTHEST)
-        cos, sin = math.cos(yaw), math.sin(yaw)
-        dx, dy = points[:, 0] - x, points[:, 1] - y
-        along, beside = cos * dx + sin * dy, cos * dy - sin * dx
+        along, beside = turned(points[:, 0] - x, points[:, 1] - y, yaw)
         strip = (np.abs(beside) <= q.half_width) & (along >= reach[0]) & (along < reach[1])
         (near,) = np.nonzero(strip)
         scanned = np.column_stack([along[near], beside[near], points[near, 2]])
@@ -252,9 +243,9 @@ class GroundSeen:
             return 0.0
         around = self._cells.around(x, y, yaw, reach, q.half_width)
         slope = lateral_slope(around, q.cell)
-        known = self._columns(straightened(around, slope), _REGISTERED)
+        known = columns(straightened(around, slope), q.cell, _REGISTERED)
         level = known.high - known.low < 3 * q.noise + q.cell
-        new = self._columns(straightened(scanned, slope), q.fewest)
+        new = columns(straightened(scanned, slope), q.cell, q.fewest)
         _, i, j = np.intersect1d(
             np.round(known.x[level] / q.cell, 1),
             np.round(new.x / q.cell, 1),
@@ -266,11 +257,17 @@ class GroundSeen:
         return error if abs(error) <= _LARGEST else 0.0
 
     def sensed(
-        self, position: FloatArray, yaw: float, stance: Stance, unknown: float = 0.0
+        self,
+        position: FloatArray,
+        yaw: float,
+        circles: FloatArray,
+        radius: float,
+        unknown: float = 0.0,
     ) -> SensedGround:
         """Return the ground at the robot's ``position`` (3,) [m] and heading [rad].
 
-        ``unknown``: how far the robot may have moved since its position was estimated [m].
+        ``circles`` (C, 2) of this ``radius``, in frame L, are what the tracks cover; ``unknown``:
+        how far the robot may have moved since its position was estimated [m].
         Call it once for each decision, since it corrects the map's height a bit by each stance.
         """
         s, q, (x, y, z) = self._settings, self._quality, position.tolist()
@@ -280,16 +277,16 @@ class GroundSeen:
         near = self._cells.around(x, y, yaw, (-reach, reach), q.half_width, dense=True)
         near[:, 2] -= z
         slope = lateral_slope(near, q.cell)
-        found = self._columns(straightened(near, slope), q.fewest)
+        found = columns(straightened(near, slope), q.cell, q.fewest)
         line, assumed = polyline(found, q.noise), self._assumed(x, y, z, yaw)
         if self._lift is None:
-            self._lift = self._first_lift(found, assumed, stance)
+            self._lift = self._first_lift(found, assumed, circles)
         line[:, 1] += self._lift
         line, unseen = with_assumed(line, assumed, _GAP / 2)
         line, unseen = with_drops(line, unseen, _GAP, q.cell / 2)
         limits = (-self._reach, self._reach)
         points, filled = points_along(line, unseen, _SPACING, _GAP, limits)
-        gaps = clearances(stance.circles, stance.radius, points)
+        gaps = clearances(circles, radius, points)
         above = filled & (gaps < 0)  # where the robot is, there is no ground
         points[above, 1] += gaps[above]
         self._correct(points, np.where(above, 0.0, gaps), filled)
@@ -317,18 +314,14 @@ class GroundSeen:
         np.maximum.at(latest, index[inside], way[inside])
         return self._way - latest
 
-    def _columns(self, points: FloatArray, fewest: int) -> Columns:
-        """Return the columns of ``points`` (P, 3) with at least ``fewest`` of them."""
-        return columns(points, self._quality.cell, fewest)
-
-    def _first_lift(self, found: Columns, assumed: FloatArray, stance: Stance) -> float:
+    def _first_lift(self, found: Columns, assumed: FloatArray, circles: FloatArray) -> float:
         """Return by how much the ground that is seen below the flippers differs from the start's.
 
         A robot starts on level ground, which its front flippers reach.
         """
         if not len(assumed):
             return 0.0
-        below = (found.x > assumed[-1, 0]) & (found.x < stance.circles[:, 0].max())
+        below = (found.x > assumed[-1, 0]) & (found.x < circles[:, 0].max())
         if not below.any():
             return 0.0
         lift = float(assumed[-1, 1] - np.median(found.median[below]))

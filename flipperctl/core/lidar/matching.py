@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from flipperctl.core.arrays import FloatArray
+from flipperctl.core import FloatArray
 
 _FAR = 6.0  # farthest points that are matched [m]
 _THIN, _THINNER = 0.06, 0.12

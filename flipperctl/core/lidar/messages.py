@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.core.arrays import FloatArray
+from flipperctl.core import FloatArray
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.core.arrays import FloatArray
+from flipperctl.core import FloatArray
 from flipperctl.core.lidar.body import attitude, heading
 from flipperctl.core.lidar.messages import Inertial, Pose, Scan
 

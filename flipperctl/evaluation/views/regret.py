@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from flipperctl.config import EvalConfig
-from flipperctl.core.arrays import FloatArray
+from flipperctl.core import FloatArray
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.play import Player

@@ -23,10 +23,10 @@ from flipperctl.api import (
     sensor,
 )
 from flipperctl.core.lidar.body import Body, Mount
-from flipperctl.core.lidar.certainty import Accuracy, accuracy_of
 from flipperctl.core.lidar.estimator import LidarEstimator
 from flipperctl.core.lidar.ground import MapQuality, MapSettings
 from flipperctl.core.lidar.matching import ScanMatcher
+from flipperctl.core.lidar.outline import Accuracy, accuracy_of
 from flipperctl.errors import MissingExtraError
 from flipperctl.sim.lidar.instruments import (
     Accelerometer,

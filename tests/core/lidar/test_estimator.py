@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from flipperctl.core.lidar.body import Mount
-from flipperctl.core.lidar.certainty import Accuracy
 from flipperctl.core.lidar.estimator import LidarEstimator
 from flipperctl.core.lidar.ground import GroundSeen
 from flipperctl.core.lidar.messages import (
@@ -21,6 +20,7 @@ from flipperctl.core.lidar.messages import (
     thinned,
     without_near,
 )
+from flipperctl.core.lidar.outline import Accuracy
 from flipperctl.core.lidar.scans import advanced
 from tests.core.lidar.level_ground import (
     LEVEL,

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from flipperctl.core.lidar.cells import Cells
-from flipperctl.core.lidar.certainty import Accuracy, deviations
 from flipperctl.core.lidar.ground import FreeSpace, clearances, lateral_slope, straightened
+from flipperctl.core.lidar.outline import Accuracy, deviations
 
 
 def cells(keep: int = 2) -> Cells:
