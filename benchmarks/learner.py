@@ -26,7 +26,7 @@ from flipperctl.bench import measure_in_turn, quantity
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import RequestError
-from flipperctl.policies.plugin import FunctionPolicy
+from flipperctl.policies.controllers import FunctionPolicy
 from flipperctl.rollout.seeds import training_seed
 from flipperctl.rollout.steps import steps
 

@@ -24,7 +24,7 @@ from flipperctl.bench import measure_in_turn, quantity
 from flipperctl.config import RayCollector, TrainConfig, to_dict
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
-from flipperctl.policies.exploring import ExploringPolicy
+from flipperctl.policies.trained import ExploringPolicy
 from flipperctl.rollout.cluster import LOCAL, QUIET, is_connected, join
 from flipperctl.rollout.collect import RayWorkers, RolloutWorkers
 from flipperctl.rollout.seeds import training_seed

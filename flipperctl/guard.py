@@ -2,7 +2,7 @@
 
 In: an exception raised while the core called a plugin. Out: one of the package's own exceptions,
 with one line of text. The methods of a plugin itself are guarded once, where the plugin is made
-(``config.guarded``). Objects that a plugin returns, such as a world, are called within a context:
+(``config.resolver``). Objects that a plugin returns, such as a world, are called within a context:
 
     with naming(engine, "advance"):
         poses = world.advance(samples, limits)

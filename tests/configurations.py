@@ -24,7 +24,7 @@ from pydantic.fields import FieldInfo
 from flipperctl.api import Settings, Terrain, registry
 from flipperctl.api.plugin import Plugin, registered_names
 from flipperctl.config import Randomise, TrainConfig, with_overrides
-from flipperctl.config.randomise import PATH_SECTIONS, SECTION_OF
+from flipperctl.config.sampled import PATH_SECTIONS, SECTION_OF
 from flipperctl.errors import RequestError
 from flipperctl.training.run import start
 

@@ -20,6 +20,7 @@ from tests.cli.call import COMMANDS, GROUPS, SUBCOMMANDS
 ROOT = Path(__file__).parents[1]
 BASES = {
     "CommonSettings",
+    "_ShortForms",
     "RobotGeometry",
     "EnvConfig",
     "TrainConfig",

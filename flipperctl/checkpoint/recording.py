@@ -1,6 +1,6 @@
 """Files of recorded episodes: observation, action, reward and label of every decision.
 
-In: episodes of a controller, a policy or a training. Out: a sealed file (see ``sealed``). Its
+In: episodes of a controller, a policy or a training. Out: a sealed file (see ``document``). Its
 document describes the environments; its tensors hold the episodes of T decisions one after the
 other:
 
@@ -23,18 +23,26 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field, JsonValue, ValidationError, model_validator
+from pydantic import ConfigDict, Field, JsonValue, model_validator
 
 from flipperctl import __version__
 from flipperctl.api import ACTIONS, Outcome, Robot
-from flipperctl.checkpoint import sealed
-from flipperctl.checkpoint.document import EPISODES, Count, Label, PartialReward, Record
-from flipperctl.checkpoint.sealed import decode, require_equal_layout
+from flipperctl.checkpoint import document as sealed
+from flipperctl.checkpoint.document import (
+    EPISODES,
+    Count,
+    Label,
+    PartialReward,
+    Record,
+    decode,
+    naming_document,
+    require_equal_layout,
+    validated,
+)
 from flipperctl.config import EnvConfig, to_dict
 from flipperctl.core import observation
 from flipperctl.errors import CheckpointError, ConfigError, OldVersionError
 from flipperctl.files import OutputKind, write_bytes
-from flipperctl.messages import explain
 from flipperctl.sim.versions import engine_versions
 
 if TYPE_CHECKING:
@@ -141,15 +149,8 @@ class Recording:
 def write(
     path: Path, driver: str, parts: Sequence[tuple[EnvConfig, Sequence[RecordedEpisode]]]
 ) -> None:
-    """Write episodes with their environments, completely or not at all.
-
-    Raises:
-        ConfigError: the environments have different observation layouts.
-        OutputError: the path cannot be written.
-        WriteError: writing failed half way; an earlier file, if any, is kept.
-    """
+    """Write episodes with their environments, completely or not at all."""
     require_one_layout(path, [config for config, _ in parts])
-    environments = [to_dict(config.environment()) for config, _ in parts]
     placed = [(at, episode) for at, (_, episodes) in enumerate(parts) for episode in episodes]
     versions = {"flipperctl": __version__}
     for config, _ in parts:
@@ -159,7 +160,9 @@ def write(
         kind=EPISODES,
         driver=driver,
         versions=versions,
-        environments=tuple(map(PartialEnvironment.model_validate, environments)),
+        environments=tuple(
+            PartialEnvironment.model_validate(to_dict(config.environment())) for config, _ in parts
+        ),
         episodes=tuple(
             EpisodeEntry(
                 **{name: getattr(episode, name) for name in _ENTERED},
@@ -169,13 +172,10 @@ def write(
             for at, episode in placed
         ),
     )
-    size = observation.size(parts[0][0].perception.bins if parts else 0)
-    episodes = [episode for _, episode in placed]
+    bins = parts[0][0].perception.bins if parts else 0
     tensors = {
-        "observation": _joined([e.observations for e in episodes], (size,), np.float32),
-        "action": _joined([e.actions for e in episodes], (), np.int64),
-        "reward": _joined([e.rewards for e in episodes], (), np.float64),
-        "label": _joined([e.labels for e in episodes], (len(ACTIONS),), np.float32),
+        name: _joined([getattr(episode, f"{name}s") for _, episode in placed], shape, kind)
+        for name, (shape, kind) in _rows(bins).items()
     }
     text = json.dumps(document.model_dump(mode="json"), allow_nan=False)
     write_bytes(path, sealed.serialize(text, tensors))
@@ -190,6 +190,16 @@ def require_one_layout(path: Path, configs: Sequence[EnvConfig]) -> None:
         )
 
 
+def _rows(bins: int) -> dict[str, tuple[tuple[int, ...], type[np.generic]]]:
+    """Return shape and type of a row of each tensor."""
+    return {
+        "observation": ((observation.size(bins),), np.float32),
+        "action": ((), np.int64),
+        "reward": ((), np.float64),
+        "label": ((len(ACTIONS),), np.float32),
+    }
+
+
 def _joined(
     arrays: Sequence[NDArray[Any]], shape: tuple[int, ...], kind: type[np.generic]
 ) -> torch.Tensor:
@@ -199,18 +209,10 @@ def _joined(
 
 
 def read(path: Path) -> Recording:
-    """Read and check a file of recorded episodes; nothing in the file is executed.
-
-    Raises:
-        CheckpointError: the file is missing, truncated or changed, or of another kind or version.
-    """
+    """Read and check a file of recorded episodes; nothing in the file is executed."""
     text, tensors = sealed.read(path, NOUN)
-    try:
+    with naming_document(path):
         document = _parse(text)
-    except OldVersionError as error:
-        raise CheckpointError(f"{path} {error}") from error
-    except ValueError as error:
-        raise CheckpointError(f"{path}: its document is not valid: {error}") from error
     try:
         _check(document, tensors)
     except ValueError as error:
@@ -223,13 +225,7 @@ def _parse(text: str) -> RecordingDocument:
     raw = decode(text)
     if (kind := raw.get("kind")) != EPISODES:
         raise ValueError(f"its kind is {kind!r:.40}, not {EPISODES!r}; is it a checkpoint?")
-    number = raw.get("format")
-    if type(number) is not int or number != FORMAT:
-        raise ValueError(f"its format is {number!r:.40}; this version reads {FORMAT}")
-    try:
-        found = RecordingDocument.model_validate_json(json.dumps(raw))
-    except ValidationError as error:
-        raise ValueError(explain(error, "document", RecordingDocument)) from error
+    found = validated(RecordingDocument, raw, FORMAT)
     if any(set(Robot.model_fields) - set(one.robot) for one in found.environments):
         raise OldVersionError("0.2", "record its episodes again")
     return found
@@ -240,16 +236,13 @@ def _check(document: RecordingDocument, tensors: Mapping[str, torch.Tensor]) -> 
     import torch
 
     count = sum(episode.decisions for episode in document.episodes)
-    rows = count + len(document.episodes)
+    counts = {"observation": count + len(document.episodes)}
     bins = document.environments[0].perception.bins if document.environments else 0
-    shapes = {
-        "observation": (torch.float32, (rows, observation.size(bins))),
-        "action": (torch.int64, (count,)),
-        "reward": (torch.float64, (count,)),
-        "label": (torch.float32, (count, len(ACTIONS))),
-    }
     # Views of one number: the document may be of any origin, and its shapes of any size.
-    expected = {n: torch.zeros((), dtype=d).expand(s) for n, (d, s) in shapes.items()}
+    expected = {
+        name: torch.from_numpy(np.zeros((), kind)).expand(counts.get(name, count), *shape)
+        for name, (shape, kind) in _rows(bins).items()
+    }
     require_equal_layout(tensors, expected)
     action, label = tensors["action"], tensors["label"]
     if bool(((action < 0) | (action >= len(ACTIONS))).any()):
@@ -263,15 +256,13 @@ def _check(document: RecordingDocument, tensors: Mapping[str, torch.Tensor]) -> 
 def _episodes(
     document: RecordingDocument, arrays: Mapping[str, NDArray[Any]]
 ) -> Iterator[RecordedEpisode]:
-    begin = 0
+    end = 0
     for at, entry in enumerate(document.episodes):
-        end = begin + entry.decisions
-        rows = slice(begin, end)
+        begin, end = end, end + entry.decisions
         yield RecordedEpisode(
             **{name: getattr(entry, name) for name in _ENTERED},
             observations=arrays["observation"][begin + at : end + at + 1],
-            actions=arrays["action"][rows],
-            rewards=arrays["reward"][rows],
-            labels=arrays["label"][rows],
+            actions=arrays["action"][begin:end],
+            rewards=arrays["reward"][begin:end],
+            labels=arrays["label"][begin:end],
         )
-        begin = end

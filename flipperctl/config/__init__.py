@@ -1,8 +1,8 @@
 """The composed configuration as frozen pydantic models.
 
-``sections`` defines the settings, ``randomise`` the ranges sampled for each episode, and ``models``
-whole configurations; ``resolver`` builds them from names and overrides, and ``identity`` compares
-plugins.
+``sections`` and ``agent`` define the settings, ``sampled`` the ranges sampled for each episode, and
+``models`` whole configurations; ``resolver`` builds them from names and overrides, and ``identity``
+compares plugins.
 """
 
 from flipperctl.config.agent import Agent, PolicyGradient, Teacher
@@ -14,8 +14,8 @@ from flipperctl.config.models import (
     EvalConfig,
     TrainConfig,
 )
-from flipperctl.config.randomise import Randomise
 from flipperctl.config.resolver import parse, to_dict, with_overrides
+from flipperctl.config.sampled import Randomise
 from flipperctl.config.sections import (
     Episode,
     Eval,

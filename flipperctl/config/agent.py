@@ -11,6 +11,11 @@ from flipperctl.config.resolver import create, to_dict
 from flipperctl.core.risk import EscapeRule
 from flipperctl.errors import ConfigError
 
+Share = Annotated[float, Field(ge=0, le=1)]
+PositiveShare = Annotated[float, Field(gt=0, le=1)]
+Weight = Annotated[float, Field(ge=0, le=1000)]
+Temperature = Annotated[float, Field(ge=1e-6, le=1000)]
+
 
 def linear(start: float, end: float, fraction: float) -> float:
     """Interpolate from ``start`` at fraction 0 to ``end`` at fraction 1, constant outside."""
@@ -28,10 +33,8 @@ class PolicyGradient(Settings):
         "them; they must fit into agent.replay_size [-]",
     )
     passes: int = Field(3, ge=1, le=100, description="passes over these decisions [-]")
-    temperature: float = Field(
+    temperature: Temperature = Field(
         0.05,
-        ge=1e-6,
-        le=1000,
         description="difference of Q-values by which an action becomes e times less probable in "
         "the training's episodes, where all actions are drawn [-]",
     )
@@ -42,17 +45,13 @@ class PolicyGradient(Settings):
         description="temperature at the end, reached linearly: the lower, the less the policy can "
         "rely on draws, which it does without once trained; null: that of the start [-]",
     )
-    trace: float = Field(
+    trace: Share = Field(
         0.95,
-        ge=0,
-        le=1,
         description="λ of the generalised advantage estimation: 0 trusts the value after one "
         "decision, 1 the return of the episode alone [-]",
     )
-    clip: float = Field(
+    clip: PositiveShare = Field(
         0.15,
-        gt=0,
-        le=1,
         description="change of an action's probability, as a share of it, beyond which an update "
         "gains nothing more [-]",
     )
@@ -63,10 +62,8 @@ class PolicyGradient(Settings):
         description="Kullback-Leibler divergence from what drove at which the policy stops to "
         "change until new episodes are driven [-]",
     )
-    anchor: float = Field(
+    anchor: Weight = Field(
         0.0,
-        ge=0,
-        le=1000,
         description="weight of the divergence from the policy that the training starts with, which "
         "keeps what the advantages do not clearly change [-]",
     )
@@ -137,10 +134,8 @@ class Agent(Settings):
         le=200,
         description="decisions before the end of a failed episode that count as about to fail [-]",
     )
-    risk_false_alarms: float = Field(
+    risk_false_alarms: Share = Field(
         0.1,
-        ge=0,
-        le=1,
         description="largest share of the validation episodes that reach the finish in which the "
         "policy may warn; it chooses the threshold of the warnings [-]",
     )
@@ -177,29 +172,21 @@ class Agent(Settings):
         description="updates in a row whose targets are computed in one pass before the first; "
         "1 is the textbook algorithm [-]",
     )
-    target_rate: float = Field(
+    target_rate: PositiveShare = Field(
         0.005,
-        gt=0,
-        le=1,
         description="fraction of the online weights mixed into the target per update [-]",
     )
-    epsilon_start: float = Field(
+    epsilon_start: Share = Field(
         1.0,
-        ge=0,
-        le=1,
         description="fraction of random actions at the start; 0, with epsilon_end=0, suits "
         "networks that explore with their own noise [-]",
     )
-    epsilon_end: float = Field(
-        0.05, ge=0, le=1, description="fraction of random actions at the end [-]"
-    )
+    epsilon_end: Share = Field(0.05, description="fraction of random actions at the end [-]")
     epsilon_decisions: int = Field(
         15_000, ge=1, le=100_000_000, description="decisions over which ε falls linearly [-]"
     )
-    exploring_share: float = Field(
+    exploring_share: Share = Field(
         1.0,
-        ge=0,
-        le=1,
         description="share of the episodes that have random actions; the others show where the "
         "policy gets stuck without them [-]",
     )
@@ -287,27 +274,19 @@ class Teacher(Settings):
         description="file of recorded episodes, as written by eval --record or train.record, to "
         "learn from as well; null for none [-]",
     )
-    student_share: float = Field(
+    student_share: Share = Field(
         0.6,
-        ge=0,
-        le=1,
         description="fraction of episodes in which the student acts once it learns; the teacher "
         "acts in the others [-]",
     )
-    label_share: float = Field(
+    label_share: PositiveShare = Field(
         1.0,
-        gt=0,
-        le=1,
         description="fraction of the decisions in the student's episodes that the teacher labels; "
         "fewer labels an episode let it learn from more episodes [-]",
     )
-    random: float = Field(
-        0.1, ge=0, le=1, description="fraction of random actions while the teacher acts [-]"
-    )
-    temperature: float = Field(
+    random: Share = Field(0.1, description="fraction of random actions while the teacher acts [-]")
+    temperature: Temperature = Field(
         0.3,
-        ge=1e-6,
-        le=1000,
         description="difference of the teacher's costs by which an action becomes e times less "
         "probable [s]",
     )
@@ -318,26 +297,18 @@ class Teacher(Settings):
         "Q-values should differ as those that the teacher computes for many states of each "
         "episode's ground, as value_iteration does [-]",
     )
-    weight: float = Field(
-        1.0, ge=0, le=1000, description="weight of the labels' loss at the start [-]"
-    )
-    weight_end: float = Field(
+    weight: Weight = Field(1.0, description="weight of the labels' loss at the start [-]")
+    weight_end: Weight = Field(
         1.0,
-        ge=0,
-        le=1000,
         description="weight of the labels' loss at the end, reached linearly [-]",
     )
-    td_weight: float = Field(
+    td_weight: Weight = Field(
         1.0,
-        ge=0,
-        le=1000,
         description="weight of the temporal-difference loss; 0 is pure imitation, whose Q-values "
         "order the actions but estimate no return [-]",
     )
-    q_temperature: float = Field(
+    q_temperature: Temperature = Field(
         0.1,
-        ge=1e-6,
-        le=1000,
         description="scale of the Q-values in the student's softmax, in scaled rewards [-]",
     )
     margin: float = Field(

@@ -2,7 +2,8 @@
 
 In: the registry and the models. Out: entries of groups, of which one is chosen by name, and the
 sections that are not chosen; sentences on budgets of decisions that are too small to learn
-anything, and on overrides of settings that are sampled anew for every episode.
+anything, on robots that do not fit their conditions, and on overrides of settings that are sampled
+anew for every episode.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any
 
-from flipperctl.api import Logger, Measure, registry
+from flipperctl.api import Logger, Measure, Robot, registry
 from flipperctl.api.plugin import registered_names
 from flipperctl.config import resolver
 from flipperctl.config.agent import Teacher
@@ -18,6 +19,9 @@ from flipperctl.config.models import EnvConfig, EvalConfig, TrainConfig
 from flipperctl.config.sections import LocalCollector, RayCollector
 from flipperctl.errors import ConfigError
 from flipperctl.messages import close_match, missing_name
+
+_ALIKE = 0.02
+"""Relative difference of lengths that makes none [-]."""
 
 
 def notes_on_budget(config: TrainConfig) -> Iterator[str]:
@@ -36,6 +40,33 @@ def notes_on_budget(config: TrainConfig) -> Iterator[str]:
         yield (
             f"train.decisions={decisions} leaves the policy as it begins: learning starts after "
             f"agent.learning_starts={agent.learning_starts} decisions"
+        )
+
+
+def notes_on_robot(config: EnvConfig) -> Iterator[str]:
+    """Yield a line for each sampled range, and for a body, that another robot does not fit.
+
+    The named conditions have ranges for nubot; with another robot, its own value may lie outside.
+    A sensor's body, which hides ground, should be as long as the chassis.
+    """
+    robot, perception = config.robot, config.perception
+    for one in config.randomise.sampled():
+        own, (low, high) = getattr(robot, one.field, None), one.ends
+        if one.section != "robot" or own is None:  # a factor, or a load of none
+            continue
+        if own != Robot.model_fields[one.field].default and not low <= own <= high:
+            yield (
+                f"{one.key}: no episode has the robot's robot.{one.field}={own:.4g}, since its "
+                f"range is {low:g} to {high:g}; give a range around it, or {one.key}=null"
+            )
+    body, length = getattr(perception, "body_length", None), robot.chassis_length
+    hides = config.randomise.find("perception", "occlusion") or getattr(
+        perception, "occlusion", False
+    )
+    if hides and body is not None and abs(body - length) > _ALIKE * length:
+        yield (
+            f"perception.body_length: a body of {body:.4g} m hides the ground below it, and the "
+            f"robot.chassis_length is {length:.4g} m; perception.body_length={length:.4g} hides all"
         )
 
 

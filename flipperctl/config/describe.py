@@ -10,9 +10,10 @@ from dataclasses import asdict, dataclass
 from enum import Enum
 from typing import Any, Literal, get_args, get_origin
 
+from flipperctl import guard
 from flipperctl.api import Plugin, Robot, Settings, registry
 from flipperctl.config import DEFAULT_ENGINE, Randomise, resolver
-from flipperctl.config.randomise import PATH_SECTIONS, SECTION_OF
+from flipperctl.config.sampled import PATH_SECTIONS, SECTION_OF
 from flipperctl.errors import PluginError
 from flipperctl.messages import bounds, meaning, missing_name, unit
 
@@ -101,7 +102,7 @@ def describe_plugin(kind: str, name: str) -> dict[str, Any]:
         "name": name,
         "summary": (cls.__doc__ or "").strip().splitlines()[0] if cls.__doc__ else "",
         "module": cls.__module__,
-        "source": resolver.source(cls),
+        "source": guard.definition(cls),
         "fields": [asdict(field) for field in fields(cls)],
     }
 

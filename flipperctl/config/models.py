@@ -1,16 +1,18 @@
 """The composed configuration as frozen pydantic models.
 
 In: plain containers, through ``resolver.parse``. Out: validated models with plugin instances
-inside. The sections and their settings are defined in ``sections``.
+inside. The sections and their settings are defined in ``sections``. A policy can be evaluated
+without the plugins of its training's terrain and rewards: ``with_stand_ins`` replaces them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import Annotated, Any, cast
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, NoReturn, cast
 
 import numpy as np
-from pydantic import BeforeValidator, Field, PlainSerializer, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, PlainSerializer, model_validator
 
 from flipperctl.api import (
     NAME_RULE,
@@ -25,13 +27,13 @@ from flipperctl.api import (
     Settings,
     Shaping,
     Terrain,
+    Transition,
     is_plugin_name,
+    registry,
 )
 from flipperctl.config.agent import Agent, Teacher
-from flipperctl.config.randomise import Randomise
-from flipperctl.config.resolver import create, loggers_by_name, to_dict
-from flipperctl.config.robots import robot_or_name
-from flipperctl.config.sampled import check_ranges, replace_settings, sample
+from flipperctl.config.resolver import create, loggers_by_name, named_robot, to_dict
+from flipperctl.config.sampled import Randomise, check_ranges, replace_settings, sample
 from flipperctl.config.sections import (
     Episode,
     Eval,
@@ -39,8 +41,8 @@ from flipperctl.config.sections import (
     RayCollector,
     Train,
 )
-from flipperctl.errors import ConfigError
-from flipperctl.messages import close_match
+from flipperctl.errors import ConfigError, PluginError
+from flipperctl.messages import close_match, missing_plugin
 
 
 def _plugin(kind: str) -> tuple[BeforeValidator, PlainSerializer]:
@@ -54,38 +56,35 @@ def _plugin(kind: str) -> tuple[BeforeValidator, PlainSerializer]:
     return BeforeValidator(read), PlainSerializer(to_dict)
 
 
-def _complete(value: Mapping[Any, Any]) -> list[str]:
-    """Return the names of entries that are no fields of entries that are missing."""
-    return [str(k) for k, v in value.items() if not isinstance(v, Mapping) or "name" in v]
-
-
 def _rewards(value: object) -> object:
     if not isinstance(value, Mapping):
         raise ConfigError(f"rewards: a mapping of terms is allowed; got {value!r}")
-    complete = _complete(value)
-    for key in map(str, value):
-        if key not in complete:  # a field of an unknown term
-            raise ConfigError(
-                f"rewards.{key}: there is no such term{close_match(key, complete)}; "
-                f"known: {', '.join(complete)}; a new one needs a name"
-            )
-    return {str(k): create("reward", v, f"rewards.{k}") for k, v in value.items()}
+    return _by_name("reward", "rewards", value, "term", "known", "a new one needs a name")
 
 
 def _loggers(value: object) -> object:
     found = loggers_by_name(value)
     if not isinstance(found, Mapping):
         raise ConfigError(f"logger: names, or a mapping of loggers, are allowed; got {value!r}")
-    complete = _complete(found)
-    for key in map(str, found):
-        if key not in complete:  # a field of a logger that was not chosen
-            raise ConfigError(
-                f"logger.{key}: there is no such logger{close_match(key, complete)}; "
-                f"chosen: {', '.join(complete) or 'none'}; logger={key} chooses it"
-            )
+    loggers = _by_name("logger", "logger", found, "logger", "chosen", "logger={} chooses it")
+    for key in loggers:
         if not is_plugin_name(key):  # it also names the logger's folder
             raise ConfigError(f"logger.{key}: {NAME_RULE}")
-    return {str(k): create("logger", v, f"logger.{k}") for k, v in found.items()}
+    return loggers
+
+
+def _by_name(
+    kind: str, section: str, value: Mapping[Any, Any], noun: str, known: str, advice: str
+) -> dict[str, Any]:
+    """Return the plugins of a section; fields of an entry that is missing are refused."""
+    complete = [str(k) for k, v in value.items() if not isinstance(v, Mapping) or "name" in v]
+    for key in map(str, value):
+        if key not in complete:
+            raise ConfigError(
+                f"{section}.{key}: there is no such {noun}{close_match(key, complete)}; "
+                f"{known}: {', '.join(complete) or 'none'}; {advice.format(key)}"
+            )
+    return {str(k): create(kind, v, f"{section}.{k}") for k, v in value.items()}
 
 
 def _to_dicts(value: Mapping[str, Plugin]) -> dict[str, Any]:
@@ -93,7 +92,9 @@ def _to_dicts(value: Mapping[str, Plugin]) -> dict[str, Any]:
 
 
 ConfiguredTerrain = Annotated[Terrain, *_plugin("terrain")]
-NamedRobot = Annotated[Robot, BeforeValidator(robot_or_name)]
+NamedRobot = Annotated[
+    Robot, BeforeValidator(lambda value: named_robot(value) if isinstance(value, str) else value)
+]
 AnyNetwork = Annotated[Network, *_plugin("network")]
 AnyEngine = Annotated[Engine, *_plugin("sim")]
 AnySensor = Annotated[Sensor, *_plugin("perception")]
@@ -291,3 +292,78 @@ class TrainConfig(EnvConfig):
                     "so the value must end too; set agent.bootstrap_outcomes=[] or drop the term "
                     f"with ~rewards.{name}"
                 )
+
+
+Files = Mapping[tuple[str, str], str | Path]
+"""(kind, name) of a plugin → the name of the file that it came from, or the path of a copy."""
+
+
+class AbsentTerrain(Terrain):
+    """Keep the settings of a terrain whose plugin, or that of a terrain inside it, is missing."""
+
+    model_config = ConfigDict(extra="allow")
+    missing: ClassVar[str]
+    """What is missing, and how to get it."""
+
+    def generate(self, rng: np.random.Generator) -> NoReturn:
+        """Raise a PluginError."""
+        raise PluginError(self.missing)
+
+
+class AbsentReward(RewardTerm):
+    """Keep the settings of a reward term whose plugin is missing."""
+
+    model_config = ConfigDict(extra="allow")
+    missing: ClassVar[str]
+    """What is missing, and how to get it."""
+
+    def __call__(self, t: Transition) -> NoReturn:
+        """Raise a PluginError."""
+        raise PluginError(self.missing)
+
+
+def with_stand_ins(settings: Mapping[str, Any], files: Files) -> dict[str, Any]:
+    """Return a plain configuration with stand-ins where terrain or reward plugins are missing.
+
+    A missing teacher's controller and missing loggers are left out, since only a training needs
+    them.
+    """
+    result = dict(settings)
+    result["terrain"] = _or_stand_in(AbsentTerrain, settings["terrain"], files)
+    if "rewards" in settings:
+        terms = settings["rewards"]
+        result["rewards"] = {k: _or_stand_in(AbsentReward, v, files) for k, v in terms.items()}
+    teacher = settings.get("teacher") or {}
+    if any(_missing_names("controller", teacher.get("controller"))):
+        result["teacher"] = {**teacher, "controller": None}
+    if loggers := settings.get("logger"):
+        result["logger"] = {
+            k: v for k, v in loggers.items() if not any(_missing_names("logger", v))
+        }
+    return result
+
+
+def _or_stand_in(family: type[AbsentTerrain | AbsentReward], settings: Any, files: Files) -> Any:
+    """Return the settings, or a stand-in if a plugin that they name is missing."""
+    kind = family.kind
+    name = next(_missing_names(kind, settings), None)
+    if name is None:
+        return settings
+    text = missing_plugin(kind, name, files.get((kind, name)))
+    fields = dict(settings)
+    own: dict[str, Any] = {"plugin_name": fields.pop("name"), "missing": text}
+    stand_in = type(family.__name__, (family,), {**own, "__module__": __name__})
+    return stand_in(**fields)
+
+
+def _missing_names(kind: str, settings: Any) -> Iterator[str]:
+    """Yield the names of missing plugins in the settings of a plugin, at any depth."""
+    if isinstance(settings, Mapping):
+        name = settings.get("name")
+        if isinstance(name, str) and (kind, name) not in registry:
+            yield name
+        settings = settings.values()
+    elif not isinstance(settings, list | tuple):
+        return
+    for inner in settings:
+        yield from _missing_names(kind, inner)

@@ -1,32 +1,43 @@
 """Convert names and overrides to validated settings, and settings to plain data.
 
-In: a plugin's name or mapping, composed values, overrides. Out: frozen settings with plugin
-instances inside. Every composed configuration (by Hydra, from a checkpoint, from keyword arguments,
-by ``--resume``) passes through ``parse``.
+In: a plugin's or a robot's name, composed values, overrides. Out: frozen settings with plugin
+instances inside, whose methods name plugin, method, file and line when they fail. Every composed
+configuration (by Hydra, from a checkpoint, from keyword arguments, by ``--resume``) passes through
+``parse``.
 """
 
 from __future__ import annotations
 
+import functools
+import inspect
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from importlib.resources import files
+from pathlib import Path
 from typing import Any, TypeVar
+from weakref import WeakSet
 
 from pydantic import ValidationError
 from pydantic_core import PydanticSerializationError
 
 from flipperctl import guard
-from flipperctl.api import Plugin, Settings
-from flipperctl.api.plugin import mapping, registered_names, selected
-from flipperctl.config.guarded import guard_class
-from flipperctl.config.robots import named_robot
-from flipperctl.errors import ConfigError, FlipperctlError, PluginError
-from flipperctl.messages import explain, missing_name
+from flipperctl.api import Plugin, Robot, Settings, registry
+from flipperctl.api.plugin import mapping, registered_names
+from flipperctl.config import strict_yaml
+from flipperctl.errors import (
+    ConfigError,
+    FlipperctlError,
+    PluginError,
+    PluginFailedError,
+    TerrainError,
+)
+from flipperctl.messages import close_match, explain, missing_name
 
 SettingsT = TypeVar("SettingsT", bound=Settings)
 
-
 METRICS_ALONE = "csv"
 """Choice of loggers that adds nothing to ``metrics.csv``, which every run writes."""
+_FILES = (".yaml", ".yml")
 
 
 def loggers_by_name(value: object) -> object:
@@ -37,16 +48,47 @@ def loggers_by_name(value: object) -> object:
     return {name: {"name": name} for name in names if name != METRICS_ALONE}
 
 
+def known_robots() -> list[str]:
+    """Return the names of the robots that the package has."""
+    folder = files("flipperctl.configs.robot")
+    return sorted(Path(f.name).stem for f in folder.iterdir() if f.name.endswith(_FILES))
+
+
+def is_robot_file(name: str) -> bool:
+    """Return whether a robot is named by a file instead of a preset."""
+    return name.lower().endswith(_FILES)
+
+
+def named_robot(name: str) -> Robot:
+    """Return the robot of a preset or of a file; settings that a file leaves out are nubot's."""
+    where, known = f"robot={name}", known_robots()
+    if is_robot_file(name):
+        where = str(Path(name))
+        found = strict_yaml.read(Path(name), where)
+    elif name in known:
+        found = strict_yaml.read(files("flipperctl.configs.robot") / f"{name}.yaml", where)
+    else:
+        raise ConfigError(
+            f"robot: there is no robot {name!r}{close_match(name, known)}; known: "
+            f"{', '.join(known)}; a file of your own ends in .yaml"
+        )
+    if not isinstance(found, dict):
+        raise ConfigError(
+            f"{where}: settings of the robot are allowed, as in chassis_length: 0.7; known: "
+            f"{', '.join(Robot.model_fields)}"
+        )
+    return parse(Robot, found, where)
+
+
 def get(kind: str, name: object, where: str) -> type[Plugin]:
     """Return the class registered under ``name``."""
-    try:
-        return selected(kind, {"name": name})[0]
-    except LookupError as error:
-        known = registered_names(kind)
-        raise ConfigError(
-            f"{where}: there is no {kind} plugin {name!r}{missing_name(kind, str(name), known)}; "
-            f"registered: {', '.join(known) or 'none'}"
-        ) from error
+    if cls := registry.get((kind, str(name))):
+        return cls
+    known = registered_names(kind)
+    raise ConfigError(
+        f"{where}: there is no {kind} plugin {name!r}{missing_name(kind, str(name), known)}; "
+        f"registered: {', '.join(known) or 'none'}"
+    )
 
 
 def create(kind: str, settings: object, where: str) -> Any:
@@ -62,15 +104,14 @@ def create(kind: str, settings: object, where: str) -> Any:
                 f"decorate it with @{kind}(<name>)"
             )
         return _guarded(settings)
-    try:
-        cls, fields = selected(kind, settings)
-    except TypeError as error:
+    named = {"name": settings} if isinstance(settings, str) else settings
+    if not isinstance(named, Mapping) or "name" not in named:
         raise ConfigError(
             f"{where}: a plugin's name, or a mapping with 'name' and its fields, "
             f"is allowed; got {settings!r}"
-        ) from error
-    except LookupError:
-        return get(kind, settings["name"] if isinstance(settings, Mapping) else settings, where)
+        )
+    cls = get(kind, named["name"], where)
+    fields = {key: value for key, value in named.items() if key != "name"}
     try:
         return construct(cls, fields)
     except ValidationError as error:
@@ -83,7 +124,7 @@ def reference(name: str, where: str) -> dict[str, Any]:
 
 
 def construct(cls: type[Plugin], fields: Mapping[str, Any]) -> Plugin:
-    """Return an instance of a plugin, whose methods are guarded (``config.guarded``)."""
+    """Return an instance of a plugin, whose methods are guarded."""
     try:
         plugin = cls(**fields)
     except BaseException as error:
@@ -101,8 +142,8 @@ def _guarded(plugin: Plugin) -> Plugin:
     return plugin
 
 
-def parse(model: type[SettingsT], values: Mapping[str, Any]) -> SettingsT:
-    """Validate composed values.
+def parse(model: type[SettingsT], values: Mapping[str, Any], where: str = "") -> SettingsT:
+    """Validate composed values, which errors call ``where``.
 
     Raises:
         ConfigError: one line with the configuration path, the value and what is allowed.
@@ -110,10 +151,7 @@ def parse(model: type[SettingsT], values: Mapping[str, Any]) -> SettingsT:
     try:
         return model(**values)
     except ValidationError as error:
-        raise ConfigError(explain(error, "", model)) from error
-
-
-_NAMED_FIRST = ("collector", "logger")
+        raise ConfigError(explain(error, where, model)) from error
 
 
 def with_overrides(config: SettingsT, overrides: Mapping[str, Any]) -> SettingsT:
@@ -127,29 +165,23 @@ def with_overrides(config: SettingsT, overrides: Mapping[str, Any]) -> SettingsT
     """
     result = to_dict(config)
     for key, value in sorted(overrides.items(), key=lambda item: not _is_named(*item)):
-        if (
-            key == "rewards" and value == {}
-        ):  # an empty mapping replaces the terms instead of merging into them
+        if key == "rewards" and value == {}:  # it replaces the terms instead of merging into them
             result[key] = {}
-            continue
-        if key == "logger" and not isinstance(value, Mapping):  # names replace all loggers
+        elif key == "logger" and not isinstance(value, Mapping):  # names replace all loggers
             result[key] = loggers_by_name(value)
-            continue
-        if key == "collector" and isinstance(value, str):  # a name alone, as on the command line
-            kept = result.get(key)
-            if not (isinstance(kept, dict) and kept.get("name") == value):
+        elif key == "collector" and isinstance(value, str):  # a name alone, as in commands
+            if result.get(key, {}).get("name") != value:
                 result[key] = {"name": value}
-            continue
-        if key == "robot" and isinstance(value, str):
+        elif key == "robot" and isinstance(value, str):
             result[key] = to_dict(named_robot(value))
-            continue
-        *parents, leaf = key.split(".")
-        node = result
-        for parent in parents:
-            node = node.setdefault(parent, {})
-            if not isinstance(node, dict):
-                raise ConfigError(f"{key}: {parent} is a value, not a section; it is {node!r}")
-        _merge(node, leaf, value)
+        else:
+            *parents, leaf = key.split(".")
+            node = result
+            for parent in parents:
+                node = node.setdefault(parent, {})
+                if not isinstance(node, dict):
+                    raise ConfigError(f"{key}: {parent} is a value, not a section; it is {node!r}")
+            _merge(node, leaf, value)
     if isinstance(rewards := result.get("rewards"), dict):
         result["rewards"] = {name: term for name, term in rewards.items() if term is not None}
     return parse(type(config), result)
@@ -158,7 +190,7 @@ def with_overrides(config: SettingsT, overrides: Mapping[str, Any]) -> SettingsT
 def _is_named(key: str, value: object) -> bool:
     """Return whether an override replaces a section by another one of a name."""
     named = isinstance(value, (str, Plugin)) or (isinstance(value, Mapping) and "name" in value)
-    return "." not in key and (named or key in _NAMED_FIRST)
+    return "." not in key and (named or key in ("collector", "logger"))
 
 
 def _merge(node: dict[str, Any], key: str, value: Any) -> None:
@@ -227,6 +259,92 @@ def nested_plugins(plugin: Plugin) -> list[Plugin]:
     return found
 
 
-def source(cls: type[Plugin]) -> str:
-    """Return the file in which a plugin is defined, or its module if there is no file."""
-    return guard.definition(cls)
+_CONTRACT = "flipperctl.api"
+_guarded_functions: WeakSet[Callable[..., object]] = WeakSet()
+"""The guarded functions; an attribute would be copied by an author's ``functools.wraps``."""
+
+_RAISED: dict[tuple[str, str], type[FlipperctlError]] = {
+    ("network", "build"): ConfigError,
+    ("network", "frames"): ConfigError,
+    ("reward", "bounds"): PluginError,
+}
+"""(kind, method) → the error that rejects a plugin before it is used."""
+_REFUSALS: dict[tuple[str, str], type[FlipperctlError]] = {
+    ("terrain", "at"): TerrainError,
+    ("terrain", "generate"): TerrainError,
+    ("terrain", "labelled"): TerrainError,
+}
+"""(kind, method) → the error in place of a ValueError, with which the method rejects a request."""
+_PASSED_ON: dict[str, type[BaseException]] = {"notices": ValueError, "open": BaseException}
+"""Method → the errors that it passes on unchanged because the caller interprets them."""
+_NO_PLUGINS = (float, int, bool, tuple, type(None))
+"""Types of results that need no guard."""
+_NAMES = {"labelled": "generate"}
+"""Method of the contract → the author's method that it calls, which errors name."""
+
+
+def guard_class(cls: type[Plugin]) -> None:
+    """Guard each method and property of the contract, also inherited ones; idempotent.
+
+    They name plugin, method, file and line when they fail in calls by the core: another plugin or
+    the author's own test gets the original error and may catch it.
+    """
+    for base in cls.__mro__:
+        if not (base.__module__.startswith(_CONTRACT) and issubclass(base, Plugin)):
+            continue
+        for name in vars(base):
+            if name[0] != "_" or name == "__call__":
+                found = next(vars(one)[name] for one in cls.__mro__ if name in vars(one))
+                replaced = _guard_attribute(name, found)
+                if replaced is not found:
+                    setattr(cls, name, replaced)
+
+
+def _guard_attribute(name: str, found: Any) -> object:
+    """Return a guarded version of a method or property; return a plain value unchanged."""
+    if isinstance(found, property) and found.fget is not None:
+        getter = _guard(name, found.fget)
+        return found if getter is found.fget else property(getter, doc=found.__doc__)
+    if inspect.isfunction(found):
+        return _guard(name, found)
+    if isinstance(found, classmethod) and inspect.isfunction(found.__func__):
+        method = _guard(name, found.__func__)
+        return found if method is found.__func__ else classmethod(method)
+    if not hasattr(type(found), "__get__"):
+        return found
+
+    @functools.wraps(getattr(found, "func", found))
+    def get(self: Plugin, *given: object, **named: object) -> object:
+        """Read a cached property; call a static or partial method, or a compiled function."""
+        value = found.__get__(self, type(self))
+        return value if cached else value(*given, **named)
+
+    cached = isinstance(found, functools.cached_property)
+    return property(_guard(name, get), doc=found.__doc__) if cached else _guard(name, get)
+
+
+def _guard(name: str, function: Callable[..., object]) -> Callable[..., object]:
+    """Return a version of the function that names its plugin if it fails in a call by the core."""
+    if function in _guarded_functions:
+        return function
+    shown = _NAMES.get(name, name)
+
+    @functools.wraps(function)
+    def guarded(self: Plugin | type[Plugin], *given: object, **named: object) -> object:
+        try:
+            result = function(self, *given, **named)
+        except BaseException as error:
+            if isinstance(error, _PASSED_ON.get(name, ())) or not guard.is_called_by_core(error):
+                raise
+            refuses = isinstance(error, ValueError)
+            key = self.kind, name
+            if refuses and (refusal := _REFUSALS.get(key)):
+                guard.raise_named(error, self, shown, refusal, plain=True)
+            guard.raise_named(error, self, shown, _RAISED.get(key, PluginFailedError))
+        # Most results are numbers, of which the type is known sooner than that they are no plugin.
+        if result.__class__ not in _NO_PLUGINS and isinstance(result, Plugin):
+            guard_class(type(result))
+        return result
+
+    _guarded_functions.add(guarded)
+    return guarded

@@ -1,7 +1,8 @@
-"""Apply sampled values to the sections of a configuration, validated like other settings.
+"""Settings that are sampled for each episode: their ranges, and the sections with their values.
 
-In: the sections ``sim``, ``robot`` and ``perception``, and sampled values or the ranges of these.
-Out: the sections of one episode, or an error before any episode if a sample may be impossible.
+In: the section ``randomise``, and the sections ``sim``, ``robot`` and ``perception`` that it
+samples. Out: the sections of one episode, or an error before any episode if a sample may be
+impossible.
 """
 
 from __future__ import annotations
@@ -10,15 +11,25 @@ import math
 import types
 from collections import deque
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
-from typing import Annotated, Any, Union, get_args, get_origin
+from typing import Annotated, Any, Self, TypeGuard, Union, get_args, get_origin
 
 import numpy as np
-from pydantic import ValidationError
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    ValidationInfo,
+    create_model,
+    model_serializer,
+    model_validator,
+)
 
 from flipperctl.api import Plugin, Settings
-from flipperctl.config.randomise import Randomise, Sampled, target
 from flipperctl.config.resolver import construct
 from flipperctl.errors import ConfigError
 from flipperctl.messages import close_match, explain
@@ -32,6 +43,194 @@ _possible: deque[tuple[Settings, dict[str, list[float]]]] = deque(maxlen=64)
 
 A command validates its configuration several times, each with hundreds of combinations.
 """
+
+
+def _is_number(value: object) -> TypeGuard[int | float]:
+    """Return whether a value is a number, as true and false are in Python but not in YAML."""
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _pair(value: object) -> object:
+    return [value, value] if _is_number(value) else value
+
+
+def _ordered(value: tuple[float, float]) -> tuple[float, float]:
+    low, high = value
+    if low > high:
+        raise ValueError(f"a range is [low, high] with low ≤ high; got [{low:g}, {high:g}]")
+    return value
+
+
+def _of_paths(value: object, info: ValidationInfo) -> object:
+    """Return the ranges and probabilities of one section, without those that are None."""
+    if not isinstance(value, Mapping):
+        return value
+    given = {str(name): item for name, item in value.items() if item is not None}
+    where = f"randomise.{info.field_name}"
+    return {name: _range_or_number(item, f"{where}.{name}") for name, item in given.items()}
+
+
+def _range_or_number(value: object, where: str) -> tuple[float, float] | float:
+    items = list(value) if isinstance(value, list | tuple) else [value]
+    numbers = [float(item) for item in items if _is_number(item) and math.isfinite(item)]
+    if items == [value] and len(numbers) == 1:
+        return numbers[0]
+    if len(items) == len(numbers) == 2:
+        try:
+            return _ordered((numbers[0], numbers[1]))
+        except ValueError as error:
+            raise ConfigError(f"{where}: {error}") from error
+    raise ConfigError(
+        f"{where}: a range [low, high] or one number is allowed; the value is {value!r:.60}"
+    )
+
+
+Range = Annotated[tuple[float, float], BeforeValidator(_pair), AfterValidator(_ordered)] | None
+"""Bounds of a uniform distribution; None leaves the setting as it is."""
+Paths = Annotated[dict[str, tuple[float, float] | float], BeforeValidator(_of_paths)]
+"""Setting of a section → its range, or one number: its value, or a switch's probability."""
+
+_SHORT_FORMS = {
+    "friction": ("sim", " [-]"),
+    "chassis_mass": ("robot", " [kg]"),
+    "flipper_mass": ("robot", " [kg]"),
+    "track_speed": ("robot", " [m/s]"),
+    "flipper_speed": ("robot", "; the decision period stays the robot's [rad/s]"),
+    "actuator_delay": ("robot", " [s]"),
+    "noise": ("perception", " [m]"),
+    "dropout": ("perception", " [-]"),
+    "bias": ("perception", " [m]"),
+    "horizon": ("perception", " [m]"),
+    "angle_noise": ("perception", " [rad]"),
+    "pitch_bias": ("perception", " [rad]"),
+    "flipper_bias": ("perception", " [rad]"),
+    "delay": ("perception", " [s]"),
+    "flipper_torque": ("robot", " [N m]"),
+    "flipper_length": ("robot", "; policies still assume the configured robot [m]"),
+    "track_radius": ("robot", "; policies still assume the configured robot [m]"),
+    "substep": ("sim", ", by the nearest number of substeps in a sampling time [s]"),
+    "iterations": (
+        "sim",
+        ", as the nearest integer, so that both ends of a range are half as frequent as the "
+        "numbers between them [-]",
+    ),
+}
+"""Setting with a short form → its section, and what ends its description."""
+SECTION_OF = {name: section for name, (section, _) in _SHORT_FORMS.items()}
+"""Section of each setting with a short form; their values are sampled in this order."""
+SWITCHES = {"occlusion": "perception"}
+"""Section of each short form of a switch with a probability; sampled after those with a range."""
+PATH_SECTIONS = ("sim", "robot", "perception")
+"""Sections whose settings are sampled by path, after all short forms and in this order."""
+OMITTED: Mapping[str, Any] = {"sim": {}, "robot": {}, "perception": {}, "spread": None}
+"""Settings that files have only if they are used, with what they are otherwise."""
+
+
+@dataclass(frozen=True)
+class Sampled:
+    """One setting that is sampled for every episode."""
+
+    section: str
+    field: str
+    name: str
+    """Short form or path below ``randomise``, which is also the name of the column in files."""
+    value: tuple[float, float] | float
+    """Range, or one number: the value of a numeric setting or the probability of a switch."""
+
+    @property
+    def key(self) -> str:
+        """Key of the override."""
+        return f"randomise.{self.name}"
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Ends of the range."""
+        return self.value if isinstance(self.value, tuple) else (self.value, self.value)
+
+
+@lru_cache(maxsize=1000)  # it is called for every combination of range ends
+def target(name: str) -> tuple[str, str]:
+    """Return the section and the field of a short form or of a path such as ``sim.yaw``."""
+    if section := SECTION_OF.get(name) or SWITCHES.get(name):
+        return section, name
+    section, _, field = name.partition(".")
+    return section, field
+
+
+def _short_forms() -> Iterator[tuple[str, Any]]:
+    for name, (section, rest) in _SHORT_FORMS.items():
+        yield name, (Range, Field(None, description=f"of {section}.{name}{rest}"))
+
+
+_ShortForms: Any = create_model("_ShortForms", __base__=Settings, **dict(_short_forms()))
+
+
+class Randomise(_ShortForms):
+    """The settings that are sampled for every episode of a training or an evaluation.
+
+    ``randomise.<section>.<setting>`` samples any number or switch of the sections ``sim``,
+    ``robot`` and ``perception``, including those of plugins; other names are short forms.
+    ``randomise.robot.size`` is a factor on all lengths of the robot. Each
+    range has the unit of its setting and must lie within its bounds, and all combinations must be
+    possible; a switch has a probability. The start is sampled by
+    ``episode.start_noise`` and ``episode.start_angle_noise``. With ``spread`` many episodes are
+    close to the configured values and some far from them.
+    """
+
+    occlusion: float | None = Field(
+        None, ge=0, le=1, description="probability of perception.occlusion in an episode [-]"
+    )
+    spread: Range = Field(
+        None,
+        description="share of the way from the configured values to the ends of all ranges, "
+        "sampled for each episode; null for the whole ranges [-]",
+    )
+    sim: Paths = Field({}, description="ranges of settings of the engine, by name [-]")
+    robot: Paths = Field({}, description="ranges of settings of the robot, by name [-]")
+    perception: Paths = Field({}, description="ranges of settings of the sensor, by name [-]")
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.spread is not None and (self.spread[0] < 0 or self.spread[1] > 1):
+            text = f"[{self.spread[0]:g}, {self.spread[1]:g}]"
+            raise ConfigError(f"randomise.spread: 0 to 1 is allowed; the value is {text}")
+        seen: dict[tuple[str, str], str] = {}
+        for one in self.sampled():
+            if (other := seen.setdefault((one.section, one.field), one.name)) != one.name:
+                raise ConfigError(
+                    f"{one.key}: randomise.{other} samples the same setting; drop one of the "
+                    f"two, for example with {one.key}=null"
+                )
+        return self
+
+    @model_serializer(mode="wrap")
+    def _without_empty_sections(self, serialize: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        """Leave out what is newer and not used, so that hashes stay the same."""
+        plain = serialize(self).items()
+        return {name: value for name, value in plain if value or name not in OMITTED}
+
+    def sampled(self) -> Iterator[Sampled]:
+        """Yield each sampled setting, in the order in which values are sampled.
+
+        The order of the paths in a file does not matter, and a path does not change the samples of
+        the short forms.
+        """
+        for name, section in (SECTION_OF | SWITCHES).items():
+            if (found := getattr(self, name)) is not None:
+                yield Sampled(section, name, name, found)
+        for section in PATH_SECTIONS:
+            for field, value in sorted(getattr(self, section).items()):
+                yield Sampled(section, field, f"{section}.{field}", value)
+
+    def find(self, section: str, field: str) -> Sampled | None:
+        """Return the sampled setting at this place, or None if it is not sampled."""
+        found = (s for s in self.sampled() if (s.section, s.field) == (section, field))
+        return next(found, None)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the sampled settings."""
+        return [one.name for one in self.sampled()]
 
 
 def sample(sections: Sections, randomise: Randomise, rng: np.random.Generator) -> dict[str, float]:

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from itertools import zip_longest
+from pathlib import Path
 
+from flipperctl.config.resolver import is_robot_file, known_robots, named_robot
 from flipperctl.errors import ConfigError, RequestError
 
 
@@ -119,3 +121,29 @@ def with_engine(overrides: list[str]) -> list[str]:
     """Return the overrides with ``sim=mujoco``, unless they choose an engine."""
     chosen = any(override.lstrip("+").startswith("sim=") for override in overrides)
     return list(overrides) if chosen else ["sim=mujoco", *overrides]
+
+
+def expand_files(words: Sequence[str]) -> list[str]:
+    """Return overrides in which ``robot=FILE`` is replaced by the settings of the file.
+
+    All settings of the robot are written out, in place of those of a policy's training too; one
+    that another word sets is left to that word.
+    """
+    given = set(map(key_of, words))
+    return [found for word in words for found in _expand(word, given)]
+
+
+def _expand(word: str, given: Collection[str]) -> Iterator[str]:
+    key, _, value = word.partition("=")
+    name = value.strip().strip("'\"")
+    if key != "robot" or not is_robot_file(name):
+        yield word
+        return
+    if "," in name and not Path(name).exists():
+        raise ConfigError(
+            f"{word}: one file is allowed; lists name robots of the package: "
+            f"{', '.join(known_robots())}"
+        )
+    for field, setting in named_robot(name).model_dump(mode="json").items():
+        if f"robot.{field}" not in given:
+            yield f"robot.{field}={'null' if setting is None else repr(setting)}"

@@ -12,7 +12,7 @@ import numpy as np
 
 from flipperctl.api import FloatArray, Measure, Transition, registry
 from flipperctl.config import resolver
-from flipperctl.config.randomise import Randomise
+from flipperctl.config.sampled import Randomise
 from flipperctl.errors import NonFiniteError, PluginError
 from flipperctl.guard import as_real, definition, plugin_label, refusal, short_repr
 

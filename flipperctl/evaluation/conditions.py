@@ -25,8 +25,8 @@ from flipperctl.config import (
     TrainConfig,
     to_dict,
 )
-from flipperctl.config.absent import AbsentReward, AbsentTerrain
 from flipperctl.config.identity import ABSENT, all_files_read, content_digest, differences
+from flipperctl.config.models import AbsentReward, AbsentTerrain
 from flipperctl.errors import CheckpointError
 from flipperctl.messages import unit
 from flipperctl.policies.source import PolicySource

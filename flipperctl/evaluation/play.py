@@ -32,9 +32,9 @@ from flipperctl.errors import (
 )
 from flipperctl.evaluation.rows import DIGEST, RECORDED, Episodes, Row, arranged
 from flipperctl.evaluation.store import EpisodeStore, StoreKey, blocks
+from flipperctl.policies.controllers import DemonstratingPolicy
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource
-from flipperctl.policies.teaching import DemonstratingPolicy
 from flipperctl.rollout import cluster
 from flipperctl.rollout.episode import Decision, EpisodeRecorder, decisions, play
 from flipperctl.rollout.pool import POLL, Host, WorkerDiedError, WorkerPool

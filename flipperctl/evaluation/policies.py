@@ -19,9 +19,8 @@ from flipperctl.config.identity import differences
 from flipperctl.config.words import check_different
 from flipperctl.errors import ConfigError, FlipperctlError, RequestError
 from flipperctl.messages import close_match
-from flipperctl.policies.exported import ExportedPolicy
 from flipperctl.policies.identity import method_settings, without_input_paths
-from flipperctl.policies.source import PolicySource, load_policy
+from flipperctl.policies.source import ExportedPolicy, PolicySource, load_policy
 from flipperctl.results import unfinished
 
 

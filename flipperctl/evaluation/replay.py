@@ -26,7 +26,7 @@ from pydantic import (
 
 from flipperctl import __version__, checkpoint
 from flipperctl.api import DrawingWorld, Outcome, Perception, Profile, Transition
-from flipperctl.checkpoint.sealed import decode
+from flipperctl.checkpoint.document import decode
 from flipperctl.config import EnvConfig, EvalConfig, parse, to_dict
 from flipperctl.config.identity import content_digest
 from flipperctl.env.flipper_env import FlipperEnv

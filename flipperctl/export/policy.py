@@ -1,60 +1,55 @@
 """Export of a policy: build the file, compare it with torch, and only then write it.
 
 In: a checkpoint and changes to its robot. Out: an ONNX or pt2 file, and the result of the
-comparison on the observations of real rollouts.
+comparison on the observations of real rollouts. The network in the file has fewer layers, equal
+results and, if the policy tells its risk, two further outputs; all that a robot needs to run it are
+strings under ``flipperctl.*``.
 """
 
 from __future__ import annotations
 
+import copy
+import importlib
 import io
+import json
+import logging
 import re
-from collections.abc import Mapping, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import nn
 
+from flipperctl import __version__
 from flipperctl.agent.frames import input_size, stacked
-from flipperctl.api import Perception, Robot
-from flipperctl.checkpoint import Checkpoint
+from flipperctl.agent.risk import Risk
+from flipperctl.api import ObservationLayout, Perception, Robot
+from flipperctl.checkpoint import Checkpoint, plugin_references
 from flipperctl.config import TrainConfig, to_dict, with_overrides
 from flipperctl.config.identity import differences
-from flipperctl.config.robots import named_robot
+from flipperctl.config.resolver import named_robot
+from flipperctl.core import observation
+from flipperctl.core.lidar.ground import MEANING as MEANING_OF_MAP
+from flipperctl.core.risk import ESCAPE_MEANING as MEANING_OF_ESCAPE
+from flipperctl.core.risk import LAGS, SCALE, RiskSign
+from flipperctl.core.risk import MEANING as MEANING_OF_RISK
+from flipperctl.core.targets import JOINTS, MEANING, turns
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.errors import ConfigError, ExportError, FlipperctlError
-from flipperctl.export.onnx import Outputs, export_onnx, folded, policy_metadata, with_risk
+from flipperctl.errors import ConfigError, ExportError, FlipperctlError, MissingExtraError
 from flipperctl.files import OutputKind, check_output, write_bytes
 from flipperctl.guard import naming
 from flipperctl.policies.trained import TrainedPolicy, policy_module, policy_risk
 from flipperctl.rollout.episode import play
 from flipperctl.rollout.seeds import EvaluationSeeds
-from flipperctl.runtime.interface import CHECKSUM, PLACEHOLDER, add_checksum
-
-
-def export_pt2(
-    module: torch.nn.Module, config: TrainConfig, metadata: dict[str, str]
-) -> tuple[bytes, Outputs]:
-    """Return the bytes of the archive, and a function that computes its outputs."""
-    example = torch.zeros(2, input_size(config.network, config.perception))
-    program = torch.export.export(
-        module, (example,), dynamic_shapes=({0: torch.export.Dim("batch")},)
-    )
-    buffer = io.BytesIO()
-    torch.export.save(program, buffer, extra_files=dict(metadata))
-    buffer.seek(0)
-    # Read back what the file will hold; the bytes come from this process, so loading is safe.
-    exported = torch.export.load(buffer).module()
-
-    def outputs(observations: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
-        with torch.inference_mode():
-            found = exported(torch.from_numpy(observations))
-        tensors = found if isinstance(found, tuple) else (found,)
-        return tuple(tensor.numpy() for tensor in tensors)
-
-    return buffer.getvalue(), outputs
-
+from flipperctl.runtime.interface import CHECKSUM, FORMAT_VERSION, PLACEHOLDER, PREFIX, add_checksum
+from flipperctl.sim.lidar import LidarSensor
 
 Format = Literal["onnx", "pt2"]
 _MARK = re.compile(rb"flipperctl\.format_version")
@@ -65,6 +60,13 @@ KINDS: dict[str, OutputKind] = {
 """The file of each format."""
 OBSERVATIONS = 1000
 """Smallest number of observations in the comparison."""
+TOLERANCE = 1e-4
+"""Largest difference of outputs that counts as rounding, relative to the largest absolute one."""
+OPSET = 18
+
+Outputs = Callable[[NDArray[np.float32]], tuple[NDArray[np.float32], ...]]
+"""Maps inputs of the network (M, F · (N + 3)) to Q-values (M, 9), and if it has a risk, to what the
+network of the risk returns."""
 
 
 def export(
@@ -140,14 +142,223 @@ def _changes(ours: Robot, trained: Robot) -> dict[str, dict[str, float | None]]:
     return {name: {"training": b, "file": a} for name, a, b in differences(here, there)}
 
 
-TOLERANCE = 1e-4
-"""Largest difference of Q-values that counts as rounding, relative to the largest |Q|."""
+def folded(network: nn.Module) -> nn.Module:
+    """Return a copy of ``network`` in evaluation mode, with all foldable modules folded."""
+    module: nn.Module = _fold(copy.deepcopy(network)).eval()
+    return module
+
+
+def _fold(module: nn.Module) -> Any:
+    if callable(fold := getattr(module, "folded", None)):
+        return fold()
+    for name, child in module.named_children():
+        setattr(module, name, _fold(child))
+    return _join(list(module)) if type(module) is nn.Sequential else module
+
+
+def _join(parts: list[nn.Module]) -> nn.Module:
+    """Return the parts in sequence, each joined to the linear layer after it where possible."""
+    for i in reversed(range(len(parts) - 1)):
+        join, after = getattr(parts[i], "folded_into", None), parts[i + 1]
+        if callable(join) and isinstance(after, nn.Linear):
+            parts[i : i + 2] = [join(after)]
+    return nn.Sequential(*parts)
+
+
+class PolicyWithRisk(nn.Module):
+    """Maps inputs (B, F · (N + 3)) to Q-values (B, 9), risks (B, 1), coefficients (B, lags).
+
+    The calibration is folded into the last layer, which becomes two, so that a
+    decision computes no product, sum and slices for it.
+    """
+
+    def __init__(self, policy: nn.Module, risk: Risk) -> None:
+        super().__init__()
+        *hidden, last = risk.network.layers
+        assert isinstance(last, nn.Linear)
+        self.policy, self.hidden = policy, nn.Sequential(*hidden)
+        weight, bias = risk.slope * last.weight, risk.slope * last.bias
+        self.alone = _layer(weight[:1], bias[:1] + risk.shift)
+        self.coefficients = _layer(weight[1:], bias[1:])
+
+    def forward(self, observation: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Return the Q-values, the risk of the input alone, and what recurrence adds to it."""
+        features = self.hidden(observation)
+        alone = torch.sigmoid(self.alone(features))
+        return self.policy(observation), alone, self.coefficients(features)
+
+
+def _layer(weight: torch.Tensor, bias: torch.Tensor) -> nn.Linear:
+    layer = nn.Linear(weight.shape[1], weight.shape[0])
+    layer.load_state_dict({"weight": weight, "bias": bias})
+    return layer.requires_grad_(False)
+
+
+def with_risk(policy: nn.Module, risk: Risk | None) -> nn.Module:
+    """Return one network of both, or the policy alone without a risk."""
+    return policy if risk is None else PolicyWithRisk(policy, risk).eval()
+
+
+def output_names(module: nn.Module) -> tuple[str, ...]:
+    """Return the names of a network's outputs in an exported file, in their order."""
+    if isinstance(module, PolicyWithRisk):
+        return ("q_values", "risk", "risk_recurrence")
+    return ("q_values",)
+
+
+def policy_metadata(config: TrainConfig, risk: RiskSign | None = None) -> dict[str, str]:
+    """Return the metadata of a policy without its checksum; values other than text are JSON.
+
+    ``config``: configuration of the training, with the robot that the export is for. ``risk``: when
+    the policy's risk is a warning, if it has one.
+    """
+    layout, robot = config.perception, config.robot
+    values: dict[str, Any] = {
+        "format_version": FORMAT_VERSION,
+        "package_version": __version__,
+        "observation": describe_observation(layout),
+        "bins": layout.bins,
+        "bin_width": layout.bin_width,
+        "frames": config.network.frames,
+        "joints": JOINTS,
+        "actions": turns(robot.angle_step).tolist(),
+        "targets": {"meaning": MEANING, "window": robot.angle_step, "limit": robot.angle_limit},
+        "decision_period": robot.decision_period,
+        "robot": robot.model_dump(mode="json", exclude_none=True),
+        "terrain": config.terrain.plugin_name,
+        "terrain_config": to_dict(config.terrain),
+        "seed": config.seed,
+        "network": config.network.plugin_name,
+    }
+    if files := [p for p in plugin_references(config) if p.file is not None]:
+        values["plugins"] = [{"kind": p.kind, "name": p.name, "file": p.file} for p in files]
+    if risk is not None:
+        values["risk"] = {
+            "meaning": MEANING_OF_RISK,
+            "horizon": risk.horizon,
+            "threshold": risk.threshold,
+            "lags": LAGS,
+            "scale": SCALE,
+        }
+        if (escape := config.agent.escape) is not None:
+            values["escape"] = {"meaning": MEANING_OF_ESCAPE, **asdict(escape)}
+    if isinstance(layout, LidarSensor):
+        values["map"] = {"meaning": MEANING_OF_MAP, **asdict(layout.map_quality)}
+    return {
+        f"{PREFIX}{name}": value if isinstance(value, str) else json.dumps(value)
+        for name, value in values.items()
+    }
+
+
+def describe_observation(layout: ObservationLayout) -> list[dict[str, str]]:
+    """Return the name, unit, frame and meaning of each of an observation's N + 3 numbers."""
+    edges = pairwise(observation.edges(layout.bins, layout.bin_width))
+    heights = [
+        {
+            "name": f"h_{i + 1}",
+            "unit": "m",
+            "frame": "L",
+            "meaning": f"mean terrain height, up positive, for x in [{low:.3f}, {high:.3f}) m",
+        }
+        for i, (low, high) in enumerate(edges)
+    ]
+    angles = (
+        ("R", "front flippers, above chassis positive"),
+        ("R", "rear flippers, above chassis positive"),
+        ("L", "pitch, nose up positive"),
+    )
+    return heights + [
+        {"name": name, "unit": "rad", "frame": frame, "meaning": meaning}
+        for name, (frame, meaning) in zip(observation.ANGLES, angles, strict=True)
+    ]
+
+
+def export_onnx(
+    module: nn.Module, config: TrainConfig, metadata: dict[str, str]
+) -> tuple[bytes, Outputs]:
+    """Return the bytes of the model, and a function that computes its outputs."""
+    onnx, runtime = (_import_package(name) for name in ("onnx", "onnxruntime"))
+    _import_package("onnxscript")
+    example = torch.zeros(2, input_size(config.network, config.perception))
+    with _silent_exporter():
+        program = torch.onnx.export(
+            module,
+            (example,),
+            input_names=["observation"],
+            output_names=list(output_names(module)),
+            dynamic_shapes=({0: torch.export.Dim("batch")},),
+            opset_version=OPSET,
+            dynamo=True,
+            verbose=False,
+        )
+    if program is None:
+        raise ExportError("torch returned no ONNX program")
+    model = program.model_proto
+    for node in model.graph.node:  # the exporter's notes contain stack traces with local paths
+        del node.metadata_props[:]
+    onnx.helper.set_model_props(model, metadata)
+    onnx.checker.check_model(model, full_check=True)
+    data: bytes = model.SerializeToString()
+    session = runtime.InferenceSession(data, providers=["CPUExecutionProvider"])
+
+    def outputs(observations: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
+        return tuple(session.run(list(output_names(module)), {"observation": observations}))
+
+    return data, outputs
+
+
+@contextmanager
+def _silent_exporter() -> Iterator[None]:
+    """Suppress the exporter's notes on optional packages and its deprecation warnings."""
+    logger = logging.getLogger("torch.onnx")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", FutureWarning)
+            warnings.simplefilter("ignore", DeprecationWarning)
+            yield
+    finally:
+        logger.setLevel(level)
+
+
+def _import_package(name: str) -> Any:
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise MissingExtraError(
+            f"export onnx needs the package {name}, which is missing if flipperctl was installed "
+            f"without its dependencies; pip install {name}"
+        ) from error
+
+
+def export_pt2(
+    module: nn.Module, config: TrainConfig, metadata: dict[str, str]
+) -> tuple[bytes, Outputs]:
+    """Return the bytes of the archive, and a function that computes its outputs."""
+    example = torch.zeros(2, input_size(config.network, config.perception))
+    program = torch.export.export(
+        module, (example,), dynamic_shapes=({0: torch.export.Dim("batch")},)
+    )
+    buffer = io.BytesIO()
+    torch.export.save(program, buffer, extra_files=dict(metadata))
+    buffer.seek(0)
+    # Read back what the file will hold; the bytes come from this process, so loading is safe.
+    exported = torch.export.load(buffer).module()
+
+    def outputs(observations: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
+        with torch.inference_mode():
+            found = exported(torch.from_numpy(observations))
+        tensors = found if isinstance(found, tuple) else (found,)
+        return tuple(tensor.numpy() for tensor in tensors)
+
+    return buffer.getvalue(), outputs
 
 
 class _RecordingPolicy(TrainedPolicy):
     """Acts like a trained policy and keeps the inputs of its network."""
 
-    def __init__(self, module: torch.nn.Module, frames: int) -> None:
+    def __init__(self, module: nn.Module, frames: int) -> None:
         super().__init__(module, frames)
         self.inputs: list[NDArray[np.float32]] = []
 
@@ -156,9 +367,7 @@ class _RecordingPolicy(TrainedPolicy):
         return super().act(p)
 
 
-def rollout_observations(
-    config: TrainConfig, module: torch.nn.Module, count: int
-) -> NDArray[np.float32]:
+def rollout_observations(config: TrainConfig, module: nn.Module, count: int) -> NDArray[np.float32]:
     """Return at least ``count`` network inputs from the policy's own episodes, (M, F · (N + 3))."""
     env = FlipperEnv(config=config.environment())
     policy = _RecordingPolicy(module, config.network.frames)
@@ -170,10 +379,10 @@ def rollout_observations(
 
 
 def compare(
-    module: torch.nn.Module,
+    module: nn.Module,
     exported: Outputs,
     observations: NDArray[np.float32],
-    risk: torch.nn.Module | None = None,
+    risk: nn.Module | None = None,
 ) -> dict[str, Any]:
     """Return the largest difference of the Q-values and the agreement of the chosen actions.
 
@@ -182,12 +391,11 @@ def compare(
     """
     with torch.inference_mode():
         expected = module(torch.from_numpy(observations)).numpy()  # (M, 9)
+        risks = risk(torch.from_numpy(observations)) if risk is not None else ()
     actual, *others = exported(observations)
     if actual.shape != expected.shape:
         raise ExportError(f"the exported policy returns {actual.shape}, torch {expected.shape}")
-    difference = float(np.abs(expected - actual).max())
-    largest = float(np.abs(expected).max())
-    limit = TOLERANCE * max(1.0, largest)
+    difference, largest, limit = _difference([expected], [actual])
     agreement = float((expected.argmax(1) == actual.argmax(1)).mean())
     ordered = np.sort(expected, axis=1)
     decided = ordered[:, -1] - ordered[:, -2] > 2 * limit  # no tie within rounding
@@ -204,22 +412,27 @@ def compare(
         "largest_q_value": largest,
         "allowed_difference": limit,
         "action_agreement": agreement,
-        **({} if risk is None else _compared_risks(risk, others, observations)),
+        **({} if risk is None else _compared_risks([r.numpy() for r in risks], others)),
     }
 
 
+def _difference(
+    expected: list[NDArray[np.float32]], actual: list[NDArray[np.float32]]
+) -> tuple[float, float, float]:
+    """Return the largest difference, the largest absolute value and the allowed difference."""
+    pairs = zip(expected, actual, strict=True)
+    largest = max(float(np.abs(array).max()) for array in expected)
+    difference = max(float(np.abs(ours - theirs).max()) for ours, theirs in pairs)
+    return difference, largest, TOLERANCE * max(1.0, largest)
+
+
 def _compared_risks(
-    risk: torch.nn.Module, others: Sequence[NDArray[np.float32]], observations: NDArray[np.float32]
+    expected: list[NDArray[np.float32]], actual: list[NDArray[np.float32]]
 ) -> dict[str, float]:
-    with torch.inference_mode():
-        expected = [tensor.numpy() for tensor in risk(torch.from_numpy(observations))]
-    shapes, wanted = ([array.shape for array in found] for found in (others, expected))
+    shapes, wanted = ([array.shape for array in found] for found in (actual, expected))
     if shapes != wanted:
         raise ExportError(f"the exported risk has the shapes {shapes}, torch {wanted}")
-    both = list(zip(expected, others, strict=True))
-    difference = max(float(np.abs(a - b).max()) for a, b in both)
-    largest = max(float(np.abs(a).max()) for a in expected)
-    limit = TOLERANCE * max(1.0, largest)
+    difference, _, limit = _difference(expected, actual)
     if not difference <= limit:
         raise ExportError(
             f"the exported policy disagrees with torch: risks differ by up to {difference:g} "
@@ -229,7 +442,7 @@ def _compared_risks(
 
 
 def compare_onnx(
-    module: torch.nn.Module, config: TrainConfig, observations: NDArray[np.float32]
+    module: nn.Module, config: TrainConfig, observations: NDArray[np.float32]
 ) -> dict[str, Any]:
     """Export a network as ONNX without writing a file, and compare it with torch.
 
@@ -240,9 +453,6 @@ def compare_onnx(
     except FlipperctlError:
         raise
     except Exception as error:  # the exporter's errors have no common type
-        raise ExportError(f"torch cannot export it as ONNX: {_first_line(error)}") from error
+        line, *_ = (*filter(None, map(str.strip, str(error).splitlines())), repr(error))
+        raise ExportError(f"torch cannot export it as ONNX: {line}") from error
     return compare(module, outputs, observations)
-
-
-def _first_line(error: Exception) -> str:
-    return next((line.strip() for line in str(error).splitlines() if line.strip()), repr(error))

@@ -19,8 +19,7 @@ from flipperctl.config import TrainConfig, identity, to_dict
 from flipperctl.config.identity import ABSENT, content_digest, differences, foreign_sources
 from flipperctl.errors import CheckpointError
 from flipperctl.lookahead import Mpc
-from flipperctl.policies.exported import ExportedPolicy
-from flipperctl.policies.source import PolicySource, PolicyUser
+from flipperctl.policies.source import ExportedPolicy, PolicySource, PolicyUser
 
 _ATTEMPTS = 10
 _PLACES = ("seed", "device", "collector", "logger")

@@ -1,12 +1,16 @@
 """Policies by name, and picklable references to them.
 
 In: a word, or the name and settings of a controller. Out: the policy. Torch is imported only for a
-file of torch's: rules need none.
+file of torch's: rules need none. An exported file runs as on the robot, which is checked against
+the values that the file applies itself.
 """
 
 from __future__ import annotations
 
+import json
+import math
 import os
+import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,15 +19,25 @@ from typing import Any, Literal, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from flipperctl.agent.frames import stacked
 from flipperctl.api import Controller, Perception, Policy, Robot, Simulator
 from flipperctl.api.plugin import registered_names
 from flipperctl.checkpoint import LAST, find, read_policy, shipped_policies
-from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, resolver
-from flipperctl.errors import CheckpointError, ConfigError, RequestError
+from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, parse, resolver
+from flipperctl.config.models import with_stand_ins
+from flipperctl.core.risk import RiskSign
+from flipperctl.core.targets import turns
+from flipperctl.errors import CheckpointError, ConfigError, PolicyError, RequestError
 from flipperctl.lookahead import Mpc, ValueIteration
 from flipperctl.lookahead.settings import LearnedValue
-from flipperctl.policies.exported import ExportedPolicy, check_robot, exported_config
-from flipperctl.policies.plugin import PluginPolicy, plugin_policy
+from flipperctl.policies.controllers import PluginPolicy, plugin_policy
+from flipperctl.runtime import OnnxPolicy
+from flipperctl.runtime.interface import Interface
+
+_CLOSE = 1e-6
+"""Largest difference of angles, speeds and periods that counts as rounding [SI units]."""
+_APPLIED = ("angle_step", "angle_limit", "flipper_speed", "control_period")
+"""Settings of a robot that a file applies itself."""
 
 
 class FilePolicy(Protocol):
@@ -178,7 +192,20 @@ class PolicySource:
 
     def build_file(self, config: EnvConfig) -> FilePolicy:
         """Build the policy of a file; see ``build``."""
-        return (_exported if self.is_exported else _trained)(self.file, config)
+        if self.is_exported:
+            exported = ExportedPolicy(self.file)
+            interface = exported.interface
+            check_layout(self.file, interface.bins, interface.bin_width, config)
+            check_robot(interface, config.robot, self.file)
+            return exported
+        from flipperctl.policies.trained import TrainedPolicy, policy_module, policy_risk
+
+        checkpoint = read_policy(self.file)
+        own = checkpoint.policy_config()
+        module, risk = policy_module(checkpoint), policy_risk(checkpoint)
+        policy = TrainedPolicy(module, own.network.frames, risk, own.agent.escape)
+        check_layout(self.file, own.perception.bins, own.perception.bin_width, config)
+        return policy
 
     @property
     def plans_for_rewards(self) -> bool:
@@ -252,27 +279,6 @@ def controller_notes(
             )
 
 
-def _exported(file: Path, config: EnvConfig) -> FilePolicy:
-    """Return the policy of an exported file for an environment with a matching robot."""
-    policy = ExportedPolicy(file)
-    interface = policy.interface
-    check_layout(file, interface.bins, interface.bin_width, config)
-    check_robot(interface, config.robot, file)
-    return policy
-
-
-def _trained(file: Path, config: EnvConfig) -> FilePolicy:
-    """Return the policy of a checkpoint for an environment."""
-    from flipperctl.policies.trained import TrainedPolicy, policy_module, policy_risk
-
-    checkpoint = read_policy(file)
-    trained = checkpoint.policy_config()
-    module, risk = policy_module(checkpoint), policy_risk(checkpoint)
-    policy = TrainedPolicy(module, trained.network.frames, risk, trained.agent.escape)
-    check_layout(file, trained.perception.bins, trained.perception.bin_width, config)
-    return policy
-
-
 def check_layout(file: Path, bins: int, bin_width: float, config: EnvConfig) -> None:
     """Check that an environment has the observation layout of a policy; ``bin_width`` [m]."""
     layout = config.perception
@@ -282,3 +288,106 @@ def check_layout(file: Path, bins: int, bin_width: float, config: EnvConfig) -> 
             "perception.bins and perception.bin_width ask for "
             f"{layout.bins} of {layout.bin_width:g} m"
         )
+
+
+class ExportedPolicy:
+    """Acts greedily on the Q-values of an exported file."""
+
+    def __init__(self, file: Path) -> None:
+        """Read the file."""
+        self._policy = OnnxPolicy(file)
+        self.interface = self._policy.interface
+
+    @property
+    def risk(self) -> float | None:
+        """Risk at the last decision; None without one in the file."""
+        return self._policy.risk
+
+    @property
+    def risk_sign(self) -> RiskSign | None:
+        """When the risk is a warning; None without one in the file."""
+        return self.interface.risk
+
+    def reset(self, simulator: Simulator | None = None) -> None:
+        """Forget the observations of the previous episode."""
+        self._policy.reset()
+
+    def act(self, p: Perception) -> int:
+        """Return the index of the action with the largest Q-value, 0 to 8."""
+        return self._policy.act(p.observation)
+
+    def q_values(self, p: Perception) -> list[float]:
+        """Return the Q-values, (9,)."""
+        values = self._policy.q_values(stacked(p.recent, self.interface.frames))
+        return [float(value) for value in values]
+
+    def act_on(self, recent: Sequence[NDArray[np.float32]]) -> int:
+        """Return the action for the newest observation; the file's session keeps those before."""
+        return self._policy.act(recent[-1])
+
+
+def exported_config(file: Path) -> EvalConfig:
+    """Return the file's evaluation configuration: robot, layout and terrain, all as in training.
+
+    A stand-in replaces a terrain whose plugin is missing.
+    """
+    interface = OnnxPolicy(file).interface
+    settings = {
+        "terrain": dict(interface.terrain_config),
+        "robot": dict(interface.robot),
+        "perception": {"bins": interface.bins, "bin_width": interface.bin_width},
+    }
+    files = {(plugin.kind, plugin.name): plugin.file for plugin in interface.plugins}
+    try:
+        return parse(EvalConfig, with_stand_ins(settings, files))
+    except ConfigError as error:
+        raise PolicyError(f"{file}: its metadata are not valid in this version: {error}") from error
+
+
+def check_robot(interface: Interface, robot: Robot, file: Path) -> None:
+    """Check that a simulated robot agrees with the values that an exported file applies itself.
+
+    On the real robot, the file's own action table, target limit and decision period apply,
+    whatever the simulator's settings. All other properties are the robot's own.
+    """
+    found = list(_disagreements(interface, robot))
+    if not found:
+        return
+    own = parse(Robot, interface.robot)
+    changed = [name for name in _APPLIED if not _close(getattr(own, name), getattr(robot, name))]
+    if not changed:
+        raise ConfigError(
+            f"{file} applies {', '.join(found)}, unlike the robot in its own metadata; "
+            f"flipperctl inspect checkpoint {shlex.quote(str(file))} --check shows where"
+        )
+    values = {name: json.dumps(getattr(robot, name)) for name in changed}
+    asked = " ".join(f"robot.{name}={value}" for name, value in values.items())
+    advice = f"export a matching file: flipperctl export onnx --checkpoint RUN {asked}"
+    if changed == ["flipper_speed"]:
+        speed = values["flipper_speed"]
+        advice += f", or keep the file's period with randomise.flipper_speed={speed}"
+    raise ConfigError(f"{file} applies {', '.join(found)}, also on the real robot; {advice}")
+
+
+def _disagreements(interface: Interface, robot: Robot) -> Iterator[str]:
+    """Yield a description of each value that the file applies instead of the robot's."""
+    rule = interface.targets
+    step, limit, period = robot.angle_step, robot.angle_limit, robot.decision_period
+    if not np.allclose(interface.actions, turns(step), rtol=0.0, atol=_CLOSE):
+        largest = np.abs(interface.actions).max()
+        yield f"turns of {largest:.6g} rad (robot.angle_step asks for {step:.6g})"
+    elif math.isfinite(rule.window) and not _close(rule.window, step):
+        yield f"targets within {rule.window:.6g} rad (robot.angle_step asks for {step:.6g})"
+    if math.isfinite(rule.limit) and not _close(rule.limit, limit):
+        yield f"a limit of {rule.limit:.6g} rad (robot.angle_limit asks for {limit:.6g})"
+    if not _close(interface.decision_period, period):
+        given = robot.control_period is not None
+        cause = "robot.control_period" if given else "robot.angle_step / robot.flipper_speed"
+        found = f"{interface.decision_period:.6g} s"
+        yield f"a decision period of {found} ({cause} asks for {period:.6g})"
+
+
+def _close(ours: float | None, theirs: float | None) -> bool:
+    if ours is None or theirs is None:
+        return ours is theirs
+    return abs(ours - theirs) <= _CLOSE

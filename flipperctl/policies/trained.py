@@ -1,12 +1,13 @@
-"""A trained network as a policy, and its values for searches that end with them.
+"""Trained networks as policies, those of training episodes, and values for searches.
 
 In: a checkpoint. Out: its network with the trained weights, the policy that acts by it, and the
-value of observations with the rewards and the discount of the training.
+value of observations with the rewards and the discount of the training. Policies of training
+episodes are ε-greedy, or draw their actions by the Q-values, as the policy gradient does.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
@@ -17,17 +18,38 @@ from numpy.typing import NDArray
 
 from flipperctl.agent.frames import input_size, stacked
 from flipperctl.agent.networks import best, build_network, q_values
+from flipperctl.agent.noise import Noise
 from flipperctl.agent.risk import Risk, RiskNetwork, uncalibrated
-from flipperctl.api import ACTIONS, FloatArray, Perception, RobotGeometry, Simulator
+from flipperctl.api import (
+    ACTIONS,
+    FloatArray,
+    Perception,
+    RobotGeometry,
+    Simulator,
+    StateGroups,
+)
 from flipperctl.checkpoint import Checkpoint, read_policy
-from flipperctl.checkpoint.sealed import require_equal_layout
+from flipperctl.checkpoint.document import require_equal_layout
 from flipperctl.config import TrainConfig
-from flipperctl.core.risk import Escape, EscapeRule, Recurrence, RiskCalibration
+from flipperctl.core.risk import Escape, EscapeRule, Recurrence, RiskCalibration, drawn
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.lookahead.settings import TOLERANCE, LearnedValue
+from flipperctl.policies.controllers import from_costs, no_label
 
 
-class TrainedPolicy:
+class _NetworkPolicy:
+    """A policy that acts on the Q-values of a network, which takes ``frames`` observations."""
+
+    def __init__(self, module: torch.nn.Module, frames: int) -> None:
+        self.module, self.frames = module, frames
+        self._device = next(module.parameters(), torch.empty(0)).device
+
+    def q_values(self, p: Perception) -> list[float]:
+        """Return the Q-values, (9,)."""
+        return q_values(self.module, stacked(p.recent, self.frames), self._device)
+
+
+class TrainedPolicy(_NetworkPolicy):
     """Acts on the Q-values of a network in ``eval()`` mode: greedily, except while it escapes."""
 
     def __init__(
@@ -37,21 +59,18 @@ class TrainedPolicy:
         risk: Risk | None = None,
         escape: EscapeRule | None = None,
     ) -> None:
-        """``frames``: number of observations that the network takes as one input.
+        """``risk``: the network of its risk on the CPU, if there is one.
 
-        ``risk``: the network of its risk on the CPU, if there is one. ``escape``: how it draws its
-        actions while that warns; None: it never does.
+        ``escape``: how it draws its actions while that warns; None: it never does.
         """
-        self.module, self._risk = module, risk
+        super().__init__(module, frames)
+        self._risk = risk
         self.risk_sign = None if risk is None else risk.sign
         """When its risk is a warning; None without a risk."""
         self.risk: float | None = None
         """Risk at the last decision; None without one."""
         self._recurrence: Recurrence | None = None
         self._escape = None if escape is None else Escape(escape)
-        self.frames = frames
-        parameter = next(module.parameters(), torch.empty(0))
-        self._device = parameter.device
 
     def reset(self, simulator: Simulator | None = None) -> None:
         """Begin an episode; only the risk and the escape have a memory."""
@@ -62,10 +81,6 @@ class TrainedPolicy:
     def act(self, p: Perception) -> int:
         """Return the index of an action, 0 to 8."""
         return self.act_on(p.recent)
-
-    def q_values(self, p: Perception) -> list[float]:
-        """Return the Q-values, (9,)."""
-        return q_values(self.module, stacked(p.recent, self.frames), self._device)
 
     def act_on(self, recent: Sequence[NDArray[np.float32]]) -> int:
         """Return the action for the newest observations, each (N + 3,) in SI units."""
@@ -81,6 +96,82 @@ class TrainedPolicy:
         return best(values)
 
 
+class ExploringPolicy(_NetworkPolicy):
+    """Takes a random action with probability ε, otherwise the greedy action under new noise.
+
+    A network's own noise, if it has any, replaces ε.
+    """
+
+    label = None
+    groups = None
+
+    def __init__(
+        self,
+        module: torch.nn.Module,
+        frames: int,
+        epsilon: Callable[[], float],
+        rng: np.random.Generator,
+        noise_rng: np.random.Generator,
+        share: float = 1.0,
+    ) -> None:
+        """``module`` is put into the mode of decisions at the start of each episode.
+
+        ``epsilon`` is called at each decision. ``rng`` draws the actions, ``noise_rng`` the noise.
+        ``share``: share of the episodes that have random actions [-].
+        """
+        super().__init__(module, frames)
+        self._epsilon, self._rng, self._noise_rng = epsilon, rng, noise_rng
+        self._noise = Noise(module)
+        self._share, self._greedy = share, False
+        self.explored = False
+        """Whether the last action was random."""
+
+    def reset(self, simulator: Simulator) -> None:
+        """Begin an episode; decide whether it has random actions."""
+        self._noise.acts()
+        self._greedy = self._share < 1 and self._rng.random() >= self._share
+
+    def act(self, p: Perception) -> int:
+        """Return the index of a random or greedy action."""
+        self.explored = not self._greedy and self._rng.random() < self._epsilon()
+        if self.explored:
+            return int(self._rng.integers(len(ACTIONS)))
+        self._noise.draw(self._noise_rng)
+        return best(self.q_values(p))
+
+
+class SamplingPolicy(_NetworkPolicy):
+    """Draws each action with the probabilities softmax(Q / temperature), which are its label."""
+
+    groups: StateGroups | None = None
+    explored = False
+
+    def __init__(
+        self,
+        module: torch.nn.Module,
+        frames: int,
+        temperature: Callable[[], float],
+        rng: np.random.Generator,
+    ) -> None:
+        """``module`` is put into ``eval()`` mode at the start of each episode.
+
+        ``temperature`` is called at each decision [-]. ``rng`` draws.
+        """
+        super().__init__(module, frames)
+        self._temperature, self._rng = temperature, rng
+        self.label = no_label()
+        """Probabilities of the actions at the last decision, (9,)."""
+
+    def reset(self, simulator: Simulator) -> None:
+        """Begin an episode; nothing is remembered."""
+        self.module.eval()  # at each decision it took a tenth of the time
+
+    def act(self, p: Perception) -> int:
+        """Return the index of the drawn action."""
+        self.label = from_costs(-np.array(self.q_values(p)), self._temperature())
+        return drawn(self.label.tolist(), self._rng.random())
+
+
 def policy_module(checkpoint: Checkpoint) -> torch.nn.Module:
     """Return the network of a checkpoint with its trained weights, on the CPU, in ``eval()`` mode.
 
@@ -91,8 +182,7 @@ def policy_module(checkpoint: Checkpoint) -> torch.nn.Module:
         module = build_network(config.network, config.perception, len(ACTIONS))
     except ConfigError as error:
         raise CheckpointError(f"{checkpoint.path}: {error}") from error
-    best = checkpoint.document.kind == "best"
-    weights = checkpoint.part("policy" if best else "target")
+    weights = checkpoint.part("policy" if checkpoint.document.kind == "best" else "target")
     try:
         require_equal_layout(weights, module.state_dict())
     except ValueError as error:
@@ -109,29 +199,23 @@ def policy_risk(checkpoint: Checkpoint) -> Risk | None:
 
     It maps observations (B, F · (N + 3)) of F frames in SI units to probabilities (B, 1).
     """
-    config = checkpoint.policy_config()
+    config, document = checkpoint.policy_config(), checkpoint.document
     if not config.agent.risk:
         return None
     network = RiskNetwork(input_size(config.network, config.perception))
     weights = checkpoint.part("risk")
+    # Its calibration is that of the policy's validation, or of the run's last one, if any.
+    *_, validation = (None, *(document.state.validations if document.state else ()))
+    validation = document.validation or validation
+    calibration = uncalibrated(config.agent.risk_horizon)
     try:
         require_equal_layout(weights, network.state_dict())
-        calibration = _calibration(checkpoint, config.agent.risk_horizon)
+        if validation is not None:
+            calibration = RiskCalibration.of(validation.__pydantic_extra__)
     except ValueError as error:
         raise CheckpointError(f"{checkpoint.path}: its risk is not valid: {error}") from error
     network.load_state_dict(weights)
     return Risk(network, calibration).eval().requires_grad_(False)
-
-
-def _calibration(checkpoint: Checkpoint, horizon: int) -> RiskCalibration:
-    """Return the calibration of the policy's validation, or of the run's last one, if any."""
-    document = checkpoint.document
-    validation = document.validation
-    if validation is None and document.state is not None and document.state.validations:
-        validation = document.state.validations[-1]
-    if validation is None:
-        return uncalibrated(horizon)
-    return RiskCalibration.of(validation.__pydantic_extra__)
 
 
 @contextmanager

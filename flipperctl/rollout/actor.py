@@ -22,11 +22,9 @@ from flipperctl.agent.risk import RiskNetwork, plain_risk, split_weights
 from flipperctl.api import ACTIONS
 from flipperctl.config import TrainConfig, parse
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.policies.exploring import ExploringPolicy, SamplingPolicy
-from flipperctl.policies.plugin import PluginPolicy
+from flipperctl.policies.controllers import DaggerPolicy, PluginPolicy
 from flipperctl.policies.source import controller_policy
-from flipperctl.policies.teaching import DaggerPolicy
-from flipperctl.policies.trained import TrainedPolicy
+from flipperctl.policies.trained import ExploringPolicy, SamplingPolicy, TrainedPolicy
 from flipperctl.rollout.episode import Row, play
 from flipperctl.rollout.seeds import exploration_rng
 from flipperctl.rollout.steps import RolloutRequest, Step, Weights, steps

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from flipperctl import guard
 from flipperctl.api import Plugin
 from flipperctl.config import EnvConfig, resolver
-from flipperctl.config.robots import notes_on_body, notes_on_samples
+from flipperctl.config.defaults import notes_on_robot
 
 _printed: set[str] = set()
 
@@ -26,9 +26,7 @@ def print_notices(config: EnvConfig) -> None:
     for plugin in _plugins(config):
         for notice in _notices(plugin):
             _print(f"{guard.plugin_label(plugin)}: {notice}")
-    robot, randomise = config.robot, config.randomise
-    bodies = notes_on_body(robot, config.perception, randomise)
-    for note in (*notes_on_samples(robot, randomise), *bodies):
+    for note in notes_on_robot(config):
         _print(note)
 
 

@@ -30,8 +30,7 @@ from flipperctl.env.guarded import place as place_guarded
 from flipperctl.env.perceiving import Perceiver
 from flipperctl.errors import ConformanceError
 from flipperctl.evaluation.views.engines import in_default_engine
-from flipperctl.policies.exported import ExportedPolicy
-from flipperctl.policies.source import PolicySource
+from flipperctl.policies.source import ExportedPolicy, PolicySource
 from flipperctl.runtime.interface import Interface
 from flipperctl.show import Column, Table
 

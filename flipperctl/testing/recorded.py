@@ -37,7 +37,7 @@ from flipperctl.api import (
 from flipperctl.config import EnvConfig, parse
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.metrics import applies, heading, measures
-from flipperctl.policies.plugin import FunctionPolicy
+from flipperctl.policies.controllers import FunctionPolicy
 from flipperctl.rollout.episode import decisions
 from flipperctl.testing.check import NotChecked, of, require
 

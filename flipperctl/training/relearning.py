@@ -19,7 +19,7 @@ from flipperctl.agent.networks import build_network
 from flipperctl.agent.replay import Replay
 from flipperctl.api import ACTIONS, ObservationLayout
 from flipperctl.checkpoint import Checkpoint
-from flipperctl.checkpoint.sealed import require_equal_layout
+from flipperctl.checkpoint.document import require_equal_layout
 from flipperctl.config import TrainConfig
 from flipperctl.errors import CheckpointError
 from flipperctl.training.starting import Start, give

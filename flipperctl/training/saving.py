@@ -19,8 +19,7 @@ from flipperctl.agent.learner import Learner
 from flipperctl.agent.replay import UNKNOWN, GroupBatch, GroupMemory, Replay
 from flipperctl.api import ACTIONS, ObservationLayout, Outcome
 from flipperctl.checkpoint import Checkpoint
-from flipperctl.checkpoint.document import RECENT, State
-from flipperctl.checkpoint.sealed import require_equal_layout
+from flipperctl.checkpoint.document import RECENT, State, require_equal_layout
 from flipperctl.config import Teacher, TrainConfig
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.guard import refusal

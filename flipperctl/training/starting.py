@@ -16,7 +16,7 @@ from flipperctl.agent.networks import build_network
 from flipperctl.agent.policy_gradient import PolicyGradient, build_values
 from flipperctl.api import ACTIONS
 from flipperctl.checkpoint import LAST, find, read
-from flipperctl.checkpoint.sealed import require_equal_layout
+from flipperctl.checkpoint.document import require_equal_layout
 from flipperctl.config import TrainConfig, to_dict
 from flipperctl.config.identity import differences
 from flipperctl.env.privileged import SIZE

@@ -13,7 +13,7 @@ from flipperctl.api import Network, Perception, RobotGeometry
 from flipperctl.api.plugin import registered_names
 from flipperctl.config import Agent, Teacher, resolver
 from flipperctl.errors import NonFiniteError
-from flipperctl.policies.exploring import ExploringPolicy
+from flipperctl.policies.trained import ExploringPolicy
 from tests.agent.learners import ACTIONS, LAYOUT, Ramp, fixed_batch, learner
 
 

@@ -15,7 +15,7 @@ from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.networks import difference_targets
 from flipperctl.config import Agent
 from flipperctl.errors import ConfigError
-from flipperctl.policies.exploring import ExploringPolicy
+from flipperctl.policies.trained import ExploringPolicy
 from tests.agent.learners import ACTIONS, LAYOUT, Foreign, fixed_batch
 
 

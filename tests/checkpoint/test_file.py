@@ -15,7 +15,7 @@ from safetensors.torch import save_file
 
 from flipperctl import checkpoint
 from flipperctl.api import registry
-from flipperctl.config.absent import AbsentTerrain
+from flipperctl.config.models import AbsentTerrain
 from flipperctl.errors import CheckpointError, WriteError
 from flipperctl.policies.trained import policy_module
 

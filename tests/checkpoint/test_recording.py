@@ -10,7 +10,8 @@ import torch
 
 from flipperctl import checkpoint
 from flipperctl.api import Outcome
-from flipperctl.checkpoint import recording, sealed
+from flipperctl.checkpoint import document as sealed
+from flipperctl.checkpoint import recording
 from flipperctl.checkpoint.recording import RecordedEpisode
 from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.errors import CheckpointError, ConfigError

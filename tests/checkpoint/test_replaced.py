@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from flipperctl.checkpoint import sealed
+from flipperctl.checkpoint import document as sealed
 from flipperctl.core import reading
 from flipperctl.errors import CheckpointError, PolicyError
 from flipperctl.runtime.interface import open_session

@@ -16,8 +16,8 @@ from flipperctl.config import (
     to_dict,
     with_overrides,
 )
-from flipperctl.config.absent import with_stand_ins
 from flipperctl.config.defaults import notes_on_budget
+from flipperctl.config.models import with_stand_ins
 from flipperctl.errors import ConfigError
 from tests.cli.call import refused
 from tests.short import short_config

@@ -11,14 +11,9 @@ from flipperctl.cli.hydra.compose import compose_environment, register_robot
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.plan import scenes
 from flipperctl.config import EnvConfig
-from flipperctl.config.randomise import Randomise
-from flipperctl.config.robots import (
-    expand_files,
-    known_robots,
-    named_robot,
-    notes_on_body,
-    notes_on_samples,
-)
+from flipperctl.config.defaults import notes_on_robot
+from flipperctl.config.resolver import known_robots, named_robot
+from flipperctl.config.words import expand_files
 from flipperctl.errors import ConfigError
 from flipperctl.export.policy import robot_fields
 from tests.cli.call import call, refused
@@ -108,16 +103,15 @@ def test_a_name_wins_over_the_robot_of_compared_files():
 
 
 def test_conditions_for_nubot_are_remarked_on():
-    randomise = Randomise(flipper_length=(0.52, 0.552), chassis_mass=(30, 40))
-    assert not list(notes_on_samples(Robot(), randomise))
-    (note,) = notes_on_samples(named_robot("absolem"), randomise)
+    ranges: Any = {"flipper_length": (0.52, 0.552), "chassis_mass": (30, 40)}
+    assert not list(notes_on_robot(EnvConfig(terrain="flat", randomise=ranges)))
+    (note,) = notes_on_robot(EnvConfig(terrain="flat", randomise=ranges, robot="absolem"))
     assert "robot.flipper_length=0.448" in note
 
 
 def test_a_body_that_hides_less_than_the_chassis_is_noted() -> None:
     def notes(**settings: Any) -> list[str]:
-        found = EnvConfig(terrain="flat", **settings)
-        return list(notes_on_body(found.robot, found.perception, found.randomise))
+        return list(notes_on_robot(EnvConfig(terrain="flat", **settings)))
 
     robot = {"chassis_length": 1.2}
     assert not notes(robot=robot)

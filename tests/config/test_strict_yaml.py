@@ -8,7 +8,7 @@ import pytest
 
 from flipperctl.api import Robot
 from flipperctl.config import TrainConfig, parse, strict_yaml, with_overrides
-from flipperctl.config.robots import read_robot
+from flipperctl.config.resolver import named_robot
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.plan import find_suite
 from tests.long.yaml_texts import document, expected
@@ -66,7 +66,7 @@ def test_a_robot_file_with_another_value_is_refused(tmp_path: Path, value: str) 
     file = tmp_path / "mine.yaml"
     file.write_text(f"flipper_speed: {value}\n")
     with pytest.raises(ConfigError, match=r"mine\.yaml\.flipper_speed: .*number"):
-        read_robot(file)
+        named_robot(str(file))
 
 
 def test_scenes_have_the_names_that_are_written(tmp_path: Path) -> None:

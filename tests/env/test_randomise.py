@@ -10,7 +10,7 @@ import yaml
 from flipperctl import plugins
 from flipperctl.api import Robot
 from flipperctl.config import EnvConfig, resolver, to_dict, with_overrides
-from flipperctl.config.randomise import PATH_SECTIONS, Randomise
+from flipperctl.config.sampled import PATH_SECTIONS, Randomise
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 from flipperctl.rollout.episode import play

@@ -12,7 +12,7 @@ from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.repeating import require_repeatable
 from flipperctl.errors import PluginFailedError
-from flipperctl.policies.plugin import plugin_policy
+from flipperctl.policies.controllers import plugin_policy
 from flipperctl.testing.recorded import NoReward
 
 own = np.random.default_rng(0)

@@ -9,7 +9,7 @@ from urdf_parser_py.urdf import URDF
 
 from flipperctl.api import Profile, Robot, Start
 from flipperctl.config import EvalConfig
-from flipperctl.config.robots import named_robot
+from flipperctl.config.resolver import named_robot
 from flipperctl.errors import ConfigError
 from flipperctl.export.scene import export_scene, ground_file
 from flipperctl.sim.mujoco import Mujoco

@@ -17,7 +17,7 @@ from flipperctl.agent.learner import arrays
 from flipperctl.cli.inspect import print_checkpoint as show
 from flipperctl.config import with_overrides
 from flipperctl.export.policy import export
-from flipperctl.policies.exported import exported_config
+from flipperctl.policies.source import exported_config
 from flipperctl.policies.trained import policy_module
 from flipperctl.rollout.steps import RolloutRequest
 from flipperctl.runtime import OnnxPolicy

@@ -8,7 +8,7 @@ from flipperctl_plugins.networks.modules import Dropout, Motion, NoisyLinear, No
 from flipperctl.api import Network, ObservationLayout
 from flipperctl.config import resolver
 from flipperctl.errors import ConfigError
-from flipperctl.export.onnx import folded
+from flipperctl.export.policy import folded
 
 LAYOUT = ObservationLayout()
 

@@ -11,12 +11,11 @@ import pytest
 from flipperctl import checkpoint
 from flipperctl.api import Robot
 from flipperctl.config import EnvConfig, EvalConfig, Randomise
-from flipperctl.config.randomise import SECTION_OF
+from flipperctl.config.sampled import SECTION_OF
 from flipperctl.errors import CheckpointError, ConfigError, PluginError, PolicyError
 from flipperctl.evaluation.play import Player
 from flipperctl.export.policy import export
-from flipperctl.policies.exported import exported_config
-from flipperctl.policies.source import PolicySource
+from flipperctl.policies.source import PolicySource, exported_config
 from tests.cli.call import call, refused
 from tests.played import play_episodes
 from tests.runtime import linear

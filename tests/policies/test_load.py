@@ -17,8 +17,8 @@ from flipperctl.config import EnvConfig, TrainConfig, to_dict
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError, ConfigError, RequestError
 from flipperctl.evaluation.rows import reached
+from flipperctl.policies.controllers import PluginPolicy
 from flipperctl.policies.identity import PolicyIdentity, unlike_trainings
-from flipperctl.policies.plugin import PluginPolicy
 from flipperctl.policies.source import (
     PolicySource,
     Takes,

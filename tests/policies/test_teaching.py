@@ -20,10 +20,14 @@ from flipperctl.config import EnvConfig, Teacher, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError, PluginFailedError
 from flipperctl.lookahead.mpc import NO_PLAN
-from flipperctl.policies import teaching as labels
-from flipperctl.policies.plugin import PluginPolicy, plugin_policy
+from flipperctl.policies import controllers as labels
+from flipperctl.policies.controllers import (
+    DaggerPolicy,
+    DemonstratingPolicy,
+    PluginPolicy,
+    plugin_policy,
+)
 from flipperctl.policies.source import controller_policy
-from flipperctl.policies.teaching import DaggerPolicy, DemonstratingPolicy
 from flipperctl.rollout.episode import decisions
 from flipperctl.rollout.steps import steps
 

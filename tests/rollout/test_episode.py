@@ -9,7 +9,7 @@ import pytest
 from flipperctl.api import Controller, Perception, Policy, Simulator, action_index
 from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.policies.plugin import FunctionPolicy
+from flipperctl.policies.controllers import FunctionPolicy
 from flipperctl.rollout.episode import Decision, decisions, play
 
 HOLD = action_index(0, 0)

@@ -13,7 +13,7 @@ from pydantic import Field
 from flipperctl import api
 from flipperctl.api import Outcome, Profile, RewardTerm, Terrain
 from flipperctl.errors import MissingExtraError
-from flipperctl.export import onnx as onnx_export
+from flipperctl.export import policy as export_policy
 from flipperctl.testing import Conformance, NotChecked, checks
 from flipperctl.testing.check import variants
 from flipperctl.testing.recorded import transitions, transitions_in_arrays
@@ -207,7 +207,7 @@ def test_without_its_packages_the_export_is_skipped(monkeypatch: pytest.MonkeyPa
     def missing(name: str) -> None:
         raise MissingExtraError(f"export onnx needs the package {name}; pip install {name}")
 
-    monkeypatch.setattr(onnx_export, "_import_package", missing)
+    monkeypatch.setattr(export_policy, "_import_package", missing)
     (onnx,) = [c for c in checks(api.registry["network", "mlp"]) if c.name == "onnx"]
     assert issubclass(NotChecked, unittest.SkipTest)  # which pytest shows as skipped
     with pytest.raises(NotChecked, match="pip install onnx"):

@@ -17,8 +17,8 @@ from flipperctl.checkpoint.recording import Recording
 from flipperctl.config import EnvConfig, Teacher
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.evaluation.rows import RECORDED
+from flipperctl.policies.controllers import DaggerPolicy
 from flipperctl.policies.source import PolicySource
-from flipperctl.policies.teaching import DaggerPolicy
 from flipperctl.rollout import actor
 from flipperctl.rollout.collect import RolloutWorkers
 from flipperctl.training import episodes

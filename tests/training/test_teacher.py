@@ -14,8 +14,7 @@ from flipperctl.api import ACTIONS, Perception, Simulator
 from flipperctl.config import EnvConfig, Teacher, resolver, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
-from flipperctl.policies.plugin import plugin_policy
-from flipperctl.policies.teaching import DaggerPolicy
+from flipperctl.policies.controllers import DaggerPolicy, plugin_policy
 from flipperctl.policies.trained import policy_module
 from flipperctl.rollout.episode import decisions
 from tests.short import short_config, trainer

@@ -12,7 +12,7 @@ from flipperctl import checkpoint
 from flipperctl.api import Listener, Logger, RewardTerm, RunInfo, Transition, registry, reward
 from flipperctl.checkpoint.document import Validation
 from flipperctl.config import TrainConfig, to_dict, with_overrides
-from flipperctl.config.guarded import guard_class
+from flipperctl.config.resolver import guard_class
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError, NonFiniteError, WriteError
 from flipperctl.training import run as training

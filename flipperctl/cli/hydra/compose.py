@@ -41,7 +41,7 @@ from flipperctl.config import (
     to_dict,
 )
 from flipperctl.config.defaults import LISTS, entries, missing_entry, refuse_ineffective, sections
-from flipperctl.config.randomise import OMITTED, PATH_SECTIONS
+from flipperctl.config.sampled import OMITTED, PATH_SECTIONS
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import NOMINAL, TRAINED, Inherited, explain_missing_training
 from flipperctl.terminal.notices import print_notices

@@ -16,8 +16,7 @@ from hydra.core.override_parser.types import Override
 from hydra.errors import OverrideParseException
 
 from flipperctl.config.defaults import CHOICES
-from flipperctl.config.robots import expand_files
-from flipperctl.config.words import check_different, check_words, unreadable
+from flipperctl.config.words import check_different, check_words, expand_files, unreadable
 from flipperctl.errors import ConfigError
 from flipperctl.training.search_space import Interval
 

@@ -1,0 +1,298 @@
+"""Controllers as policies, whose errors name the plugin, and as teachers of a student's policy.
+
+A teacher labels decisions: a label is the target distribution over actions for a student, (9,),
+from the cost of each action, or from the action that is taken.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flipperctl.api import (
+    ACTIONS,
+    Controller,
+    CostPolicy,
+    FloatArray,
+    Perception,
+    Policy,
+    Simulator,
+    StateGroups,
+)
+from flipperctl.api.controllers import Rule
+from flipperctl.config import Teacher
+from flipperctl.config.identity import foreign_plugins
+from flipperctl.core.risk import RiskSign
+from flipperctl.env.repeating import require_unmoved
+from flipperctl.env.termination import ALLOWED, action_index
+from flipperctl.errors import ConfigError, FlipperctlError
+from flipperctl.guard import naming, refusal, short_repr
+from flipperctl.randomness import global_states
+
+TEMPERATURE = 0.3
+"""Default cost difference that makes an action e times less probable [s]."""
+
+
+class FunctionPolicy:
+    """Decides by a function and has no memory."""
+
+    def __init__(self, rule: Callable[[Perception], int]) -> None:
+        self._rule = rule
+
+    def reset(self, simulator: Simulator) -> None:
+        """Begin an episode; the policy has no memory."""
+
+    def act(self, p: Perception) -> int:
+        """Return the action that the function returns."""
+        return self._rule(p)
+
+
+def plugin_policy(controller: Controller) -> PluginPolicy:
+    """Return the policy that a controller builds."""
+    with naming(controller, "build"):  # what it returned may fail as well
+        policy = controller.build()
+        lacks = [n for n in ("reset", "act") if not callable(getattr(policy, n, None))]
+        found = PluginPolicy(controller, policy)
+    if lacks:
+        text = (
+            f"returned {short_repr(policy)}, which lacks {' and '.join(lacks)}; an object with "
+            "reset and act is allowed"
+        )
+        raise refusal(controller, "build", text)
+    return found
+
+
+class PluginPolicy:
+    """Runs the policy that a controller plugin built.
+
+    Every method raises ``PluginFailedError`` if the controller's code failed or returned a value
+    that the contract does not allow.
+    """
+
+    def __init__(self, controller: Controller, policy: Policy) -> None:
+        """Run ``policy``, which ``controller`` built."""
+        self._controller, self._foreign = controller, foreign_plugins([controller])
+        self._policy: Any = policy
+        self.offers_costs = isinstance(policy, CostPolicy)
+        """Whether ``costs`` and ``took`` may be called."""
+        self.follows = self.offers_costs and callable(getattr(policy, "follow", None))
+        """Whether ``follow`` may be called: it can label single decisions of another policy."""
+        self.values_states = self.offers_costs and callable(getattr(policy, "groups", None))
+        """Whether ``state_groups`` may be called."""
+
+    def _calling(self, method: str) -> AbstractContextManager[None]:
+        """Return a context for a call of ``method``, in which errors name the controller."""
+        call = naming(self._controller, method)
+        return self._watching(call, method) if self._foreign else call
+
+    @contextmanager
+    def _watching(self, call: naming, method: str) -> Iterator[None]:
+        before = global_states()
+        with call:
+            yield
+        require_unmoved(before, self._foreign, f"in {method}")
+
+    def _refusal(self, method: str, answer: object, allowed: str) -> FlipperctlError:
+        owner = None if isinstance(self._policy, Rule) else type(self._policy)
+        text = f"returned {short_repr(answer)}; {allowed}"
+        return refusal(self._controller, method, text, owner=owner)
+
+    def reset(self, simulator: Simulator) -> None:
+        """Begin an episode."""
+        with self._calling("reset"):
+            self._policy.reset(simulator)
+
+    def act(self, p: Perception) -> int:
+        """Return the controller's action."""
+        with self._calling("act"):
+            answer: object = self._policy.act(p)
+            index = action_index(answer)
+        if index is None:
+            raise self._refusal("act", answer, ALLOWED)
+        return index
+
+    def costs(self, p: Perception) -> FloatArray:
+        """Return the policy's finite cost of each action, (9,) [s]."""
+        with self._calling("costs"):
+            answer: object = self._policy.costs(p)
+            found = np.asarray(answer, np.float64)
+        if found.shape != (len(ACTIONS),) or not np.isfinite(found).all():
+            raise self._refusal("costs", answer, f"{len(ACTIONS)} finite costs are allowed")
+        return found
+
+    def took(self, action: int) -> None:
+        """Tell the policy which action was taken after its ``costs``."""
+        with self._calling("took"):
+            self._policy.took(action)
+
+    def follow(self, p: Perception, action: int) -> None:
+        """Tell the policy what another one perceived and did."""
+        with self._calling("follow"):
+            self._policy.follow(p, action)
+
+    def state_groups(self, rng: np.random.Generator) -> StateGroups:
+        """Return groups of states of the episode's ground with finite values of their actions."""
+        with self._calling("groups"):
+            found = self._policy.groups(rng)
+            shaped = (
+                isinstance(found, StateGroups)
+                and found.observations.ndim == 3
+                and found.values.shape == (*found.observations.shape[:2], len(ACTIONS))
+                and found.values.size > 0
+                and bool(np.isfinite(found.values).all())
+                and bool(np.isfinite(found.observations).all())
+            )
+        if not shaped:
+            raise self._refusal("groups", found, "StateGroups of finite numbers are allowed")
+        groups: StateGroups = found
+        return groups
+
+
+def from_costs(costs: FloatArray, temperature: float = TEMPERATURE) -> NDArray[np.float32]:
+    """Return softmax(-costs / temperature), (9,).
+
+    ``costs``: finite cost of each action, (9,) [s]; ``temperature`` in seconds.
+    """
+    weights = np.exp((costs.min() - costs) / temperature)
+    return np.asarray(weights / weights.sum(), np.float32)
+
+
+def from_action(action: int) -> NDArray[np.float32]:
+    """Return the distribution that is 1 at ``action`` and 0 elsewhere, (9,)."""
+    label = no_label()
+    label[action] = 1.0
+    return label
+
+
+def no_label() -> NDArray[np.float32]:
+    """Return the zeros of a state without a label, (9,)."""
+    return np.zeros(len(ACTIONS), np.float32)
+
+
+class Labeller:
+    """Asks a policy for actions and labels them, by their costs if the policy offers them."""
+
+    def __init__(self, policy: Policy, temperature: float = TEMPERATURE) -> None:
+        """``temperature``: difference of costs [s]; see ``from_costs``."""
+        self._policy: Any = policy
+        self._temperature = temperature
+        self._by_costs = isinstance(policy, PluginPolicy) and policy.offers_costs
+
+    def choose(self, p: Perception) -> tuple[int, NDArray[np.float32]]:
+        """Return the policy's action, the cheapest if it offers costs, and the label, (9,)."""
+        if not self._by_costs:
+            action = self._policy.act(p)
+            return action, from_action(action)
+        costs: FloatArray = self._policy.costs(p)
+        return int(costs.argmin()), from_costs(costs, self._temperature)
+
+    def took(self, action: int) -> None:
+        """Tell a policy that offers costs which action was taken after ``choose``."""
+        if self._by_costs:
+            self._policy.took(action)
+
+
+class DemonstratingPolicy:
+    """Acts as its policy; labels each decision by action costs, or by the action without costs."""
+
+    groups = None
+
+    def __init__(self, policy: Policy) -> None:
+        self._policy: Any = policy
+        self._labeller = Labeller(policy)
+        self.label = from_action(0)
+        """The distribution over actions at the last decision, (9,)."""
+        self.risk_sign: RiskSign | None = getattr(policy, "risk_sign", None)
+        """When the policy's risk is a warning; None if it knows none."""
+
+    @property
+    def risk(self) -> float | None:
+        """Risk at the policy's last decision; None if it knows none."""
+        return None if self.risk_sign is None else self._policy.risk
+
+    def reset(self, simulator: Simulator) -> None:
+        """Begin an episode."""
+        self._policy.reset(simulator)
+
+    def act(self, p: Perception) -> int:
+        """Return the policy's action, the cheapest if it offers costs; store the label."""
+        action, self.label = self._labeller.choose(p)
+        self._labeller.took(action)
+        return action
+
+
+class DaggerPolicy:
+    """Lets the student or the teacher act for an episode; the teacher labels both (DAgger).
+
+    Ross, Gordon and Bagnell 2011, with whole episodes instead of single decisions mixed.
+    """
+
+    def __init__(
+        self,
+        student: Policy,
+        teacher: PluginPolicy,
+        settings: Teacher,
+        student_learns: Callable[[], bool],
+        rng: np.random.Generator,
+    ) -> None:
+        """``student_learns`` is called before each episode; while it is False, the teacher acts.
+
+        ``rng`` chooses who acts, and the random actions of the teacher's episodes.
+        """
+        self._student, self._teacher, self._settings = student, teacher, settings
+        self._labeller = Labeller(teacher, settings.temperature)
+        if settings.label_share < 1 and not teacher.follows:
+            raise ConfigError(
+                f"teacher.label_share: {settings.label_share:g} needs a teacher that follows "
+                "decisions which it does not label, such as mpc; 1 is allowed"
+            )
+        self._student_learns, self._rng = student_learns, rng
+        self._student_acts = False
+        self.explored = False
+        """Whether the last action was random."""
+        self._simulator: Simulator | None = None
+        self.label = from_action(0)
+        """The teacher's distribution over actions at the last decision, (9,); zeros without one."""
+        self.groups: StateGroups | None = None
+        """States of the episode's ground with their values, of a teacher that knows them."""
+
+    def reset(self, simulator: Simulator) -> None:
+        """Begin an episode of both policies and choose which one acts."""
+        self._student.reset(simulator)
+        self._teacher.reset(simulator)
+        if self._settings.privileged:
+            simulator.restart()  # the policies may have simulated in it
+            self._simulator = simulator
+        if self._teacher.values_states:
+            self.groups = self._teacher.state_groups(self._rng)
+        share = self._settings.student_share if self._student_learns() else 0.0
+        self._student_acts = self._rng.random() < share
+
+    def act(self, p: Perception) -> int:
+        """Return the acting policy's action; store the teacher's label."""
+        simulator, share = self._simulator, self._settings.label_share
+        seen = p if simulator is None else simulator.perceive_exactly()
+        if self._student_acts and share < 1 and self._rng.random() >= share:
+            action, self.label = self._student_action(p), no_label()
+            self._teacher.follow(seen, action)
+        else:
+            choice, self.label = self._labeller.choose(seen)
+            action = self._student_action(p) if self._student_acts else self._varied(choice)
+            self._labeller.took(action)
+        if simulator is not None:
+            simulator.step(action)  # repeats the episode bit for bit
+        return action
+
+    def _student_action(self, p: Perception) -> int:
+        action = self._student.act(p)
+        self.explored = getattr(self._student, "explored", False)
+        return action
+
+    def _varied(self, choice: int) -> int:
+        """Return the teacher's ``choice``, or a random action."""
+        self.explored = self._rng.random() < self._settings.random
+        return int(self._rng.integers(len(ACTIONS))) if self.explored else choice
