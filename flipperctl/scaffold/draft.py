@@ -14,8 +14,7 @@ from pathlib import Path
 from string import Template
 from tempfile import mkdtemp
 
-from flipperctl import api
-from flipperctl.config.resolver import source
+from flipperctl import api, guard
 from flipperctl.errors import OutputError, PluginError, RequestError
 from flipperctl.files import failure, make_folder
 from flipperctl.messages import close_match
@@ -81,7 +80,7 @@ class Draft:
         taken = api.registry.get((_REGISTERED.get(self.kind, self.kind), self.name))
         if taken is not None:
             raise PluginError(
-                f"there is already a {self.kind} plugin {self.name!r}: {source(taken)}"
+                f"there is already a {self.kind} plugin {self.name!r}: {guard.definition(taken)}"
             )
 
     @property
