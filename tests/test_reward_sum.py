@@ -101,6 +101,38 @@ def test_an_array_form_that_fails_is_named(
         assert word in text, text
 
 
+@pytest.mark.parametrize(
+    ("value", "error", "text"),
+    [
+        (lambda: -1.0 - 1e-12, None, ""),  # rounding
+        (lambda: 0.5, PluginFailedError, r"returned 0\.5 at time 0\.60 s; its bounds say -1 to 0"),
+        (lambda: np.float64("nan"), NonFiniteError, "returned nan at time 0.60 s"),
+        (lambda: "x", PluginFailedError, "__call__ returned 'x' at time 0.60 s as rewards.odd"),
+        (lambda: [][3], PluginFailedError, r"reward 'odd' \(rewards\.odd\): __call__ raised Index"),
+    ],
+)
+@pytest.mark.usefixtures("registry")
+def test_a_value_of_one_decision_that_fails_is_named(
+    value: Callable[[], Any], error: type[Exception] | None, text: str
+) -> None:
+    @reward("odd")
+    class Odd(RewardTerm):
+        """A term that computes one decision."""
+
+        bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
+
+        def __call__(self, t: Transition) -> float:
+            return value()
+
+    found = RewardSum({"odd": term("odd")})
+    if error is None:
+        assert found(transition())["odd"] == value()
+        return
+    with pytest.raises(error, match=text) as raised:
+        found(transition())
+    assert f"{Path(__file__).name}:" in str(raised.value)
+
+
 @pytest.mark.usefixtures("registry")
 def test_weighted_values_of_an_array_form_have_a_limit() -> None:
     @reward("wide")

@@ -19,6 +19,7 @@ from flipperctl import plugins
 from flipperctl.api import (
     ACTIONS,
     SAMPLE_PERIOD,
+    DrawingWorld,
     Mounting,
     Outcome,
     Profile,
@@ -33,20 +34,22 @@ from flipperctl.env.guarded import exact as exact_sensor
 from flipperctl.env.metrics import DRAWN, EpisodeMetrics, Pitches, measures
 from flipperctl.env.perceiving import Perceiver, SceneSimulator, initial_copy
 from flipperctl.env.pictures import (
+    HEIGHT,
     MODES,
+    WIDTH,
     Observer,
     Perceived,
     Picture,
-    Pictures,
     Renderer,
     Scene,
     attach,
-    check_mode,
+    installed,
 )
 from flipperctl.env.repeating import require_unmoved
 from flipperctl.env.start import run_out_of
 from flipperctl.env.termination import ALLOWED, action_index
-from flipperctl.errors import PluginFailedError, TerrainError
+from flipperctl.errors import ConfigError, PluginFailedError, TerrainError
+from flipperctl.messages import close_match
 from flipperctl.randomness import global_states
 from flipperctl.reward_sum import RewardSum
 
@@ -86,7 +89,11 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         Raises:
             ConfigError: a setting, value, plugin or render mode does not exist.
         """
-        check_mode(render_mode)
+        if render_mode not in (None, *MODES):
+            raise ConfigError(
+                f"render_mode: there is no mode {render_mode!r}"
+                f"{close_match(str(render_mode), MODES)}; None or {MODES[0]!r} is allowed"
+            )
         if config is None:
             plugins.load()
             config = with_overrides(EnvConfig(terrain=terrain), overrides)
@@ -106,7 +113,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             -high.astype(np.float32), high.astype(np.float32)
         )
         self.action_space = gymnasium.spaces.Discrete(len(ACTIONS))
-        self._pictures, self.renderer = Pictures(renderer), renderer
+        self.renderer = self._renderer = renderer
         self._generated: Profile | None = None  # before thinning
         self._prepared: Profile  # after it
         self._last_move: tuple[int, int] | None = None
@@ -346,4 +353,8 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         if self.render_mode is None:
             return None
         self._require_episode()
-        return self._pictures.draw(self.drive.world, lambda: self.scene)
+        if isinstance(self.drive.world, DrawingWorld):
+            return self.drive.world.draw(WIDTH, HEIGHT)
+        if self._renderer is None:
+            self._renderer = installed()
+        return self._renderer(self.scene)

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from flipperctl.api import FloatArray, Measure, Transition, registry
+from flipperctl.api import FloatArray, Measure, Plugin, Transition, registry
 from flipperctl.config import resolver
 from flipperctl.config.sampled import Randomise
 from flipperctl.errors import NonFiniteError, PluginError
@@ -48,12 +48,9 @@ _PREFIXES = ("reward_", "search_", "not_reached_", DRAWN)
 
 
 def measures() -> dict[str, Measure]:
-    """Return every registered measure by name: ``CORE``, then the further ones by name.
-
-    Raises:
-        PluginError: a measure has the name of another column, or cannot be made.
-    """
-    return {cls.plugin_name: _make(cls) for cls in (*map(_core, CORE), *other_measures())}
+    """Return every registered measure by name: ``CORE``, then the further ones by name."""
+    core = (resolver.get(Measure.kind, name, name) for name in CORE)
+    return {cls.plugin_name: _make(cls) for cls in (*core, *other_measures())}
 
 
 def other_measures() -> list[type[Measure]]:
@@ -101,12 +98,7 @@ class EpisodeMetrics:
             self._parts[name] = self._parts.get(name, 0.0) + value
 
     def summary(self) -> dict[str, float]:
-        """Return numbers by name: each measure, the return, and each reward term's part of it.
-
-        Raises:
-            NonFiniteError: a measure is not finite; the text names it.
-            PluginFailedError: a measure raised an error, or returned no number.
-        """
+        """Return numbers by name: each measure, the return, and each reward term's part of it."""
         return {
             **{
                 name: _value(one, self._episode)
@@ -145,13 +137,7 @@ class Pitches:
         return view
 
 
-def _core(name: str) -> type[Measure]:
-    found = resolver.get(Measure.kind, name, name)
-    assert issubclass(found, Measure)
-    return found
-
-
-def _make(cls: type[Measure]) -> Measure:
+def _make(cls: type[Plugin]) -> Measure:
     name = cls.plugin_name
     if name in _RESERVED or name.startswith(_PREFIXES) or name in Randomise.model_fields:
         raise PluginError(

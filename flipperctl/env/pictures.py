@@ -1,24 +1,22 @@
 """Scenes of an episode as plain data, their pictures, and observers.
 
-Pictures are those of ``render_mode="rgb_array"``. A scene holds everything that a picture needs and
-nothing that changes later, so that it can be stored, pickled for another process, or sent as JSON.
-It is drawn by the engine, if the engine draws pictures, else by a renderer of scenes. The default
-renderer is the entry point ``side`` of the group ``flipperctl.renderers``, so that the environment
-imports no plotting code.
+A scene holds everything that a picture needs and nothing that changes later, so that it can be
+stored, pickled for another process, or sent as JSON. The default renderer is the entry point
+``side`` of the group ``flipperctl.renderers``, so that the environment imports no plotting code.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from importlib.metadata import distributions
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic_core import to_jsonable_python
 
 from flipperctl.api import (
-    DrawingWorld,
     FloatArray,
     Measured,
     Outcome,
@@ -32,7 +30,6 @@ from flipperctl.api import (
 )
 from flipperctl.env.drive import Drive
 from flipperctl.errors import ConfigError
-from flipperctl.messages import close_match
 
 WIDTH, HEIGHT = 960, 480
 """Width and height of a picture [px]."""
@@ -90,24 +87,8 @@ class Scene:
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data that JSON can hold; arrays become lists."""
-        return {**_plain_fields(self), "robot": self.robot.model_dump(mode="json")}
-
-
-def _plain_fields(value: Any) -> dict[str, Any]:
-    return {field.name: _plain(getattr(value, field.name)) for field in fields(value)}
-
-
-def _plain(value: Any) -> Any:
-    match value:
-        case np.ndarray() | np.generic():
-            return value.tolist()
-        case Outcome():
-            return value.value
-        case tuple():
-            return list(value)
-        case RobotState() | Perceived():
-            return _plain_fields(value)
-    return value
+        plain: dict[str, Any] = to_jsonable_python(self, fallback=lambda value: value.tolist())
+        return plain
 
 
 MODES = ("rgb_array",)
@@ -120,47 +101,8 @@ Renderer = Callable[[Scene], Picture]
 """Returns a picture of a scene, (HEIGHT, WIDTH, 3)."""
 
 
-def check_mode(mode: str | None) -> None:
-    """Check that a render mode exists.
-
-    Raises:
-        ConfigError: it does not.
-    """
-    if mode is not None and mode not in MODES:
-        raise ConfigError(
-            f"render_mode: there is no mode {mode!r}{close_match(str(mode), MODES)}; "
-            f"None or {', '.join(map(repr, MODES))} is allowed"
-        )
-
-
-class Pictures:
-    """Draws the pictures of one environment."""
-
-    def __init__(self, renderer: Renderer | None) -> None:
-        """Draw scenes with ``renderer``; None: the installed one, loaded at the first picture."""
-        self._renderer = renderer
-
-    def draw(self, world: World, scene: Callable[[], Scene]) -> Picture:
-        """Return the world's own picture, if it draws one, else that of the current ``scene``.
-
-        Raises:
-            RequestError: the machine lacks a library that the engine needs for drawing.
-            PluginFailedError: the code of the engine failed.
-            ConfigError: no renderer is installed.
-        """
-        if isinstance(world, DrawingWorld):
-            return world.draw(WIDTH, HEIGHT)
-        if self._renderer is None:
-            self._renderer = installed()
-        return self._renderer(scene())
-
-
 def installed() -> Renderer:
-    """Return a new renderer of scenes from the side.
-
-    Raises:
-        ConfigError: none is installed.
-    """
+    """Return a new renderer of scenes from the side; ``ConfigError`` if none is installed."""
     # In all copies of the metadata: a stale one in the working directory would hide the other.
     copies = [points for d in distributions(name="flipperctl") for points in d.entry_points]
     found = [point for point in copies if point.group == GROUP]

@@ -9,11 +9,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
-from flipperctl.api import Plugin, Profile, action_index
+from flipperctl.api import Plugin, action_index
 from flipperctl.errors import FlipperctlError, PluginFailedError
 from flipperctl.guard import definition, plugin_label
 from flipperctl.randomness import moved_since
@@ -44,11 +44,7 @@ def state_of(env: Any, replayed: Replayed | None) -> dict[str, Any]:
 
 
 def restore(env: Any, kept: dict[str, Any], begin: Callable[[float, int | None], None]) -> None:
-    """Make an environment that of ``state_of``; ``begin`` begins an episode of a difficulty.
-
-    Raises:
-        FlipperctlError: the episode does not repeat.
-    """
+    """Make an environment that of ``state_of``; ``begin`` begins an episode of a difficulty."""
     type(env).__init__(env, **{name: kept[name] for name in _OPTIONS})
     for name in _OF_GYMNASIUM:
         setattr(env, name, kept[name])
@@ -93,29 +89,10 @@ _DECISIONS = 3
 """Decisions with held flippers that are compared [-]."""
 
 
-class Episodes(Protocol):
-    """The part of the environment that is tried."""
-
-    profile: Profile
-
-    @property
-    def foreign(self) -> Sequence[Plugin]:
-        """Plugins of the episodes that are not part of flipperctl."""
-
-    def reset(self, *, seed: int | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode."""
-
-    def step(self, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Simulate a decision."""
-
-
 def require_unmoved(before: dict[str, object] | None, used: Sequence[Plugin], when: str) -> None:
     """Refuse the use of global generators since the states ``before``; None: do nothing.
 
     ``used``: the plugins of which one may have drawn; ``when``: what they did.
-
-    Raises:
-        PluginFailedError: Python's, numpy's or torch's global generator was used.
     """
     if before is not None and (moved := moved_since(before)):
         raise PluginFailedError(
@@ -124,12 +101,8 @@ def require_unmoved(before: dict[str, object] | None, used: Sequence[Plugin], wh
         )
 
 
-def require_repeatable(env: Episodes, seed: int) -> None:
-    """Refuse plugins with which two episodes of one seed begin in different ways.
-
-    Raises:
-        PluginFailedError: they do.
-    """
+def require_repeatable(env: Any, seed: int) -> None:
+    """Refuse plugins with which two episodes of one seed of ``env`` begin in different ways."""
     used = env.foreign
     if not used:
         return
@@ -143,7 +116,7 @@ def require_repeatable(env: Episodes, seed: int) -> None:
             )
 
 
-def _beginning(env: Episodes, seed: int) -> Iterator[tuple[str, object]]:
+def _beginning(env: Any, seed: int) -> Iterator[tuple[str, object]]:
     observation, _ = env.reset(seed=seed)
     yield "their ground", env.profile.points.tobytes()
     yield "their first observation", observation.tobytes()

@@ -23,8 +23,10 @@ def went_on(env: Any, actions: list[int]) -> list[bytes]:
     return [*found, observation.tobytes(), env.step(4)[0].tobytes()]
 
 
-@pytest.mark.parametrize("made", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
-@pytest.mark.parametrize("begun", [0, 3, 8])
+@pytest.mark.parametrize(
+    ("made", "begun"),
+    [(copy.deepcopy, 0), (copy.deepcopy, 8), (lambda env: pickle.loads(pickle.dumps(env)), 3)],
+)
 def test_a_copy_goes_on_equally(made: Callable[[Any], Any], begun: int) -> None:
     env = gymnasium.make(
         "flipperctl.env:flipperctl/Flipper-v0",

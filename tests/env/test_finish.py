@@ -55,8 +55,7 @@ def test_past_the_last_edge_higher_ground_counts() -> None:
     assert not limits.reached(8.0, 1.51, 0.0)
 
 
-@pytest.mark.parametrize("sim", ["planar", "mujoco"])
-@pytest.mark.parametrize("direction", ["up", "down"])
+@pytest.mark.parametrize(("sim", "direction"), [("planar", "up"), ("mujoco", "down")])
 def test_an_episode_ends_on_a_slope(sim: str, direction: str) -> None:
     ramp = {"name": "ramp", "direction": direction, "length_low": 2.0, "length_high": 2.0}
     slope = {"slope_low": 20, "slope_high": 20, "back": False}

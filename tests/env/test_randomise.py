@@ -14,7 +14,6 @@ from flipperctl.config.sampled import PATH_SECTIONS, Randomise
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 from flipperctl.rollout.episode import play
-from flipperctl.sim.planar import Planar, PlanarSensor
 
 HOLD, RAISE = 4, 8
 RANGES = {
@@ -89,14 +88,14 @@ def test_the_widest_conditions_are_possible_together(name: str, sim: str) -> Non
 
 def test_every_range_names_a_setting_and_is_drawn_within() -> None:
     assert {*RANGES, "occlusion", "spread", *PATH_SECTIONS} == set(Randomise.model_fields)
-    for seed in range(5):
+    for seed in range(2):
         row = episode(seed, randomise=RANGES)
         for name, (low, high) in RANGES.items():
             value = row[name]
             assert isinstance(value, int if name == "iterations" else float)
             assert low <= value <= high
-    assert episode(0, randomise=RANGES) == episode(0, randomise=RANGES)
-    assert episode(0, randomise=RANGES)["friction"] != episode(1, randomise=RANGES)["friction"]
+    assert episode(1, randomise=RANGES) == row
+    assert episode(0, randomise=RANGES)["friction"] != row["friction"]
 
 
 def test_a_drawn_value_acts_as_the_setting_itself() -> None:
@@ -167,14 +166,6 @@ def test_occlusion_is_on_with_its_probability() -> None:
     assert row["occlusion"] == 1.0
     # sampled last, so that it leaves the other samples of a seed as they were
     assert row["noise"] == episode(switched, **{"randomise.noise": [0, 0.02]})["noise"]
-
-
-@pytest.mark.parametrize(("probability", "setting"), [(0, False), (1, True)])
-def test_a_certain_switch_acts_as_the_setting_itself(probability: int, setting: bool) -> None:
-    one = episode(3, **{"perception.occlusion": setting})
-    other = episode(3, **{"randomise.occlusion": probability})
-    assert {name: other[name] for name in one} == one
-    assert other["occlusion"] == probability
 
 
 def test_drawing_leaves_terrain_and_start_alone() -> None:
@@ -296,9 +287,3 @@ def test_a_sampled_value_is_validated_beside_the_others() -> None:
 def test_a_delay_must_fit_into_a_decision() -> None:
     with pytest.raises(ConfigError, match=r"actuator_delay: 0\.4 s is longer than a decision"):
         config(**{"robot.angle_step": 0.1, "randomise.actuator_delay": [0.0, 0.4]})
-
-
-def test_sections_are_as_the_episode_drew_them() -> None:
-    sim, robot, perception = config().with_sampled_values({"friction": 0.5, "delay": 0.1})
-    assert (sim, robot) == (Planar(friction=0.5), Robot())
-    assert perception == PlanarSensor(delay=0.1)

@@ -61,8 +61,7 @@ def test_a_robot_does_not_rest_over_a_cliff() -> None:
     assert resting(cliff, Robot(), 0.05, 0.0, 0.0, STEEPEST) is None
 
 
-@pytest.mark.parametrize("sim", ["planar", "mujoco"])
-@pytest.mark.parametrize("direction", ["up", "down"])
+@pytest.mark.parametrize(("sim", "direction"), [("planar", "up"), ("mujoco", "down")])
 def test_an_episode_starts_on_a_slope_and_stays_on_it(sim: str, direction: str) -> None:
     ramp = {"name": "ramp", "direction": direction, "length_low": 2.4, "length_high": 3.0}
     env = FlipperEnv(ramp, sim=sim, episode={"run_up": -1.0})

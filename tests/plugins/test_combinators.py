@@ -99,11 +99,6 @@ def test_an_error_in_an_inner_terrain_names_its_place(part: object, text: str) -
     assert str(caught.value).startswith(text)
 
 
-def test_an_error_states_the_bounds_of_a_part() -> None:
-    with pytest.raises(ConfigError, match=r"> 0, ≤ 0\.5"):
-        made("mix", parts=["step", {"name": "stair", "rise": 9}])
-
-
 def test_a_checkpoint_names_the_plugins_within_the_terrain(spike: type[Terrain]) -> None:
     mirror = {"name": "mirror", "terrain": {"name": "spike", "tall": 0.1}}
     config = TrainConfig(terrain=made("mix", parts=["flat", mirror]), network="mlp")
@@ -152,12 +147,3 @@ def test_a_curriculum_takes_steps_between_0_and_1() -> None:
 def test_only_numbers_may_differ_between_easy_and_hard(hard: object, text: str) -> None:
     with pytest.raises(ConfigError, match=f"only numbers may differ.*{text}"):
         made("curriculum", hard=hard)
-
-
-def test_the_mix_of_all_kinds_draws_every_kind_and_long_flights() -> None:
-    mix, stream = made("all_kinds"), rng()
-    drawn = [mix.labelled(stream) for _ in range(300)]
-    kinds = {profile.label for profile in drawn}
-    families = "step stair building_stair ramp uplift gap wave rubble pallet plum"
-    assert kinds == set(families.split())
-    assert max(profile.drawn.get("steps", 0) for profile in drawn) == 16

@@ -1,5 +1,7 @@
 """Every registered plugin keeps to its contract; further properties of the built-in ones."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -12,14 +14,17 @@ pytestmark = pytest.mark.slow
 KINDS = ("terrain", "reward", "network", "controller", "sim", "perception", "measure", "logger")
 
 
-AT_NIGHT = ("perception-lidar-senses", "perception-lidar-repeats", "controller-mpc-actions")
-"""They take long, and tests/sim/lidar and tests/lookahead prove the same in short."""
+AT_NIGHT = re.compile(
+    r"perception-lidar-(senses|samples|repeats|returns)|controller-mpc-(actions|repeats)"
+    r"|network-(?!conv|stacked).*-onnx|terrain-(?!midway).*-picture"
+)
+"""They take long, and tests of these rooms and one of their kind prove the same in short."""
 
 
 @pytest.mark.parametrize(
     "check",
     [
-        pytest.param(check, marks=[pytest.mark.long] * (str(check) in AT_NIGHT))
+        pytest.param(check, marks=[pytest.mark.long] * bool(AT_NIGHT.match(str(check))))
         for check in checks(*registry.values())
     ],
     ids=str,

@@ -1,6 +1,8 @@
-"""Ground below ceilings and bridges, and what a recording's user is told once per command."""
+"""Ground below ceilings and bridges, bodies in meshes, and what a recording's user is told."""
 
 import json
+from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +15,13 @@ from flipperctl_plugins.recorded_ground.layers import (
     layer_of_points,
 )
 from trimesh import Trimesh
+from trimesh.creation import icosphere
 from trimesh.util import concatenate
 
 from flipperctl.config import resolver
 from flipperctl.errors import TerrainError
 from tests.cli.call import call
-from tests.plugins.test_mesh import solid, write
+from tests.plugins.test_mesh import solid, without, write
 from tests.plugins.test_profile_file import LINE, assert_block, profile, scanned, write_cloud
 
 BLOCK = [((0, 0, 6), (4, 3, 7)), ((1.5, 0, 6.9), (2.5, 3, 7.3))]
@@ -277,3 +280,81 @@ def test_up_maps_the_axes_as_its_description_says(tmp_path: Path) -> None:
     write(tmp_path / "slope.obj", Trimesh(corners, [(0, 2, 1), (0, 3, 2)], process=False))
     found = profile(tmp_path / "slope.obj", up="y", start=(0.5, 1.0), end=(3.5, 1.0))
     assert found.points[-1] == pytest.approx((3.0, 1.5))
+
+
+ALONG = {"start": (0.1, 0.0), "end": (3.9, 0.0)}
+
+
+def tiled(z: float, tiles: int = 1, *, down: bool = False) -> Trimesh:
+    """Return a level sheet, 4 m × 2 m, of tiles that share their corners' places."""
+    x, y = np.linspace(0, 4, tiles + 1), np.linspace(-1, 1, tiles + 1)
+    parts = [
+        Trimesh([(a, c, z), (b, c, z), (b, d, z), (a, d, z)], [(0, 1, 2), (0, 2, 3)], process=False)
+        for a, b in pairwise(x)
+        for c, d in pairwise(y)
+    ]
+    found = concatenate(parts)
+    if down:
+        found.faces = found.faces[:, ::-1]
+    return found
+
+
+def body(low: float, high: float, x: tuple[float, float] = (1.5, 2.5), y: float = 0.5) -> Trimesh:
+    return solid(((x[0], -y, low), (x[1], y, high)))
+
+
+FLIGHT = [body(0, 0.15 * (step + 1), (1.25 + 0.25 * step, 3)) for step in range(3)]
+OPEN = Trimesh(body(0, 0.4).vertices, body(0, 0.4).faces[2:], process=False)  # half a side misses
+
+
+@pytest.mark.parametrize(
+    ("parts", "highest"),
+    [
+        ([tiled(0), body(0, 0.4), tiled(3)], 0.4),
+        ([tiled(0), body(-0.05, 0.4), tiled(3)], 0.4),  # sunk into the floor
+        ([tiled(0), body(0.02, 0.4), tiled(3)], 0.4),
+        ([tiled(0, 8), body(0, 0.4), tiled(3)], 0.4),  # its edges are edges of tiles, too
+        ([tiled(0, 8), body(0, 0.4, y=1), tiled(3, 8), body(3, 3.5), tiled(6)], 0.4),
+        ([tiled(0), body(0, 0.4), body(0, 0.4), tiled(3)], 0.4),  # written twice
+        ([tiled(0), *FLIGHT, tiled(3)], 0.45),  # bodies whose ends coincide
+        ([tiled(0), body(0, 0.4), body(0.4, 0.6), tiled(3)], 0.6),
+        ([tiled(0), OPEN, tiled(3)], 0.4),
+        ([tiled(0), without(body(0, 0.4), 0), tiled(3)], 0.4),  # without a bottom
+        ([tiled(0), icosphere(radius=0.4).apply_translation((2, 0, 0)), tiled(3)], 0.4),
+        ([body(-0.2, 0, (0, 4), 1), body(0, 0.4), tiled(3)], 0.4),
+        ([tiled(0), tiled(0, down=True), tiled(3)], 0.0),  # a floor of two sides
+        ([tiled(0), body(1.5, 1.6), tiled(3)], 0.0),  # a bridge
+        ([tiled(0), body(0.7, 0.75), tiled(3)], 0.75),  # a table
+        ([tiled(0), body(0, 3), tiled(3)], 3.0),  # a pillar
+        ([tiled(0), body(0, 0.4), tiled(3, down=True)], 0.4),
+        ([tiled(0), body(0, 0.4), body(3, 3.2, (0, 4), 1)], 0.4),
+        ([tiled(0), body(-0.1, 2)], 2.0),  # walls that stand in sheets
+        ([tiled(0, 8), body(0, 2), tiled(4)], 2.0),
+    ],
+)
+def test_a_body_between_sheets_is_ground(
+    parts: Sequence[Trimesh], highest: float, tmp_path: Path
+) -> None:
+    file = tmp_path / "ground.obj"
+    write(file, concatenate(list(parts)))
+    terrain = terrain_of(file, **ALONG)
+    profile = terrain.generate(np.random.default_rng(0))
+    assert profile.points[:, 1].max() == pytest.approx(highest, abs=1e-3)
+    assert profile.points[:, 1].min() == pytest.approx(0, abs=1e-6)
+    assert not any("not closed" in remark for remark in terrain.notices())
+    beside = profile.surface.heights(np.array([-0.3, 0.2]))
+    assert np.nanmax(beside) <= highest + 1e-6
+
+
+def test_a_wall_that_rounding_tilts_is_no_ceiling(tmp_path: Path) -> None:
+    # The line runs in a wall between a floor and a higher one; its face looks down by 1 µm.
+    wall = Trimesh(
+        [(0, 0, 0), (4, 0, 0), (4, -1e-6, 2), (0, -1e-6, 2)], [(0, 1, 2), (0, 2, 3)], process=False
+    )
+    file = tmp_path / "wall.obj"
+    for faces in (wall.faces, wall.faces[:, ::-1]):
+        tilted = Trimesh(wall.vertices, faces, process=False)
+        write(file, concatenate([tiled(0), tilted, tiled(2), tiled(6)]))
+        terrain = terrain_of(file, **ALONG)
+        assert np.ptp(terrain.generate(np.random.default_rng(0)).points[:, 1]) == 0
+        assert len(terrain.notices()) == 1

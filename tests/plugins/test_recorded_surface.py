@@ -121,10 +121,3 @@ def test_eval_drives_over_the_surface_in_3d_alone(tmp_path: Path) -> None:
     assert done.code == 2
     assert "the ground is unknown 0.00 m along the line and 0.30 m to its left" in done.err
     assert call(*asked, "terrain.start=[1,3.8]", at_the_border, cwd=tmp_path).code == 0
-
-
-def test_a_profile_outside_the_map_is_one_clear_error(tmp_path: Path) -> None:
-    for name, what in (("plane.npy", "map"), ("plane.stl", "mesh")):
-        fields = plane(tmp_path / name)
-        with pytest.raises(ValueError, match=rf"lies outside the {what}, which covers x from 0"):
-            generated(tmp_path / name, **fields, start=(1.0, 1.0), end=(1.0, 5.0))

@@ -1,4 +1,4 @@
-"""The time between two decisions, and the time after which a robot that stands is stuck."""
+"""The physical part of an episode: blocked flippers, the time of a decision, and standing still."""
 
 import math
 
@@ -8,6 +8,41 @@ from flipperctl.api import Outcome, Profile, Robot, action_index
 from flipperctl.config import Episode
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.termination import Termination
+
+STEP = math.pi / 12
+LOWER, HOLD, RAISE = (action_index(turn, turn) for turn in (-1, 0, 1))
+
+
+def start(torque: float) -> FlipperEnv:
+    env = FlipperEnv(
+        {"name": "flat"},
+        robot={"flipper_torque": torque},
+        episode={"start_noise": 0.0, "start_angle": 0.0},
+    )
+    env.reset(seed=0)
+    return env
+
+
+# 65.9 N m would lift the robot (test_world.py).
+def test_a_blocked_flipper_starts_from_where_it_is() -> None:
+    env = start(torque=60.0)
+    for expected in (-STEP, -2 * STEP, -2 * STEP, -2 * STEP):
+        env.step(LOWER)
+        assert env.drive.targets == pytest.approx((expected, expected), abs=0.01)
+        assert env.state.front == pytest.approx(0.0, abs=0.01)
+    env.step(RAISE)  # it pushes no longer
+    assert env.drive.targets == pytest.approx((0.0, 0.0), abs=0.01)
+    env.step(RAISE)
+    assert env.state.front == pytest.approx(STEP, abs=0.01)
+    assert env.state.rear == pytest.approx(STEP, abs=0.01)
+
+
+def test_a_flipper_that_follows_keeps_the_exact_grid_of_angles() -> None:
+    env = start(torque=200.0)
+    for count in range(1, 5):
+        env.step(RAISE)
+        assert env.drive.targets == (sum([STEP] * count), sum([STEP] * count))
+    assert env.state.front != env.drive.targets[0]  # the servo's error stays out of the targets
 
 
 @pytest.mark.parametrize(("period", "turned"), [(0.3, 7.5), (1.2, 15.0)])
