@@ -1,5 +1,5 @@
 """Built-in controllers: baselines that need no training."""
 
-from . import level, okada, random
+from . import rules
 
-__all__ = ["level", "okada", "random"]
+__all__ = ["rules"]

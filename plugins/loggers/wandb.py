@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 from importlib.util import find_spec
 from queue import SimpleQueue
 from threading import Thread
-from typing import Any, ClassVar, Literal, Protocol
+from typing import Any, ClassVar, Literal
 from uuid import uuid4
 
 from pydantic import Field
@@ -23,18 +23,8 @@ _STATE = "run.json"
 of row."""
 
 
-class TrackedRun(Protocol):
-    """A run of a tracker."""
-
-    def log(self, values: dict[str, float], step: int) -> object:
-        """Record values by name."""
-
-    def finish(self) -> object:
-        """Send the remaining values."""
-
-
-Begin = Callable[[str], TrackedRun]
-"""Starts the run with the given id in the tracker, or resumes it if the tracker has it."""
+Begin = Callable[[str], Any]
+"""Starts or resumes the run of an id in the tracker; returns its handle with log and finish."""
 
 
 class Tracker:
@@ -145,7 +135,7 @@ class WeightsAndBiases(Logger):
                 "the package wandb is not installed; run pip install 'flipperctl[wandb]'"
             )
 
-        def begin(run_id: str) -> TrackedRun:
+        def begin(run_id: str) -> Any:
             import wandb
 
             settings = wandb.Settings(
@@ -155,7 +145,7 @@ class WeightsAndBiases(Logger):
                 login_timeout=self.patience,
                 finish_timeout=self.patience,
             )
-            tracked: TrackedRun = wandb.init(
+            return wandb.init(
                 project=self.project,
                 entity=self.entity or None,
                 group=self.group or None,
@@ -168,6 +158,5 @@ class WeightsAndBiases(Logger):
                 reinit="create_new",  # several runs may train in one process
                 settings=settings,
             )
-            return tracked
 
         return Tracker(begin, run, self.patience)

@@ -1,5 +1,5 @@
 """Built-in measures of episodes: duration, pitch, flippers, stability, impacts, roll, maps."""
 
-from . import energy_margin, mapping, motion, rotation
+from . import energy_margin, mapping, motion
 
-__all__ = ["energy_margin", "mapping", "motion", "rotation"]
+__all__ = ["energy_margin", "mapping", "motion"]

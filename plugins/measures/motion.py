@@ -1,10 +1,10 @@
-"""Measures of an episode's motion: duration, flippers, standstill and impacts.
+"""Measures of an episode's motion: duration, flippers, standstill, impacts, pitch and roll.
 
-Here and in ``rotation`` the sums are loops, since ``sum`` rounds floats differently from Python
-3.12 on.
+The roll is 0 in an engine of the side plane.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -12,6 +12,8 @@ from flipperctl.api import FloatArray, Transition, measure
 
 from ..posture import with_masses
 
+_OVERTURNED = math.pi / 3
+"""Absolute pitch of an overturned robot: the paper's limit [rad]."""
 _SLOW = 0.1
 """Fraction of the belts' speed below which the chassis stands still [-]."""
 
@@ -31,10 +33,9 @@ def t_cost(episode: Sequence[Transition]) -> float:
 @measure("flipper_travel", unit="rad", reached_only=True, better="lower")
 def flipper_travel(episode: Sequence[Transition]) -> float:
     """Sum of the absolute turns of both flipper pairs from decision to decision [rad]."""
-    total = 0.0
-    for t in episode:
-        total += abs(t.after.front - t.before.front) + abs(t.after.rear - t.before.rear)
-    return total
+    return _total(
+        abs(t.after.front - t.before.front) + abs(t.after.rear - t.before.rear) for t in episode
+    )
 
 
 @measure("flipper_energy", unit="J", digits=1, reached_only=True, better="lower", in_tables=False)
@@ -44,10 +45,7 @@ def flipper_energy(episode: Sequence[Transition]) -> float:
     Braking counts as driving does, since a flipper's gear gives no energy back; a torque that holds
     a flipper still does no work. It is 0 in an engine that does not measure it.
     """
-    total = 0.0
-    for t in episode:
-        total += t.flipper_work or 0.0
-    return total
+    return _total(t.flipper_work or 0.0 for t in episode)
 
 
 @measure("standstill", unit="s", digits=1, better="lower", in_tables=False)
@@ -71,6 +69,58 @@ def largest_impact(episode: Sequence[Transition]) -> float:
     """
     change = np.diff(_steps(episode) / episode[0].sample_period, axis=0)
     return float(np.hypot(change[:, 0], change[:, 1]).max(initial=0.0))
+
+
+@measure("pitch_variation", unit="rad", reached_only=True, better="lower")
+def pitch_variation(episode: Sequence[Transition]) -> float:
+    """θ̂_R, the sum of the absolute pitch changes from decision to decision (paper Eq. 8) [rad]."""
+    return _total(abs(t.after.pitch - t.before.pitch) for t in episode)
+
+
+@measure("pitch_variation_100hz", unit="rad", reached_only=True, better="lower")
+def pitch_variation_100hz(episode: Sequence[Transition]) -> float:
+    """θ̂_R between poses 10 ms apart, which includes motion within decisions [rad]."""
+    pitches = (t.path[:, 2] for t in episode)
+    return _total(float(np.add.reduce(np.abs(pitch[1:] - pitch[:-1]))) for pitch in pitches)
+
+
+@measure("max_pitch", unit="rad", better="lower")
+def max_pitch(episode: Sequence[Transition]) -> float:
+    """Largest absolute pitch over poses 10 ms apart, including that at the start [rad]."""
+    return float(np.maximum.reduce(np.abs(_pitches(episode))))
+
+
+@measure("pitch_reserve", unit="rad", better="higher", in_tables=False)
+def pitch_reserve(episode: Sequence[Transition]) -> float:
+    """Smallest distance of the pitch from overturning at π/3, over poses 10 ms apart [rad].
+
+    It is 0 or less if the robot overturned.
+    """
+    return _OVERTURNED - float(np.abs(_pitches(episode)).max())
+
+
+@measure("max_roll", unit="rad", better="lower", in_tables=False)
+def max_roll(episode: Sequence[Transition]) -> float:
+    """Largest absolute roll at decisions, the start included [rad]."""
+    return max(abs(episode[0].before.roll), *(abs(t.after.roll) for t in episode))
+
+
+@measure("roll_variation", unit="rad", reached_only=True, better="lower", in_tables=False)
+def roll_variation(episode: Sequence[Transition]) -> float:
+    """Sum of the absolute roll changes from decision to decision, as θ̂_R for the pitch [rad]."""
+    return _total(abs(t.after.roll - t.before.roll) for t in episode)
+
+
+def _total(values: Iterable[float]) -> float:
+    """Return the sum in order, since ``sum`` rounds floats differently from Python 3.12 on."""
+    total = 0.0
+    for value in values:
+        total += value
+    return total
+
+
+def _pitches(episode: Sequence[Transition]) -> FloatArray:
+    return np.concatenate([t.path[:, 2] for t in episode])
 
 
 def _steps(episode: Sequence[Transition]) -> FloatArray:

@@ -1,5 +1,5 @@
 """Built-in Q-networks; torch is imported only when one is built."""
 
-from . import d3qn, perceptrons
+from . import d3qn
 
-__all__ = ["d3qn", "perceptrons"]
+__all__ = ["d3qn"]

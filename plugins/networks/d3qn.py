@@ -1,4 +1,4 @@
-"""The paper's network, and networks with the same fusion of terrain and robot."""
+"""The paper's network, further ones that fuse terrain and robot as it does, and perceptrons."""
 
 from __future__ import annotations
 
@@ -165,4 +165,47 @@ class Conv(Network):
             Normalise(layout),
             Fusion(layout, terrain, self.channels[-1] * layout.bins, self.fused),
             Dueling(self.fused, self.head, n_actions),
+        )
+
+
+@network("mlp")
+class Mlp(Network):
+    """One perceptron from all N + 3 observations to Q, as in the first DQN (Mnih et al. 2015)."""
+
+    hidden: tuple[PositiveInt, ...] = Field(
+        (128, 128), min_length=1, description="widths of the hidden layers [-]"
+    )
+
+    def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
+        """Return a module that maps observations (B, N + 3) to Q-values (B, n_actions)."""
+        from torch import nn
+
+        from .modules import Normalise, perceptron
+
+        return nn.Sequential(
+            Normalise(layout),
+            perceptron((layout.size, *self.hidden)),
+            nn.Linear(self.hidden[-1], n_actions),
+        )
+
+
+@network("dueling_mlp")
+class DuelingMlp(Network):
+    """One perceptron over all N + 3 observations, with dueling heads (Wang et al. 2016)."""
+
+    hidden: tuple[PositiveInt, ...] = Field(
+        (128, 128), min_length=1, description="widths of the hidden layers [-]"
+    )
+    head: int = Field(128, ge=1, le=4096, description="width of each head's layer [-]")
+
+    def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
+        """Return a module that maps observations (B, N + 3) to Q-values (B, n_actions)."""
+        from torch import nn
+
+        from .modules import Dueling, Normalise, perceptron
+
+        return nn.Sequential(
+            Normalise(layout),
+            perceptron((layout.size, *self.hidden)),
+            Dueling(self.hidden[-1], self.head, n_actions),
         )

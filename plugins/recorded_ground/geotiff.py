@@ -1,11 +1,15 @@
 """Height maps in GeoTIFF files, which state their frame and often the unit of their heights.
 
+Metres of ground per metre of a projection differ wherever it stretches the ground, as Mercator's.
+
 In: a file. Out: a ``HeightMap`` in the file's own frame [m], with remarks on what it states.
 """
 
+import re
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +17,139 @@ import numpy as np
 
 from flipperctl.api import FloatArray
 
-from .coordinates import Coordinates, length_of
 from .height_map import HeightMap, Part, cells_from_resolution
 from .reading import without_missing
 
 _UNSTATED = ("", "none", "unknown", "unnamed")
 """Names of units that programs write where they know none."""
+SAME_LENGTH = 0.002
+"""Deviation of a projection's scale from 1 that is ignored; UTM has up to 0.001 in its zone [-]."""
+_STEP = 50.0
+"""Distance over which the scale of a projection is measured [m of the projection]."""
+_LENGTHS = {
+    1000.0: "km kilometer kilometers kilometre kilometres",
+    1.0: "m meter meters metre metres",
+    0.1: "dm decimeter decimeters decimetre decimetres",
+    0.01: "cm centimeter centimeters centimetre centimetres",
+    0.001: "mm millimeter millimeters millimetre millimetres",
+    0.0254: "in inch inches",
+    0.3048: "ft foot feet ftus usft",
+    0.9144: "yd yard yards",
+}
+"""Lengths [m] and their names in the units of bands; feet of all countries agree to 3 · 10⁻⁶."""
+_KINDS_OF_FEET = ("us", "u", "s", "survey", "international", "intl", "statute")
+
+
+def length_of(name: str) -> float | None:
+    """Return the length [m] of a unit's name, such as "US survey foot" or "m (NAVD88)", or None."""
+    words = [word for word in re.split(r"[\s()\[\],._-]+", name.lower()) if word]
+    first = next((word for word in words if word not in _KINDS_OF_FEET), "")
+    return next((metres for metres, names in _LENGTHS.items() if first in names.split()), None)
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """The units of a coordinate reference system and its projection; by default metres."""
+
+    plan: float = 1.0
+    """Unit of x and y [m]; 0 if these are angles."""
+    plan_name: str = "metre"
+    """Name of that unit."""
+    height: float | None = None
+    """Unit of the heights [m]; None if the system has no heights."""
+    height_name: str = ""
+    """Name of that unit."""
+    depths: bool = False
+    """Whether the heights are depths, which grow downwards."""
+    projected: Any = None
+    """The projected system in the form of PROJJSON, if the system has one."""
+
+    @classmethod
+    def of(cls, crs: Any) -> "Coordinates":
+        """Return what a CRS of rasterio states."""
+        parts = list(_parts(crs.to_dict(projjson=True)))
+        axes = [axis for part in parts for axis in part["coordinate_system"]["axis"]]
+        upright = [axis for axis in axes if axis["direction"] in ("up", "down")]
+        level = [axis for axis in axes if axis not in upright]
+        plan, plan_name = _unit(level[0]) if level else (1.0, "metre")
+        height, height_name = _unit(upright[0]) if upright else (None, "")
+        depths = bool(upright) and upright[0]["direction"] == "down"
+        projected = next((part for part in parts if "base_crs" in part), None)
+        return cls(plan, plan_name, height, height_name, depths, projected)
+
+    def stretch(self, place: FloatArray) -> FloatArray:
+        """Return metres of ground per metre of the projection at (x, y) [m], (2, 2).
+
+        The symmetric matrix turns a short step in (x, y) into one of the same length on the
+        ellipsoid: half the unit matrix for Mercator's projection at 60°. It is the unit matrix
+        where lengths agree within 0.2 %, and for systems without a projection.
+
+        Raises:
+            ValueError: the projection does not reach that place.
+        """
+        if self.projected is None:
+            return np.eye(2)
+        from rasterio.crs import CRS
+        from rasterio.warp import transform
+
+        base = self.projected["base_crs"]
+        while "base_crs" in base:
+            base = base["base_crs"]
+        geographic = CRS.from_user_input(base)
+        probes = place + _STEP * np.array([(-1, 0), (1, 0), (0, -1), (0, 1)])
+        source = CRS.from_user_input(self.projected)
+        angles = transform(source, geographic, *(probes / self.plan).T)
+        longitude, latitude = np.array(angles[:2]) * geographic.units_factor[1]
+        west, east, south, north = _on_ellipsoid(longitude, latitude, base)
+        steps = np.column_stack([east - west, north - south]) / (2 * _STEP)  # (3, 2)
+        if not np.isfinite(steps).all():
+            raise ValueError(f"its projection has no place at x = {place[0]:g}, y = {place[1]:g} m")
+        squares, axes = np.linalg.eigh(steps.T @ steps)
+        scales = np.sqrt(squares)
+        if np.abs(scales - 1).max() <= SAME_LENGTH:
+            return np.eye(2)
+        stretch: FloatArray = axes * scales @ axes.T
+        return stretch
+
+
+def _parts(crs: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Yield the simple systems of which a system in PROJJSON is composed."""
+    if "source_crs" in crs:
+        yield from _parts(crs["source_crs"])
+    elif "components" in crs:
+        for part in crs["components"]:
+            yield from _parts(part)
+    else:
+        yield crs
+
+
+def _unit(axis: dict[str, Any]) -> tuple[float, str]:
+    """Return the unit of an axis [m], 0 if it is an angle, and its name."""
+    unit = axis.get("unit", "metre")
+    if isinstance(unit, str):
+        return float(unit == "metre"), unit
+    factor, name = float(unit["conversion_factor"]), str(unit["name"])
+    if unit["type"] == "AngularUnit" or np.isclose(factor, np.pi / 180, rtol=1e-6):
+        return 0.0, name if unit["type"] == "AngularUnit" else "degree"
+    return factor, name
+
+
+def _on_ellipsoid(longitude: FloatArray, latitude: FloatArray, base: dict[str, Any]) -> FloatArray:
+    """Return places (P, 3) on the ellipsoid of a geographic system, from its centre [m]."""
+    ellipsoid = (base.get("datum") or base["datum_ensemble"])["ellipsoid"]
+    sizes: dict[str, float] = {
+        key: size["value"] * _unit(size)[0] if isinstance(size, dict) else size
+        for key, size in ellipsoid.items()
+        if key in ("semi_major_axis", "semi_minor_axis", "inverse_flattening", "radius")
+    }
+    equator = sizes["radius"] if "radius" in sizes else sizes["semi_major_axis"]
+    pole = sizes.get("semi_minor_axis", equator)
+    if "inverse_flattening" in sizes:
+        pole = equator * (1 - 1 / sizes["inverse_flattening"])
+    across = equator**2 / np.hypot(equator * np.cos(latitude), pole * np.sin(latitude))
+    radius = across * np.cos(latitude)
+    along_axis = across * (pole / equator) ** 2 * np.sin(latitude)
+    return np.column_stack([radius * np.cos(longitude), radius * np.sin(longitude), along_axis])
 
 
 def read_geotiff(

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray
 
-from .coordinates import SAME_LENGTH
+from .geotiff import SAME_LENGTH
 from .layers import Choice, Ground
 from .line import Line
 

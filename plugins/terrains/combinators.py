@@ -17,8 +17,7 @@ from flipperctl.api import (
     terrain,
 )
 
-from .drawn import Drawn, DrawnRow
-from .obstacles import CurbAndRamp, Gap, Ramp, Step, Uplift
+from .obstacles import CurbAndRamp, Drawn, DrawnRow, Gap, Ramp, Step, Uplift
 from .rough import Rough
 from .rows import Pallet, Plum
 from .stairs import Stair, Stairwell

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from flipperctl.api import FloatArray, Profile, terrain
 
-from .drawn import Drawn
+from .obstacles import Drawn
 
 _REFERENCE = 0.1
 """Wavenumber at which the roughness is stated, as in ISO 8608 [cycles/m]."""

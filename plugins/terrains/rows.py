@@ -7,7 +7,7 @@ from pydantic import Field
 
 from flipperctl.api import Profile, terrain
 
-from .drawn import DrawnRow
+from .obstacles import DrawnRow
 
 
 @terrain("pallet")

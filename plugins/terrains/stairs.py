@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from flipperctl.api import Profile, Published, Terrain, terrain
 
-from .drawn import Drawn, DrawnRow
+from .obstacles import Drawn, DrawnRow
 
 
 def flight(

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import rasterio
-from flipperctl_plugins.recorded_ground.coordinates import length_of
+from flipperctl_plugins.recorded_ground.geotiff import length_of
 from rasterio.enums import ColorInterp
 from rasterio.transform import Affine, from_origin
 

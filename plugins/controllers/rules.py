@@ -1,10 +1,35 @@
-"""A terrain-following rule after Okada et al. 2011."""
+"""Rules that need no training: baselines, and one that follows the terrain."""
 
 from typing import Self
 
 from pydantic import Field, model_validator
 
-from flipperctl.api import Controller, Perception, action_index, candidate_angle, controller
+from flipperctl.api import (
+    ACTIONS,
+    Controller,
+    Perception,
+    action_index,
+    candidate_angle,
+    controller,
+)
+
+
+@controller("level")
+class Level(Controller):
+    """Turn both flipper pairs to 0 rad and hold them there."""
+
+    def act(self, p: Perception) -> int:
+        """Return the action that turns both pairs one step towards 0, or holds them."""
+        return _towards(p, 0.0, 0.0)
+
+
+@controller("random")
+class Random(Controller):
+    """Draw every action with equal probability; a lower bound that any policy should beat."""
+
+    def act(self, p: Perception) -> int:
+        """Draw an action from the episode's generator."""
+        return int(p.rng.integers(len(ACTIONS)))
 
 
 @controller("okada")
@@ -47,8 +72,16 @@ class Okada(Controller):
             candidate_angle(p.points, p.pitch, p.robot, near=self.near, far=self.far, rear=behind)
             for behind in (False, True)
         )
-        turns = [
-            round((target - angle) / p.robot.angle_step)
-            for target, angle in zip((front, self.rear_gain * rear), (p.front, p.rear), strict=True)
-        ]
-        return action_index(*(max(-1, min(1, turn)) for turn in turns))
+        return _towards(p, front, self.rear_gain * rear)
+
+
+def _towards(p: Perception, front: float, rear: float) -> int:
+    """Return the action that turns each pair one step towards its target [rad].
+
+    A pair within half an angle step of it is held.
+    """
+    turns = (
+        round((target - angle) / p.robot.angle_step)
+        for target, angle in ((front, p.front), (rear, p.rear))
+    )
+    return action_index(*(max(-1, min(1, turn)) for turn in turns))
