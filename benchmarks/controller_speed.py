@@ -11,15 +11,12 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
-from flipperctl.ros.devices import Step, read_recording
-from flipperctl.ros.shadowing import setup_of
+from flipperctl.ros.recording import Step, read_recording, setup_of
 from flipperctl.ros.topics import Names
 from flipperctl.runtime import Cloud, FlipperController, RobotSetup
 from flipperctl.sim.lidar import LidarSensor
@@ -30,22 +27,8 @@ _WARM_UP = 20
 """Steps at the beginning that do not count; the first ones load what Python needs [-]."""
 
 
-@dataclass
-class _Durations:
-    """Durations of steps [ms]."""
-
-    computing: list[float] = field(default_factory=list)
-    clock: list[float] = field(default_factory=list)
-
-    def add(self, computing: float, clock: float) -> None:
-        self.computing.append(1000 * computing)
-        self.clock.append(1000 * clock)
-
-    def line(self, name: str) -> str:
-        quantiles = [np.percentile(part, (50, 99)) for part in (self.computing, self.clock)]
-        (c50, c99), (t50, t99) = quantiles
-        count = len(self.computing)
-        return f"{name:32}{count:7}{c50:9.2f}{c99:9.2f}{t50:9.2f}{t99:9.2f}"
+Durations = dict[str, list[tuple[float, float]]]
+"""Kind of a step → its computing time and its time on the clock, for each step [ms]."""
 
 
 def sectors(steps: list[Step], parts: int) -> list[Step]:
@@ -59,7 +42,14 @@ def sectors(steps: list[Step], parts: int) -> list[Step]:
         others = {name: told for name, told in step.messages.items() if name != "cloud"}
         if others:
             found.append(Step(step.now, others))
-        found += _parts(step, cloud, parts)
+        points = np.asarray(cloud.points, np.float64)
+        ages = np.zeros(len(points)) if cloud.ages is None else np.asarray(cloud.ages, np.float64)
+        order = np.argsort(-ages, kind="stable")
+        for index, chosen in enumerate(np.array_split(order, parts)):
+            newest = _TURN * (parts - 1 - index) / parts  # a controller skips equal stamps
+            own = np.maximum(ages[chosen] - newest, 0.0)
+            part = replace(cloud, time=cloud.time - newest, points=points[chosen], ages=own)
+            found.append(Step(step.now - newest, {"cloud": part}))
     return sorted(found, key=lambda step: step.now)
 
 
@@ -78,31 +68,19 @@ def denser(steps: list[Step], times: int) -> list[Step]:
     return found
 
 
-def _parts(step: Step, cloud: Cloud, parts: int) -> Iterator[Step]:
-    points = np.asarray(cloud.points, np.float64)
-    ages = np.zeros(len(points)) if cloud.ages is None else np.asarray(cloud.ages, np.float64)
-    order = np.argsort(-ages, kind="stable")
-    for index, chosen in enumerate(np.array_split(order, parts)):
-        newest = _TURN * (parts - 1 - index) / parts  # a controller skips equal stamps
-        own: NDArray[np.float64] = np.maximum(ages[chosen] - newest, 0.0)
-        part = replace(cloud, time=cloud.time - newest, points=points[chosen], ages=own)
-        yield Step(step.now - newest, {"cloud": part})
-
-
-def measure(policy: Path, steps: list[Step], setup: RobotSetup) -> dict[str, _Durations]:
+def measure(policy: Path, steps: list[Step], setup: RobotSetup) -> Durations:
     """Return the durations of steps with a scan, of those that decide, and of all others."""
     controller = FlipperController(policy, setup, shadow=True)
-    found = {name: _Durations() for name in ("all", "with a scan", "that decide", "without a scan")}
+    found: Durations = {"all": [], "with a scan": [], "that decide": [], "without a scan": []}
     for index, step in enumerate(steps):
-        began = time.perf_counter(), time.thread_time()
+        began = time.thread_time(), time.perf_counter()
         answer = controller.step(step.now, **step.messages)  # type: ignore[arg-type]  # by device
-        spent = time.thread_time() - began[1], time.perf_counter() - began[0]
-        if index < _WARM_UP:
-            continue
-        found["all"].add(*spent)
-        found["with a scan" if "cloud" in step.messages else "without a scan"].add(*spent)
-        if answer.action is not None:
-            found["that decide"].add(*spent)
+        ended = time.thread_time(), time.perf_counter()
+        spent = 1000 * (ended[0] - began[0]), 1000 * (ended[1] - began[1])
+        kinds = ["all", "with a scan" if "cloud" in step.messages else "without a scan"]
+        kinds += ["that decide"] if answer.action is not None else []
+        for kind in kinds if index >= _WARM_UP else ():
+            found[kind].append(spent)
     return found
 
 
@@ -119,12 +97,10 @@ def main(policy: Path, bag: Path, parts: int, dense: int, repeats: int) -> int:
     for name, steps in (("turn", whole), (f"1/{parts} turn", sectors(whole, parts))):
         found = [measure(policy, steps, setup) for _ in range(repeats)]
         for kind in found[0]:
-            both = _Durations(
-                [d for one in found for d in one[kind].computing],
-                [d for one in found for d in one[kind].clock],
-            )
-            if both.computing:
-                print(both.line(f"{name}, {kind}"))
+            if spent := [d for one in found for d in one[kind]]:  # (D, 2) [ms]
+                quantiles = np.percentile(spent, (50, 99), axis=0).T.ravel()
+                told = "".join(f"{q:9.2f}" for q in quantiles)
+                print(f"{f'{name}, {kind}':32}{len(spent):7}{told}")
     return 0
 
 

@@ -115,16 +115,16 @@ def check(
     from flipperctl.terminal.tables import print_perception
 
     if output is not None or at is not None:
-        from flipperctl.figures.perceiving import check_output, draw
+        from flipperctl.figures.film import check_perceived, draw_perceived
 
-        check_output(output, at)
+        check_perceived(output, at)
     joints = front or JOINTS[:2], rear or JOINTS[2:]
     names = Names(topic, imu, belts, fixed_frame, base_frame, *joints, signs.value)
     config, pose, _ = recorded_robot(overrides)
     found = replay(bag, config.perception, config.robot, pose, names)
     if output is not None:
         with episodes_progress("drawing", 1) as report:
-            draw(output, found, config.robot, at, report)
+            draw_perceived(output, found, config.robot, at, report)
     show(found.summary, lambda: print_perception(found.summary, output), as_json=as_json)
 
 
@@ -161,7 +161,7 @@ def shadow(
       flipperctl robot shadow stair.onnx run.mcap perception.pose=matched
     """
     from flipperctl.ros.messages import JOINTS
-    from flipperctl.ros.shadowing import check_used, shadow
+    from flipperctl.ros.recording import check_used, shadow
     from flipperctl.ros.topics import Names
     from flipperctl.terminal.tables import print_shadow
 

@@ -1,31 +1,34 @@
 """Recorded ground from what a robot has measured: clouds with poses → one cloud and a line.
 
-In: a bag, or a folder of clouds with poses. Out: the points of the ground in one frame without
-those of the robot, thinned, as an ``.xyz`` file that ``terrain=profile_file`` reads, and the line
-that the robot drove.
+In: a bag; or a folder of clouds with ``poses.txt``, one line for each of them in the order of their
+names, 2 before 10: 8 numbers, stamp, place and quaternion (x y z qx qy qz qw), as TUM's
+tools write them, or 12, the upper rows of the matrix, as KITTI's do. Out: the points of the ground
+in one frame without those of the robot, thinned, as an ``.xyz`` file that ``terrain=profile_file``
+reads, and the line that the robot drove.
 """
 
 from __future__ import annotations
 
 import re
+import warnings
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from flipperctl.api import FloatArray, Robot
-from flipperctl.errors import RequestError
+from flipperctl.errors import MissingExtraError, RequestError
 from flipperctl.files import OutputKind, check_output, write_bytes
 from flipperctl.ros.reading import (
-    POSES,
     Points,
-    Scans,
+    Pose,
     chosen_topic,
     messages,
     opened,
-    read_folder,
     read_points,
     read_transforms,
     times_of,
@@ -44,8 +47,10 @@ _SLICE, _GAP = 0.1, 0.15
 """Width of the strip that ``profile_file`` reads, and largest gap in it, which it bridges [m]."""
 _INSET = 0.02
 """Distance of the line's ends from the last points [m]."""
-
-
+POSES = "poses.txt"
+SUFFIXES = (".pcd", ".ply", ".xyz", ".npy")
+Scans = list[tuple[FloatArray, Pose]]
+"""Points in the frame of the chassis, (P, 3) [m], and the chassis in the fixed frame."""
 _USUAL = Names()
 _PART = 0.01
 """Points of a turning LiDAR are taken for simultaneous within this time [s]."""
@@ -75,8 +80,9 @@ def convert(
         sizes, skipped, remarks = [len(points) for points, _ in scans], 0, list[str]()
     else:
         scans, sizes, skipped, remarks = _scans(source, names)
-    points = thinned(_seen(scans, robot, reach, cell), cell)
-    start, end = _known_line(source, points, scans, _half_length(robot))
+    ahead = robot.hinge_offset + robot.flipper_axle + robot.track_radius + _MARGIN
+    points = _thinned(_seen(scans, ahead, reach, cell), cell)
+    start, end = _known_line(source, points, scans, ahead)
     rows = (f"{x:.4f} {y:.4f} {z:.4f}\n" for x, y, z in points.tolist())
     write_bytes(output, (_HEADER + "".join(rows)).encode())
     return {
@@ -168,25 +174,18 @@ def _parts(cloud: Points) -> Iterator[Points]:
         yield Points(cloud.time + _PART * one, cloud.frame, cloud.points[parts == one])
 
 
-def _half_length(robot: Robot) -> float:
-    """Return the distance from the chassis centre to the tip of a level flipper, and more [m]."""
-    return robot.hinge_offset + robot.flipper_axle + robot.track_radius + _MARGIN
-
-
-def _seen(scans: Scans, robot: Robot, reach: float, cell: float) -> FloatArray:
+def _seen(scans: Scans, ahead: float, reach: float, cell: float) -> FloatArray:
     """Return the points of all scans in the fixed frame, without the robot's own."""
-    ahead = _half_length(robot)
-
     parts = [np.empty((0, 3))]
     for points, pose in scans:
         x, y, _ = points.T
         own = (np.abs(x) <= ahead) & (np.abs(y) <= HALF_WIDTH)
         near = np.linalg.norm(points, axis=1) <= reach
-        parts.append(thinned(pose.apply(points[near & ~own]), cell))
+        parts.append(_thinned(pose.apply(points[near & ~own]), cell))
     return np.concatenate(parts)
 
 
-def thinned(points: FloatArray, cell: float) -> FloatArray:
+def _thinned(points: FloatArray, cell: float) -> FloatArray:
     """Return the mean of the points in each cube of edge ``cell`` [m], (C, 3), sorted by cube."""
     if not len(points):
         return points
@@ -195,3 +194,99 @@ def thinned(points: FloatArray, cell: float) -> FloatArray:
     group = group.reshape(-1)
     count = np.bincount(group)
     return np.column_stack([np.bincount(group, weights=axis) / count for axis in points.T])
+
+
+def read_folder(folder: Path, but: Path | None = None) -> tuple[Scans, FloatArray | None]:
+    """Return the clouds with their poses, and their stamps, (C,) [s], if the poses have any.
+
+    ``but``: a file that is none of the clouds, although it may be in the folder.
+    """
+    other = but and but.resolve()
+    files = [file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES]
+    clouds = sorted((file for file in files if file.resolve() != other), key=_in_order)
+    if not clouds:
+        raise RequestError(
+            f"{folder}: there are no clouds; files of {', '.join(SUFFIXES)} are read"
+        )
+    poses, stamps = _read_poses(folder / POSES)
+    if len(poses) != len(clouds):
+        raise RequestError(
+            f"{folder / POSES}: {len(poses)} poses for {len(clouds)} clouds; one line for each "
+            "cloud is needed, in the order of the files' names"
+        )
+    return [(_points(file), pose) for file, pose in zip(clouds, poses, strict=True)], stamps
+
+
+def _in_order(file: Path) -> list[tuple[str, int]]:
+    """Return what orders names, with the numbers in them by value: ``2.pcd`` before ``10.pcd``."""
+    parts = re.findall(r"(\D*)(\d*)", file.name)
+    return [(text, int(digits or 0)) for text, digits in parts]
+
+
+def _read_poses(file: Path) -> tuple[list[Pose], FloatArray | None]:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of numpy, on an empty file
+            rows = np.loadtxt(file, ndmin=2)
+    except OSError as error:
+        raise RequestError(f"{file}: there is no such file; it holds the clouds' poses") from error
+    except ValueError as error:
+        raise RequestError(f"{file}: lines of numbers are allowed; {error}") from error
+    if not rows.size:
+        raise RequestError(f"{file}: it is empty; one line for each cloud is needed")
+    finite = np.asarray(np.isfinite(rows).all(axis=1))
+    _require(file, rows, finite, "finite numbers are allowed")
+    if rows.shape[1] == 8:
+        length = np.linalg.norm(rows[:, 4:], axis=1)
+        _require(file, rows, length > 0, "the quaternion (its last four numbers) must not be 0")
+        turns = rows[:, 4:] / length[:, None]
+        return [Pose(row[1:4], turn) for row, turn in zip(rows, turns, strict=True)], rows[:, 0]
+    if rows.shape[1] == 12:
+        matrices = rows.reshape(-1, 3, 4)
+        try:
+            turns = Rotation.from_matrix(matrices[:, :, :3]).as_quat()
+        except ValueError as error:
+            raise RequestError(f"{file}: [R|t] needs a rotation R; {error}") from error
+        return [Pose(m[:, 3], turn) for m, turn in zip(matrices, turns, strict=True)], None
+    raise RequestError(
+        f"{file}: 8 numbers (stamp, x, y, z, qx, qy, qz, qw) or 12 (the rows of [R|t]) a line are "
+        f"allowed; the first line has {rows.shape[1]}"
+    )
+
+
+def _require(file: Path, rows: FloatArray, fit: NDArray[np.bool_], allowed: str) -> None:
+    """Raise RequestError, naming the first of the ``rows`` that is not ``fit``, (L,) both."""
+    for number in np.flatnonzero(~fit)[:1].tolist():
+        numbers = " ".join(f"{value:g}" for value in rows[number])
+        raise RequestError(f"{file}, pose {number + 1}: {allowed}; it is {numbers}")
+
+
+def _points(file: Path) -> FloatArray:
+    suffix = file.suffix.lower()
+    try:
+        if suffix == ".npy":
+            points = np.load(file, allow_pickle=False)
+        elif suffix == ".xyz":
+            points = np.loadtxt(file, usecols=(0, 1, 2), ndmin=2)
+        elif suffix == ".pcd":
+            from pypcd4.pypcd4 import PointCloud
+
+            points = PointCloud.from_path(file).numpy(("x", "y", "z"))
+        else:
+            import trimesh
+
+            points = trimesh.load(file).vertices  # type: ignore[attr-defined]  # of a cloud
+    except ImportError as error:
+        raise MissingExtraError(
+            f"{file}: {error.name} is not installed; run pip install 'flipperctl[profiles]'"
+        ) from error
+    except Exception as error:  # each library has its own errors for damaged files
+        text = " ".join(str(error).split())
+        raise RequestError(f"{file} cannot be read: {type(error).__name__}: {text}") from error
+    array = np.asarray(points, dtype=np.float64)
+    if array.ndim != 2 or array.shape[1] < 3:
+        raise RequestError(
+            f"{file}: an array of points (P, 3) is allowed; its shape is {array.shape}"
+        )
+    array = array[:, :3]
+    return array[np.isfinite(array).all(axis=1)]

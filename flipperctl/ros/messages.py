@@ -31,6 +31,7 @@ TIME = "time"
 """Field of a cloud with the time of each point relative to the stamp [s]."""
 EPOCH = 1_000_000_000
 """Stamp of an episode's start [s]; not 0, which in ROS means that there is no stamp."""
+Place = tuple[float, float, float]
 _NOT_MEASURED = -1.0
 """First number of a covariance whose quantity a message does not hold."""
 
@@ -86,15 +87,14 @@ class Messages:
     def header(self, time: float, frame: str) -> Any:
         """Return a header with the stamp of ``time`` since the start of the episode [s]."""
         seconds, rest = divmod(nanoseconds(time), 10**9)
-        stamp = self._make("builtin_interfaces/msg/Time", sec=seconds, nanosec=rest)
-        return self._make("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
+        stamp = self._make("builtin_interfaces/Time", sec=seconds, nanosec=rest)
+        return self._make("std_msgs/Header", stamp=stamp, frame_id=frame)
 
     def joint_state(self, time: float, front: float, rear: float) -> Any:
         """Return the angles of both pairs in frame R [rad] as a ``JointState``."""
-        header, none = self.header(time, BASE), np.empty(0)
         told = {"name": list(JOINTS), "position": joint_angles(front, rear)}
-        kind = "sensor_msgs/msg/JointState"
-        return self._make(kind, header=header, **told, velocity=none, effort=none)
+        told |= {"velocity": np.empty(0), "effort": np.empty(0)}
+        return self._make("sensor_msgs/JointState", header=self.header(time, BASE), **told)
 
     def imu(
         self,
@@ -110,13 +110,13 @@ class Messages:
         unknown = np.zeros(9)
         unknown[0] = _NOT_MEASURED
         return self._make(
-            "sensor_msgs/msg/Imu",
+            "sensor_msgs/Imu",
             header=self.header(time, BASE),
             orientation=self._orientation(attitude(*attitude_angles)),
             orientation_covariance=np.zeros(9),
-            angular_velocity=self._vector(*rates),
+            angular_velocity=self._xyz("Vector3", *rates),
             angular_velocity_covariance=np.zeros(9),
-            linear_acceleration=self._vector(0.0, 0.0, 0.0),
+            linear_acceleration=self._xyz("Vector3", 0.0, 0.0, 0.0),
             linear_acceleration_covariance=unknown,
         )
 
@@ -124,43 +124,31 @@ class Messages:
         """Return pose and velocity of the chassis centre; the velocity is in ``base_link``."""
         turn = attitude(state.roll, state.pitch, state.yaw)
         x, z = state.velocity.tolist()
-        ahead, left, up = (turn.T @ np.array([x, state.side_velocity, z])).tolist()
-        make, none = self._make, np.zeros(36)
-        pose = make(
-            "geometry_msgs/msg/Pose",
-            position=make("geometry_msgs/msg/Point", **_place(state)),
-            orientation=self._orientation(turn),
-        )
-        twist = make(
-            "geometry_msgs/msg/Twist",
-            linear=self._vector(ahead, left, up),
-            angular=self._vector(0.0, -state.pitch_rate, 0.0),
-        )
+        ahead = turn.T @ np.array([x, state.side_velocity, z])
+        place, make = self._xyz("Point", *_place(state)), self._make
+        pose = make("geometry_msgs/Pose", position=place, orientation=self._orientation(turn))
+        linear = self._xyz("Vector3", *ahead.tolist())
+        angular = self._xyz("Vector3", 0.0, -state.pitch_rate, 0.0)
+        twist = make("geometry_msgs/Twist", linear=linear, angular=angular)
+        none = np.zeros(36)
         return make(
-            "nav_msgs/msg/Odometry",
+            "nav_msgs/Odometry",
             header=self.header(state.time, ODOM),
             child_frame_id=BASE,
-            pose=make("geometry_msgs/msg/PoseWithCovariance", pose=pose, covariance=none),
-            twist=make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=none),
+            pose=make("geometry_msgs/PoseWithCovariance", pose=pose, covariance=none),
+            twist=make("geometry_msgs/TwistWithCovariance", twist=twist, covariance=none),
         )
 
     def transforms(self, state: RobotState) -> Any:
         """Return the frames of the chassis, tilted and level, as a ``TFMessage``."""
-        turns = {
-            BASE: attitude(state.roll, state.pitch, state.yaw),
-            LEVEL: attitude(0.0, 0.0, state.yaw),
-        }
-        transforms = [
-            self._transform(self.header(state.time, ODOM), child, _place(state), turn)
-            for child, turn in turns.items()
-        ]
-        return self._make("tf2_msgs/msg/TFMessage", transforms=transforms)
+        place, tilted = _place(state), attitude(state.roll, state.pitch, state.yaw)
+        level = attitude(0.0, 0.0, state.yaw)
+        turns = {BASE: (place, tilted), LEVEL: (place, level)}
+        return self._frames(self.header(state.time, ODOM), turns)
 
     def mount(self, x: float, z: float, axis: float) -> Any:
         """Return the place of the LiDAR on the chassis as a ``TFMessage``; see ``Mount``."""
-        place = {"x": x, "y": 0.0, "z": z}
-        one = self._transform(self.header(0.0, BASE), LIDAR, place, mounting(axis))
-        return self._make("tf2_msgs/msg/TFMessage", transforms=[one])
+        return self._frames(self.header(0.0, BASE), {LIDAR: ((x, 0.0, z), mounting(axis))})
 
     def cloud(
         self, time: float, frame: str, points: FloatArray, ages: FloatArray | None = None
@@ -173,13 +161,12 @@ class Messages:
         names = "xyz" if ages is None else ("x", "y", "z", TIME)
         columns = points if ages is None else np.column_stack([points, -ages])
         fields = [
-            self._make("sensor_msgs/msg/PointField", name=name, offset=4 * i, datatype=7, count=1)
+            self._make("sensor_msgs/PointField", name=name, offset=4 * i, datatype=7, count=1)
             for i, name in enumerate(names)
         ]
-        data = np.ascontiguousarray(columns, "<f4")
-        step = 4 * len(names)
+        data, step = np.ascontiguousarray(columns, "<f4"), 4 * len(names)
         return self._make(
-            "sensor_msgs/msg/PointCloud2",
+            "sensor_msgs/PointCloud2",
             header=self.header(time, frame),
             height=1,
             width=len(points),
@@ -193,32 +180,38 @@ class Messages:
 
     def numbers(self, values: FloatArray) -> Any:
         """Return a ``Float64MultiArray`` of one dimension."""
-        layout = self._make("std_msgs/msg/MultiArrayLayout", dim=[], data_offset=0)
+        layout = self._make("std_msgs/MultiArrayLayout", dim=[], data_offset=0)
         data = np.asarray(values, np.float64)
-        return self._make("std_msgs/msg/Float64MultiArray", layout=layout, data=data)
+        return self._make("std_msgs/Float64MultiArray", layout=layout, data=data)
 
     def number(self, value: float) -> Any:
         """Return a ``Float64``, or an ``Int32`` of an integer."""
         kind = "Float64" if isinstance(value, float) else "Int32"
-        return self._make(f"std_msgs/msg/{kind}", data=value)
+        return self._make(f"std_msgs/{kind}", data=value)
 
     def _orientation(self, turn: FloatArray) -> Any:
         x, y, z, w = quaternion(turn)
-        return self._make("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)
+        return self._make("geometry_msgs/Quaternion", x=x, y=y, z=z, w=w)
 
-    def _vector(self, x: float, y: float, z: float) -> Any:
-        return self._make("geometry_msgs/msg/Vector3", x=x, y=y, z=z)
+    def _xyz(self, kind: str, x: float, y: float, z: float) -> Any:
+        return self._make(f"geometry_msgs/{kind}", x=x, y=y, z=z)
 
-    def _transform(self, header: Any, child: str, place: dict[str, float], turn: FloatArray) -> Any:
-        placed = {"translation": self._vector(**place), "rotation": self._orientation(turn)}
-        transform = self._make("geometry_msgs/msg/Transform", **placed)
-        kind = "geometry_msgs/msg/TransformStamped"
-        return self._make(kind, header=header, child_frame_id=child, transform=transform)
+    def _frames(self, header: Any, turns: dict[str, tuple[Place, FloatArray]]) -> Any:
+        """Return a ``TFMessage`` of the place and the rotation of each frame."""
+        transforms = []
+        for child, (place, turn) in turns.items():
+            placed = {"translation": self._xyz("Vector3", *place)}
+            placed |= {"rotation": self._orientation(turn)}
+            told = {"child_frame_id": child}
+            told["transform"] = self._make("geometry_msgs/Transform", **placed)
+            kind = "geometry_msgs/TransformStamped"
+            transforms.append(self._make(kind, header=header, **told))
+        return self._make("tf2_msgs/TFMessage", transforms=transforms)
 
     def _make(self, name: str, /, **fields: Any) -> Any:
-        return self.types.types[name](**fields)
+        return self.types.types[name.replace("/", "/msg/")](**fields)
 
 
-def _place(state: RobotState) -> dict[str, float]:
+def _place(state: RobotState) -> Place:
     x, z = state.position.tolist()
-    return {"x": x, "y": state.side, "z": z}
+    return x, state.side, z

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Collection
-from dataclasses import dataclass, field
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -23,55 +23,38 @@ from flipperctl.core.lidar.estimator import LidarEstimator
 from flipperctl.core.lidar.messages import PerceptionError, Pose, Scan
 from flipperctl.core.sensing import Measured, SensedAngles, SensedGround
 from flipperctl.errors import RequestError
-from flipperctl.ros.devices import Recording, Step, read_recording
-from flipperctl.ros.reading import POSES, read_folder
+from flipperctl.ros.ground import POSES, read_folder
+from flipperctl.ros.reading import Pose as FramePose
+from flipperctl.ros.reading import estimated
+from flipperctl.ros.recording import Recording, Step, read_recording
 from flipperctl.ros.topics import Names
-from flipperctl.ros.transforms import Pose as FramePose
-from flipperctl.ros.transforms import estimated
 from flipperctl.runtime.intake import Intake
 from flipperctl.runtime.messages import Cloud, Limits, RobotSetup
 from flipperctl.sim.lidar import LidarSensor
 
 
-class Drift:
-    """Compares two ways, each relative to its own start."""
+def drift(poses: Sequence[tuple[Pose, Pose]]) -> dict[str, float | None] | None:
+    """Return how far a way drifts from another one, each relative to its own start.
 
-    def __init__(self) -> None:
-        self._starts: tuple[Pose, Pose] | None = None
-        self._last: FloatArray | None = None
-        self._way = 0.0
-        self._errors: list[FloatArray] = []
-
-    def add(self, estimated: Pose, recorded: Pose) -> None:
-        """Add the poses of one instant."""
-        if self._starts is None:
-            self._starts = estimated, recorded
-        ours, theirs = (
-            _since(start, pose)
-            for start, pose in zip(self._starts, (estimated, recorded), strict=True)
-        )
-        if self._last is not None:
-            self._way += float(np.linalg.norm(theirs[:3] - self._last[:3]))
-        self._last = theirs
-        self._errors.append(ours - theirs)
-
-    def summary(self) -> dict[str, float | None] | None:
-        """Return the way and the errors at its end; None without poses to compare.
-
-        ``horizontal`` and ``height`` are in [m], ``share`` is the first per way [-], and
-        ``heading`` is in [rad].
-        """
-        if not self._errors:
-            return None
-        x, y, z, turn = self._errors[-1].tolist()
-        horizontal = math.hypot(x, y)
-        return {
-            "way": self._way,
-            "horizontal": horizontal,
-            "share": horizontal / self._way if self._way > 0.1 else None,
-            "height": z,
-            "heading": math.remainder(turn, 2 * math.pi),
-        }
+    ``poses``: of both ways at the same instants; None without any. ``way`` is the length of the
+    second one and ``horizontal`` and ``height`` are the errors at its end [m], ``share`` is the
+    horizontal one per way [-], and ``heading`` is in [rad].
+    """
+    if not poses:
+        return None
+    ours, theirs = (
+        np.array([_since(way[0], pose) for pose in way]) for way in zip(*poses, strict=True)
+    )
+    way = float(sum(np.linalg.norm(step) for step in np.diff(theirs[:, :3], axis=0)))
+    x, y, z, turn = (ours[-1] - theirs[-1]).tolist()
+    horizontal = math.hypot(x, y)
+    return {
+        "way": way,
+        "horizontal": horizontal,
+        "share": horizontal / way if way > 0.1 else None,
+        "height": z,
+        "heading": math.remainder(turn, 2 * math.pi),
+    }
 
 
 def _since(start: Pose, pose: Pose) -> FloatArray:
@@ -103,7 +86,7 @@ class Instant:
     """Name of the fault for which a controller would hold; empty without one."""
 
 
-@dataclass
+@dataclass(frozen=True)
 class Replay:
     """All decisions of a recording, and what became of its scans."""
 
@@ -111,9 +94,9 @@ class Replay:
     """Width of a bin [m]."""
     half_width: float
     """Ground within this distance beside the robot's line counts [m]."""
-    summary: dict[str, Any] = field(default_factory=dict)
+    instants: list[Instant]
+    summary: dict[str, Any]
     """The numbers of ``robot check --json``."""
-    instants: list[Instant] = field(default_factory=list)
 
 
 def replay(source: Path, sensor: Sensor, robot: Robot, pose: str | None, names: Names) -> Replay:
@@ -121,10 +104,6 @@ def replay(source: Path, sensor: Sensor, robot: Robot, pose: str | None, names: 
 
     ``pose``: ``belts``, ``matched``, or ``true``, which takes the poses of the recording; None: by
     belts if it has an inertial unit and belt speeds, otherwise ``true``.
-
-    Raises:
-        MissingExtraError: a package that reads the recording, or small_gicp, is not installed.
-        RequestError: the recording cannot be used; the text says why.
     """
     if not isinstance(sensor, LidarSensor):
         raise RequestError(
@@ -136,8 +115,8 @@ def replay(source: Path, sensor: Sensor, robot: Robot, pose: str | None, names: 
                 f"{source}: a folder of clouds has poses alone, so that perception.pose is true; "
                 f"{pose} needs a bag with an Imu"
             )
-        place = {"mount_x": 0.0, "mount_z": 0.0, "mount_axis": math.pi / 2}
-        run = _Run(sensor.model_copy(update={**place, "pose": "true"}), robot, RobotSetup())
+        place = {"mount_x": 0.0, "mount_z": 0.0, "mount_axis": math.pi / 2, "pose": "true"}
+        run = _Run(sensor.model_copy(update=place), robot, RobotSetup())
         scans, stamps = read_folder(source)
         if stamps is None:
             raise RequestError(
@@ -149,12 +128,10 @@ def replay(source: Path, sensor: Sensor, robot: Robot, pose: str | None, names: 
             run.take(Step(time, {"cloud": Cloud(time, frame, points)}), where)
         return run.finish(source, {"cloud": "files"}, [])
     recording = read_recording(source, names)
-    how = _pose(recording, pose)
     x, _, z = recording.mount.place.tolist()
     place = {"mount_x": x, "mount_z": z, "mount_axis": recording.axis}
-    run = _Run(
-        sensor.model_copy(update={**place, "pose": how}), robot, recording.setup, recording.topics
-    )
+    place["pose"] = _pose(recording, pose)
+    run = _Run(sensor.model_copy(update=place), robot, recording.setup, recording.topics)
     for step in recording.steps():
         cloud = step.messages.get("cloud")
         run.take(step, None if cloud is None else recording.pose(cloud.time))
@@ -193,7 +170,7 @@ class _Run:
         self._limits, self._period = Limits(), robot.decision_period
         needs = () if self._tracked else {"joints", "attitude"} & set(topics)
         self._intake = Intake(setup, self._limits, needs)
-        self._result = Replay(sensor.bin_width, sensor.half_width)
+        self._instants: list[Instant] = []
         self._refused: Counter[str] = Counter()
         self._reasons: dict[str, str] = {}
         self._scans = 0
@@ -202,7 +179,7 @@ class _Run:
         self._cloud: FloatArray | None = None
         self._estimates: list[float] = []  # their durations [ms]
         self._updates: list[float] = []  # those of the scans [ms]
-        self._drift = Drift()
+        self._poses: list[tuple[Pose, Pose]] = []  # by the estimator and by the recording
         self._origin: FloatArray | None = None  # the first place of the chassis by the recording
 
     def take(self, step: Step, where: FramePose | None) -> None:
@@ -231,7 +208,7 @@ class _Run:
                 self._scans += 1
                 self._cloud = message.points
                 if where is not None and not self._tracked:
-                    self._drift.add(self._estimator.pose, estimated(where))
+                    self._poses.append((self._estimator.pose, estimated(where)))
         fault = self._intake.refused("cloud")
         if "cloud" in messages and fault is not None and fault is not before:
             self._refuse(fault.name, fault.reason)
@@ -258,7 +235,7 @@ class _Run:
         seen = 1.0 if ground.seen is None else float(np.mean(ground.seen))
         held = "coverage" if seen < self._limits.coverage else ""  # no decision is made
         assert self._begun is not None
-        self._result.instants.append(
+        self._instants.append(
             Instant(
                 now - self._begun,
                 _shown(cloud @ self._turn.T + self._mount, pose),
@@ -270,22 +247,16 @@ class _Run:
         )
 
     def finish(self, source: Path, topics: dict[str, str], remarks: list[str]) -> Replay:
-        """Return the result.
-
-        Raises:
-            RequestError: no scan was used.
-        """
-        instants = self._result.instants
-        if not instants:
+        """Return the result; RequestError if no scan was used."""
+        if not (instants := self._instants):
             why = "; ".join(f"{n} × {self._reasons[name]}" for name, n in self._refused.items())
             raise RequestError(f"{source}: no cloud can be used: {why or 'there is none'}")
         seen = np.array([one.ground.seen for one in instants])  # (T, N)
-        filled = np.concatenate(
-            [one.ground.filled for one in instants if one.ground.filled is not None]
-        )
+        filled = [one.ground.filled for one in instants if one.ground.filled is not None]
         deviation = np.array([one.ground.deviation for one in instants])  # (T, N) [m]
-        middle = (np.arange(seen.shape[1]) - (seen.shape[1] - 1) / 2) * self._result.bin_width
-        self._result.summary = {
+        width, half_width = self._sensor.bin_width, self._sensor.half_width
+        middle = (np.arange(seen.shape[1]) - (seen.shape[1] - 1) / 2) * width
+        summary = {
             "source": str(source),
             "topics": topics,
             "pose": self._sensor.pose,
@@ -298,7 +269,7 @@ class _Run:
             "decisions": len(instants),
             "held": dict(Counter(one.held for one in instants if one.held)),
             "coverage": {"mean": float(seen.mean()), "least": float(seen.mean(axis=1).min())},
-            "filled": float(filled.mean()),
+            "filled": float(np.concatenate(filled).mean()),
             "deviation": _median(deviation[np.isfinite(deviation)]),
             "bins": [
                 {
@@ -310,10 +281,10 @@ class _Run:
             ],
             "estimate_ms": _quantiles(self._estimates),
             "scan_ms": _quantiles(self._updates),
-            "drift": self._drift.summary(),
+            "drift": drift(self._poses),
             "remarks": remarks,
         }
-        return self._result
+        return Replay(width, half_width, instants, summary)
 
 
 def _shown(points: FloatArray, pose: Pose) -> FloatArray:

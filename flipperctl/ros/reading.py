@@ -1,32 +1,29 @@
-"""Read point clouds and the frames in which they were measured, from a bag or a folder.
+"""What a bag holds: point clouds, and where frames are in each other over time.
 
-In: a bag of ROS 1 or ROS 2, such as a folder of ``ros2 bag record``, an ``.mcap`` or a ``.bag``; or
-files of clouds and ``poses.txt`` with one line for each of them in the order of their names, 2
-before 10: 8 numbers, stamp, place and quaternion (x y z qx qy qz qw), as TUM's tools write them, or
-12, the upper rows of the matrix, as KITTI's do. Out: clouds with their stamps and frames, and the
-tree of transforms.
+In: a bag of ROS 1 or ROS 2, such as a folder of ``ros2 bag record``, an ``.mcap`` or a ``.bag``.
+Out: its messages; points with their stamps and frames; and what tf2 answers, in numpy: the pose of
+a frame in another at a time, interpolated between the transforms that were recorded.
 """
 
 from __future__ import annotations
 
-import re
+import math
 import struct
-import warnings
+from bisect import bisect_left, insort
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from flipperctl.api import FloatArray
-from flipperctl.errors import MissingExtraError, RequestError
+from flipperctl.core.lidar.messages import Pose as ChassisPose
+from flipperctl.errors import RequestError
 from flipperctl.messages import close_match
 from flipperctl.ros.messages import require_rosbags, typestore
-from flipperctl.ros.transforms import Pose, Transforms
 from flipperctl.runtime.point_cloud import PointTimes, read_cloud
 
 CLOUD, ODOMETRY = "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/Odometry"
@@ -49,6 +46,206 @@ _DAMAGED = (
     struct.error,
 )
 """What readers raise at bytes that make no sense."""
+FARTHEST = 0.25
+"""Longest time to the nearest transform [s]."""
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A frame in another."""
+
+    place: FloatArray
+    """Its origin, (3,) [m]."""
+    turn: FloatArray
+    """Rotation from it to the other frame, as x, y, z and w, (4,) [-]."""
+
+    @classmethod
+    def none(cls) -> Pose:
+        """Return the pose of a frame in itself."""
+        return cls(np.zeros(3), np.array([0.0, 0.0, 0.0, 1.0]))
+
+    def apply(self, points: FloatArray) -> FloatArray:
+        """Return points of the frame, (P, 3), in the other frame [m]."""
+        return self.directions(points) + self.place
+
+    def directions(self, vectors: FloatArray) -> FloatArray:
+        """Return vectors of the frame, (P, 3), along the axes of the other frame."""
+        turned: FloatArray = Rotation.from_quat(self.turn).apply(vectors)
+        return turned
+
+    def after(self, inner: Pose) -> Pose:
+        """Return the pose of ``inner``'s frame, which is a pose in this one, in the other frame."""
+        both = Rotation.from_quat(self.turn) * Rotation.from_quat(inner.turn)
+        return Pose(self.apply(inner.place[None])[0], both.as_quat())
+
+    def near(self, other: Pose) -> bool:
+        """Return whether another pose is the same within a millimetre and a thousandth."""
+        turned = 1 - abs(float(self.turn @ other.turn))  # of unit quaternions: 1 - cos(angle / 2)
+        return bool(np.linalg.norm(self.place - other.place) <= 1e-3 and turned <= 1e-6)
+
+    def inverse(self) -> Pose:
+        """Return the pose of the other frame in this one."""
+        back = Rotation.from_quat(self.turn).inv()
+        return Pose(-back.apply(self.place), back.as_quat())
+
+
+def estimated(pose: Pose) -> ChassisPose:
+    """Return the chassis in a fixed frame as the estimator takes it."""
+    turn = Rotation.from_quat(pose.turn).as_matrix()
+    x, y, z = pose.place.tolist()
+    forward, left = turn[:, 0].tolist(), turn[:, 1].tolist()
+    roll, pitch = (math.asin(min(1.0, max(-1.0, axis[2]))) for axis in (left, forward))
+    return ChassisPose(x, y, z, roll, pitch, math.atan2(forward[1], forward[0]))
+
+
+@dataclass
+class _Track:
+    """The poses of a frame in its parent, by time."""
+
+    fixed: Pose | None = None
+    times: list[float] = field(default_factory=list)
+    poses: dict[float, Pose] = field(default_factory=dict)
+
+    def add(self, time: float, pose: Pose) -> None:
+        if time not in self.poses:
+            insort(self.times, time)
+        self.poses[time] = pose
+
+    def at(self, time: float) -> Pose | None:
+        """Return the pose at a time; None if the nearest one is too far away."""
+        if self.fixed is not None:
+            return self.fixed
+        after = bisect_left(self.times, time)
+        if after < len(self.times) and self.times[after] == time:
+            return self.poses[time]
+        around = self.times[max(0, after - 1) : after + 1]
+        nearest = min(around, key=lambda one: abs(one - time))
+        if abs(nearest - time) > FARTHEST:
+            return None
+        if len(around) == 1:
+            return self.poses[nearest]
+        part = (time - around[0]) / (around[1] - around[0])
+        first, second = (self.poses[one] for one in around)
+        # Of the two quaternions of a rotation, the one on the side of the first.
+        near = second.turn if first.turn @ second.turn >= 0 else -second.turn
+        turn = (1 - part) * first.turn + part * near
+        place = (1 - part) * first.place + part * second.place
+        return Pose(place, turn / np.linalg.norm(turn))
+
+
+_Link = tuple[str, str]
+"""A frame and one of its parents."""
+
+
+class Transforms:
+    """A tree of frames, or several that share a frame: a frame may have several parents."""
+
+    def __init__(self, source: Path | None = None) -> None:
+        """``source``: the recording, for errors."""
+        self._where = "" if source is None else f"{source}: "
+        self._tracks: dict[str, dict[str, _Track]] = {}  # child → parent → its poses
+        self._known: dict[_Link, list[tuple[list[_Link], list[_Link]]]] = {}
+
+    def add(self, parent: str, child: str, time: float | None, pose: Pose) -> None:
+        """Add the pose of ``child`` in ``parent`` at a time [s]; None if it is fixed."""
+        tracks = self._tracks.setdefault(child.lstrip("/"), {})
+        if parent.lstrip("/") not in tracks:
+            self._known.clear()
+        track = tracks.setdefault(parent.lstrip("/"), _Track())
+        if time is None:
+            track.fixed = pose
+        else:
+            track.add(time, pose)
+
+    @property
+    def frames(self) -> list[str]:
+        """Names of all frames."""
+        return sorted({*self._tracks}.union(*self._tracks.values()))
+
+    def has(self, child: str) -> bool:
+        """Return whether the pose of a frame in a parent is known."""
+        return child.lstrip("/") in self._tracks
+
+    def remarks(self, fixed: str, base: str) -> list[str]:
+        """Return what a reader of the poses of ``base`` in ``fixed`` should know."""
+        parents = sorted(self._tracks.get(base, ()))
+        remark = (
+            f"{base} has {len(parents)} parents, {' and '.join(parents)}: its poses are those in "
+            f"{fixed} (--fixed-frame)"
+        )
+        return [remark] if len(parents) > 1 else []
+
+    def pose(self, frame: str, of: str, time: float) -> Pose | None:
+        """Return the pose of the frame ``of`` in ``frame``; None if it is unknown at that time.
+
+        Of several parents, the one counts that leads to ``frame``; two ways must not differ.
+        """
+        frame, of = frame.lstrip("/"), of.lstrip("/")
+        told: list[tuple[list[_Link], Pose]] = []
+        for up, down in self._ways(frame, of):
+            ours, theirs = self._along(down, time), self._along(up, time)
+            if ours is not None and theirs is not None:
+                told.append(([*up, *down], ours.inverse().after(theirs)))
+        for way, pose in told[1:]:
+            if not told[0][1].near(pose):
+                one = told[0][0]
+                child, first = next(link for link in one if link not in way)
+                second = next((parent for name, parent in way if name == child), way[0][1])
+                raise RequestError(
+                    f"{self._where}{child!r} has two parents, {first!r} and {second!r}, by which "
+                    f"the poses of {of!r} in {frame!r} differ; a recording with one of them is "
+                    "needed"
+                )
+        return told[0][1] if told else None
+
+    def on(self, base: str, frame: str, time: float) -> Pose | None:
+        """Return the pose of a device's frame on the chassis, which needs no transform itself."""
+        same = frame.lstrip("/") == base
+        return Pose.none() if same else self.pose(base, frame, time)
+
+    def _ways(self, frame: str, of: str) -> list[tuple[list[_Link], list[_Link]]]:
+        """Return the links from ``of`` up to a frame above both, and from ``frame`` up to it.
+
+        Ways that only climb, or only descend, come before those that do both.
+        """
+        if (frame, of) not in self._known:
+            for name in (frame, of):
+                if name not in self.frames:
+                    hint, known = close_match(name, self.frames), ", ".join(self.frames) or "none"
+                    raise RequestError(
+                        f"{self._where}there is no frame {name!r}{hint}; frames with a transform: "
+                        f"{known}"
+                    )
+            ways = []
+            above = list(self._above(frame))
+            for up in self._above(of):
+                passed = {of, *(parent for _, parent in up)}
+                for down in above:
+                    top = down[-1][1] if down else frame
+                    others = {frame, *(parent for _, parent in down)} - {top}
+                    if top == (up[-1][1] if up else of) and not others & passed:
+                        ways.append((up, down))
+            if not ways:
+                raise RequestError(f"{self._where}nothing connects the frames {frame!r} and {of!r}")
+            straight = [way for way in ways if not (way[0] and way[1])]
+            self._known[frame, of] = straight or ways
+        return self._known[frame, of]
+
+    def _above(self, frame: str, passed: tuple[_Link, ...] = ()) -> Iterator[list[_Link]]:
+        """Yield the links to each frame above a frame, on each way, and none to itself."""
+        yield list(passed)
+        for parent in sorted(self._tracks.get(frame, ())):
+            if parent not in {frame, *(child for child, _ in passed)}:
+                yield from self._above(parent, (*passed, (frame, parent)))
+
+    def _along(self, links: list[_Link], time: float) -> Pose | None:
+        """Return the pose of the first frame of a chain of links in the last one."""
+        total = Pose.none()
+        for child, parent in links:
+            if (pose := self._tracks[child][parent].at(time)) is None:
+                return None
+            total = pose.after(total)
+        return total
 
 
 @dataclass(frozen=True)
@@ -78,9 +275,6 @@ def read_transforms(path: Path, reader: Any) -> Transforms:
     """Return all transforms of a bag; those of ``tf_static`` are fixed.
 
     The pose of an odometry is a transform as well, for a frame that has no other.
-
-    Raises:
-        RequestError: several topics tell the pose of one frame, and no transform does.
     """
     transforms, odometry = Transforms(path), list[tuple[str, Any]]()
     for topic, _, message in messages(reader, kinds=(*_FRAMES, ODOMETRY)):
@@ -114,12 +308,7 @@ def read_transforms(path: Path, reader: Any) -> Transforms:
 
 @contextmanager
 def opened(path: Path) -> Iterator[Any]:
-    """Open a bag; an error of its content names the file.
-
-    Raises:
-        MissingExtraError: rosbags is not installed.
-        RequestError: the file is no bag.
-    """
+    """Open a bag; an error of its content names the file."""
     require_rosbags("reading a bag")
     from rosbags import rosbag1, rosbag2
     from rosbags.highlevel import AnyReader, AnyReaderError
@@ -155,11 +344,7 @@ def _remedy(path: Path) -> str:
 
 
 def chosen_topic(path: Path, reader: Any, topic: str | None) -> str:
-    """Return the topic of clouds, the only one unless it is named.
-
-    Raises:
-        RequestError: there is no such topic, or none or several have clouds.
-    """
+    """Return the topic of clouds, the only one unless it is named."""
     kinds = {c.topic: c.msgtype for c in reader.connections}
     clouds = sorted(name for name, kind in kinds.items() if kind == CLOUD)
     has = [f"{name} ({kind.replace('/msg/', '/')})" for name, kind in sorted(kinds.items())]
@@ -187,11 +372,7 @@ def times_of(path: Path, reader: Any, topic: str) -> PointTimes:
 
 
 def read_points(where: str, message: Any, times: PointTimes) -> Points:
-    """Return what a ``PointCloud2`` holds; ``times`` of its topic.
-
-    Raises:
-        RequestError: it has no stamp, no frame or no coordinates; the text begins with ``where``.
-    """
+    """Return what a ``PointCloud2`` holds; ``times`` of its topic; ``where`` begins errors."""
     time, frame, cloud = _read(where, message)
     shifts = times.shifts(cloud.times, time)
     if shifts is None:
@@ -227,109 +408,3 @@ def _pose(place: Any, turn: Any) -> Pose | None:
 def seconds(stamp: Any) -> float:
     """Return a stamp as one number [s]."""
     return float(stamp.sec + stamp.nanosec * 1e-9)
-
-
-POSES = "poses.txt"
-SUFFIXES = (".pcd", ".ply", ".xyz", ".npy")
-Scans = list[tuple[FloatArray, Pose]]
-"""Points in the frame of the chassis, (P, 3) [m], and the chassis in the fixed frame."""
-
-
-def read_folder(folder: Path, but: Path | None = None) -> tuple[Scans, FloatArray | None]:
-    """Return the clouds with their poses, and their stamps, (C,) [s], if the poses have any.
-
-    ``but``: a file that is none of the clouds, although it may be in the folder.
-
-    Raises:
-        RequestError: there are no clouds, a file cannot be read, or the poses do not fit them.
-        MissingExtraError: a PCD or PLY file needs a package that is not installed.
-    """
-    other = but and but.resolve()
-    files = [file for file in folder.iterdir() if file.suffix.lower() in SUFFIXES]
-    clouds = sorted((file for file in files if file.resolve() != other), key=_in_order)
-    if not clouds:
-        raise RequestError(
-            f"{folder}: there are no clouds; files of {', '.join(SUFFIXES)} are read"
-        )
-    poses, stamps = _read_poses(folder / POSES)
-    if len(poses) != len(clouds):
-        raise RequestError(
-            f"{folder / POSES}: {len(poses)} poses for {len(clouds)} clouds; one line for each "
-            "cloud is needed, in the order of the files' names"
-        )
-    return [(_points(file), pose) for file, pose in zip(clouds, poses, strict=True)], stamps
-
-
-def _in_order(file: Path) -> list[tuple[str, int]]:
-    """Return what orders names, with the numbers in them by value: ``2.pcd`` before ``10.pcd``."""
-    parts = re.findall(r"(\D*)(\d*)", file.name)
-    return [(text, int(digits or 0)) for text, digits in parts]
-
-
-def _read_poses(file: Path) -> tuple[list[Pose], FloatArray | None]:
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # of numpy, on an empty file
-            rows = np.loadtxt(file, ndmin=2)
-    except OSError as error:
-        raise RequestError(f"{file}: there is no such file; it holds the clouds' poses") from error
-    except ValueError as error:
-        raise RequestError(f"{file}: lines of numbers are allowed; {error}") from error
-    if not rows.size:
-        raise RequestError(f"{file}: it is empty; one line for each cloud is needed")
-    finite = np.asarray(np.isfinite(rows).all(axis=1))
-    _require(file, rows, finite, "finite numbers are allowed")
-    if rows.shape[1] == 8:
-        length = np.linalg.norm(rows[:, 4:], axis=1)
-        _require(file, rows, length > 0, "the quaternion (its last four numbers) must not be 0")
-        turns = rows[:, 4:] / length[:, None]
-        return [Pose(row[1:4], turn) for row, turn in zip(rows, turns, strict=True)], rows[:, 0]
-    if rows.shape[1] == 12:
-        matrices = rows.reshape(-1, 3, 4)
-        try:
-            turns = Rotation.from_matrix(matrices[:, :, :3]).as_quat()
-        except ValueError as error:
-            raise RequestError(f"{file}: [R|t] needs a rotation R; {error}") from error
-        return [Pose(m[:, 3], turn) for m, turn in zip(matrices, turns, strict=True)], None
-    raise RequestError(
-        f"{file}: 8 numbers (stamp, x, y, z, qx, qy, qz, qw) or 12 (the rows of [R|t]) a line are "
-        f"allowed; the first line has {rows.shape[1]}"
-    )
-
-
-def _require(file: Path, rows: FloatArray, fit: NDArray[np.bool_], allowed: str) -> None:
-    """Raise RequestError, naming the first of the ``rows`` that is not ``fit``, (L,) both."""
-    for number in np.flatnonzero(~fit)[:1].tolist():
-        numbers = " ".join(f"{value:g}" for value in rows[number])
-        raise RequestError(f"{file}, pose {number + 1}: {allowed}; it is {numbers}")
-
-
-def _points(file: Path) -> FloatArray:
-    suffix = file.suffix.lower()
-    try:
-        if suffix == ".npy":
-            points = np.load(file, allow_pickle=False)
-        elif suffix == ".xyz":
-            points = np.loadtxt(file, usecols=(0, 1, 2), ndmin=2)
-        elif suffix == ".pcd":
-            from pypcd4.pypcd4 import PointCloud
-
-            points = PointCloud.from_path(file).numpy(("x", "y", "z"))
-        else:
-            import trimesh
-
-            points = trimesh.load(file).vertices  # type: ignore[attr-defined]  # of a cloud
-    except ImportError as error:
-        raise MissingExtraError(
-            f"{file}: {error.name} is not installed; run pip install 'flipperctl[profiles]'"
-        ) from error
-    except Exception as error:  # each library has its own errors for damaged files
-        text = " ".join(str(error).split())
-        raise RequestError(f"{file} cannot be read: {type(error).__name__}: {text}") from error
-    array = np.asarray(points, dtype=np.float64)
-    if array.ndim != 2 or array.shape[1] < 3:
-        raise RequestError(
-            f"{file}: an array of points (P, 3) is allowed; its shape is {array.shape}"
-        )
-    array = array[:, :3]
-    return array[np.isfinite(array).all(axis=1)]

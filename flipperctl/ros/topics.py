@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,7 @@ from flipperctl.errors import RequestError
 from flipperctl.messages import close_match
 from flipperctl.ros.episode import BELTS
 from flipperctl.ros.messages import BASE, JOINTS, ODOM
-from flipperctl.ros.reading import ODOMETRY, messages, seconds
-from flipperctl.ros.transforms import Pose, Transforms
+from flipperctl.ros.reading import ODOMETRY, Pose, Transforms, messages, seconds
 from flipperctl.runtime.messages import ABSENT, Levels
 
 _LISTED = 8
@@ -116,9 +116,7 @@ def found_devices(
         except RequestError:  # it is told where it is needed
             return None
 
-    def chassis(time: float) -> Pose | None:
-        return pose(names.fixed, names.base, time)
-
+    chassis = partial(pose, names.fixed, names.base)
     attitude = _only(path, reader, names.imu, (_IMU,), "--imu")
     imu = None
     if attitude is not None:
@@ -126,12 +124,9 @@ def found_devices(
         frame = names.base if head is None else head.header.frame_id.lstrip("/")
         mount = None if head is None else pose(names.base, frame, seconds(head.header.stamp))
         imu = orientations((m for *_, m in messages(reader, [attitude])), chassis, mount)
-        if text := _unused(attitude, imu):
-            remarks.append(text)
+        remarks += _unused(attitude, imu)
         attitude = None if imu.blank + imu.level == imu.messages else attitude
-    joints, text = _joint_topics(reader, names)
-    if text:
-        remarks.append(text)
+    joints = _joint_topics(reader, names, remarks)
     belts = names.belts
     if belts is None and any(c.topic == BELTS for c in reader.connections):
         belts = BELTS
@@ -142,18 +137,20 @@ def found_devices(
     return Devices(attitude, belts, joints, imu)
 
 
-def _unused(topic: str, imu: Orientations) -> str:
+def _unused(topic: str, imu: Orientations) -> list[str]:
     """Return what to remark on an inertial unit; nothing if all its messages are used."""
-    if not imu.messages:
-        return f"{topic} is not used: it has no message"
-    if imu.doubtful:
-        return f"{topic}: each orientation is 0 0 0 1, as if no one fills it in: taken for level"
-    reason = f"it {imu.reason}" if imu.level else "its covariance or quaternion says so"
     lost = imu.blank + imu.level
+    if not imu.messages:
+        return [f"{topic} is not used: it has no message"]
+    if imu.doubtful:
+        return [f"{topic}: each orientation is 0 0 0 1, as if no one fills it in: taken for level"]
+    if not lost:
+        return []
+    reason = f"it {imu.reason}" if imu.level else "its covariance or quaternion says so"
+    part = f": {lost} of {imu.messages} messages tell no orientation"
     if lost == imu.messages:
-        return f"{topic} is not used: it tells no orientation ({reason}); {ABSENT}"
-    part = f"{topic}: {lost} of {imu.messages} messages tell no orientation ({reason}); {ABSENT}"
-    return part if lost else ""
+        part = " is not used: it tells no orientation"
+    return [f"{topic}{part} ({reason}); {ABSENT}"]
 
 
 def _speeds(reader: Any, topic: str) -> Iterator[tuple[float, float, FloatArray | None]]:
@@ -167,15 +164,13 @@ def _speeds(reader: Any, topic: str) -> Iterator[tuple[float, float, FloatArray 
         yield seconds(message.header.stamp), float(message.twist.twist.linear.x), place
 
 
-def _joint_topics(reader: Any, names: Names) -> tuple[dict[str, list[str]], str]:
-    """Return from which topics the angles of which joints come, and what to remark on the others.
+def _joint_topics(reader: Any, names: Names, remarks: list[str]) -> dict[str, list[str]]:
+    """Return from which topics the angles of which joints come; none unless there are all.
 
     One topic with all joints is taken before several with a part each.
     """
     wanted = list(dict.fromkeys([*names.front, *names.rear]))
     topics = sorted({c.topic for c in reader.connections if c.msgtype == _JOINTS})
-    heads = [_first(reader, topic) for topic in topics]
-    others = dict.fromkeys(n for one in heads if one for n in one.name if n not in wanted)
     has = {topic: _joints_in(reader, topic, wanted) for topic in topics}
     joints: dict[str, list[str]] = {}
     left = list(wanted)
@@ -184,13 +179,16 @@ def _joint_topics(reader: Any, names: Names) -> tuple[dict[str, list[str]], str]
             joints[topic] = taken
             left = [name for name in left if name not in taken]
     if not left:
-        return joints, ""
+        return joints
     known = [name for name in wanted if name not in left]
+    heads = [_first(reader, topic) for topic in topics]
+    others = dict.fromkeys(n for one in heads if one for n in one.name if n not in wanted)
     there = f", only {', '.join(known)}" if known else ""
     if not known and others:
         there = f"; the bag has {', '.join([*others][:_LISTED])} (--front and --rear name them)"
-    missing = f"no JointState has the joint{'s' if len(left) > 1 else ''} {', '.join(left)}{there}"
-    return {}, f"{missing}: the flippers are taken for level"
+    missing = f"the joint{'s' if len(left) > 1 else ''} {', '.join(left)}"
+    remarks.append(f"no JointState has {missing}{there}: the flippers are taken for level")
+    return {}
 
 
 def _joints_in(reader: Any, topic: str, wanted: Sequence[str]) -> set[str]:
@@ -221,7 +219,7 @@ def _only(
         return topic
     if len(known) > 1:
         raise RequestError(f"{path}: {option} chooses one of {', '.join(known)}")
-    return known[0] if known else None
+    return next(iter(known), None)
 
 
 def _first(reader: Any, topic: str) -> Any:
@@ -235,8 +233,9 @@ def orientations(received: Iterable[Any], chassis: Poses, mount: Pose | None) ->
     ``chassis``: the chassis in the fixed frame; ``mount``: the unit on the chassis.
     """
     count = blank = level = 0
-    levels, gravity, ups = Levels(), list[FloatArray](), list[FloatArray]()
+    levels, gravity, ups = Levels(), list[list[float]](), list[FloatArray]()
     leaning, looked, turning = 0.0, -math.inf, False
+    vertical = np.array([0.0, 0.0, 1.0])
     for message in received:
         count += 1
         if _blank(message):
@@ -256,14 +255,14 @@ def orientations(received: Iterable[Any], chassis: Poses, mount: Pose | None) ->
             ups.append(_up(pose))
         if message.linear_acceleration_covariance[0] != -1:
             a = message.linear_acceleration
-            gravity.append(np.array([a.x, a.y, a.z]))
+            gravity.append([a.x, a.y, a.z])
             if len(gravity) == _AVERAGED:
                 mean, gravity = np.mean(gravity, axis=0), []
                 size = float(np.linalg.norm(mean))
                 if _GRAVITY[0] < size < _GRAVITY[1]:
-                    leaning = max(leaning, _angle(mean / size, np.array([0.0, 0.0, 1.0])))
+                    leaning = max(leaning, _angle(mean / size, vertical))
     tilted = max((_angle(ups[0], up) for up in ups[1:]), default=0.0)
-    mounted = 0.0 if mount is None else _angle(_up(mount), np.array([0.0, 0.0, 1.0]))
+    mounted = 0.0 if mount is None else _angle(_up(mount), vertical)
     if levels.unset:
         reason = levels.unset
     elif level and tilted > _TURNED:

@@ -12,7 +12,7 @@ import json
 import math
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
@@ -127,11 +127,7 @@ class Interface:
 
 
 def add_checksum(data: bytes) -> bytes:
-    """Return a model's bytes with their checksum in place of ``PLACEHOLDER``.
-
-    Raises:
-        ValueError: the entry ``CHECKSUM`` does not hold the placeholder exactly once.
-    """
+    """Return a model's bytes with their checksum in place of the one ``PLACEHOLDER``."""
     start = _find_entry(data, CHECKSUM, len(PLACEHOLDER))
     if start is None or data[start : start + len(PLACEHOLDER)] != PLACEHOLDER.encode():
         raise ValueError(f"the model's metadata must hold {CHECKSUM} once, as the placeholder")
@@ -185,12 +181,7 @@ def _replace_at(data: bytes, start: int, value: str) -> bytes:
 
 
 def open_session(path: Path) -> InferenceSession:
-    """Open a session with one thread; a network of this size is slower with two.
-
-    Raises:
-        MissingExtraError: onnxruntime is not installed.
-        PolicyError: the file is missing, damaged, or not one that flipperctl exported.
-    """
+    """Open a session with one thread; a network of this size is slower with two."""
     try:
         import onnxruntime
     except ImportError as error:
@@ -228,11 +219,7 @@ def reason_of(error: Exception) -> str:
 
 
 def interface_of(session: InferenceSession, where: str) -> Interface:
-    """Return the interface that a model states and has.
-
-    Raises:
-        PolicyError: the metadata are not valid, or its inputs and outputs are others.
-    """
+    """Return the interface that a model states; PolicyError if its input or outputs are others."""
     try:
         tensors = [(t.name, t.type, t.shape) for t in session.get_inputs() + session.get_outputs()]
         metadata = session.get_modelmeta().custom_metadata_map
@@ -276,22 +263,22 @@ def _is_positive(value: Any) -> bool:
     return _is_number(value) and bool(value > 0)
 
 
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str)
-
-
-def _has(value: Any, checks: Mapping[str, Check], *, alone: bool = False) -> bool:
-    """Return whether a value is a mapping with these entries; ``alone``: and no others."""
-    return (
-        isinstance(value, dict)
-        and (not alone or value.keys() == checks.keys())
-        and all(check(value.get(name)) for name, check in checks.items())
-    )
+def _has(value: Any, checks: Mapping[str, Check]) -> bool:
+    """Return whether a value is a mapping with these entries."""
+    return isinstance(value, dict) and all(check(value.get(name)) for name, check in checks.items())
 
 
 def _is_list(value: Any, check: Check, length: int | None = None) -> bool:
     """Return whether a value is a list, of this length, of what passes the check."""
     return isinstance(value, list) and length in (None, len(value)) and all(check(v) for v in value)
+
+
+def _are_texts(kind: type[Quantity | PluginFile], length: int | None = None) -> Check:
+    """Return a check for a list of mappings of a dataclass's fields, and no others, to text."""
+    checks = dict.fromkeys((one.name for one in fields(kind)), lambda v: isinstance(v, str))
+    return lambda value: _is_list(
+        value, lambda one: _has(one, checks) and one.keys() == checks.keys(), length
+    )
 
 
 _RISK = {
@@ -308,13 +295,9 @@ _MAP = {
 
 
 def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
-    """Return the interface that the metadata of a model describe.
+    """Return the interface that valid metadata of a model describe; otherwise a PolicyError.
 
     ``where``: name of the file, for the errors.
-
-    Raises:
-        PolicyError: flipperctl did not write the metadata, they are of an earlier version, or an
-            entry is not valid.
     """
     version = metadata.get(f"{PREFIX}format_version")
     if version != str(FORMAT_VERSION):
@@ -347,22 +330,20 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
 
     bins = entry("bins", "a whole number above 0", _is_count)
     size = layout.size(bins)
-    quantity = dict.fromkeys(Quantity.__dataclass_fields__, _is_text)
     observation = entry(
         "observation",
-        f"a list of {size} mappings of {', '.join(sorted(quantity))} to text",
-        lambda v: _is_list(v, lambda e: _has(e, quantity, alone=True), size),
+        f"a list of {size} mappings of frame, meaning, name, unit to text",
+        _are_texts(Quantity, size),
     )
     entry(
         "joints",
         f"the list {json.dumps(JOINTS)}, the joints of this version,",
         lambda v: v == list(JOINTS),
     )
-    turns, pairs = len(ACTIONS), len(JOINTS)
     table = entry(
         "actions",
-        f"a table of {turns} pairs of angles",
-        lambda v: _is_list(v, lambda row: _is_list(row, _is_number, pairs), turns),
+        f"a table of {len(ACTIONS)} pairs of angles",
+        lambda v: _is_list(v, lambda row: _is_list(row, _is_number, len(JOINTS)), len(ACTIONS)),
     )
     actions = np.array(table, dtype=np.float64)
     actions.setflags(write=False)
@@ -383,12 +364,8 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
         f"a mapping with the name {terrain!r} and the terrain's fields",
         lambda v: _has(v, {"name": lambda name: name == terrain}),
     )
-    plugin = dict.fromkeys(PluginFile.__dataclass_fields__, _is_text)
     plugins = entry(
-        "plugins",
-        "a list of mappings of kind, name and file to text",
-        lambda v: _is_list(v, lambda e: _has(e, plugin, alone=True)),
-        absent="[]",
+        "plugins", "a list of mappings of kind, name and file to text", _are_texts(PluginFile), "[]"
     )
     sign = optional(
         "risk",

@@ -7,8 +7,6 @@ unit and zero are found from the numbers, and times that fit none are told and n
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -89,20 +87,7 @@ def _preferred(name: str) -> int:
     return _NAMES.index(name.lower()) if name.lower() in _NAMES else len(_NAMES)
 
 
-@dataclass(frozen=True)
-class _Cloud:
-    """The times of one message in one field."""
-
-    stamp: float
-    received: float
-    least: float
-    most: float
-    span: float
-    """Their length, without odd ones."""
-
-
-@dataclass(frozen=True)
-class _Rule:
+class _Rule(NamedTuple):
     """How the numbers of a field become times after the stamp."""
 
     field: str
@@ -113,18 +98,12 @@ class _Rule:
     offset: float
     """Added to those after the stamp [s]."""
 
-    def shifts(self, values: FloatArray, stamp: float) -> FloatArray:
-        """Return the times after the stamp, (P,) [s]."""
-        if self.absolute and self.unit == 1:
-            return values - stamp + self.offset
-        return values * self.unit - (stamp if self.absolute else 0.0) + self.offset
-
 
 class PointTimes:
     """Unit and zero of the times of the points on one topic."""
 
     def __init__(self) -> None:
-        self._seen: dict[str, list[_Cloud]] = {}
+        self._seen: dict[str, list[tuple[float, ...]]] = {}
         self._clouds = 0
         self._rule: _Rule | None = None
         self._why = ""
@@ -148,12 +127,11 @@ class PointTimes:
             known = values[np.isfinite(values)]
             if len(known):
                 low, high = np.percentile(known, [_TAIL, 100 - _TAIL])
-                least, most, span = float(known.min()), float(known.max()), float(high - low)
-                cloud = _Cloud(stamp, received, least, most, span)
+                cloud = stamp, received, known.min(), known.max(), high - low
                 self._seen.setdefault(name, []).append(cloud)
         self._rule, why = None, []
         for name in sorted(self._seen, key=_preferred):
-            rule, reason = _fitting(name, self._seen[name])
+            rule, reason = _fitting(name, np.array(self._seen[name]).T)
             self._rule = self._rule or rule
             why += [reason] if reason else []
         self._why = "" if self._rule is not None and self._rule.offset == 0 else "; ".join(why)
@@ -166,7 +144,8 @@ class PointTimes:
         rule = self._rule
         if rule is None or not len(values := times.get(rule.field, ())):
             return None
-        found = rule.shifts(np.asarray(values), stamp)
+        zero = stamp if rule.absolute else 0.0
+        found = np.asarray(values) * rule.unit - zero + rule.offset
         found[~(np.abs(found) <= _LONGEST_TURN * _ROUNDING)] = np.nan
         if np.isnan(found).mean() > _OTHERS:
             self._unfit += 1
@@ -185,10 +164,14 @@ class PointTimes:
         return found
 
 
-def _fitting(name: str, clouds: Sequence[_Cloud]) -> tuple[_Rule | None, str]:
-    """Return the rule of a field, if one fits, and what to remark on it."""
-    turn = float(np.median([one.span for one in clouds])) / (1 - 2 * _TAIL / 100)
-    least, most = (float(np.median([getattr(c, end) for c in clouds])) for end in ("least", "most"))
+def _fitting(name: str, clouds: FloatArray) -> tuple[_Rule | None, str]:
+    """Return the rule of a field, if one fits, and what to remark on it.
+
+    ``clouds``: (5, C) stamp, time of receipt, least and largest time, and span without odd ones.
+    """
+    stamp, received, begin, end, span = clouds
+    turn = float(np.median(span)) / (1 - 2 * _TAIL / 100)
+    least, most = float(np.median(begin)), float(np.median(end))
     where = f"the times of the points ({name}, as {least:.10g} to {most:.10g})"
     lost = "the robot's motion within a turn is not taken out"
     if turn == 0:
@@ -197,52 +180,34 @@ def _fitting(name: str, clouds: Sequence[_Cloud]) -> tuple[_Rule | None, str]:
     units = [one for one in _UNITS if turn * one[1] <= _LONGEST_TURN * _ROUNDING]
     if not units or turn * units[0][1] < _LONGEST_TURN * _ROUNDING / 1000:
         return None, f"{where} make no turn of {_LONGEST_TURN:g} s or less in any unit: {lost}"
-    unit = units[0][1]
-    stamps = np.unique([one.stamp for one in clouds])
+    symbol, unit = units[0]
+    stamps = np.unique(stamp)
     if len(stamps) > 1:
         period = float(np.median(np.diff(stamps)))
         longer = 1000 * turn * unit
         if turn * unit > _SEVERAL * period or 0.5 < longer / period < 1.5:
             return None, (
-                f"{where} make a turn of {turn * unit:.3g} s in {units[0][0]}, or of "
+                f"{where} make a turn of {turn * unit:.3g} s in {symbol}, or of "
                 f"{longer:.3g} s, and clouds come every {period:.3g} s: {lost}"
             )
-    fitting = [(_fit(clouds, unit, absolute), not absolute) for absolute in (False, True)]
-    (share, _), relative = max(fitting)
+    begin, end = begin * unit, end * unit
+
+    def fit(absolute: bool) -> tuple[float, float]:
+        """Return the share of clouds whose turn is beside the stamp, and how steadily it is."""
+        zero, beside = (stamp, _LONGEST_TURN) if absolute else (0.0, _BESIDE)
+        near = (begin - zero <= beside) & (end - zero >= -beside)
+        return float(near.mean()), -float(np.std(end - zero))
+
+    (share, _), relative = max((fit(absolute), not absolute) for absolute in (False, True))
     if share <= 0.5:
         return None, f"{where} are neither relative to the stamp nor of its clock: {lost}"
-    offset = 0.0 if not relative else _offset(clouds, unit)
-    rule = _Rule(name, unit, not relative, offset)
-    if offset == 0:
+    rule = _Rule(name, unit, not relative, 0.0)
+    late = received - stamp  # [s]; comparisons with NaN are false
+    counts = relative and np.median(begin) >= -0.1 * np.median(end)
+    # No cloud is received before its last point was measured.
+    if not (counts and np.median(late - end) < -_AGREED <= np.median(late)):
         return rule, ""
-    return rule, (
+    return rule._replace(offset=-float(np.median(end))), (
         f"{where} count from the beginning of a turn, and the clouds were received too early for "
         "one that begins at the stamp: the stamp is taken for its end"
     )
-
-
-def _fit(clouds: Sequence[_Cloud], unit: float, absolute: bool) -> tuple[float, float]:
-    """Return the share of the clouds whose turn is beside the stamp, and how steadily it is."""
-    zeros = np.array([one.stamp if absolute else 0.0 for one in clouds])
-    begin, end = (
-        np.array([getattr(one, name) for one in clouds]) * unit - zeros
-        for name in ("least", "most")
-    )
-    beside = _LONGEST_TURN if absolute else _BESIDE
-    near = (begin <= beside) & (end >= -beside)
-    return float(near.mean()), -float(np.std(end))
-
-
-def _offset(clouds: Sequence[_Cloud], unit: float) -> float:
-    """Return the shift of times that count from the beginning of a turn that ends at the stamp.
-
-    No cloud is received before its last point was measured; 0 if none would be.
-    """
-    end = np.array([one.most for one in clouds]) * unit
-    begin = np.array([one.least for one in clouds]) * unit
-    late = np.array([one.received - one.stamp for one in clouds])
-    counts = float(np.median(begin)) >= -0.1 * float(np.median(end))
-    ahead = float(np.median(late - end))  # False with NaN
-    if counts and ahead < -_AGREED and float(np.median(late)) >= -_AGREED:
-        return -float(np.median(end))
-    return 0.0

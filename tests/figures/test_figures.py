@@ -23,7 +23,7 @@ from flipperctl.evaluation.run import picture_names
 from flipperctl.evaluation.seeds import Method
 from flipperctl.evaluation.stored import Stored
 from flipperctl.evaluation.views.compare import Comparison, figure
-from flipperctl.figures.episode import episode_figure, pose_indices
+from flipperctl.figures.episode import episode_figure
 from flipperctl.figures.figure import save
 from flipperctl.figures.render import BELT
 from flipperctl.figures.terrain import terrain_figure
@@ -71,21 +71,10 @@ def test_terrain_shows_twelve_more_draws_and_counts_the_rest(tmp_path: Path) -> 
     assert len(figure.axes) == 13
     assert figure.axes[1].get_title() == "sample 2: 2.00 × 0.30 m"
     assert figure.get_supxlabel() == "7 more samples are not shown"
-    save(figure, tmp_path / "many.png")
-
-
-@pytest.mark.parametrize(
-    "points", [[(0, 0)], [(0, 0), (0, -0.4)], [(5, 1), (55, 1)]], ids=["point", "drop", "long"]
-)
-def test_terrain_of_any_extent(points: list[tuple[float, float]], tmp_path: Path) -> None:
-    save(terrain_figure([Profile(points)] * 2, "odd", ROBOT), tmp_path / "odd.png")
-    assert (tmp_path / "odd.png").stat().st_size > 1000
-
-
-@pytest.mark.parametrize(("draws", "columns"), [(2, 1), (4, 3), (5, 4), (6, 3), (13, 4)])
-def test_small_pictures_fill_their_rows(draws: int, columns: int) -> None:
-    figure = terrain_figure(draws * [STEP], "step", ROBOT)
-    assert figure.axes[1].get_subplotspec().get_gridspec().ncols == columns
+    few = terrain_figure([STEP] * 6, "step", ROBOT)  # five small ones, which fill two rows
+    assert few.axes[1].get_subplotspec().get_gridspec().ncols == 3
+    point, drop = Profile([(0, 0)]), Profile([(0, 0), (0, -0.4)])
+    save(terrain_figure([point, drop], "odd", ROBOT), tmp_path / "odd.png")
 
 
 def test_the_heights_of_very_long_ground_are_scaled_up_and_labelled() -> None:
@@ -107,6 +96,9 @@ def test_episode_marks_the_same_poses_in_both_panels() -> None:
     assert np.asarray(curves["rear flippers"].get_ydata())[0] == pytest.approx(math.degrees(-0.1))
     upright = [line for line in below.get_lines() if line.get_linestyle() == ":"]
     assert [np.asarray(line.get_xdata())[0] for line in upright] == pytest.approx(times)
+    assert [t.get_text() for t in episode_figure(trace()[:1], LEVEL, ROBOT).axes[0].texts] == [
+        "0.0 s"
+    ]
 
 
 def test_an_overturned_robot_stays_in_the_picture_and_its_swing_shows() -> None:
@@ -143,17 +135,6 @@ def test_methods_differ_by_their_lines_as_well() -> None:
     lines = figure(compared).axes[0].get_lines()
     assert len({(str(line.get_color()), line.get_linestyle()) for line in lines}) == 12
     assert {line.get_drawstyle() for line in lines} == {"steps-post"}
-
-
-def test_poses_keep_their_distance() -> None:
-    path = np.column_stack([np.linspace(0, 1, 11), np.zeros(11)])
-    assert pose_indices(path, 0.45) == [0, 5, 10]
-    assert pose_indices(path, 5.0) == [0, 10]
-    assert pose_indices(path[:1], 5.0) == [0]
-
-
-def test_an_episode_of_one_state_is_drawn(tmp_path: Path) -> None:
-    save(episode_figure(trace()[:1], LEVEL, ROBOT), tmp_path / "one.pdf")
 
 
 @pytest.mark.parametrize(

@@ -61,6 +61,8 @@ def test_a_film_moves_lasts_as_long_as_it_says_and_is_equal_for_equal_episodes(t
         save_film(path, drive(2), STEP, Robot(), "a rule on step", done.append, speed=0.2)
     assert paths[0].read_bytes() == paths[1].read_bytes()
     check_output(paths[0], FILM)  # a film of before is replaced
+    with pytest.raises(OutputError, match="film"):
+        save_film(tmp_path / "film.mp4", drive(1), STEP, Robot(), speed=0.2)
     assert done[-1] == 1
     with Image.open(paths[0]) as picture:
         assert picture.n_frames == 11  # every 0.12 s of 1.2 s, the start and the end
@@ -77,12 +79,6 @@ def test_the_clock_is_whole_above_a_tall_picture(tmp_path):
         first = np.array(picture.convert("L"))
     assert (first[:3] > 200).all()
     assert (first[:25, first.shape[1] // 2 :] < 100).any()  # the clock
-
-
-@pytest.mark.parametrize("name", ["film.mp4", "film", "missing/film.gif"])
-def test_a_film_that_cannot_be_written_is_refused(name, tmp_path):
-    with pytest.raises(OutputError, match=r"film"):
-        save_film(tmp_path / name, drive(1), STEP, Robot(), speed=0.2)
 
 
 @pytest.fixture(scope="module")

@@ -42,7 +42,7 @@ def test_learning_has_four_panels_and_an_axis_of_epsilon() -> None:
     assert np.asarray(points.get_ydata()).tolist() == [75.0]
 
 
-@pytest.mark.parametrize("episodes", [0, 1, 2, 150])
+@pytest.mark.parametrize("episodes", [0, 1])
 def test_learning_from_the_first_row_on(episodes: int, tmp_path: Path) -> None:
     save(learning_figure(rows(episodes), [], "run"), tmp_path / "run.svg")
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from flipperctl.api import Robot
-from flipperctl.ros.devices import read_recording
 from flipperctl.ros.episode import TYPES, Stamped, write_bag
 from flipperctl.ros.messages import JOINTS, Messages
 from flipperctl.ros.perceiving import replay
+from flipperctl.ros.recording import read_recording
 from flipperctl.ros.topics import Names
 from flipperctl.sim.lidar import LidarSensor
 from tests.ros.driving import FRONT, HEIGHT, MOUNT, REAR, SECONDS, SPEED, driving, points, state
@@ -26,18 +26,6 @@ def bag(folder, messages):
 
 def replayed(source):
     return replay(source, LidarSensor(), Robot(), None, Names())
-
-
-def test_joints_of_an_arm_may_come_first(tmp_path):
-    messages = list(driving())
-    (first, *_) = (one for one in messages if one.topic == "/joint_states")
-    arm = dataclasses.replace(first.message, name=["elbow"], position=np.zeros(1))
-    arms = [one._replace(message=arm) for one in messages if one.topic == "/joint_states"]
-    recording = read_recording(bag(tmp_path, [*arms, *messages]), Names())
-    assert recording.remarks == []
-    told = [s.messages["joints"] for s in recording.steps() if "joints" in s.messages]
-    assert len(told) == len(arms)
-    assert all(math.isfinite(one.front) for one in told)
 
 
 def test_the_place_of_a_lidar_may_be_known_later_than_its_first_cloud(tmp_path):
@@ -113,11 +101,15 @@ def joints_in_parts(topic, message, each, names=JOINTS):
 
 
 @pytest.mark.parametrize("several", [False, True])
-def test_joints_may_come_in_parts_and_on_several_topics(tmp_path, monkeypatch, several):
+def test_joints_may_come_in_parts_after_an_arm_and_on_several_topics(
+    tmp_path, monkeypatch, several
+):
     for name in JOINTS:
         monkeypatch.setitem(TYPES, f"/{name}", TYPES["/joint_states"])
 
     def change(topic, message):
+        if topic == "/joint_states":
+            yield topic, dataclasses.replace(message, name=["elbow"], position=np.zeros(1))
         for where, part in joints_in_parts(topic, message, 1 if several else 2):
             own = several and where == "/joint_states"
             yield (f"/{part.name[0]}" if own else where), part

@@ -114,7 +114,7 @@ def test_the_signs_and_stamps_are_those_of_ros():
     assert imu.linear_acceleration_covariance[0] == -1  # not measured
 
 
-@pytest.mark.parametrize("axis", [math.pi / 2, math.pi / 4, 0.0, -math.pi / 2])
+@pytest.mark.parametrize("axis", [math.pi / 4, -math.pi / 2])
 def test_the_mount_of_a_lidar_is_its_rotation(axis):
     (mount,) = Messages().mount(0.25, 0.4, axis).transforms
     assert (mount.header.frame_id, mount.child_frame_id) == ("base_link", "lidar")

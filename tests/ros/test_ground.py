@@ -1,6 +1,5 @@
 """Recorded ground from bags, and from folders of clouds with poses."""
 
-import dataclasses
 import json
 import math
 import sys
@@ -16,8 +15,8 @@ from flipperctl.files import check_output
 from flipperctl.ros.episode import TYPES, Stamped, write_bag
 from flipperctl.ros.ground import GROUND, convert
 from flipperctl.ros.messages import LIDAR, Messages
+from flipperctl.ros.reading import Pose, Transforms
 from flipperctl.ros.topics import Names
-from flipperctl.ros.transforms import Pose, Transforms
 from tests.cli.call import call
 
 YAW, PITCH, AXIS = 0.3, 0.1, math.pi / 4
@@ -61,29 +60,18 @@ def messages(shift=0.0):
         yield Stamped(time, "/points", make.cloud(time + shift, LIDAR, points))
 
 
-def test_the_points_of_a_turn_have_the_poses_of_their_times(tmp_path):
-    """Half of each turn is 0.5 s older than its stamp, in which the robot drives 15 cm."""
-
-    def turning():
-        yield from (m for m in messages() if m.topic != "/points")
-        make = Messages()
-        for time in TIMES[1:].tolist():
-            old, new = ((in_chassis(t) - MOUNT) @ mounting(AXIS) for t in (time - 0.5, time))
-            ages = np.repeat([0.5, 0.0], [len(old), len(new)])
-            cloud = make.cloud(time, LIDAR, np.vstack([old, new]), ages)
-            yield Stamped(time, "/points", cloud)
-
-    write_bag(tmp_path / "drive", list(turning()))
-    done = call("robot", "ground", "drive", "--output", "ground.xyz", "--json", cwd=tmp_path)
-    assert done.code == 0, done.err
-    found = json.loads(done.out)
-    check_step({**found, "output": str(tmp_path / "ground.xyz")})
-
-
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory):
+    """Half of each turn is 0.5 s older than its stamp, in which the robot drives 15 cm."""
+    make = Messages()
+    turning = [m for m in messages() if m.topic != "/points"]
+    for time in TIMES[1:].tolist():
+        old, new = ((in_chassis(t) - MOUNT) @ mounting(AXIS) for t in (time - 0.5, time))
+        ages = np.repeat([0.5, 0.0], [len(old), len(new)])
+        cloud = make.cloud(time, LIDAR, np.vstack([old, new]), ages)
+        turning.append(Stamped(time, "/points", cloud))
     folder = tmp_path_factory.mktemp("bags") / "drive"
-    write_bag(folder, list(messages()))
+    write_bag(folder, turning)
     return folder
 
 
@@ -91,16 +79,8 @@ def check_step(found):
     """Check that the recorded ground is the step, with the line along the heading."""
     start, end = np.array(found["start"]), np.array(found["end"])
     assert math.atan2(*(end - start)[::-1]) == pytest.approx(YAW, abs=0.01)
-    terrain = resolver.create(
-        "terrain",
-        {
-            "name": "profile_file",
-            "path": found["output"],
-            "start": found["start"],
-            "end": found["end"],
-        },
-        "terrain",
-    )
+    line = {"path": found["output"], "start": found["start"], "end": found["end"]}
+    terrain = resolver.create("terrain", {"name": "profile_file", **line}, "terrain")
     x, z = terrain.generate(np.random.default_rng(0)).points.T
     edge = float(np.linalg.norm(start))
     assert z[(x > edge + 0.1) & (x < edge + 1)].mean() - z[0] == pytest.approx(HEIGHT, abs=0.003)
@@ -112,7 +92,7 @@ def test_a_bag_becomes_the_ground_that_was_measured(bag, tmp_path):
     done = call("robot", "ground", str(bag), "--output", str(output), "--json", cwd=tmp_path)
     assert done.code == 0, done.err
     found = json.loads(done.out)
-    assert (found["clouds"], found["clouds_without_pose"]) == (len(TIMES), 0)
+    assert (found["clouds"], found["clouds_without_pose"]) == (len(TIMES) - 1, 0)
     check_step(found)
     done = call("robot", "ground", str(bag / "drive.mcap"), "--output", "same.xyz", cwd=tmp_path)
     assert "terrain=profile_file terrain.path=same.xyz 'terrain.start=[" in done.out
@@ -161,21 +141,10 @@ def test_a_damaged_folder_of_clouds_is_named(tmp_path, poses, error):
     assert not (tmp_path / "ground.xyz").exists()
 
 
-def unstamped():
-    for one in messages():
-        if one.topic == "/points":
-            stamp = dataclasses.replace(one.message.header.stamp, sec=0, nanosec=0)
-            header = dataclasses.replace(one.message.header, stamp=stamp)
-            yield one._replace(message=dataclasses.replace(one.message, header=header))
-
-
 @pytest.mark.parametrize(
     ("made", "frames", "error"),
     [
-        (unstamped, Names(), r"/points: a cloud has no stamp \(header.stamp is 0\)"),
-        (messages, Names(fixed="odon"), "there is no frame 'odon'; did you mean 'odom'"),
         (messages, Names(base="lidar2"), "no frame 'lidar2'.*base_link, base_stabilized, lidar"),
-        (messages, Names(clouds="/poins"), "no PointCloud2 is on '/poins'; did you mean"),
         (lambda: messages(shift=100.0), Names(), "none of the 11 clouds of /points has a trans"),
         (lambda: list(messages())[:5], Names(), r"topics: none; the bag has /tf \(tf2_msgs/TFMes"),
     ],
@@ -223,7 +192,6 @@ def test_transforms_are_interpolated_and_inverted():
     assert tree.pose("odom", "base", 2.3) is None
     tree.add("odom", "base", 10.0, Pose.none())
     assert tree.pose("odom", "base", 5.0) is None  # a gap is not bridged
-    assert tree.pose("odom", "base", 9.8).place[0] == pytest.approx(0.025)
 
 
 def chain(*links, time=None):

@@ -13,7 +13,7 @@ from flipperctl.files import check_output
 from flipperctl.policies.source import PolicySource
 from flipperctl.ros.episode import ACTION, export_bag, write_bag
 from flipperctl.ros.messages import typestore
-from flipperctl.ros.shadowing import LOG
+from flipperctl.ros.recording import LOG
 from tests.cli.call import call
 from tests.ros.driving import FRONT, REAR, SECONDS, driving
 from tests.runtime.linear import ROBOT, RULE, write
@@ -81,8 +81,6 @@ def test_an_episode_s_own_policy_proposes_what_it_did(folder):
 @pytest.mark.parametrize(
     ("words", "error"),
     [
-        (["none.onnx", "drive"], "none.onnx: there is no such policy file"),
-        (["p.onnx", "none"], "none: there is no such file or folder"),
         (["p.onnx", "drive", "robot=absolem"], "robot: the policy's file states the robot"),
         (["p.onnx", "drive", "perception.half_width=0.6"], "the settings of its map, which are"),
         (["p.onnx", "drive", "perception.pose=true"], "no robot knows this; belts or matched"),

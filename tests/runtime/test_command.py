@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
 from flipperctl.__main__ import main as whole
@@ -26,17 +25,6 @@ def _handler() -> Iterator[None]:
     before = signal.getsignal(signal.SIGINT)
     yield
     signal.signal(signal.SIGINT, before)
-
-
-@pytest.mark.parametrize("option", ["-h", "--help"])
-def test_help_has_examples(
-    option: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["runtime", option])
-    with pytest.raises(SystemExit) as left:
-        main()
-    assert left.value.code == 0
-    assert "python -m flipperctl.runtime stair.onnx" in capsys.readouterr().out.split("Examples")[1]
 
 
 def test_the_interface_is_printed_as_a_table(
@@ -98,9 +86,11 @@ def test_inspect_checkpoint_names_the_command_that_shows_an_exported_file(tmp_pa
     ("arguments", "text"),
     [
         ([], "python -m flipperctl.runtime stair.onnx; got nothing"),
-        (["a.onnx", "b.onnx"], "got a.onnx b.onnx"),
         (["--json"], "got --json"),
         (["none.onnx"], "no such policy file"),
+        (["--self-test", "a", "b"], "expected python -m flipperctl.runtime --self-test MESSAGES"),
+        (["--self-test", "a", "--signs", "ros"], "no convention 'ros'; flipperctl, rep103 is all"),
+        (["--self-test", "nowhere.jsonl"], "nowhere.jsonl cannot be read"),
     ],
 )
 def test_a_wrong_request_is_one_line(
@@ -148,34 +138,8 @@ def test_a_pause_of_the_messages_is_answered_as_a_robots_timer_would(file):
     assert found["faults"]["joints_age"]["seconds"] == pytest.approx(1.75, abs=0.1)
     assert set(found["faults"]) == {"joints_age", "clock_jump"}
     assert found["faults"]["clock_jump"]["count"] == 1  # of 28 s
+    shadow.take(30.6, {"joints": JointAngles(30.6, math.nan, 0.0)})  # of other joints
     assert all(json.loads(line)["measured"] == [0.1, 0.2] for line in lines)
-
-
-def test_flippers_that_follow_someone_else_are_no_fault(file):
-    shadow = Shadow(file, IN_CHASSIS, str)
-    for tick in range(100):
-        shadow.take(tick * 0.05, good(tick * 0.05))
-    assert shadow.summary()["faults"] == {}
-    assert shadow.summary()["decisions"] == 9  # in 4.95 s
-
-
-def test_no_two_steps_are_farther_apart_than_a_tick(file, monkeypatch):
-    shadow, times = Shadow(file, IN_CHASSIS, str), []
-    step = shadow._step
-    monkeypatch.setattr(shadow, "_step", lambda now, m: (times.append(now), step(now, m)))
-    for index in range(4):
-        shadow.take(index * 0.099, good(index * 0.099))
-    shadow.take(0.347, good(0.347))
-    assert max(np.diff(times)) <= 0.05 + 1e-9
-
-
-def test_angles_of_other_joints_are_not_logged(file):
-    lines = []
-    shadow = Shadow(file, IN_CHASSIS, lines.append)
-    shadow.take(0.0, good(0.0))
-    shadow.take(2.0, {"joints": JointAngles(2.0, math.nan, 0.0)})
-    assert lines
-    assert [json.loads(line)["measured"] for line in lines] == [[0.1, 0.2]] * len(lines)
 
 
 def test_the_command_prints_the_log_of_lines_of_json(file, tmp_path, capsys):
@@ -212,6 +176,7 @@ def test_the_risk_is_told_and_logged_while_the_flippers_are_driven(tmp_path: Pat
     assert decided[-1] == pytest.approx(sigmoid(-0.2), abs=0.01)
     assert not any(line["warning"] for line in told)
     assert shadow.summary()["warnings"] == 0
+    assert shadow.summary()["faults"] == {}  # flippers that follow someone else
     shadow.take(5.5, {})  # nothing arrives any more
     last = json.loads(lines[-1])
     assert (last["state"], last["risk"], last["warning"]) == ("holding", None, False)

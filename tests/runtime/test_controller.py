@@ -16,6 +16,7 @@ from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Scan
 from flipperctl.core.sensing import Measured
 from flipperctl.core.targets import ACTIONS
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import PolicyError
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import decisions
 from flipperctl.runtime import (
@@ -27,7 +28,6 @@ from flipperctl.runtime import (
     JointAngles,
     Limits,
     Odometry,
-    RobotSetup,
     Signs,
 )
 from tests.runtime.linear import MAP, ROBOT, RULE, write
@@ -46,10 +46,10 @@ def controller(file: Path) -> FlipperController:
     return FlipperController(file, IN_CHASSIS, RELAXED)
 
 
-@pytest.mark.parametrize("stated", [None, {**MAP, "fewest": 2}], ids=["default_map", "other_map"])
 def test_an_episode_by_its_messages_has_the_actions_of_the_simulator(
-    stated: dict | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    stated = {**MAP, "fewest": 2}
     file = write(tmp_path / "p.onnx", robot=ROBOT, targets=RULE, map=stated)
     recorded: list[Measured] = []
     update = LidarEstimator.update
@@ -57,10 +57,10 @@ def test_an_episode_by_its_messages_has_the_actions_of_the_simulator(
         patch.setattr(
             LidarEstimator, "update", lambda self, m: (recorded.append(m), update(self, m))[1]
         )
-        perception = {"name": "lidar", "pose": "belts", "azimuths": 60, **(stated or {})}
+        perception = {"name": "lidar", "pose": "belts", "azimuths": 60, **stated}
         env = FlipperEnv(config=EnvConfig(terrain={"name": "step"}, perception=perception))
         policy = PolicySource(file).build(env.config)
-        driven = islice(decisions(env, policy, 8), 12)
+        driven = islice(decisions(env, policy, 8), 10)
         actions = [ACTIONS.index(d.transition.action) for d in driven]
     controller = FlipperController(file, limits=RELAXED)
     kinds = {Scan: "cloud", Inertial: "attitude", Joints: "joints", Belts: "odometry"}
@@ -72,7 +72,7 @@ def test_an_episode_by_its_messages_has_the_actions_of_the_simulator(
         assert not answer.fault, answer.reason
         if answer.action is not None:
             taken.append(answer.action)
-    assert len(actions) == 12
+    assert len(actions) == 10
     assert taken[: len(actions)] == actions
     assert len(set(actions)) > 1
 
@@ -152,34 +152,31 @@ def test_too_large_a_tilt_stops_at_once(controller: FlipperController) -> None:
     assert (answer.state, answer.drive, answer.fault) == ("stopped", False, "tilt")
 
 
-@pytest.mark.parametrize("jump", [-0.5, 30.0, math.nan])
-def test_a_clock_that_jumps_stops_and_what_was_known_is_forgotten(
-    controller: FlipperController, jump: float
-) -> None:
-    now = drive(controller)
-    answer = controller.step(now + jump)
-    assert (answer.drive, answer.state) == (False, "stopped")
-    assert answer.fault in ("clock", "clock_jump")
-    if math.isfinite(jump):
-        now += jump
-        assert controller.step(now + 0.05).fault == "joints_missing"
-        assert controller.step(now + 0.1, **good(now + 0.1)).state == "driving"
+@pytest.mark.parametrize("jump", [-0.5, 30.0])
+def test_a_clock_that_jumps_stops_and_what_was_known_is_forgotten(file: Path, jump: float) -> None:
+    lines: list[str] = []
+    controller = FlipperController(file, IN_CHASSIS, RELAXED, lines.append)
+    now = drive(controller, 1.3) + jump
+    answer = controller.step(now)
+    assert (answer.state, answer.drive, answer.fault) == ("stopped", False, "clock_jump")
+    assert answer.targets is None
+    moved = controller.step(now + 0.05, joints=JointAngles(now + 0.05, -0.5, 0.6))
+    assert (moved.state, moved.fault) == ("waiting", "attitude_missing")
+    assert moved.targets == moved.setpoints == (-0.5, 0.6)  # where they are by then
+    assert controller.step(now + 0.1, **good(now + 0.1)).state == "driving"
+    logged = [json.loads(line) for line in lines]  # each decision and each change of state
+    assert [e["time"] for e in logged[:3]] == pytest.approx([0.0, 0.6, 1.2])
+    assert all(e["action"] is not None for e in logged[:3])
+    assert logged[3]["fault"] == "clock_jump"
 
 
-@pytest.mark.parametrize(
-    "time", [10**400, 10**5000, True, "3", None], ids=lambda t: type(t).__name__
-)
-def test_a_time_that_is_no_number_is_a_fault(controller: FlipperController, time: object) -> None:
-    answer = controller.step(time)
-    assert (answer.fault, answer.state) == ("clock", "stopped")
-    assert answer.reason.endswith("a finite number is allowed")
-
-
-@pytest.mark.parametrize("kind", [np.float32, np.float64, np.int64])
-def test_a_time_of_numpy_is_a_time(controller: FlipperController, kind: type) -> None:
-    first = controller.step(kind(3), **good(3.0))
-    assert first.fault != "clock"
-    assert controller.step(kind(4)).fault != "clock"
+def test_a_time_is_a_finite_number_of_python_or_numpy(controller: FlipperController) -> None:
+    for time in (10**400, 10**5000, True, "3", None, math.nan):
+        answer = controller.step(time)
+        assert (answer.fault, answer.state, answer.drive) == ("clock", "stopped", False)
+        assert answer.reason.endswith("a finite number is allowed")
+    for kind in (np.float32, np.float64, np.int64):
+        assert controller.step(kind(3), **good(3.0)).fault != "clock"
 
 
 def test_too_little_ground_holds_and_is_looked_at_once_in_a_period(
@@ -228,41 +225,27 @@ def test_the_targets_are_in_the_signs_of_the_robot(file: Path) -> None:
     ours = FlipperController(file, IN_CHASSIS, RELAXED)
     theirs = FlipperController(
         file,
-        RobotSetup(signs=REP_103, cloud_frame="base_link", mount=IN_CHASSIS.mount),
+        replace(IN_CHASSIS, signs=REP_103),
         RELAXED,
     )
     a = ours.step(0.0, **good(0.0))
     b = theirs.step(0.0, **good(0.0, joints=JointAngles(0.0, -0.1, 0.2)))
     assert a.action == b.action
     assert (-b.targets[0], b.targets[1]) == pytest.approx(a.targets)
-
-
-def test_setpoints_move_at_the_speed_of_the_training(controller: FlipperController) -> None:
-    points = [controller.step(0.05 * i, **good(0.05 * i)).setpoints for i in range(12)]
-    steps = np.abs(np.diff(np.array(points), axis=0))
-    assert steps.max() <= 0.436 * 0.05 + 1e-9
-    assert steps.max() > 0
+    with pytest.raises(PolicyError, match=r"signs\.x is 0; 1 or -1 is allowed"):
+        Signs(x=0)
 
 
 def test_setpoints_of_a_decision_begin_when_it_is_made(controller: FlipperController) -> None:
-    """However late it is made: the time before went to the targets before."""
-    controller.step(0.0, **good(0.0))
+    """However late it is made: the time before went to the targets before, at the robot's speed."""
+    points = [controller.step(0.05 * i, **good(0.05 * i)).setpoints for i in range(11)]
+    steps = np.abs(np.diff(np.array(points), axis=0))
+    assert 0 < steps.max() <= 0.436 * 0.05 + 1e-9
     before = controller.step(0.55, **good(0.55))
     after = controller.step(1.4, **good(1.4))
     assert after.action is not None
     assert after.targets != before.targets
     assert after.setpoints == before.targets
-
-
-def test_each_decision_and_each_change_of_state_is_logged(file: Path) -> None:
-    lines: list[str] = []
-    controller = FlipperController(file, IN_CHASSIS, RELAXED, lines.append)
-    now = drive(controller, 1.3)
-    controller.step(now + 5)
-    found = [json.loads(line) for line in lines]
-    assert [e["time"] for e in found[:3]] == pytest.approx([0.0, 0.6, 1.2])
-    assert all(e["action"] is not None for e in found[:3])
-    assert found[-1]["fault"] == "clock_jump"
 
 
 def test_any_input_gets_an_answer(controller: FlipperController) -> None:
@@ -271,7 +254,7 @@ def test_any_input_gets_an_answer(controller: FlipperController) -> None:
 
     garbage = Garbage(5, odd=0.1)
     faults = set()
-    for _ in range(400):
+    for _ in range(300):
         now, messages = garbage.draw()
         answer = controller.step(now, **messages)
         faults.add(answer.fault)
@@ -280,26 +263,6 @@ def test_any_input_gets_an_answer(controller: FlipperController) -> None:
         assert bool(answer.reason) is bool(answer.fault or answer.state == "standby")
     assert len(faults) > 8
     assert "" in faults
-
-
-@pytest.mark.parametrize(("name", "value"), [("front", 2), ("x", 0), ("yaw", True)])
-def test_another_sign_is_refused(name: str, value: object) -> None:
-    with pytest.raises(Exception, match=f"signs.{name} is {value}; 1 or -1 is allowed"):
-        Signs(**{name: value})
-
-
-# What is commanded once a fault is over
-
-
-def test_after_a_jump_of_the_clock_the_flippers_are_held_where_they_are_by_then(
-    controller: FlipperController,
-) -> None:
-    now = drive(controller) + 30.0
-    assert controller.step(now).targets is None
-    moved = JointAngles(now + 0.05, -0.5, 0.6)
-    answer = controller.step(now + 0.05, joints=moved)
-    assert (answer.state, answer.targets) == ("waiting", (-0.5, 0.6))
-    assert answer.setpoints == answer.targets
 
 
 def test_after_a_fault_the_setpoints_begin_where_the_flippers_are_by_then(
@@ -315,9 +278,7 @@ def test_after_a_fault_the_setpoints_begin_where_the_flippers_are_by_then(
         answer = controller.step(now, **good(now, joints=JointAngles(now, -0.5, 0.2)))
         if answer.action is not None:
             break
-    assert answer.setpoints is not None
     assert abs(answer.setpoints[0] + 0.5) < 0.05
-    assert answer.targets is not None
     assert abs(answer.targets[0] + 0.5) < math.pi / 12 + 0.01
 
 

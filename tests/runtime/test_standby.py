@@ -65,9 +65,12 @@ def decided(answers: list[Answer]) -> list[Answer]:
 def test_a_robot_whose_belts_do_not_drive_ahead_holds_its_flippers(
     robot: Robot, speed: float, told: str
 ) -> None:
-    answers = robot.run(12.0, speed)
+    lines: list[str] = []
+    robot.controller._log = lines.append
+    answers = robot.run(3.0, speed)
     assert {answer.state for answer in answers} == {"standby"}
-    assert decided(answers) == []
+    (line,) = map(json.loads, lines)
+    assert (line["state"], line["fault"], line["action"]) == ("standby", "", None)
     assert robot.angles == (0.3, -0.2)
     assert {answer.targets for answer in answers} == {(0.3, -0.2)}
     last = answers[-1]
@@ -82,18 +85,18 @@ def test_a_robot_that_is_stuck_while_its_belts_drive_goes_on(
     if speed is None:  # it waits for a speed that may still come
         first = robot.run(0.3, speed)
         assert {(a.state, a.fault) for a in first} == {("waiting", "odometry_missing")}
-    answers = robot.run(12.0, speed)
+    answers = robot.run(6.0, speed)
     assert {answer.state for answer in answers} == {"driving"}
-    assert len(decided(answers)) == 20
+    assert len(decided(answers)) == 10
     assert all(answer.warning for answer in decided(answers))
-    assert len({answer.action for answer in decided(answers)}) > 4  # drawn
+    assert len({answer.action for answer in decided(answers)}) > 3  # drawn
 
 
 def test_flippers_stop_where_they_are_soon_after_the_belts_do(robot: Robot) -> None:
     robot.run(1.3, 0.2)
-    answers = robot.run(3.0, 0.0)
+    answers = robot.run(2.0, 0.0)
     states = [answer.state for answer in answers]
-    assert states == ["driving"] * 10 + ["standby"] * 50  # standby_after
+    assert states == ["driving"] * 10 + ["standby"] * 30  # standby_after
     held = answers[10].targets
     assert all(answer.targets == held for answer in answers[10:])
     assert robot.angles == held
@@ -101,7 +104,7 @@ def test_flippers_stop_where_they_are_soon_after_the_belts_do(robot: Robot) -> N
 
 def test_belts_that_hesitate_are_no_stop(robot: Robot) -> None:
     robot.run(1.0, 0.2)
-    answers = [answer for _ in range(10) for answer in robot.run(0.5, 0.0) + robot.run(0.1, 0.2)]
+    answers = [answer for _ in range(4) for answer in robot.run(0.5, 0.0) + robot.run(0.1, 0.2)]
     assert {answer.state for answer in answers} == {"driving"}
 
 
@@ -122,13 +125,13 @@ def test_belts_that_start_again_begin_an_episode(robot: Robot) -> None:
 
 def test_what_keeps_it_from_deciding_is_told_before_the_belts_start(file: Path) -> None:
     blind = Robot(FlipperController(file, IN_CHASSIS, replace(RELAXED, coverage=1.1)))
-    answers = blind.run(2.0, 0.0)
+    answers = blind.run(1.0, 0.0)
     assert {(a.state, a.fault, a.drive) for a in answers} == {("waiting", "coverage", False)}
     dead = Robot(FlipperController(file, IN_CHASSIS, RELAXED))
     session, dead.controller.policy._session = dead.controller.policy._session, None
-    assert {answer.fault for answer in dead.run(2.0, 0.0)} == {"inference"}
+    assert {answer.fault for answer in dead.run(0.8, 0.0)} == {"inference"}
     dead.controller.policy._session = session
-    assert dead.run(1.0, 0.0)[-1].state == "standby"
+    assert dead.run(0.8, 0.0)[-1].state == "standby"
 
 
 def test_a_fault_in_standby_stops_the_belts_and_ends(robot: Robot) -> None:
@@ -136,13 +139,6 @@ def test_a_fault_in_standby_stops_the_belts_and_ends(robot: Robot) -> None:
     robot.run(1.0, 0.0)
     assert robot.run(2.0, 0.0, cloud=None)[-1].drive is False
     assert robot.run(0.1, 0.0)[-1].state == "standby"
-
-
-def test_standby_is_a_change_of_state_in_the_log(file: Path) -> None:
-    lines: list[str] = []
-    Robot(FlipperController(file, IN_CHASSIS, RELAXED, lines.append)).run(2.0, 0.0)
-    (line,) = map(json.loads, lines)
-    assert (line["state"], line["fault"], line["action"]) == ("standby", "", None)
 
 
 def test_without_escapes_each_action_is_the_best(file: Path) -> None:
@@ -154,28 +150,25 @@ def test_without_escapes_each_action_is_the_best(file: Path) -> None:
     assert best.risk == drawing.risk
     assert best.warning
     robot = Robot(FlipperController(file, IN_CHASSIS, RELAXED, escape=False))
-    answers = decided(robot.run(12.0, 0.2))
+    answers = decided(robot.run(3.0, 0.2))
     assert {answer.action for answer in answers} <= {0, 1}  # whose heights are nearly equal
     assert all(answer.warning for answer in answers)
 
 
-@pytest.mark.parametrize("speeds", [(0.03,), (0.03, 0.0, 0.05, -0.01, 0.2)])
-def test_single_speeds_move_no_flipper_of_a_parked_robot(
-    robot: Robot, speeds: tuple[float, ...]
-) -> None:
-    robot.run(3.0, 0.0)
+def test_single_speeds_move_no_flipper_of_a_parked_robot(robot: Robot) -> None:
+    robot.run(1.0, 0.0)
     answers = []
-    for speed in speeds:
+    for speed in (0.03, 0.0, 0.05, -0.01, 0.2):
         answers += robot.run(0.1, speed) + robot.run(0.1, 0.0)
-    answers += robot.run(2.0, 0.0)
+    answers += robot.run(1.0, 0.0)
     assert {answer.state for answer in answers} == {"standby"}
     assert robot.angles == (0.3, -0.2)
 
 
 def test_an_operator_turns_the_flippers_in_standby_without_a_fault(robot: Robot) -> None:
-    robot.run(2.0, 0.2)
+    robot.run(1.0, 0.2)
     robot.run(1.0, 0.0)
-    fronts = [*np.linspace(0.3, 1.4, 240), *([0.9] * 120)]  # 1.4 rad is past the policy's limit
+    fronts = [*np.linspace(0.3, 1.4, 80), *([0.9] * 60)]  # 1.4 rad is past the policy's limit
     answers = [robot.turned(float(front), -0.2, 0.0) for front in fronts]
     assert {(answer.state, answer.fault) for answer in answers} == {("standby", "")}
     assert answers[-1].targets is not None

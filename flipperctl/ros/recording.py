@@ -1,22 +1,29 @@
-"""What the devices of a robot said, from a bag: the messages of the runtime in their order.
+"""A robot's recording: what its devices said, and what a policy would have done, as a log.
 
-In: a bag of ROS 1 or 2 and the names of its topics, frames and joints. Out: clouds, attitudes,
-joint angles and belt speeds as ``FlipperController.step`` takes them, each with the time at which
-it was recorded. The bag is read twice, first for its transforms, and never held in memory.
+In: a bag of ROS 1 or 2 and the names of its topics, frames and joints; an exported policy. Out:
+clouds, attitudes, joint angles and belt speeds as ``FlipperController.step`` takes them, each with
+the time at which it was recorded; in shadow mode a file of JSON lines, and how often each fault
+came. The bag is read twice, first for its transforms, and never held in memory.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from flipperctl.core.lidar.body import mounting
+from flipperctl.api import Sensor
+from flipperctl.core.lidar.body import Mount, mounting
+from flipperctl.errors import RequestError
+from flipperctl.files import OutputKind, check_output, write_bytes
 from flipperctl.ros.reading import (
+    Pose,
+    Transforms,
     chosen_topic,
     messages,
     opened,
@@ -26,7 +33,6 @@ from flipperctl.ros.reading import (
     times_of,
 )
 from flipperctl.ros.topics import Devices, Names, found_devices
-from flipperctl.ros.transforms import Pose, Transforms
 from flipperctl.runtime.messages import (
     CONVENTIONS,
     REP_103,
@@ -39,6 +45,8 @@ from flipperctl.runtime.messages import (
     Signs,
 )
 from flipperctl.runtime.point_cloud import PointTimes
+from flipperctl.runtime.recordings import Shadow
+from flipperctl.sim.lidar import LidarSensor
 
 Message = Cloud | Attitude | JointAngles | Odometry
 
@@ -107,9 +115,6 @@ class Recording:
 
         The points of clouds come as a ``Mount`` at the place of the sensor ahead of and above the
         chassis centre, (x, 0, z), with its ``axis`` would measure them, so that rings stay rings.
-
-        Raises:
-            RequestError: a cloud has no stamp, or its frame is unknown.
         """
         devices = {self.clouds: "cloud", **dict.fromkeys(self.devices.joints, "joints")}
         others = {"attitude": self.devices.attitude, "odometry": self.devices.belts}
@@ -118,12 +123,18 @@ class Recording:
         waiting: Step | None = None
         with opened(self.path) as reader:
             for topic, now, message in messages(reader, devices):
-                device = devices[topic]
-                told = (
-                    self._joints(joints, topic, message)
-                    if device == "joints"
-                    else self._told(device, message, now)
-                )
+                told: Message | None
+                match device := devices[topic]:
+                    case "cloud":
+                        told = self._cloud(message)
+                    case "attitude":
+                        told = self._attitude(message)
+                    case "joints":
+                        told = self._joints(joints, topic, message)
+                    case _ if hasattr(message, "twist"):
+                        told = Odometry(_stamp(message), float(message.twist.twist.linear.x))
+                    case _:
+                        told = Odometry(now, float(message.data))  # it has no stamp of its own
                 if told is None:
                     continue
                 if waiting is not None and (now != waiting.now or device in waiting.messages):
@@ -133,16 +144,6 @@ class Recording:
                 waiting.messages[device] = told
         if waiting is not None:
             yield waiting
-
-    def _told(self, device: str, message: Any, now: float) -> Message | None:
-        """Return a message of the runtime; None if it tells nothing."""
-        if device == "cloud":
-            return self._cloud(message)
-        if device == "attitude":
-            return self._attitude(message)
-        if hasattr(message, "twist"):
-            return Odometry(_stamp(message), float(message.twist.twist.linear.x))
-        return Odometry(now, float(message.data))  # it has no stamp of its own
 
     def _joints(self, joints: NewestJoints, topic: str, message: Any) -> JointAngles | None:
         """Return the newest angles; None as long as one is unknown, or of other joints."""
@@ -184,12 +185,7 @@ class Recording:
 
 
 def read_recording(path: Path, names: Names) -> Recording:
-    """Return what a bag holds; its messages are not read yet.
-
-    Raises:
-        MissingExtraError: rosbags is not installed.
-        RequestError: the file is no bag, has no clouds, or a topic or frame is unknown.
-    """
+    """Return what a bag holds; its messages are not read yet."""
     remarks: list[str] = []
     with opened(path) as reader:
         clouds = chosen_topic(path, reader, names.clouds)
@@ -208,3 +204,67 @@ def read_recording(path: Path, names: Names) -> Recording:
 def _stamp(message: Any) -> float:
     """Return the stamp of a message [s]; NaN without one, which the intake refuses."""
     return seconds(message.header.stamp) or math.nan
+
+
+LOG = OutputKind(
+    "a log", (".jsonl",), re.compile(rb'\A\{"time": [^\n]*"setpoints": [^\n]*"measured": ')
+)
+USED = (
+    *("near", "filter_margin", "chassis_width", "overall_width"),
+    *("pose", "range_bias", "tilt_wander", "tilt_noise"),
+)
+"""Settings of ``perception=lidar`` that the setup of a robot has too."""
+
+
+def check_used(keys: Iterable[str]) -> None:
+    """Refuse settings other than those of a robot's setup, which the policy's file states."""
+    allowed = [f"perception.{name}" for name in USED]
+    for key in keys:
+        if key not in allowed:
+            raise RequestError(
+                f"{key}: the policy's file states the robot and, after a training with a LiDAR, "
+                f"the settings of its map, which are the default ones otherwise; "
+                f"{', '.join(allowed)} are allowed"
+            )
+
+
+def shadow(
+    policy: Path, source: Path, sensor: Sensor, pose: str | None, names: Names, log: Path
+) -> dict[str, Any]:
+    """Write what a policy would have done on a bag; return the numbers.
+
+    ``sensor`` has the widths and errors of the robot, see ``USED``; ``pose`` is ``belts`` or
+    ``matched``; None: ``belts``.
+    """
+    assert isinstance(sensor, LidarSensor)
+    check_output(log, LOG)
+    if pose == "true":
+        raise RequestError("perception.pose=true: no robot knows this; belts or matched is allowed")
+    recording = read_recording(source, names)
+    lines: list[str] = []
+    decided = Shadow(policy, setup_of(recording, sensor, pose), lines.append)
+    for step in recording.steps():
+        decided.take(step.now, step.messages)
+    write_bytes(log, "".join(f"{line}\n" for line in lines).encode())
+    return {
+        "policy": str(policy),
+        "source": str(source),
+        "output": str(log),
+        "topics": recording.topics,
+        **decided.summary(),
+        "remarks": recording.remarks,
+    }
+
+
+def setup_of(recording: Recording, sensor: LidarSensor, pose: str | None) -> RobotSetup:
+    """Return the devices of a recorded robot, with the widths and errors of ``sensor``."""
+    x, _, z = recording.mount.place.tolist()
+    return replace(
+        recording.setup,
+        mount=Mount(x, z, recording.axis, sensor.near, sensor.filter_margin),
+        chassis_width=sensor.chassis_width,
+        overall_width=sensor.overall_width,
+        pose="matched" if pose == "matched" else "belts",
+        range_bias=sensor.range_bias,
+        tilt_error=math.hypot(sensor.tilt_wander, sensor.tilt_noise),
+    )
