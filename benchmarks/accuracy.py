@@ -45,7 +45,7 @@ def measure(bench: Benchmark) -> dict[str, Any]:
     substeps = [f * planar(bench.config.sim).substep for f in FACTORS]
     substeps = [step for step in substeps if step <= SAMPLE_PERIOD * (1 + 1e-9)]
     runs = [(scene, step) for scene in SCENES for step in substeps]
-    rule, rows = _rule(bench), {}
+    rule, rows = load_policy(bench.settings.controller, "bench.controller"), {}
     for index, (scene, step) in enumerate(runs):
         bench.report_progress(f"{scene} at {1e3 * step:g} ms", _RULE * index / len(runs))
         config = with_overrides(bench.config.environment(), {"terrain": scene, "sim.substep": step})
@@ -63,13 +63,9 @@ def measure(bench: Benchmark) -> dict[str, Any]:
             if step != (finest := substeps[-1]):
                 name = f"{names[scene, step]} / {names[scene, finest]}"
                 ratios[name] = ratio(values[scene, step], values[scene, finest])
-    policies = _measure_policies(bench)
+    policies = _measure_policies(bench, rule)
     quantities |= policies.pop("quantities")
     return {"about": ABOUT, "quantities": quantities, "ratios": ratios, **policies}
-
-
-def _rule(bench: Benchmark) -> PolicySource:
-    return load_policy(bench.settings.controller, "bench.controller")
 
 
 def _play(
@@ -82,10 +78,10 @@ def _play(
     return [tuple(play(env, policy, seed) for env in envs) for seed in seeds]
 
 
-def _measure_policies(bench: Benchmark) -> dict[str, Any]:
+def _measure_policies(bench: Benchmark, rule: PolicySource) -> dict[str, Any]:
     """Measure relative changes of θ̂_R and changed outcomes [-], by policy and by terrain."""
     sources = {
-        bench.settings.controller: _rule(bench),
+        bench.settings.controller: rule,
         SHIPPED: PolicySource(checkpoint=checkpoint.shipped_policies()[SHIPPED]),
     }
     runs = [(name, f) for name in sources for f in FAMILIES[: bench.settings.families]]
@@ -107,14 +103,7 @@ def _measure_policies(bench: Benchmark) -> dict[str, Any]:
             quantities[f"{name}.change"] = quantity(values, "-")
         if pairs:
             quantities[f"{name}.changed_outcomes"] = quantity([changed_outcomes(pairs)], "-")
-    by_terrain = {
-        name: {
-            family: {"changes": changes(pairs), "changed_outcomes": changed_outcomes(pairs)}
-            for family, pairs in by_family.items()
-        }
-        for name, by_family in played.items()
-    }
-    return {"quantities": quantities, "by_terrain": by_terrain, "missing": missing}
+    return {"quantities": quantities, "missing": missing}
 
 
 def changes(pairs: Sequence[tuple[Row, ...]]) -> list[float]:

@@ -76,7 +76,6 @@ def _rliable(rng: np.random.Generator, shape: tuple[int, int, int]) -> dict[str,
 def _statsmodels(rng: np.random.Generator) -> dict[str, Any]:
     from statsmodels.stats.contingency_tables import mcnemar
     from statsmodels.stats.multitest import multipletests
-    from statsmodels.stats.power import TTestPower
     from statsmodels.stats.proportion import proportion_confint
     from statsmodels.stats.weightstats import DescrStatsW
 
@@ -105,48 +104,8 @@ def _statsmodels(rng: np.random.Generator) -> dict[str, Any]:
             "p": p_values.tolist(),
             "corrected": multipletests(p_values, method="holm")[1].tolist(),
         },
-        "power": [
-            {
-                "difference": d,
-                "deviation": s,
-                "episodes": n,
-                "power": float(TTestPower().power(d / s, n, 0.05)),
-                "integral": _power(d / s, n),
-            }
-            for d, s, n in ((0.1, 0.5, 20), (0.1, 0.5, 199), (0.5, 0.4, 6), (0.02, 0.3, 40))
-        ],
-        "episodes": [
-            {
-                "difference": d,
-                "deviation": s,
-                "episodes": float(TTestPower().solve_power(d / s, alpha=0.05, power=0.8)),
-            }
-            for d, s in ((0.1, 0.5), (0.5, 0.4), (0.02, 0.3))
-        ],
         "crossed": _crossed(rng),
     }
-
-
-def _power(effect: float, pairs: int) -> float:
-    """Return the power of the paired t test by numerical integration over the deviation.
-
-    It is the reference to 1e-9: statsmodels takes the noncentral t distribution from
-    ``scipy.special.nctdtr``, which errs by 1e-8.
-    """
-    from scipy.integrate import quad
-    from scipy.special import ndtr
-    from scipy.stats import chi, t
-
-    freedom, shift = pairs - 1, effect * pairs**0.5
-    limit = t.isf(0.025, freedom)
-
-    def density(deviation: float) -> float:
-        at = limit * deviation / freedom**0.5
-        return float(chi.pdf(deviation, freedom) * (ndtr(shift - at) + ndtr(-shift - at)))
-
-    middle = freedom**0.5
-    ends = (max(0.0, middle - 9), middle + 9)
-    return float(quad(density, *ends, epsabs=1e-13, epsrel=1e-12, limit=200)[0])
 
 
 def _crossed(rng: np.random.Generator) -> dict[str, Any]:

@@ -9,13 +9,13 @@ quotient is the multiple of real time.
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Callable
 from typing import Any
 
 from benchmarks.settings import Benchmark, ratio
+from flipperctl.api import Simulator
 from flipperctl.api.plugin import registered_names
-from flipperctl.bench import Values, measure_in_turn, quantity
+from flipperctl.bench import measure_in_turn, quantity
 from flipperctl.config import DEFAULT_ENGINE, EnvConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
@@ -31,55 +31,35 @@ ENGINE_GROUNDS = ("flat", "stair", "plum", "paper_stair")
 """Terrains on which engines are timed: level ground, edges, many edges, the paper's scene."""
 
 
-@dataclass(frozen=True)
-class Recording:
-    """The seed and the actions of an episode."""
-
-    seed: int
-    actions: list[int]
-
-
 class Clock:
     """Repeat episodes on one terrain in one engine; public methods return simulated / CPU time."""
 
     def __init__(self, config: EnvConfig, controller: str, seeds: list[int]) -> None:
-        """Play the episodes once, which also triggers the compilation.
-
-        Raises:
-            MissingExtraError: the engine is not installed.
-        """
+        """Play the episodes once, which also triggers the compilation."""
         self._env = FlipperEnv(config=config)
         policy = load_policy(controller, "bench.controller").build(config)
-        self._recordings = [
-            Recording(seed, [d.action for d in decisions(self._env, policy, seed)])
-            for seed in seeds
-        ]
+        self._played = {
+            seed: [d.action for d in decisions(self._env, policy, seed)] for seed in seeds
+        }
 
     def engine(self) -> float:
         """Time the engine alone: commands, simulation, sampled poses and termination."""
-        simulated = spent = 0.0
-        for recording in self._recordings:
-            self._env.reset(seed=recording.seed)
-            alone = self._env.simulator()
-            before = alone.state.time  # building the world is not timed
-            begun = time.process_time()
-            for action in recording.actions:
-                alone.step(action)
-            spent += time.process_time() - begun
-            simulated += alone.state.time - before
-        return simulated / spent
+        return self._time(lambda: self._env.simulator())
 
     def environment(self) -> float:
         """Time whole steps of the environment."""
+        return self._time(lambda: self._env)
+
+    def _time(self, stepped: Callable[[], FlipperEnv | Simulator]) -> float:
         simulated = spent = 0.0
-        for recording in self._recordings:
-            self._env.reset(seed=recording.seed)
-            before = self._env.state.time
-            begun = time.process_time()
-            for action in recording.actions:
-                self._env.step(action)
+        for seed, actions in self._played.items():
+            self._env.reset(seed=seed)
+            it = stepped()  # building the world is not timed
+            before, begun = it.state.time, time.process_time()
+            for action in actions:
+                it.step(action)
             spent += time.process_time() - begun
-            simulated += self._env.state.time - before
+            simulated += it.state.time - before
         return simulated / spent
 
 
@@ -88,29 +68,8 @@ def measure(bench: Benchmark) -> dict[str, Any]:
 
     The engine chosen by ``sim=…`` has its configured settings, the others have their defaults.
     """
-    s = bench.settings
-    clocks, missing = _clocks(bench)
-    found: dict[str, list[float]] = measure_in_turn(
-        {
-            name: clock
-            for key, one in clocks.items()
-            for name, clock in ((key, one.engine), (f"{key}.environment", one.environment))
-        },
-        s.repeats,
-        partial(_report, bench),
-    )
-    return {
-        "about": ABOUT,
-        "quantities": {name: quantity(values, "-") for name, values in found.items()},
-        "ratios": _ratios(found),
-        "missing": missing,
-    }
-
-
-def _clocks(bench: Benchmark) -> tuple[dict[str, Clock], list[str]]:
-    """Return the clock of each engine and terrain, and the reasons why engines are left out."""
-    config, s = bench.config.environment(), bench.settings
-    clocks: dict[str, Clock] = {}
+    s, config = bench.settings, bench.config.environment()
+    clocks: dict[str, Callable[[], float]] = {}
     missing: list[str] = []
     for engine in registered_names("sim"):
         chosen = engine == config.sim.plugin_name
@@ -120,24 +79,23 @@ def _clocks(bench: Benchmark) -> tuple[dict[str, Clock], list[str]]:
             on_ground = with_overrides(changed, {"terrain": ground})
             seeds = EvaluationSeeds.of(s.seed, on_ground.terrain).first(s.episodes)
             try:
-                clocks[f"{engine}.{ground}"] = Clock(on_ground, s.controller, seeds)
+                one = Clock(on_ground, s.controller, seeds)
             except MissingExtraError as error:
                 missing.append(str(error))
                 break
-    return clocks, missing
-
-
-def _report(bench: Benchmark, fraction: float) -> None:
-    bench.report_progress("engines in turn", fraction)
-
-
-def _ratios(found: dict[str, list[float]]) -> dict[str, Any]:
-    """Return the speed of each other engine relative to the default one."""
-    ratios: dict[str, Any] = {}
+            name = f"{engine}.{ground}"
+            clocks |= {name: one.engine, f"{name}.environment": one.environment}
+    found = measure_in_turn(
+        clocks, s.repeats, lambda done: bench.report_progress("engines in turn", done)
+    )
+    ratios = {}
     for name, values in found.items():
-        engine, what = name.split(".", 1)
-        default = f"{DEFAULT_ENGINE}.{what}"
-        if engine != DEFAULT_ENGINE:
-            below: Values = found[default]
-            ratios[f"{name} / {default}"] = ratio(values, below)
-    return ratios
+        default = f"{DEFAULT_ENGINE}.{name.partition('.')[2]}"
+        if name != default:
+            ratios[f"{name} / {default}"] = ratio(values, found[default])
+    return {
+        "about": ABOUT,
+        "quantities": {name: quantity(values, "-") for name, values in found.items()},
+        "ratios": ratios,
+        "missing": missing,
+    }

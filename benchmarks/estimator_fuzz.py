@@ -45,11 +45,7 @@ class UnexpectedResultError(Exception):
 
 
 def fuzz(count: int, seed: int) -> Counter[str]:
-    """Return how often the ``count`` messages led to which result.
-
-    Raises:
-        UnexpectedResultError: one led to another than an estimate or a ``PerceptionError``.
-    """
+    """Return how often the ``count`` messages led to which result, or raise for another one."""
     results: Counter[str] = Counter()
     for begin in range(0, count, SEQUENCE):
         number = seed + begin // SEQUENCE

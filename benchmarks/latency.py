@@ -7,16 +7,15 @@ Checkpoints and exports come from a short training with this configuration.
 from __future__ import annotations
 
 import sys
-import time
-from collections.abc import Callable
+from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from benchmarks.settings import Benchmark
+from benchmarks.settings import Benchmark, milliseconds
 from flipperctl import checkpoint
 from flipperctl.bench import clocked, measure_in_turn, output, quantity
-from flipperctl.config import TrainConfig, with_overrides
+from flipperctl.config import with_overrides
 from flipperctl.config.words import literal_override
 from flipperctl.errors import MissingExtraError
 from flipperctl.export.policy import export
@@ -54,89 +53,55 @@ sys.exit(process.returncode)
 
 def measure(bench: Benchmark) -> dict[str, Any]:
     """Measure decisions [µs], checkpoints and exports [ms], and memory [MiB]."""
-    s = bench.settings
+    s, report = bench.settings, bench.report_progress
+    own: dict[str, Any] = {
+        "train.decisions": s.decisions,
+        "train.validate_every": s.decisions,
+        "train.validation_episodes": 1,
+    }
     missing: list[str] = []
     with TemporaryDirectory(prefix="flipperctl-bench-") as name:
         folder = Path(name)
-        bench.report_progress("a short training", 0.0)
-        trainer = trained(bench.config, s.decisions, folder)
-        last, best = folder / checkpoint.LAST, folder / checkpoint.BEST
-        saved, policy = checkpoint.read(best), folder / "policy.onnx"
-        clocks: dict[str, Callable[[], float]] = {
-            "checkpoint_write": _milliseconds(trainer.save),
-            "checkpoint_read": _milliseconds(lambda: checkpoint.read(last)),
-            "weights_read": _milliseconds(lambda: checkpoint.read(best)),
+        last, best, policy = folder / checkpoint.LAST, folder / checkpoint.BEST, folder / "p.onnx"
+        best.parent.mkdir()
+        report("a short training", 0.0)
+        trainer = Trainer(with_overrides(bench.config, own), folder)
+        trainer.run()
+        saved, rounds = checkpoint.read(best), []
+        clocks = {
+            "checkpoint_write": milliseconds(trainer.save),
+            "checkpoint_read": milliseconds(lambda: checkpoint.read(last)),
+            "weights_read": milliseconds(lambda: checkpoint.read(best)),
+            "onnx_export": milliseconds(lambda: export(saved, "onnx", policy)),
         }
-        quantities = {
-            n: quantity(v, "ms")
-            for n, v in measure_in_turn(
-                clocks, s.repeats, _part(bench, "checkpoints", 0.1, 0.2)
-            ).items()
-        }
-        details: dict[str, Any] = {"checkpoint_size": {"unit": "B", "value": last.stat().st_size}}
         try:
-            took = _milliseconds(lambda: export(saved, "onnx", policy))
-            exports = measure_in_turn(
-                {"e": took}, max(1, s.repeats // 3), _part(bench, "export", 0.2, 0.4)
-            )
-            quantities["onnx_export"] = quantity(exports["e"], "ms")
-            rounds = []
-            for index in range(s.repeats):
-                bench.report_progress(
-                    "decisions of the exported policy", 0.4 + 0.3 * index / s.repeats
-                )
+            export(saved, "onnx", policy)
+            for done in range(s.repeats):
+                report("decisions of the exported policy", 0.1 + 0.3 * done / s.repeats)
                 rounds.append(clocked(policy, s.calls, s.seed))
-            for what in ("median", "p99"):
-                quantities[f"decision_{what}"] = quantity([r[what] for r in rounds], "µs")
-            details["imported"] = rounds[0]["imported"]
         except MissingExtraError as error:
+            del clocks["onnx_export"]
             missing.append(str(error))
+        found = measure_in_turn(
+            clocks, s.repeats, lambda done: report("checkpoints and export", 0.4 + 0.4 * done)
+        )
+        quantities = {name: quantity(values, "ms") for name, values in found.items()}
+        for what in ("median", "p99") if rounds else ():
+            quantities[f"decision_{what}"] = quantity([r[what] for r in rounds], "µs")
+        details = {"checkpoint_size": {"unit": "B", "value": last.stat().st_size}}
         if Path("/proc/self/smaps_rollup").exists():
-            bench.report_progress("memory of a short training", 0.8)
-            quantities["training_peak_memory"] = quantity([peak(bench, folder)], "MiB")
+            report("memory of a short training", 0.8)
+            own |= {"train.regret_episodes": 0, "hydra.run.dir": str(folder / "peak")}
+            quantities["training_peak_memory"] = quantity([peak(bench, own)], "MiB")
         else:
             missing.append("memory is measured on Linux only")
     return {"about": ABOUT, "quantities": quantities, "ratios": {}, **details, "missing": missing}
 
 
-def trained(config: TrainConfig, decisions: int, folder: Path) -> Trainer:
-    """Train for ``decisions`` decisions; return the trainer."""
-    changes = {
-        "train.decisions": decisions,
-        "train.validate_every": decisions,
-        "train.validation_episodes": 1,
-    }
-    (folder / checkpoint.BEST).parent.mkdir()
-    trainer = Trainer(with_overrides(config, changes), folder)
-    trainer.run()
-    return trainer
-
-
-def peak(bench: Benchmark, folder: Path) -> float:
-    """Return the peak memory of all processes of a short training together [MiB]."""
-    decisions = str(bench.settings.decisions)
-    own = {
-        "train.decisions": decisions,
-        "train.validate_every": decisions,
-        "train.validation_episodes": "1",
-        "train.regret_episodes": "0",
-        "hydra.run.dir": str(folder / "peak"),
-    }
+def peak(bench: Benchmark, own: Mapping[str, object]) -> float:
+    """Return the peak memory of all processes of a training with ``own`` settings [MiB]."""
     others = [word for word in bench.overrides if word.lstrip("+").partition("=")[0] not in own]
-    short = [literal_override(key, value) for key, value in own.items()]
+    short = [literal_override(key, str(value)) for key, value in own.items()]
     command = [sys.executable, "-m", "flipperctl", "train", *others, *short]
     peak_kib = output([sys.executable, "-S", "-c", _PEAK, *command], "latency: the short training")
     return int(peak_kib) / 1024
-
-
-def _milliseconds(work: Callable[[], object]) -> Callable[[], float]:
-    def clock() -> float:
-        begun = time.perf_counter()
-        work()
-        return 1e3 * (time.perf_counter() - begun)
-
-    return clock
-
-
-def _part(bench: Benchmark, what: str, low: float, high: float) -> Callable[[float], None]:
-    return lambda fraction: bench.report_progress(what, low + fraction * (high - low))

@@ -48,14 +48,7 @@ Rivals = Callable[[TrainConfig, Replay, int, int], Mapping[str, Contestant]]
 """Returns other learners by name, given configuration, replay, batch size and seed."""
 
 
-def no_rivals(
-    config: TrainConfig, replay: Replay, batch_size: int, seed: int
-) -> Mapping[str, Contestant]:
-    """Return no other learners."""
-    return {}
-
-
-def measure(bench: Benchmark, rivals: Rivals = no_rivals) -> dict[str, Any]:
+def measure(bench: Benchmark, rivals: Rivals = lambda *_: {}) -> dict[str, Any]:
     """Measure updates and transitions per second [1/s] for each batch size.
 
     ``rivals`` take turns with flipperctl's learner.

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -68,7 +68,6 @@ class Errors:
         count = self.error.shape[1]
         return np.asarray((np.arange(count) - (count - 1) / 2) * self.width)
 
-    @property
     def slopes(self) -> FloatArray:
         """Slope of the true ground in each bin, (T, N) [-]."""
         return np.asarray(np.gradient(self.true, self.width, axis=1))
@@ -105,16 +104,15 @@ def fit(recorded: Sequence[Errors]) -> MapErrorSize:
     errors on level ground, ``drift`` the mean square of the errors below and behind the robot that
     slopes explain.
     """
-    level = [e.level() for e in recorded]
     width = recorded[0].width
-    length = _length(correlation_along(level, 1), width)
-    variance = float(np.nanmean(np.concatenate([e.ravel() for e in level]) ** 2))
+    length = _length(correlation_along([e.level() for e in recorded], 1), width)
+    variance = float(np.nanmean(_all(Errors.level, recorded) ** 2))
     height = math.sqrt(variance / _mean_variance(width / length))
     explained = square = 0.0
     for e in recorded:
         since = np.maximum(NEAREST - e.centres, 0.0)  # distance driven since a bin was passed [m]
-        gain = e.slopes**2 * since
-        known = ~np.isnan(e.error) & (np.abs(e.slopes) > STEEP / width) & (since > 0)
+        gain = e.slopes() ** 2 * since
+        known = ~np.isnan(e.error) & (np.abs(e.slopes()) > STEEP / width) & (since > 0)
         explained += float(np.maximum(e.error[known] ** 2 - variance, 0.0).sum())
         square += float(gain[known].sum())
     return MapErrorSize(height, length, math.sqrt(explained / square) if square else 0.0)
@@ -126,14 +124,18 @@ def scale(recorded: Sequence[Errors], modelled: Sequence[Errors]) -> float:
     It compares by how much the mean squares there exceed those on level ground, which is
     proportional to the square of ``drift``.
     """
-    excess = []
-    for episodes in (recorded, modelled):
-        level, sloped = (
-            float(np.nanmean(np.concatenate([e.ravel() for e in kind]) ** 2))
-            for kind in ([e.level() for e in episodes], [e.sloped() for e in episodes])
-        )
-        excess.append(max(sloped - level, 0.0))
-    return math.sqrt(excess[0] / excess[1]) if excess[1] else 1.0
+    ours, model = _excess(recorded), _excess(modelled)
+    return math.sqrt(ours / model) if model else 1.0
+
+
+def _all(kind: Callable[[Errors], FloatArray], episodes: Sequence[Errors]) -> FloatArray:
+    return np.concatenate([kind(e).ravel() for e in episodes])
+
+
+def _excess(episodes: Sequence[Errors]) -> float:
+    """Return by how much the mean square on sloped ground exceeds that on level ground [m²]."""
+    level, sloped = (_all(kind, episodes) for kind in (Errors.level, Errors.sloped))
+    return max(0.0, float(np.nanmean(sloped**2) - np.nanmean(level**2)))
 
 
 def with_jitter(
@@ -149,11 +151,8 @@ def with_jitter(
         correlation_in_time([e.sloped() for e in kind], 1) for kind in (recorded, modelled)
     )
     share = min(1.0, max(0.0, now / kept))
-    level = np.concatenate([e.level().ravel() for e in recorded])
-    sloped = np.concatenate([e.sloped().ravel() for e in recorded])
-    slopes = np.concatenate([e.slopes.ravel() for e in recorded])[~np.isnan(sloped)]
-    excess = max(0.0, float(np.nanmean(sloped**2) - np.nanmean(level**2)))
-    jitter = math.sqrt((1 - share) * excess / float(np.mean(slopes**2)))
+    slopes = _all(Errors.slopes, recorded)[~np.isnan(_all(Errors.sloped, recorded))]
+    jitter = math.sqrt((1 - share) * _excess(recorded) / float(np.mean(slopes**2)))
     drift = size.drift * scale(recorded, modelled) * math.sqrt(share)
     return replace(size, drift=drift, jitter=jitter)
 
@@ -207,13 +206,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     common = [f"terrain={chosen.terrain}", f"eval.episodes={chosen.episodes}"]
     lidar = [*common, "perception=lidar", *chosen.overrides]
     recorded = _record(lidar, chosen.seed + FITTED)
-    for kind, errors in (
-        ("level", [e.level() for e in recorded]),
-        ("sloped", [e.sloped() for e in recorded]),
-    ):
-        if all(bool(np.isnan(e).all()) for e in errors):
+    for kind in (Errors.level, Errors.sloped):
+        if np.isnan(_all(kind, recorded)).all():
             raise RequestError(
-                f"--terrain {chosen.terrain}: no {kind} ground is on it; both are needed"
+                f"--terrain {chosen.terrain}: no {kind.__name__} ground is on it; both are needed"
             )
     size = fit(recorded)
     modelled = _record([*common, *_words(size)], chosen.seed + FITTED)

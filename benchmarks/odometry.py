@@ -16,8 +16,7 @@ import argparse
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -67,8 +66,7 @@ _ROOM = 30.0
 """Length of the true ground before and after the terrain [m]."""
 
 
-@dataclass(frozen=True)
-class Decided:
+class Decided(NamedTuple):
     """The truth when a policy decided."""
 
     time: float
@@ -79,16 +77,6 @@ class Decided:
     """(4,) x, y, z [m] and heading [rad] of the chassis centre."""
     heights: FloatArray
     """(N,) heights of the true ground in frame L [m]."""
-
-
-@dataclass(frozen=True)
-class Recorded:
-    """One drive."""
-
-    messages: tuple[Measured, ...]
-    """What belts, inertial unit, encoders and LiDAR measured, in the order of arrival."""
-    decided: tuple[Decided, ...]
-    """The truth at each decision."""
 
 
 class _Recording(LidarSensor):
@@ -114,16 +102,21 @@ class _Recording(LidarSensor):
         return found
 
 
-class _Recorder(Observer):
+class Recorder(Observer):
+    """One drive."""
+
     def __init__(self) -> None:
         self.messages: list[Measured] = []
+        """What belts, inertial unit, encoders and LiDAR measured, in the order of arrival."""
         self.decisions: list[Decided] = []
 
     def measured(self, measured: Measured) -> None:
+        """Keep a measurement of a robot's own devices."""
         if not measured.instrument.startswith("tracking"):
             self.messages.append(measured)
 
     def decided(self, t: Transition, p: Perception, rewards: Mapping[str, float]) -> None:
+        """Keep the truth at a decision."""
         s = t.before
         after = [m.time > s.time + 1e-6 for m in self.messages]
         received = after.index(True) if True in after else len(after)
@@ -134,19 +127,18 @@ class _Recorder(Observer):
         self.decisions.append(Decided(s.time, received, pose, heights))
 
 
-def record(family: str, seed: int, sensor: Mapping[str, Any], sim: Mapping[str, Any]) -> Recorded:
+def record(family: str, seed: int, sensor: Mapping[str, Any], sim: Mapping[str, Any]) -> Recorder:
     """Drive over one ground of a family; ``sensor`` are settings of ``perception=lidar``."""
     terrain = {"name": family, **FAMILIES[family]}
     env = FlipperEnv(terrain, sim={"name": "mujoco", **sim}, perception=_Recording(**sensor))
     driver = PolicySource(checkpoint=shipped_policies()["generalist"]).build(env.config)
-    recorder = _Recorder()
+    recorder = Recorder()
     for _ in decisions(env, driver, seed, observers=[recorder]):
         pass
-    return Recorded(tuple(recorder.messages), tuple(recorder.decisions))
+    return recorder
 
 
-@dataclass(frozen=True)
-class Errors:
+class Errors(NamedTuple):
     """Errors of one estimator in one drive."""
 
     way: float
@@ -165,39 +157,34 @@ class Errors:
     """CPU time of each scan, with the estimate after it [s]."""
 
 
-def errors(drive: Recorded, sensor: LidarSensor) -> Errors:
+def errors(drive: Recorder, sensor: LidarSensor) -> Errors:
     """Give the messages of a drive to a new estimator and compare its estimates with the truth."""
-    estimator = sensor.estimator(Robot())
+    estimator, received = sensor.estimator(Robot()), 0
     middle = (np.arange(sensor.bins) - (sensor.bins - 1) / 2) * sensor.bin_width
     under = np.abs(middle) < _UNDER
-    below: list[FloatArray] = []
-    seen_errors: list[FloatArray] = []
-    relative: list[FloatArray] = []
+    below, heights, relative, places = (list[FloatArray]() for _ in range(4))
     seconds: list[float] = []
-    places: list[FloatArray] = []
-    received = 0
-    for truth in drive.decided:
-        scan = 0.0
+    for truth in drive.decisions:
         for message in drive.messages[received : truth.received]:
             begun = time.process_time()
             estimator.update(message)
             if isinstance(message.value, Scan):
-                scan = time.process_time() - begun
-                seconds.append(scan)
+                seconds.append(time.process_time() - begun)
         received = truth.received
         begun = time.process_time()
         ground, _ = estimator.estimate(truth.time)
         if seconds:
             seconds[-1] += time.process_time() - begun
-        assert ground.position is not None
-        assert ground.seen is not None
-        assert ground.deviation is not None
-        places.append(ground.position)
-        off, seen = ground.heights - truth.heights, ground.seen
+        place, seen, deviation = ground.position, ground.seen, ground.deviation
+        assert place is not None
+        assert seen is not None
+        assert deviation is not None
+        off = ground.heights - truth.heights
+        places.append(place)
         below.append(off[seen & under])
-        seen_errors.append(off[seen])
-        relative.append(off[seen] / ground.deviation[seen])
-    first, last = drive.decided[0].pose, drive.decided[-1].pose
+        heights.append(off[seen])
+        relative.append(off[seen] / deviation[seen])
+    first, last = drive.decisions[0].pose, drive.decisions[-1].pose
     moved = last - first
     along = math.cos(first[3]) * moved[0] + math.sin(first[3]) * moved[1]
     estimated = places[-1] - places[0]
@@ -206,7 +193,7 @@ def errors(drive: Recorded, sensor: LidarSensor) -> Errors:
         along=float(estimated[0] - along),
         up=float(estimated[1] - moved[2]),
         below=np.concatenate(below),
-        heights=np.concatenate(seen_errors),
+        heights=np.concatenate(heights),
         relative=np.concatenate(relative),
         seconds=np.array(seconds),
     )

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from pymunk import GearJoint, Vec2d
+from pymunk import GearJoint
 
 from benchmarks.settings import Benchmark, planar, ratio
 from flipperctl.api import SAMPLE_PERIOD, Profile, Start, Transition
@@ -41,31 +41,24 @@ _NO_HANDLER = 0
 _PARTS = ("reset", "decision", "bare", "world", "sensing", "rewards")
 
 
-@dataclass(frozen=True)
 class Snapshot:
     """State of each body and target of each servo, in the engine's units and order."""
 
-    bodies: tuple[tuple[Vec2d, float, Vec2d, float], ...]
-    """Position [m], angle [rad], velocity [m/s] and angular velocity [rad/s] of each body."""
-    phases: tuple[float, ...]
-    """Target angles of the flippers' servos [rad]."""
-
-    @classmethod
-    def of(cls, world: PlanarWorld) -> Snapshot:
-        """Return the current state of a world."""
+    def __init__(self, world: PlanarWorld) -> None:
         bodies = world.space.bodies
-        return cls(
-            tuple((b.position, b.angle, b.velocity, b.angular_velocity) for b in bodies),
-            tuple(c.phase for c in world.space.constraints if isinstance(c, GearJoint)),
-        )
+        self.bodies = [(b.position, b.angle, b.velocity, b.angular_velocity) for b in bodies]
+        self.phases = [gear.phase for gear in _gears(world)]
 
-    def restore(self, world: PlanarWorld, phases: tuple[float, ...]) -> None:
+    def restore(self, world: PlanarWorld, phases: list[float]) -> None:
         """Put the bodies of a world into this state, and set other servo targets."""
         for body, state in zip(world.space.bodies, self.bodies, strict=True):
             body.position, body.angle, body.velocity, body.angular_velocity = state
-        gears = [c for c in world.space.constraints if isinstance(c, GearJoint)]
-        for gear, phase in zip(gears, phases, strict=True):
+        for gear, phase in zip(_gears(world), phases, strict=True):
             gear.phase = phase
+
+
+def _gears(world: PlanarWorld) -> list[GearJoint]:
+    return [c for c in world.space.constraints if isinstance(c, GearJoint)]
 
 
 def strip(world: PlanarWorld) -> None:
@@ -113,11 +106,11 @@ def record(config: EnvConfig, controller: str, seed: int) -> Recording:
     policy = load_policy(controller, "bench.controller").build(config)
     env.reset(seed=seed)
     start = Start(float(env.state.position[0]), env.state.front, env.state.rear)
-    recording = Recording(seed, env.profile, start, [Snapshot.of(_world(env))])
+    recording = Recording(seed, env.profile, start, [Snapshot(_world(env))])
     for decision in decisions(env, policy, seed):
         recording.actions.append(decision.action)
         recording.targets.append(env.drive.targets)
-        recording.snapshots.append(Snapshot.of(_world(env)))
+        recording.snapshots.append(Snapshot(_world(env)))
         recording.contacts.append(contacts(_world(env)))
         recording.transitions.append(decision.transition)
     return recording
@@ -221,24 +214,6 @@ def measure(bench: Benchmark) -> dict[str, Any]:
         bench.report_progress("episodes in turn", (index + 1) / s.repeats)
     made = sum(len(r.actions) for r in recordings)
     steps = substeps * sum(r.samples(i) for r in recordings for i in range(len(r.actions)))
-    return {
-        "about": ABOUT,
-        **rates(rounds, made, steps),
-        "decisions_a_round": made,
-        "substeps_a_round": steps,
-        "contacts_at_decision_ends": {
-            "unit": "-",
-            "environment": sum(sum(r.contacts) for r in recordings) / made,
-            "bare": sum(bare_contacts) / made,
-        },
-    }
-
-
-def rates(rounds: list[Mapping[str, float]], made: int, substeps: int) -> dict[str, Any]:
-    """Return quantities and ratios from the times of each round's parts [s].
-
-    ``made`` decisions and ``substeps`` are those of one round.
-    """
     bare = [made / t["bare"] for t in rounds]
     environment = [made / t["decision"] for t in rounds]
     with_reset = [made / (t["decision"] + t["reset"]) for t in rounds]
@@ -252,8 +227,16 @@ def rates(rounds: list[Mapping[str, float]], made: int, substeps: int) -> dict[s
     }
     parts = {name: [1e6 / made * value for value in part] for name, part in seconds.items()}
     return {
+        "about": ABOUT,
+        "decisions_a_round": made,
+        "substeps_a_round": steps,
+        "contacts_at_decision_ends": {
+            "unit": "-",
+            "environment": sum(sum(r.contacts) for r in recordings) / made,
+            "bare": sum(bare_contacts) / made,
+        },
         "quantities": {
-            "bare_substeps": quantity([substeps / t["bare"] for t in rounds], "1/s"),
+            "bare_substeps": quantity([steps / t["bare"] for t in rounds], "1/s"),
             "bare_decisions": quantity(bare, "1/s"),
             "environment_decisions": quantity(environment, "1/s"),
             "environment_decisions_with_reset": quantity(with_reset, "1/s"),

@@ -19,9 +19,14 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.utils import LinearSchedule, polyak_update
 
 import flipperctl.env  # noqa: F401  # registers the environment
-from benchmarks.solve_run import SolveRun, Validation
+from benchmarks.solve import SolveRun
 from flipperctl.agent.replay import Replay
 from flipperctl.config import TrainConfig
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.evaluation.rows import reached
+from flipperctl.policies.trained import TrainedPolicy
+from flipperctl.rollout.episode import play
+from flipperctl.rollout.seeds import validation_seed
 
 SETTINGS: Mapping[str, Any] = {
     "net_arch": (128, 128),
@@ -93,24 +98,17 @@ class Scaled(BaseFeaturesExtractor):
         return observation / self.scale
 
 
-def environment(config: TrainConfig, reward_scale: float = 1.0) -> gymnasium.Env[Any, Any]:
-    """Return the task as a Gymnasium environment, without the checker that ``make`` adds."""
-    env = gymnasium.make(
-        "flipperctl/Flipper-v0", config=config.environment(), disable_env_checker=True
-    )
-    if reward_scale == 1.0:
-        return env
-    return gymnasium.wrappers.TransformReward(env, lambda reward: float(reward) * reward_scale)
-
-
 def model(config: TrainConfig, seed: int, **changes: Any) -> DQN:
     """Return a DQN with ``SETTINGS`` and ``changes`` to them."""
     s: dict[str, Any] = {**SETTINGS, **changes}
     reward_scale, net_arch = s.pop("reward_scale"), s.pop("net_arch")
     fused, (first, last) = s.pop("fused"), s.pop("learning_rate")
+    env: gymnasium.Env[Any, Any] = gymnasium.make(  # without the checker that it adds
+        "flipperctl/Flipper-v0", config=config.environment(), disable_env_checker=True
+    )
     dqn = DQN(
         "MlpPolicy",
-        environment(config, reward_scale),
+        gymnasium.wrappers.TransformReward(env, lambda reward: float(reward) * reward_scale),
         learning_rate=LinearSchedule(first, last, 1.0),
         policy_kwargs={
             "net_arch": list(net_arch),
@@ -136,9 +134,8 @@ def solve(config: TrainConfig, run: SolveRun, report: Callable[[], None]) -> Non
 class _ValidationCallback(BaseCallback):
     def __init__(self, config: TrainConfig, run: SolveRun, report: Callable[[], None]) -> None:
         super().__init__()
-        self._every = config.train.validate_every
-        self._validation = Validation(config)
-        self._run = run
+        self._train, self._run = config.train, run
+        self._env = FlipperEnv(config=config.environment())
         self._report = report
         self._last = 0
 
@@ -148,24 +145,19 @@ class _ValidationCallback(BaseCallback):
             return True
         self._report()
         before, self._last = self._last, self.num_timesteps
-        if self._last // self._every > before // self._every:
-            dqn = cast("DQN", self.model)
-            begun = self._run.elapsed
-            success_rate = self._validation(dqn.q_net_target)
-            took = self._run.elapsed - begun
-            self._run.add_validation(self._last, success_rate, took)
+        if self._last // self._train.validate_every > before // self._train.validate_every:
+            begun, episodes = self._run.elapsed, self._train.validation_episodes
+            policy = TrainedPolicy(cast("DQN", self.model).q_net_target)
+            seeds = (validation_seed(self._train.validation_seed, i) for i in range(episodes))
+            count = sum(reached(play(self._env, policy, seed)) for seed in seeds)
+            self._run.add_validation(self._last, count / episodes, self._run.elapsed - begun)
         return not self._run.finished
 
 
 def fill(model: DQN, replay: Replay) -> None:
-    """Copy a replay of one-step transitions to the model's buffer.
-
-    Raises:
-        TypeError: the model has no replay buffer.
-    """
+    """Copy a replay of one-step transitions to the model's buffer."""
     held, buffer = replay.filled(), model.replay_buffer
-    if not isinstance(buffer, ReplayBuffer):
-        raise TypeError("a model without a replay buffer cannot be filled")
+    assert isinstance(buffer, ReplayBuffer)
     count, size = len(replay), buffer.obs_shape[0]
     buffer.observations[:count, 0] = held["observation"][:, -size:]  # the newest of stacked ones
     buffer.next_observations[:count, 0] = held["next_observation"][:, -size:]

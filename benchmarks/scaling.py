@@ -1,8 +1,4 @@
-"""Decisions per second by the number of worker processes.
-
-``measure`` takes a factory for each kind of collector: in this process, in worker processes, on
-Ray. A factory creates a collector with a given number of workers.
-"""
+"""Decisions per second by the number of workers: in this process, in processes, on Ray."""
 
 from __future__ import annotations
 
@@ -10,8 +6,9 @@ import itertools
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any, Protocol
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Any
 
 import numpy as np
 import torch
@@ -34,114 +31,42 @@ ABOUT = "decisions per second (ε-greedy on the network, no updates) by number o
 EPSILON = 0.05
 
 
-class Collector(Protocol):
-    """A collector of training episodes."""
-
-    def collect(self, decisions: int) -> int:
-        """Play at least ``decisions`` more decisions; return their actual number."""
-
-    def close(self) -> None:
-        """Stop all worker processes."""
+Collect = Callable[[int], int]
+"""Plays at least so many more decisions; returns their actual number."""
 
 
-Factory = Callable[[TrainConfig, int], Collector]
-"""Creates a collector from a configuration and a number of workers; raises MissingExtraError."""
+def in_process(config: TrainConfig) -> Collect:
+    """Return the reference: one environment and one agent in this process, as in the trainer."""
+    agent = D3qn(config.network, config.perception, config.agent, seed=config.seed)
+    env, rng = FlipperEnv(config=config.environment()), np.random.default_rng(config.seed)
+    frames = config.network.frames
+    policy = ExploringPolicy(agent.online, frames, lambda: EPSILON, rng, agent.noise_rng)
+    played = (
+        step
+        for number in itertools.count()
+        for step in steps(env, policy, training_seed(config.seed, number), frames=frames)
+    )
+    return lambda decisions: sum(1 for _ in itertools.islice(played, decisions))
 
 
-class InProcessCollector:
-    """The reference: one environment and one agent in this process, as in the trainer."""
+def by_workers(config: TrainConfig, workers: RolloutWorkers) -> Collect:
+    """Return a collector whose workers play with the weights of an untrained network."""
+    agent = D3qn(config.network, config.perception, config.agent, seed=config.seed)
+    weights, numbers = arrays(agent.online), itertools.count(1)
 
-    def __init__(self, config: TrainConfig, workers: int) -> None:
-        """``workers`` must be 1; it is not used."""
-        layout = config.perception
-        self._agent = D3qn(config.network, layout, config.agent, seed=config.seed)
-        self._decisions = self._play(config)
-
-    def _play(self, config: TrainConfig) -> Iterator[None]:
-        env, rng = FlipperEnv(config=config.environment()), np.random.default_rng(config.seed)
-        policy = ExploringPolicy(
-            self._agent.online, config.network.frames, lambda: EPSILON, rng, self._agent.noise_rng
-        )
-        for number in itertools.count():
-            seed = training_seed(config.seed, number)
-            for _ in steps(env, policy, seed, frames=config.network.frames):
-                yield
-
-    def collect(self, decisions: int) -> int:
-        """Play exactly ``decisions`` more decisions."""
-        for _ in range(decisions):
-            next(self._decisions)
-        return decisions
-
-    def close(self) -> None:
-        """Do nothing; no process was started."""
-
-
-class WorkersCollector:
-    """Request episodes from workers, with the weights of an untrained network."""
-
-    def __init__(self, config: TrainConfig, workers: RolloutWorkers) -> None:
-        layout = config.perception
-        agent = D3qn(config.network, layout, config.agent, seed=config.seed)
-        self._weights = arrays(agent.online)
-        self._seed = config.seed
-        self._workers = workers
-        self._requested = 0
-
-    def _request(self) -> RolloutRequest:
-        self._requested += 1
-        seed = training_seed(self._seed, self._requested)
-        return RolloutRequest(self._requested, seed, EPSILON, 0, 0, self._weights)
-
-    def collect(self, decisions: int) -> int:
+    def collect(decisions: int) -> int:
         """Play whole episodes, all of which end before this returns, so that no worker waits."""
-        workers, done = self._workers, 0
+        done = 0
         while done < decisions or workers.outstanding():
             while done < decisions and len(workers.outstanding()) < workers.capacity:
-                workers.send(self._request())
+                number = next(numbers)
+                seed = training_seed(config.seed, number)
+                workers.send(RolloutRequest(number, seed, EPSILON, 0, 0, weights))
             _, played = workers.take(lambda: False) or (None, None)
             done += 0 if played is None else len(played)
         return done
 
-    def close(self) -> None:
-        """Stop the workers."""
-        self._workers.close()
-
-
-def process_collector(config: TrainConfig, workers: int) -> Collector:
-    """Return a collector with the worker processes of ``train.workers``."""
-    paths = plugins.configured_paths()
-    return WorkersCollector(config, RolloutWorkers(workers, to_dict(config), paths))
-
-
-def ray_collector(cpus: int) -> Factory:
-    """Return the factory of ``collector=ray`` on one local cluster of ``cpus`` CPUs."""
-
-    def create(config: TrainConfig, workers: int) -> Collector:
-        if not is_connected():
-            join(LOCAL, "bench", num_cpus=cpus, include_dashboard=False, **QUIET)
-        settings = RayCollector(workers=workers)
-        paths = plugins.configured_paths()
-        return WorkersCollector(config, RayWorkers(settings, to_dict(config), paths))
-
-    return create
-
-
-def factories(
-    config: TrainConfig, counts: tuple[int, ...]
-) -> dict[str, tuple[Factory, tuple[int, ...]]]:
-    """Return the factory and the numbers of workers of each kind of collector, by name.
-
-    ``counts``: those of processes and of Ray workers. With a teacher, which labels what workers
-    collect, and with a policy that draws its actions there is no collector in this process.
-    """
-    found: dict[str, tuple[Factory, tuple[int, ...]]] = {
-        "processes": (process_collector, counts),
-        "ray": (ray_collector(sum(counts)), counts),
-    }
-    if config.teacher.controller is not None or config.agent.is_policy_gradient:
-        return found
-    return {"in_process": (InProcessCollector, (1,)), **found}
+    return collect
 
 
 def worker_counts(cores: int | None = None) -> tuple[int, ...]:
@@ -153,40 +78,43 @@ def worker_counts(cores: int | None = None) -> tuple[int, ...]:
     return tuple(dict.fromkeys([*counts, most]))
 
 
-def measure(
-    bench: Benchmark, found: Mapping[str, tuple[Factory, tuple[int, ...]]] | None = None
-) -> dict[str, Any]:
-    """Measure decisions per second [1/s] of each collector, and their ratios."""
-    s, threads = bench.settings, torch.get_num_threads()
+def measure(bench: Benchmark) -> dict[str, Any]:
+    """Measure decisions per second [1/s] of each collector, and their ratios.
+
+    With a teacher, which labels what workers collect, and with a policy that draws its actions
+    there is no collector in this process.
+    """
+    s, config, threads = bench.settings, bench.config, torch.get_num_threads()
     counts = s.workers or worker_counts()
+    plain, paths = to_dict(config), plugins.configured_paths()
     torch.set_num_threads(1)
-    collectors: dict[str, Collector] = {}
     missing: list[str] = []
-    try:
-        for name, (factory, numbers) in (found or factories(bench.config, counts)).items():
-            try:
-                for workers in numbers:
-                    bench.report_progress(f"starting {name} with {workers}", 0.0)
-                    collectors[f"{name}.{workers}"] = factory(bench.config, workers)
-            except MissingExtraError as error:
-                missing.append(str(error))
-        clocks = {
-            name: _clock(made, s.decisions * int(name.rpartition(".")[2]))
-            for name, made in collectors.items()
-        }
+    clocks: dict[str, Callable[[], float]] = {}
+    with ExitStack() as started:
+        started.callback(torch.set_num_threads, threads)
+        if config.teacher.controller is None and not config.agent.is_policy_gradient:
+            clocks["in_process.1"] = _clock(in_process(config), s.decisions)
+        try:
+            for kind, count in itertools.product(("processes", "ray"), counts):
+                bench.report_progress(f"starting {kind} with {count}", 0.0)
+                workers: RolloutWorkers
+                if kind == "ray":
+                    if not is_connected():
+                        more = {"num_cpus": sum(counts), "include_dashboard": False}
+                        join(LOCAL, "bench", **more, **QUIET)
+                        started.callback(lambda: sys.modules["ray"].shutdown())
+                    workers = RayWorkers(RayCollector(workers=count), plain, paths)
+                else:
+                    workers = RolloutWorkers(count, plain, paths)
+                started.callback(workers.close)
+                clocks[f"{kind}.{count}"] = _clock(by_workers(config, workers), s.decisions * count)
+        except MissingExtraError as error:
+            missing.append(str(error))
         for clock in clocks.values():
             clock()  # warm-up
         rates = measure_in_turn(
-            clocks,
-            s.repeats,
-            lambda fraction: bench.report_progress("collectors in turn", fraction),
+            clocks, s.repeats, lambda done: bench.report_progress("collectors in turn", done)
         )
-    finally:
-        for made in collectors.values():
-            made.close()
-        if (ray := sys.modules.get("ray")) is not None:
-            ray.shutdown()
-        torch.set_num_threads(threads)
     return {
         "about": ABOUT,
         "quantities": {name: quantity(values, "1/s") for name, values in rates.items()},
@@ -209,10 +137,10 @@ def pairs(names: list[str]) -> list[tuple[str, str]]:
     return list(dict.fromkeys((a, b) for a, b in found if b in names))
 
 
-def _clock(collector: Collector, decisions: int) -> Callable[[], float]:
+def _clock(collect: Collect, decisions: int) -> Callable[[], float]:
     def rate() -> float:
         begun = time.perf_counter()
-        done = collector.collect(decisions)
+        done = collect(decisions)
         return done / (time.perf_counter() - begun)
 
     return rate

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
@@ -210,6 +211,17 @@ def _divided(numerator: float | None, denominator: float | None) -> float:
     if numerator is None:
         return math.nan if denominator is None else math.inf
     return 0.0 if denominator is None else numerator / denominator
+
+
+def milliseconds(work: Callable[[], object]) -> Callable[[], float]:
+    """Return a function that does the work and returns the time on the clock [ms]."""
+
+    def clock() -> float:
+        begun = time.perf_counter()
+        work()
+        return 1e3 * (time.perf_counter() - begun)
+
+    return clock
 
 
 def planar(chosen: Engine) -> Planar:

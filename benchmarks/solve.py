@@ -7,7 +7,9 @@ validated on the same episodes after equal numbers of decisions. They run in tur
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -15,7 +17,6 @@ from typing import Any
 import torch
 
 from benchmarks.settings import MISSING, Benchmark, BenchmarkSettings, ratio
-from benchmarks.solve_run import SolveRun, ValidationRecorder
 from flipperctl import checkpoint
 from flipperctl.bench import quantity
 from flipperctl.config import TrainConfig, with_overrides
@@ -25,6 +26,79 @@ ABOUT = (
     "wall-clock from the start, validations included, until all unseen episodes of several "
     "validations in a row succeed; training is that time without validations"
 )
+
+
+@dataclass
+class SolveRun:
+    """The validations of one run; its clock starts at construction."""
+
+    seed: int
+    settings: BenchmarkSettings
+    validations: list[dict[str, float]] = field(default_factory=list)
+    """``decision``, ``seconds`` since the start and ``success_rate`` of each validation."""
+    validation_seconds: float = 0.0
+    """Time spent in validations [s]."""
+    started: float = field(default_factory=lambda: time.perf_counter())
+    """Reading of the performance counter at the start [s]."""
+
+    @property
+    def elapsed(self) -> float:
+        """Time since the start of the run [s]."""
+        return time.perf_counter() - self.started
+
+    @property
+    def solved(self) -> bool:
+        """Whether every episode of the required number of last validations succeeded."""
+        wanted = self.settings.in_a_row
+        last = self.validations[-wanted:]
+        return len(last) == wanted and all(v["success_rate"] == 1.0 for v in last)
+
+    @property
+    def finished(self) -> bool:
+        """Whether the task is solved or the time limit is exceeded."""
+        return self.solved or self.elapsed > self.settings.limit
+
+    def add_validation(self, decision: int, success_rate: float, took: float) -> None:
+        """Add a validation that has just ended and took ``took`` [s]."""
+        if self.finished:
+            return
+        self.validation_seconds += took
+        self.validations.append(
+            {"decision": decision, "seconds": self.elapsed, "success_rate": success_rate}
+        )
+
+    def report(self) -> dict[str, Any]:
+        """Return the run as plain data; if unsolved, its times and decisions are None."""
+        last = self.validations[-1] if self.solved else None
+        return {
+            "seed": self.seed,
+            "solved": self.solved,
+            "seconds": last and last["seconds"],
+            "training_seconds": last and last["seconds"] - self.validation_seconds,
+            "decisions": last and last["decision"],
+            "validations": self.validations,
+        }
+
+
+class _Recorder:
+    """Listen to a trainer, which validates right after an episode, and add its validations."""
+
+    def __init__(self, run: SolveRun) -> None:
+        self._run = run
+        self._last = run.elapsed
+
+    def episode(self, row: Mapping[str, Any]) -> None:
+        self._last = self._run.elapsed
+
+    def validation(self, row: Mapping[str, Any]) -> None:
+        took = self._run.elapsed - self._last
+        self._run.add_validation(int(row["decision"]), row["success_rate"], took)
+
+    def note(self, text: str) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
 
 
 def measure(bench: Benchmark) -> dict[str, Any]:
@@ -44,8 +118,13 @@ def measure(bench: Benchmark) -> dict[str, Any]:
     total = s.seeds * len(contestants)
     try:
         for seed in range(s.seed + 1, s.seed + 1 + s.seeds):
+            changes = {
+                "seed": seed,
+                "train.validate_every": s.validate_every,
+                "train.validation_episodes": s.validation_episodes,
+            }
+            config = with_overrides(bench.config, changes)
             for name, solver in contestants.items():
-                config = configured(bench, seed)
                 run = SolveRun(seed, s)
                 done = sum(map(len, runs.values()))
                 solver(config, run, _reporter(bench, run, name, done, total))
@@ -79,17 +158,6 @@ def summary(runs: Mapping[str, list[dict[str, Any]]], s: BenchmarkSettings) -> d
     }
 
 
-def configured(bench: Benchmark, seed: int) -> TrainConfig:
-    """Return the training configuration of one run."""
-    s = bench.settings
-    changes = {
-        "seed": seed,
-        "train.validate_every": s.validate_every,
-        "train.validation_episodes": s.validation_episodes,
-    }
-    return with_overrides(bench.config, changes)
-
-
 def solve(config: TrainConfig, run: SolveRun, report: Callable[[], None]) -> None:
     """Train with flipperctl's trainer until the run is finished."""
 
@@ -100,7 +168,7 @@ def solve(config: TrainConfig, run: SolveRun, report: Callable[[], None]) -> Non
     with TemporaryDirectory(prefix="flipperctl-bench-") as folder:
         directory = Path(folder)
         (directory / checkpoint.BEST).parent.mkdir()
-        Trainer(config, directory, [ValidationRecorder(run)]).run(stop)
+        Trainer(config, directory, [_Recorder(run)]).run(stop)
 
 
 def _reporter(

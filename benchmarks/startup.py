@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import sys
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import typer.main
 
-from benchmarks.settings import Benchmark, ratio
+from benchmarks.settings import Benchmark, milliseconds, ratio
 from flipperctl.bench import measure_in_turn, output, quantity
 from flipperctl.cli.main import app
 
@@ -20,27 +20,24 @@ Command = tuple[str, ...]
 """Arguments of ``flipperctl`` on the command line."""
 
 
-def measure(bench: Benchmark, commands: Sequence[Command] | None = None) -> dict[str, Any]:
-    """Measure the time of each command [ms], and its ratio to the start of Python itself.
-
-    The default ``commands`` are every subcommand's help and two short ones.
-
-    Raises:
-        FlipperctlError: a command failed.
-    """
+def measure(bench: Benchmark) -> dict[str, Any]:
+    """Measure the time of each command [ms], and its ratio to the start of Python itself."""
     s = bench.settings
     processes = {PYTHON: [sys.executable, "-c", "pass"]}
-    for command in (short_commands() if commands is None else commands)[: s.commands]:
+    for command in short_commands()[: s.commands]:
         name = " ".join(("flipperctl", *command))
         processes[name] = [sys.executable, "-m", "flipperctl", *command]
-    clocks = {name: _clock(name, process) for name, process in processes.items()}
+    clocks = {
+        name: milliseconds(partial(output, process, f"startup: {name}"))
+        for name, process in processes.items()
+    }
     for index, clock in enumerate(clocks.values()):
         bench.report_progress("warm-up, to cache every file", 0.1 * index / len(clocks))
         clock()
     found = measure_in_turn(
         clocks,
         s.repeats,
-        lambda fraction: bench.report_progress("processes in turn", 0.1 + 0.9 * fraction),
+        lambda done: bench.report_progress("processes in turn", 0.1 + 0.9 * done),
     )
     return {
         "about": ABOUT,
@@ -64,12 +61,3 @@ def _paths(command: Any, path: Command) -> Iterator[Command]:
     yield path
     for name, inner in getattr(command, "commands", {}).items():
         yield from _paths(inner, (*path, name))
-
-
-def _clock(name: str, process: list[str]) -> Callable[[], float]:
-    def clock() -> float:
-        begun = time.perf_counter()
-        output(process, f"startup: {name}")
-        return 1e3 * (time.perf_counter() - begun)
-
-    return clock

@@ -18,7 +18,6 @@ from __future__ import annotations
 import argparse
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -46,18 +45,6 @@ _TIPPING = 0.05
 it may thus tip for twice that distance [m]."""
 
 
-@dataclass(frozen=True)
-class Standing:
-    """The pitches at which a robot can stand."""
-
-    places: FloatArray
-    """World x of the chassis centre, (X,) [m]."""
-    pitches: FloatArray
-    """Pitches, nose up positive, (P,) [rad]."""
-    possible: NDArray[np.bool_]
-    """Whether the robot can stand at a place with a pitch, (X, P)."""
-
-
 def static_bound(
     points: FloatArray,
     robot: Robot,
@@ -76,29 +63,25 @@ def static_bound(
     the absolute pitch stays below ``overturn`` [rad]. A place at which the robot cannot stand at
     all adds nothing.
     """
-    found = standing(points, robot, start=start, finish=finish, overturn=overturn)
-    allowed = _widened(found.possible)
+    steep = int(overturn / _ANGLE)
+    pitches = np.array([k * _ANGLE for k in range(-steep, steep + 1)])  # (P,) [rad]
+    allowed = _widened(_standing(points, robot, start, finish, steep))
     last = math.asin(min(1.0, clearance / (2 * robot.hinge_offset))) + _ANGLE
-    allowed[-1] &= np.abs(found.pitches) <= last
-    cost = np.abs(found.pitches - pitch)  # (P,) [rad], of being at each pitch
+    allowed[-1] &= np.abs(pitches) <= last
+    cost = np.abs(pitches - pitch)  # (P,) [rad], of being at each pitch
     for here in allowed:
         if here.any():
             cost = _cheapest(np.where(here, cost, math.inf))
     return max(0.0, float(cost.min()) - _ANGLE / 2)  # the first pitch lies between two of the grid
 
 
-def standing(
-    points: FloatArray,
-    robot: Robot,
-    *,
-    start: float,
-    finish: float,
-    overturn: float = math.pi / 3,
-) -> Standing:
-    """Return the pitches at which the robot can stand, for places from ``start`` to ``finish``.
+def _standing(
+    points: FloatArray, robot: Robot, start: float, finish: float, steep: int
+) -> NDArray[np.bool_]:
+    """Return whether the robot can stand at a place with a pitch, (X, 2·steep + 1).
 
-    ``points`` is (V, 2) [m]; ``start`` and ``finish`` are world x of the chassis centre [m]. The
-    pitches lie within ± ``overturn`` [rad].
+    Places are from ``start`` to ``finish``, world x of the chassis centre [m], and pitches up to
+    ``steep`` steps of ``_ANGLE``, nose up positive.
     """
     half, axle, radius = robot.hinge_offset, robot.flipper_axle, robot.track_radius
     margin = math.ceil((half + axle) / _SPACING) + 2  # to the farthest end of a flipper
@@ -106,8 +89,6 @@ def standing(
     first, last = min(start - reach, points[0, 0]), max(finish + reach, points[-1, 0])
     line = np.vstack([[first, points[0, 1]], points, [last, points[-1, 1]]])
     count = math.ceil((finish - start) / (_SPACING * _STRIDE)) + 1
-    steep = int(overturn / _ANGLE)
-    pitches = np.array([k * _ANGLE for k in range(-steep, steep + 1)])
     # The flippers' angles shift the centre of mass by at most this, for both pairs together, and a
     # load by its distance from the chassis centre.
     load = robot.carried_mass * math.hypot(*robot.centre_of_mass)
@@ -123,8 +104,7 @@ def standing(
             inflated(line, origin, _SPACING, known, radius + sign * _TOLERANCE) for sign in (-1, 1)
         )
         blocks.append(_can_stand(inner, outer, size, _STRIDE, margin, steep, turns, sizes))
-    places = start + np.arange(count, dtype=np.float64) * (_STRIDE * _SPACING)
-    return Standing(places, pitches, np.concatenate(blocks))
+    return np.concatenate(blocks)
 
 
 @cached(njit)

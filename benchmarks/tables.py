@@ -17,9 +17,8 @@ import argparse
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from flipperctl import entry
 from flipperctl.errors import RequestError
@@ -49,11 +48,7 @@ def pages() -> list[Path]:
 
 
 def rewritten(text: str, folder: Path = FOLDER) -> str:
-    """Return the text of a page with each table made anew from its file in ``folder``.
-
-    Raises:
-        RequestError: a file is missing or no stored results, or a table or column does not exist.
-    """
+    """Return the text of a page with each table made anew from its file in ``folder``."""
 
     def table(match: re.Match[str]) -> str:
         lines = _lines_of(folder / match[2], match[3].split())
@@ -74,11 +69,7 @@ def _lines_of(path: Path, names: Sequence[str]) -> list[str]:
 
 
 def shipped_table(document: Document, names: Sequence[str]) -> list[str]:
-    """Return the lines of a table of ``benchmarks.shipped``.
-
-    Raises:
-        RequestError: there is no such table.
-    """
+    """Return the lines of a table of everything that ships."""
     tables: Mapping[str, Callable[[Document], list[str]]]
     tables = {"trainings": _trainings, "overview": _overview, "scenes": _scenes}
     asked = " ".join(names)
@@ -170,21 +161,9 @@ def changes() -> Iterator[tuple[Path, str]]:
             yield page, new
 
 
-@dataclass(frozen=True)
-class _Column:
+class _Column(NamedTuple):
     heading: str
     text: Callable[[StoredRow], str]
-
-
-def _measured(name: str, heading: str, digits: int) -> dict[str, _Column]:
-    """Return the column of a measure, and with a ``+`` the one with intervals."""
-
-    def column(interval: bool) -> _Column:
-        return _Column(
-            heading, lambda row: ends_text(row["measures"][name], digits, interval=interval)
-        )
-
-    return {"": column(False), "+": column(True)}
 
 
 def _columns() -> dict[str, _Column]:
@@ -210,7 +189,17 @@ def _columns() -> dict[str, _Column]:
         ("pitch", "max_pitch", "largest pitch [rad]", 2),
         ("travel", "flipper_travel", "flipper travel [rad]", 1),
     ):
-        found |= {f"{name}{s}": c for s, c in _measured(measure, heading, digits).items()}
+        for sign, interval in (("", False), ("+", True)):
+
+            def text(
+                row: StoredRow,
+                measure: str = measure,
+                digits: int = digits,
+                interval: bool = interval,
+            ) -> str:
+                return ends_text(row["measures"][measure], digits, interval=interval)
+
+            found[name + sign] = _Column(heading, text)
     return found
 
 
@@ -220,50 +209,34 @@ COLUMNS = _columns()
 
 def markdown_table(rows: Sequence[StoredRow], names: Sequence[str]) -> list[str]:
     """Return the lines of a table with the named columns."""
-    columns = [_find(name) for name in names]
+    columns, headings = [], []
+    for name in names:
+        quantity, _, method = name.partition(":")
+        if quantity not in COLUMNS:
+            hint, known = close_match(quantity, COLUMNS), ", ".join(COLUMNS)
+            raise RequestError(f"{name}: there is no such column{hint}; known: {known}")
+        heading, text = COLUMNS[quantity]
+        columns.append((text, method))
+        of_method = f"`{method}`: {heading}"
+        if quantity == "difference":
+            of_method = f"θ̂_R minus `{method}`'s"
+        headings.append(of_method if method else heading)
     if "method" in names:
-        cells = [[column.text(row) for column, _ in columns] for row in rows]
-    else:
-        cells = [
-            [column.text(_method(scene, method)) for column, method in columns]
-            for scene in _by_scene(rows)
-        ]
-    headings = [_heading(column, method) for column, method in columns]
-    return _lines(headings, cells)
-
-
-def _find(name: str) -> tuple[_Column, str | None]:
-    """Return a column and the method that it shows; None for the policy."""
-    quantity, _, method = name.partition(":")
-    if quantity not in COLUMNS:
-        raise RequestError(
-            f"{name}: there is no such column{close_match(quantity, COLUMNS)}; known: "
-            f"{', '.join(COLUMNS)}"
-        )
-    return COLUMNS[quantity], method or None
-
-
-def _heading(column: _Column, method: str | None) -> str:
-    if method is None:
-        return column.heading
-    if column is COLUMNS["difference"]:
-        return f"θ̂_R minus `{method}`'s"
-    return f"`{method}`: {column.heading}"
-
-
-def _by_scene(rows: Sequence[StoredRow]) -> list[list[StoredRow]]:
-    """Return the rows of each scene, the policy's first."""
-    scenes: list[list[StoredRow]] = []
+        return _lines(headings, [[text(row) for text, _ in columns] for row in rows])
+    scenes: list[list[StoredRow]] = []  # the rows of each, the policy's first
     for row in rows:
         if row["is_policy"]:
             scenes.append([])
         scenes[-1].append(row)
-    return scenes
+    return _lines(
+        headings, [[text(_method(scene, method)) for text, method in columns] for scene in scenes]
+    )
 
 
-def _method(scene: Sequence[StoredRow], method: str | None) -> StoredRow:
+def _method(scene: Sequence[StoredRow], method: str) -> StoredRow:
+    """Return the row of a method, or of the policy if it has no name."""
     for row in scene:
-        if row["is_policy"] if method is None else row["method"] == method:
+        if row["method"] == method if method else row["is_policy"]:
             return row
     known = ", ".join(row["method"] for row in scene)
     raise RequestError(f"{scene[0]['terrain']}: there is no result of {method!r}; known: {known}")
