@@ -254,26 +254,8 @@ def split(stream: Stream) -> Iterator[tuple[float, str, Any]]:
             yield time, topic, message
 
 
-def in_milliseconds(stream: Stream) -> Iterator[tuple[float, str, Any]]:
-    """The points have times, from 100 ms before the stamp."""
-    for time, topic, message in stream:
-        if topic == "points":
-            rows = np.frombuffer(bytes(message.data), "<f4").reshape(message.width, -1)
-            points, fields = rows[:, :3], message.fields[:3]
-            times = np.linspace(-100, 0, len(points), dtype="<f4")
-            data = np.ascontiguousarray(np.column_stack([points, times])).tobytes()
-            fields = [*fields, Message(name="time", offset=12, count=1, datatype=7)]
-            sizes = {"point_step": 16, "row_step": 16 * len(points), "fields": fields}
-            message = Message(**{**vars(message), **sizes, "data": data})
-        yield time, topic, message
-
-
-@pytest.mark.parametrize("change", [split, in_milliseconds])
-def test_joints_in_parts_and_times_of_other_units_are_taken(
-    node: Any, stream: Stream, change: Callable[..., Any]
-) -> None:
-    few = stream[: len(stream) // 3]
-    told = play(node, list(change(few)))
+def test_joints_in_parts_are_taken(node: Any, stream: Stream) -> None:
+    told = play(node, list(split(stream[: len(stream) // 3])))
     first = next(i for i, (_, text, _) in enumerate(told) if text == "driving")
     assert first < 3
     assert faults(told[first:]) <= {"stall"}

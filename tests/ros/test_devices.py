@@ -8,12 +8,12 @@ import pytest
 
 from flipperctl.api import Robot
 from flipperctl.ros.episode import TYPES, Stamped, write_bag
-from flipperctl.ros.messages import JOINTS, Messages
+from flipperctl.ros.messages import JOINTS
 from flipperctl.ros.perceiving import replay
 from flipperctl.ros.recording import read_recording
 from flipperctl.ros.topics import Names
 from flipperctl.sim.lidar import LidarSensor
-from tests.ros.driving import FRONT, HEIGHT, MOUNT, REAR, SECONDS, SPEED, driving, points, state
+from tests.ros.driving import FRONT, HEIGHT, MOUNT, REAR, SECONDS, SPEED, driving, points
 
 _EPOCH = 1_000_000_000
 """Seconds at which the bags of the simulator begin."""
@@ -141,16 +141,3 @@ def test_an_orientation_that_is_never_filled_in_is_not_used(tmp_path):
     recording = recorded(tmp_path, change)
     assert "attitude" not in recording.topics
     assert "/imu/data is not used: it tells no orientation (it is level in" in recording.remarks[0]
-
-
-def test_an_odometry_without_speed_is_not_that_of_the_belts(tmp_path):
-    make = Messages()
-    messages = [one for one in driving() if one.topic != "/belt_speed"]
-    for tick in range(20):
-        told = make.odometry(state(tick / 10))
-        told.twist.twist.linear.x = 0.0
-        messages.append(Stamped(tick / 10, "/odom", told))
-    recording = read_recording(bag(tmp_path, messages), Names())
-    assert "odometry" not in recording.topics
-    (remark,) = recording.remarks
-    assert remark == "/odom is not used for the belts: its speed is 0 while its pose moves 0.5 m"

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from flipperctl.__main__ import main as whole
-from flipperctl.runtime import JointAngles, OnnxPolicy
-from flipperctl.runtime.__main__ import _main, describe, main
+from flipperctl.runtime import JointAngles
+from flipperctl.runtime.__main__ import _main, main
 from flipperctl.runtime.recordings import Shadow
 from tests.cli.call import call
 from tests.runtime.linear import MAP, RISK, ROBOT, RULE, write
@@ -27,49 +27,34 @@ def _handler() -> Iterator[None]:
     signal.signal(signal.SIGINT, before)
 
 
-def test_the_interface_is_printed_as_a_table(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.setattr(sys, "argv", ["runtime", str(write(tmp_path / "p.onnx"))])
-    with pytest.raises(SystemExit) as left:
-        main()
-    assert left.value.code == 0
-    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
-    assert lines[1] == ["name", "unit", "frame", "within", "meaning"]
-    assert ["0", "h_1", "m", "L", "±6.125", "x"] in lines
-    assert ["17", "theta_R", "rad", "L", "±3.142", "pitch"] in lines
-    assert ["2", "-15.0", "+15.0"] in lines  # action 2: front down, rear up
-    assert ["chassis_length:", "0.76"] in lines
-    assert ["input:", "observation,", "float32", "[batch,", "18],", "one", "observation"] in lines
-    assert ["output:", "q_values,", "float32", "[batch,", "9]"] in lines
-    assert not {"risk:", "escape:", "map:"} & {line[0] for line in lines}
-
-
-def test_what_the_file_remembers_warns_of_and_draws_is_printed(tmp_path: Path) -> None:
-    file = write(
-        tmp_path / "p.onnx",
-        size=54,
-        frames=3,
-        targets=RULE,
-        risky=True,
-        risk=RISK,
-        escape={"temperature": 0.1, "decisions": 4},
-        map=MAP,
-    )
-    lines = describe(OnnxPolicy(file).interface).splitlines()
+def test_the_interface_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    escape = {"temperature": 0.1, "decisions": 4}
+    more = {"targets": RULE, "risky": True, "risk": RISK, "escape": escape, "map": MAP}
+    assert _main([str(write(tmp_path / "p.onnx", size=54, frames=3, **more))]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1].split() == ["name", "unit", "frame", "within", "meaning"]
     assert {
+        "  0   h_1       m     L      ±6.125  x",
+        "  17  theta_R   rad   L      ±3.142  pitch",
         "input: observation, float32 [batch, 54], the last 3 observations of 18 numbers, oldest "
         "first; at the start of an episode the first one also fills the frames before it",
+        "output: q_values, float32 [batch, 9]",
         "output: risk, float32 [batch, 1], of the input alone",
         "output: risk_recurrence, float32 [batch, 5], what resembling the observations 1, 2, 4, 8, "
         "16 decisions before adds to its log-odds",
+        "  2   -15.0  +15.0",  # front down, rear up
         "targets: last target, held within 15.0° of the measured angle, + turn, within ±60.0°",
         "risk: probability of a failure within the next 10 decisions; 0.7 or more is a warning",
         "escape: from a warning on, 4 decisions draw their actions from softmax(q_values / 0.1)",
         "map: ground within 0.6 m to each side, cells 0.05 m long and 0.2 m wide of up to 64 "
         "points, columns of 12 or more, points with a noise of 0.03 m, not corrected for the "
         "motion in a scan",
+        "  chassis_length: 0.76",
     } <= set(lines)
+    assert _main([str(write(tmp_path / "plain.onnx"))]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "input: observation, float32 [batch, 18], one observation" in lines
+    assert not {"risk:", "escape:", "map:"} & {line.partition(" ")[0] for line in lines}
 
 
 def test_inspect_checkpoint_names_the_command_that_shows_an_exported_file(tmp_path: Path) -> None:
