@@ -30,7 +30,7 @@ from flipperctl import __version__, entry
 from flipperctl.cli.main import main as flipperctl
 from flipperctl.errors import FlipperctlError, RequestError
 from flipperctl.evaluation.plan import is_best_known
-from flipperctl.evaluation.seeds import PRICE, Method
+from flipperctl.evaluation.seeds import PRICE, SeedSamples
 from flipperctl.evaluation.statistics import interval
 from flipperctl.evaluation.views.card import rows_of
 from flipperctl.evaluation.views.compare import difference, method_row
@@ -320,11 +320,11 @@ def _interval(values: Sequence[float]) -> list[float | None] | None:
     return [None if end is None else round(end, 6) for end in ends]
 
 
-def _method(scenes: Sequence[_Scene], like: Sequence[_Scene] = ()) -> Method:
+def _method(scenes: Sequence[_Scene], like: Sequence[_Scene] = ()) -> SeedSamples:
     """Return a method; with ``like`` only its first episodes, as many as those have."""
     sizes = {scene.hash: scene.episodes for scene in like}
     cut = {scene.hash: slice(sizes.get(scene.hash)) for scene in scenes}
-    return Method(
+    return SeedSamples(
         scenes[0].method,
         {scene.hash: scene.values[_SCORE][:, cut[scene.hash]] for scene in scenes},
         {scene.hash: scene.reached[:, cut[scene.hash]] for scene in scenes},

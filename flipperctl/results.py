@@ -34,8 +34,7 @@ CONFIG, METRICS, SUMMARY = Path("config.yaml"), Path("metrics.csv"), Path("summa
 """Files of a training run."""
 HYDRA = Path(".hydra")
 _UNSUPPORTED = {errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP}
-_PATIENCE = 1.0
-"""Time to wait for the holder's note before the holder counts as unknown [s]."""
+_PATIENCE = 1.0  # time to wait for the holder's note before the holder counts as unknown [s]
 
 
 @contextmanager
@@ -154,8 +153,7 @@ def is_dead(holder: dict[str, Any]) -> bool:
 
 
 _LIST = ".results.json"
-_PART = ".results.part"
-"""Folder in which the files are complete before they take their places."""
+_PART = ".results.part"  # folder in which the files are complete before they take their places
 
 
 def holds_run(directory: Path) -> bool:

@@ -21,8 +21,7 @@ from flipperctl.files import OutputKind
 from flipperctl.spelling import spell_plainly
 
 _GAP = "  "
-_NARROWEST = 14
-"""Smallest width to which a column of names is folded [columns]."""
+_NARROWEST = 14  # smallest width to which a column of names is folded [columns]
 _LATEX_HEAD = r"% needs \usepackage{booktabs}"
 TABLE = OutputKind("a table", (".tex",), re.compile(rb"\A" + re.escape(_LATEX_HEAD.encode())))
 _ESCAPES = str.maketrans(
@@ -35,8 +34,7 @@ _ESCAPES = str.maketrans(
         **{"Δ": r"$\Delta$", "±": r"$\pm$", "−": "$-$", "→": r"$\to$", "<": "$<$", ">": "$>$"},
     }
 )
-NONE = "–"
-"""Text of a missing number."""
+NONE = "–"  # text of a missing number
 NATURAL = 10_000
 """Width of an output that is not a terminal, so that tables are as wide as they need [columns]."""
 

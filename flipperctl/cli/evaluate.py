@@ -167,7 +167,6 @@ def map_success(
     from flipperctl.cli.plan import one_scene, player
     from flipperctl.config.words import with_default, with_flags
     from flipperctl.evaluation.views import map as view
-    from flipperctl.evaluation.views.axes import parse_axes
     from flipperctl.show import console, print_lines
 
     if over is None:
@@ -177,7 +176,7 @@ def map_success(
     entry = one_scene(flagged, checkpoint, controller, "map")
     if entry.config.eval.ray is not None:
         raise RequestError("eval.ray: a map is played here; leave it out")
-    axes = parse_axes(over, entry.config)
+    axes = view.parse_axes(over, entry.config)
     with player(output, "map", view.NAMES) as (plays, folder):
         for note in view.notes(entry, axes):
             print_note(note)

@@ -20,7 +20,7 @@ from flipperctl.evaluation.conditions import Inherited, policy_notes, read_confi
 from flipperctl.evaluation.plan import Entry, Plan, SuiteScene, split_suite
 from flipperctl.evaluation.play import Player
 from flipperctl.evaluation.policies import (
-    Entrant,
+    NamedPolicy,
     controllers,
     entrants,
     split_policies,
@@ -119,7 +119,7 @@ def player(
 
 
 def make_plan(
-    words: Sequence[str], entrants: Sequence[Entrant], baseline: str | None, tell: Tell
+    words: Sequence[str], entrants: Sequence[NamedPolicy], baseline: str | None, tell: Tell
 ) -> Plan:
     """Return the plan; the policies of several entrants play equal scenes one after the other.
 
@@ -181,8 +181,8 @@ def _steps(entries: Sequence[Entry]) -> list[Entry]:
 
 def _entries(
     words: Sequence[str],
-    entrants: Sequence[Entrant],
-    beside: Sequence[Entrant],
+    entrants: Sequence[NamedPolicy],
+    beside: Sequence[NamedPolicy],
     parts: Sequence[SuiteScene],
     tell: Tell,
     *,
@@ -260,7 +260,7 @@ def _tell_unlike(entries: Sequence[Entry], tell: Tell) -> None:
 
 
 def _composed(
-    entrants: Sequence[Entrant], sections: Sequence[tuple[str, Sequence[str]]], tell: Tell
+    entrants: Sequence[NamedPolicy], sections: Sequence[tuple[str, Sequence[str]]], tell: Tell
 ) -> Iterator[list[tuple[str, EvalConfig, PolicySource]]]:
     """Yield the scenes of each policy, composed once for those that inherit equal settings.
 

@@ -31,15 +31,12 @@ from flipperctl.errors import CheckpointError
 from flipperctl.messages import unit
 from flipperctl.policies.source import PolicySource
 
-NOMINAL, TRAINED = "nominal", "trained"
-"""The default conditions, and those of a policy's training."""
+NOMINAL, TRAINED = "nominal", "trained"  # the default conditions, and those of a policy's training
 _SECTIONS = ("robot", "sim", "perception", "episode", "randomise")
-_CHOSEN = ("sim", "perception", "episode", "randomise")
-"""The sections that ``conditions=`` chooses."""
+_CHOSEN = ("sim", "perception", "episode", "randomise")  # the sections that ``conditions=`` chooses
 _START = ("start_noise", "start_angle_noise")
 _DIGITS = 8
-_SHOWN = 3
-"""Largest number of settings that a line names."""
+_SHOWN = 3  # largest number of settings that a line names
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,7 @@ from flipperctl.evaluation.rows import Episodes, reached
 from flipperctl.evaluation.store import EpisodeStore
 from flipperctl.policies.source import PolicySource
 
-_SHOWN = 12
-"""Largest number of scenes that the sentence on an interruption names."""
+_SHOWN = 12  # largest number of scenes that the sentence on an interruption names
 
 
 @dataclass(frozen=True)

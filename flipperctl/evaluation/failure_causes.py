@@ -19,12 +19,9 @@ from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import Decision
 from flipperctl.rollout.episode import play as drive
 
-_OFF_HEADING = math.radians(30)
-"""Heading beyond which a stopped robot is off course [rad]."""
-_OFF_SIDE = 1.0
-"""Lateral distance beyond which a stopped robot is off course [m]."""
-_MAX_FRICTION = 10.0
-"""Largest friction that is tried [-]."""
+_OFF_HEADING = math.radians(30)  # heading beyond which a stopped robot is off course [rad]
+_OFF_SIDE = 1.0  # lateral distance beyond which a stopped robot is off course [m]
+_MAX_FRICTION = 10.0  # largest friction that is tried [-]
 _FRICTION_FACTOR = 2.0
 """Factor on friction that distinguishes a lack of traction from an obstacle [-]."""
 

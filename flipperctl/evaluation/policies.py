@@ -62,15 +62,11 @@ def controllers(names: str | None, option: str, default: Sequence[str] = ()) -> 
     """Return controllers at their ``reference_settings``; ``names`` are separated by commas.
 
     ``default`` is used if ``names`` is None; the name ``none`` stands for no controller.
-
-    Raises:
-        RequestError: a name is empty or that of a file, or ``none`` stands beside other names.
-        ConfigError: there is no such controller.
     """
-    return [load_policy(name, option) for name in _controllers(names, option, default)]
+    return list(_controllers(names, option, default).values())
 
 
-def _controllers(names: str | None, option: str, default: Sequence[str]) -> list[str]:
+def _controllers(names: str | None, option: str, default: Sequence[str]) -> dict[str, PolicySource]:
     chosen = default if names is None else [] if names == "none" else names.split(",")
     found = [name.strip() for name in chosen]
     if "none" in found:
@@ -78,9 +74,7 @@ def _controllers(names: str | None, option: str, default: Sequence[str]) -> list
     if not all(found):
         raise RequestError(f"{option}: names between commas, or none, are allowed; got {names!r}")
     check_different(option, found)
-    for name in found:
-        load_policy(name, option, "controller")
-    return found
+    return {name: load_policy(name, option, "controller") for name in found}
 
 
 def policies(
@@ -94,18 +88,17 @@ def policies(
 
     Each applies to those that have such a field. ``tell`` is called with a line if a run has no
     best policy yet.
-
-    Raises:
-        RequestError: there are fewer than ``fewest`` names, or one is repeated.
-        ConfigError: there is no such policy, or no controller has one of the fields.
-        CheckpointError: a checkpoint cannot be read.
     """
     labels = [name.strip() for name in names.split(",")]
     if len(set(labels)) < max(fewest, len(labels)) or not all(labels):
         least = "two different names are" if fewest > 1 else "one name is"
         allowed = f"at least {least} allowed, as in level,okada, each once"
         raise RequestError(f"{option}: {allowed}; got {names!r}")
-    sources = {label: _source(label, fields, tell, option) for label in labels}
+    sources = {label: load_policy(label, option, tell=tell) for label in labels}
+    for label, source in sources.items():
+        if own := {n: value for n, value in fields.items() if n in (source.settings or {})}:
+            changed = {**resolver.reference(label, option), **own}
+            sources[label] = load_policy(label, "controller", fields=changed)
     known = {name for s in sources.values() for name in s.settings or {} if name != "name"}
     for field in fields:
         if field not in known:
@@ -116,23 +109,8 @@ def policies(
     return sources
 
 
-def _source(
-    label: str, fields: Mapping[str, Any], tell: Callable[[str], None], option: str
-) -> PolicySource:
-    source = load_policy(label, option, tell=tell)
-    own = {name: value for name, value in fields.items() if name in (source.settings or {})}
-    if not own:
-        return source
-    reference = resolver.reference(label, option)
-    return load_policy(label, "controller", fields={**reference, **own})
-
-
 def common_robot(sources: Mapping[str, PolicySource], chosen: Collection[str]) -> Robot:
-    """Return the robot of the files among the policies; the default one if there are none.
-
-    Raises:
-        ConfigError: the files' robots differ in a key that is not overridden, ``chosen``.
-    """
+    """Return the robot of the files among the policies; the default one if there are none."""
     robots = {name: robot for name, s in sources.items() if (robot := s.robot()) is not None}
     if not robots:
         return Robot()
@@ -149,7 +127,7 @@ def common_robot(sources: Mapping[str, PolicySource], chosen: Collection[str]) -
 
 
 @dataclass(frozen=True)
-class Entrant:
+class NamedPolicy:
     """A policy of an evaluation of several."""
 
     method: str
@@ -160,7 +138,7 @@ class Entrant:
     """Seed of the training; None for a controller."""
 
 
-def entrants(names: Sequence[str], tell: Callable[[str], None]) -> list[Entrant]:
+def entrants(names: Sequence[str], tell: Callable[[str], None]) -> list[NamedPolicy]:
     """Return the policies of all methods, each once.
 
     A name is that of a controller or a shipped policy, or the path of a run, a checkpoint or an
@@ -168,16 +146,11 @@ def entrants(names: Sequence[str], tell: Callable[[str], None]) -> list[Entrant]
     with ``./``. A folder with the runs of a sweep stands for them all: for one method, if they
     differ in their seeds alone. ``tell`` is called with a line for each run that has no
     checkpoint, repeats another one, or is not finished.
-
-    Raises:
-        RequestError: a name is empty, or a folder has no run with a checkpoint.
-        ConfigError: there is no such policy.
-        CheckpointError: a checkpoint is missing or damaged.
     """
-    found: dict[Entrant, None] = {}
+    found: dict[NamedPolicy, None] = {}
     for name in (part for text in names for part in _split(text)):
         if ("controller", name) in registry:
-            found[Entrant(name)] = None
+            found[NamedPolicy(name)] = None
         else:
             found |= dict.fromkeys(_of_path(Path(name), tell))
     return list(found)
@@ -207,17 +180,17 @@ def _exists(name: str) -> bool:
     return os.path.exists(name)  # noqa: PTH110  # false for any text, however long
 
 
-def standing(baseline: str | None, present: Sequence[Entrant]) -> list[Entrant]:
+def standing(baseline: str | None, present: Sequence[NamedPolicy]) -> list[NamedPolicy]:
     """Return the controllers beside the methods; ``baseline`` names others, or none."""
     names = _controllers(baseline, "--baseline", DEFAULT_CONTROLLERS)
-    return [e for e in map(Entrant, names) if e not in present]
+    return [e for e in map(NamedPolicy, names) if e not in present]
 
 
-def _of_path(path: Path, tell: Callable[[str], None]) -> Iterator[Entrant]:
+def _of_path(path: Path, tell: Callable[[str], None]) -> Iterator[NamedPolicy]:
     # False for any text, however long.
     sweep = os.path.isdir(path) and not checkpoints.holds(path)  # noqa: PTH112
     if not sweep or not checkpoints.runs_in(path):
-        yield Entrant(str(path), path, _trained(load_policy(path))[0])
+        yield NamedPolicy(str(path), path, _trained(load_policy(path))[0])
         return
     trained: list[tuple[Path, int | None, dict[str, Any]]] = []
     for run in sorted((f for f in path.iterdir() if f.is_dir()), key=checkpoints.job_order):
@@ -235,32 +208,21 @@ def _of_path(path: Path, tell: Callable[[str], None]) -> Iterator[Entrant]:
         if unfinished(run):
             tell(f"{run} is not trained to its end; it counts like the others")
         trained.append((run, seed, settings))
-    groups = _grouped(trained)
-    if not groups:
+    if not trained:
         raise RequestError(f"{path}: no run of this sweep has a checkpoint that can be read")
-    swept = [_swept(members[0][0]) for members in groups]
-    for members, values in zip(groups, swept, strict=True):
+    # Seeds that each went on from a run of their own are one method; runs of one seed that went on
+    # from several runs are several.
+    groups: dict[str, list[tuple[Path, int | None]]] = {}
+    keys = [(repr(without_input_paths(settings)), seed) for _, seed, settings in trained]
+    for (alike, _), (run, seed, settings) in zip(keys, trained, strict=True):
+        repeated = any(keys.count(key) > 1 for key in keys if key[0] == alike)
+        groups.setdefault(repr(settings) if repeated else alike, []).append((run, seed))
+    swept = [_swept(members[0][0]) for members in groups.values()]
+    for members, values in zip(groups.values(), swept, strict=True):
         telling = values and swept.count(values) == 1
         name = f"{path}/{values}" if telling else str(members[0][0])
         for run, seed in members:
-            yield Entrant(str(path) if len(groups) == 1 else name, run, seed)
-
-
-def _grouped(
-    trained: Sequence[tuple[Path, int | None, dict[str, Any]]],
-) -> list[list[tuple[Path, int | None]]]:
-    """Return the runs of each method, and their seeds.
-
-    Seeds that each went on from a run of their own are one method; runs of one seed that went on
-    from several runs are several.
-    """
-    groups: dict[str, list[tuple[Path, int | None]]] = {}
-    alike = [repr(without_input_paths(settings)) for _, _, settings in trained]
-    seeds = [(key, seed) for key, (_, seed, _) in zip(alike, trained, strict=True)]
-    for key, (run, seed, settings) in zip(alike, trained, strict=True):
-        swept = any(seeds.count((key, other)) > 1 for other in {s for k, s in seeds if k == key})
-        groups.setdefault(repr(settings) if swept else key, []).append((run, seed))
-    return list(groups.values())
+            yield NamedPolicy(str(path) if len(groups) == 1 else name, run, seed)
 
 
 def _swept(run: Path) -> str:

@@ -22,11 +22,9 @@ Row = dict[str, Any]
 DIGEST = "digest"
 RECORDED = "recorded"
 """Column of an episode's decisions, if it was played to be recorded; it is never stored."""
-REWARD = "reward_"
-"""Prefix of the columns of reward terms."""
+REWARD = "reward_"  # prefix of the columns of reward terms
 _FIRST = ("episode", "seed", "outcome", "terrain", *CORE)
-CAUSE = "cause"
-"""Column of the cause of a failure, where engines are compared."""
+CAUSE = "cause"  # column of the cause of a failure, where engines are compared
 END = {name: f"end_{name}" for name in ("x", "pitch", "roll", "yaw", "side")}
 """Columns of the robot's posture at the end of such a failure; [m] and [rad]."""
 _LAST = (

@@ -43,12 +43,9 @@ from flipperctl.show import latex
 
 SUMMARY = "summary.json"
 NAMES = ("episodes.csv", SUMMARY, "table.csv", "table.tex")
-MOST_FAILURES = 20
-"""Largest number of failures of a scene that are recorded [-]."""
-_DIGITS = 4
-"""Decimals of ``table.csv``."""
-_DIGEST = 8
-"""Digits of a policy's digest in its label."""
+MOST_FAILURES = 20  # largest number of failures of a scene that are recorded [-]
+_DIGITS = 4  # decimals of ``table.csv``
+_DIGEST = 8  # digits of a policy's digest in its label
 
 
 def run(

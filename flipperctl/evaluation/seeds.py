@@ -30,7 +30,7 @@ failures weighs as much as 0.06 rad.
 
 
 @dataclass(frozen=True)
-class Method:
+class SeedSamples:
     """The episodes of one method: of each training seed, or of a rule, which has one."""
 
     name: str
@@ -70,7 +70,7 @@ def means(scores: Mapping[str, FloatArray]) -> FloatArray:
     return np.column_stack([values.mean(axis=1) for values in scores.values()])
 
 
-def success_interval(method: Method) -> Interval:
+def success_interval(method: SeedSamples) -> Interval:
     """Return the success rate.
 
     Where nothing varies in any scene, the interval is that of one seed, whose episodes all have.
@@ -100,7 +100,9 @@ def within(found: Interval, least: float, most: float) -> Interval:
     return Interval(found.mean, max(least, found.low), min(most, found.high))
 
 
-def success_difference(ours: Method, theirs: Method) -> tuple[Interval | PairedSuccess, float]:
+def success_difference(
+    ours: SeedSamples, theirs: SeedSamples
+) -> tuple[Interval | PairedSuccess, float]:
     """Return our success minus theirs over seeds and episodes with its interval, and its p-value.
 
     If the interval has no width (all seeds agree), that of one seed's episodes is taken: the score
@@ -125,7 +127,7 @@ def success_difference(ours: Method, theirs: Method) -> tuple[Interval | PairedS
     return mean_of(pairs), mcnemar_p(won, lost)
 
 
-def _agree(method: Method) -> bool:
+def _agree(method: SeedSamples) -> bool:
     """Return whether all seeds reach the finish in the same episodes; a single one does."""
     return all((values == values[0]).all() for values in method.reached.values())
 
@@ -136,16 +138,13 @@ def _pair(ours: NDArray[np.bool_], theirs: NDArray[np.bool_]) -> PairedSuccess:
 
 Statistic = Callable[[FloatArray], FloatArray]
 """Returns one number for each matrix of scores, (..., R, T) → (...)."""
-RESAMPLES = 2000
-"""Number of bootstrap samples [-]."""
+RESAMPLES = 2000  # number of bootstrap samples [-]
 FEWEST_SEEDS = 5
 """Number of seeds from which Satterthwaite's interval contains the truth in 95 ± 1 % [-]."""
 _FLAT = 1e-9
 """Error of an estimate, relative to it, below which its values are equal but for rounding [-]."""
-_HALVINGS = 40
-"""Halvings by which a p-value is found [-]."""
-FEWEST_EPISODES = 5
-"""Smallest number of episodes of a scene for an interval [-]."""
+_HALVINGS = 40  # halvings by which a p-value is found [-]
+FEWEST_EPISODES = 5  # smallest number of episodes of a scene for an interval [-]
 
 Scores = Mapping[str, FloatArray]
 """Scores by scene, (S, E): the same S training seeds in each scene."""

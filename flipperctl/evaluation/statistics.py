@@ -44,10 +44,8 @@ class PairedSuccess(Interval):
     """The same, corrected for all such comparisons that are shown together (Holm) [-]."""
 
 
-FEWEST = 5
-"""Smallest number of values whose mean has an interval [-]."""
-Z = 1.959963984540054
-"""97.5 % quantile of the standard normal distribution [-]."""
+FEWEST = 5  # smallest number of values whose mean has an interval [-]
+Z = 1.959963984540054  # 97.5 % quantile of the standard normal distribution [-]
 _HALVINGS = 60
 """Halvings of an interval of length 1 after which its ends are equal in double precision [-]."""
 

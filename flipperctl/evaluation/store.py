@@ -31,15 +31,13 @@ from flipperctl.files import make_folder, write_bytes, write_chunks, write_json
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.sim.versions import engine_versions
 
-FORMAT = 1
-"""Number of the format of a block's file."""
+FORMAT = 1  # number of the format of a block's file
 FOLDER, VIEW = "cells", "cells.csv"
 """The folder of the blocks within that of the results, and the table of all their episodes."""
 _BLOCK, _FAILED = ".jsonl", ".failed.json"
 _VIEWED = ("controller", "training_seed", "scene", "conditions", "conditions_hash", "engine")
 """Entries of a block's header that the table of all episodes repeats."""
-_LONG, _SHORT = 16, 8
-"""Digits of the hashes within a key."""
+_LONG, _SHORT = 16, 8  # digits of the hashes within a key
 _LIBRARIES = ("numpy", "torch")
 _GIT_PATIENCE = 5.0  # [s]
 _DAMAGE = (OSError, ValueError, LookupError, TypeError, AttributeError)

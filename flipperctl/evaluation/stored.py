@@ -19,7 +19,7 @@ from flipperctl.api import Outcome
 from flipperctl.api.plugin import registered_names
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.plan import is_best_known
-from flipperctl.evaluation.seeds import Method
+from flipperctl.evaluation.seeds import SeedSamples
 from flipperctl.evaluation.store import FOLDER, PlayedPolicy, played_policies
 from flipperctl.messages import close_match
 from flipperctl.policies.identity import unlike_trainings
@@ -45,11 +45,11 @@ def _policies(path: Path, measure: str) -> dict[str, Episodes]:
             label, scene = row["controller"], f"{row['scene']} {row['conditions_hash']}"
             if is_best_known(label):
                 continue  # it stands only where it beats all others
-            result = float(row[measure]), row["outcome"] == Outcome.REACHED
-            if not np.isfinite(result[0]):
+            value = float(row[measure]), row["outcome"] == Outcome.REACHED
+            if not np.isfinite(value[0]):
                 raise ValueError(f"{measure} {row[measure]!r}")
             played = found.setdefault(label, {}).setdefault(scene, {})
-            if played.setdefault(row["seed"], result) != result:
+            if played.setdefault(row["seed"], value) != value:
                 raise RequestError(
                     f"{path}: {label} has several results on {scene}, seed {row['seed']}, as with "
                     "several of its settings; a folder of eval --output for each of them, named as "
@@ -76,23 +76,39 @@ def _methods(folder: Path) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class _Run:
-    """The episodes of one policy of a folder."""
+    """The episodes of one policy of a folder; without cells, the last three are empty."""
 
     folder: Path
     """The first of its folders."""
     episodes: Episodes
     digests: frozenset[str]
-    """Digests of its weights or settings, by its cells; empty without these."""
+    """Digests of its weights or settings."""
     training_seed: int | None
-    """Seed of its training, by its cells; None without these, or of a rule."""
+    """Seed of its training; None of a rule, too."""
     training: Mapping[str, Any] | None
-    """Settings of its training, by its cells; None without these, or if they have none."""
+    """Settings of its training, if its cells have them."""
+
+    @classmethod
+    def of(cls, folder: Path, episodes: Episodes, cells: Collection[PlayedPolicy]) -> _Run:
+        """Return the run of a policy whose cells these are."""
+        seeds = {one.training_seed for one in cells}
+        digests = frozenset(one.digest for one in cells)
+        training = next((one.training for one in cells if one.training is not None), None)
+        return cls(folder, episodes, digests, seeds.pop() if len(seeds) == 1 else None, training)
 
     def is_of(self, other: _Run) -> bool:
         """Return whether another run is of the same policy; without cells, by its episodes."""
         if self.digests and other.digests:
             return not self.digests.isdisjoint(other.digests)
         return self.episodes == other.episodes
+
+    def contradicts(self, other: _Run) -> bool:
+        """Return whether the results of both differ on an episode that both played."""
+        return any(
+            other.episodes[scene].get(seed, result) != result
+            for scene in self.episodes.keys() & other.episodes.keys()
+            for seed, result in self.episodes[scene].items()
+        )
 
     def joined(self, other: _Run) -> _Run:
         """Return the episodes of both runs of the same policy."""
@@ -105,7 +121,7 @@ class _Run:
 class Stored:
     """Methods on the episodes that all of their training seeds played."""
 
-    methods: tuple[Method, ...]
+    methods: tuple[SeedSamples, ...]
     episodes: Mapping[str, int]
     """Number of shared episodes by scene."""
     notices: tuple[str, ...]
@@ -128,9 +144,19 @@ def read(words: Sequence[str], measure: str) -> Stored:
     """
     reader, seen = _Reader(measure), set[Path]()
     for word in words:
-        name, folder = _named(word)
-        folders = [folder] if (folder / FILE).is_file() else _below(folder)
-        below = folders != [folder]
+        name, equals, path = word.partition("=")
+        if not equals or Path(word).exists():
+            name, path = "", word
+        elif not name or not path:
+            raise RequestError(f"{word}: METHOD=DIR or DIR is allowed")
+        folder = Path(path)
+        below = not (folder / FILE).is_file()
+        folders = sorted(file.parent for file in folder.glob(f"*/{FILE}")) if below else [folder]
+        if not folders:
+            raise RequestError(
+                f"{folder}: there is no {FILE}, nor one in a folder below it; a folder of "
+                "flipperctl eval --output is allowed"
+            )
         for one in folders:
             if (place := one.resolve()) in seen:
                 reader.notices.append(f"{one} is named twice and counts once")
@@ -182,10 +208,9 @@ class _Reader:
             if is_rule or not (leads or label in methods):
                 self._rules.add(method)
             known = self._runs.setdefault(method, [])
-            run = _run(folder, episodes, cells)
+            run = _Run.of(folder, episodes, cells)
             same = [at for at, other in enumerate(known) if run.is_of(other)]
-            against = known if is_rule else [known[at] for at in same]
-            if any(_contradict(episodes, other.episodes) for other in against):
+            if any(run.contradicts(known[at]) for at in (range(len(known)) if is_rule else same)):
                 raise RequestError(
                     f"{folder}: {label} has other results there than in another folder, as with "
                     "other settings; METHOD=DIR gives each a name of its own"
@@ -199,15 +224,16 @@ class _Reader:
 
     def shared(self) -> Stored:
         """Return the methods on the scenes and episodes that every run has."""
-        self.notices += [*self._equal_seeds(), *self._other_settings()]
+        for method, known in self._runs.items():
+            self.notices += _doubts(method, known)
         every = [run for known in self._runs.values() for run in known]
         shared: dict[str, list[str]] = {}
         for scene in dict.fromkeys(scene for run in every for scene in run.episodes):
-            played = [set(run.episodes.get(scene, ())) for run in every]
-            common = set.intersection(*played)
+            seeds = [set(run.episodes.get(scene, ())) for run in every]
+            common = set.intersection(*seeds)
             if common:
                 shared[scene] = [seed for seed in every[0].episodes[scene] if seed in common]
-            counts = list(map(len, played))
+            counts = list(map(len, seeds))
             if (most := max(counts)) > len(common):
                 fewest = every[counts.index(min(counts))].folder
                 self.notices.append(
@@ -220,71 +246,33 @@ class _Reader:
         names = _short(list(shared))
         methods = []
         for method, known in self._runs.items():
-            reduced = [
+            played = [  # (S, E, 2) by scene
                 {names[k]: [run.episodes[k][seed] for seed in seeds] for k, seeds in shared.items()}
                 for run in known
             ]
             if method in self._rules:
-                reduced = [one for at, one in enumerate(reduced) if one not in reduced[:at]]
-            pairs = {name: np.array([run[name] for run in reduced]) for name in reduced[0]}
+                played = [one for at, one in enumerate(played) if one not in played[:at]]
+            pairs = {name: np.array([run[name] for run in played]) for name in played[0]}
             values = {name: found[..., 0].copy() for name, found in pairs.items()}
             reached = {name: found[..., 1] > 0 for name, found in pairs.items()}
-            methods.append(Method(method, values, reached, trained=method not in self._untrained))
+            methods.append(
+                SeedSamples(method, values, reached, trained=method not in self._untrained)
+            )
         episodes = {names[scene]: len(seeds) for scene, seeds in shared.items()}
         return Stored(tuple(methods), episodes, tuple(self.notices))
 
-    def _equal_seeds(self) -> Iterator[str]:
-        """Yield a notice on each method with two policies of one training seed."""
-        for method, known in self._runs.items():
-            seeds = [run.training_seed for run in known if run.training_seed is not None]
-            again = next((seed for seed in seeds if seeds.count(seed) > 1), None)
-            if again is not None:
-                yield (
-                    f"{method}: {len(seeds)} policies, but training seed {again} counts "
-                    f"{seeds.count(again)} times; trainings of one method differ in their seeds"
-                )
 
-    def _other_settings(self) -> Iterator[str]:
-        """Yield a notice on each method whose policies were trained with different settings."""
-        for method, known in self._runs.items():
-            trainings = [run.training for run in known if run.training is not None]
-            if told := unlike_trainings(trainings):
-                yield f"{method}: {told}"
-
-
-def _run(folder: Path, episodes: Episodes, played: Collection[PlayedPolicy]) -> _Run:
-    seeds = {one.training_seed for one in played}
-    digests = frozenset(one.digest for one in played)
-    training = next((one.training for one in played if one.training is not None), None)
-    return _Run(folder, episodes, digests, seeds.pop() if len(seeds) == 1 else None, training)
-
-
-def _contradict(one: Episodes, other: Episodes) -> bool:
-    """Return whether two results of one policy differ on an episode that both played."""
-    return any(
-        other[scene].get(seed, result) != result
-        for scene, played in one.items()
-        if scene in other
-        for seed, result in played.items()
-    )
-
-
-def _named(word: str) -> tuple[str | None, Path]:
-    name, equals, path = word.partition("=")
-    if not equals or Path(word).exists():
-        return None, Path(word)
-    if not name or not path:
-        raise RequestError(f"{word}: METHOD=DIR or DIR is allowed")
-    return name, Path(path)
-
-
-def _below(folder: Path) -> list[Path]:
-    if not (inner := sorted(file.parent for file in folder.glob(f"*/{FILE}"))):
-        raise RequestError(
-            f"{folder}: there is no {FILE}, nor one in a folder below it; a folder of "
-            "flipperctl eval --output is allowed"
+def _doubts(method: str, runs: Sequence[_Run]) -> Iterator[str]:
+    """Yield a notice if two policies of a method have one training seed, or other settings."""
+    seeds = [run.training_seed for run in runs if run.training_seed is not None]
+    again = next((seed for seed in seeds if seeds.count(seed) > 1), None)
+    if again is not None:
+        yield (
+            f"{method}: {len(seeds)} policies, but training seed {again} counts "
+            f"{seeds.count(again)} times; trainings of one method differ in their seeds"
         )
-    return inner
+    if told := unlike_trainings([run.training for run in runs if run.training is not None]):
+        yield f"{method}: {told}"
 
 
 def _unlike(runs: Sequence[_Run]) -> str:

@@ -36,7 +36,7 @@ from flipperctl.errors import (
 from flipperctl.evaluation import evaluate as results
 from flipperctl.evaluation import run as evaluation
 from flipperctl.evaluation.conditions import read_config
-from flipperctl.evaluation.policies import Entrant, controllers, entrants
+from flipperctl.evaluation.policies import NamedPolicy, controllers, entrants
 from flipperctl.evaluation.run import episode_rows
 from flipperctl.evaluation.views import strata
 from flipperctl.evaluation.views.evaluation import csv_rows, parse_columns, print_result
@@ -466,12 +466,12 @@ def evaluate(
     begin(plugins)
     show, tell = shown.episodes(progress), shown.notes(progress)
     given = [policy] if isinstance(policy, str | os.PathLike | LoadedPolicy) else list(policy)
-    found: dict[Entrant, None] = {}
+    found: dict[NamedPolicy, None] = {}
     own: dict[str, object] = {}
     for one in given:
         if isinstance(one, LoadedPolicy):
             file = one.source.checkpoint
-            found[Entrant(one.name, file)] = None
+            found[NamedPolicy(one.name, file)] = None
             own |= {"controller": one.fields} if one.fields else {}
         else:
             found |= dict.fromkeys(entrants([os.fspath(one)], tell))

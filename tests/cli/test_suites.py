@@ -13,14 +13,14 @@ from flipperctl.config import EvalConfig, with_overrides
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.plan import Plan, find_suite, shipped_suites, split_suite
-from flipperctl.evaluation.policies import Entrant
+from flipperctl.evaluation.policies import NamedPolicy
 from tests.cli.call import call
 
 _GROUPS = "terrain", "sim", "perception", "conditions"
 
 
 def composed(name: str, *words: str) -> Plan:
-    return make_plan([f"suite={name}", *words], [Entrant("okada")], "level", print)
+    return make_plan([f"suite={name}", *words], [NamedPolicy("okada")], "level", print)
 
 
 def test_each_scene_of_each_shipped_suite_is_a_configuration_of_its_own() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from flipperctl.evaluation.seeds import (
     PRICE,
-    Method,
+    SeedSamples,
     better_interval,
     difference_interval,
     improvement,
@@ -130,7 +130,7 @@ def test_the_profile_counts_what_is_above_a_level() -> None:
 
 def test_an_episode_that_is_not_reached_costs_the_price() -> None:
     values = {"stair": np.array([[1.0, 0.2], [7.0, 2.0]])}
-    method = Method("m", values, {"stair": np.array([[True, False], [True, True]])})
+    method = SeedSamples("m", values, {"stair": np.array([[True, False], [True, True]])})
     assert method.scores(PRICE)["stair"].tolist() == [[1.0, 2 * math.pi], [7.0, 2.0]]
     assert means(method.scores(5.0)).tolist() == [[3.0], [4.5]]
     assert method.above(PRICE) == 1

@@ -12,7 +12,7 @@ from flipperctl.config import EvalConfig
 from flipperctl.evaluation.evaluate import evaluate
 from flipperctl.evaluation.failure_causes import Cause, at_true_pose, causes, on_true_ground
 from flipperctl.evaluation.plan import Entry, Plan
-from flipperctl.evaluation.policies import Entrant
+from flipperctl.evaluation.policies import NamedPolicy
 from flipperctl.evaluation.views import engines, evaluation
 from flipperctl.sim.planar.sensing import PlanarSensor, TerrainSensor
 from tests.evaluation.samples import sample
@@ -93,7 +93,7 @@ def test_eval_tells_failures_apart_by_cause(blind: str, cause: str) -> None:
 
 def test_engines_have_a_third_step_with_the_sensor() -> None:
     words = [*HIGH[:-1], "eval.episodes=1", "perception=mapper", "sim=planar,mujoco"]
-    plan = make_plan(words, [Entrant("okada")], "none", lambda text: None)
+    plan = make_plan(words, [NamedPolicy("okada")], "none", lambda text: None)
     (found,) = evaluation.document(engines.explained(evaluate(plan)))["engines"]
     assert found["planar"]["success_rate"] == found["mujoco"]["success_rate"] == 1.0
     sensed = found["sensed"]

@@ -18,7 +18,7 @@ from flipperctl.errors import OutputError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.plan import Entry
 from flipperctl.evaluation.run import picture_names
-from flipperctl.evaluation.seeds import Method
+from flipperctl.evaluation.seeds import SeedSamples
 from flipperctl.evaluation.stored import Stored
 from flipperctl.evaluation.views.compare import Comparison, figure
 from flipperctl.figures.episode import episode_figure
@@ -126,7 +126,7 @@ def test_a_long_title_keeps_clear_of_the_legend_and_of_the_edge() -> None:
 
 def test_methods_differ_by_their_lines_as_well() -> None:
     methods = [
-        Method(f"m{i}", {"a": np.full((1, 5), i / 20)}, {"a": np.ones((1, 5), bool)})
+        SeedSamples(f"m{i}", {"a": np.full((1, 5), i / 20)}, {"a": np.ones((1, 5), bool)})
         for i in range(12)
     ]
     compared = Comparison(Stored(tuple(methods), {"a": 5}, ()), "t_cost", "s", 1.0, "m0")

@@ -44,8 +44,7 @@ StoredRow = dict[str, Any]
 """One method on one scene: ``terrain``, ``conditions`` and their ``hash``, ``engine``, ``seed``,
 ``method``, ``is_policy``, ``episodes``, ``outcomes``, ``success`` and ``measures`` as ends, the
 policy's ``difference`` from a baseline in θ̂_R at 100 Hz, and counts of its ``risk``."""
-_OVERRIDES = Path(".hydra") / "overrides.yaml"
-"""Where a run keeps the words of its command."""
+_OVERRIDES = Path(".hydra") / "overrides.yaml"  # where a run keeps the words of its command
 CARD = OutputKind("a card", (".md",), re.compile(rb"\A---\nlibrary_name: flipperctl\n"))
 TAGS = ("robotics", "reinforcement-learning", "tracked-robot", "flipper-control")
 _TASK = {"type": "reinforcement-learning", "name": "flipper control of a tracked robot"}

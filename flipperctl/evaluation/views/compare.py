@@ -19,7 +19,7 @@ from flipperctl.config import resolver
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.seeds import (
     PRICE,
-    Method,
+    SeedSamples,
     better_interval,
     difference_interval,
     improvement,
@@ -42,18 +42,14 @@ from flipperctl.show import Column, Table
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-ALL = "all"
-"""Name that stands for a comparison of every pair of methods."""
+ALL = "all"  # name that stands for a comparison of every pair of methods
 _PRICED = ("pitch_variation_100hz", "pitch_variation")
 """Measures for which ``PRICE`` is the default."""
-_SEED = 0
-"""Seed of the bootstrap."""
-_LEVELS = 101
-"""Number of scores at which a profile is drawn [-]."""
+_SEED = 0  # seed of the bootstrap
+_LEVELS = 101  # number of scores at which a profile is drawn [-]
 _STYLES = ("-", "--", "-.")
 """Lines of methods beside each other; with ten colours, 30 methods differ."""
-_RESAMPLES = 400
-"""Number of bootstrap samples of a band [-]."""
+_RESAMPLES = 400  # number of bootstrap samples of a band [-]
 _METHODS = (
     Column("name", "method", named=True),
     Column("success_text", "success"),
@@ -153,7 +149,7 @@ def document(found: Comparison) -> Document:
     }
 
 
-def method_row(method: Method, price: float) -> Document:
+def method_row(method: SeedSamples, price: float) -> Document:
     """Return the success and the scores of a method, not compared with another one."""
     scores = method.scores(price)
     reached = np.concatenate(
@@ -180,7 +176,7 @@ def method_row(method: Method, price: float) -> Document:
     }
 
 
-def difference(method: Method, other: Method, price: float) -> Document:
+def difference(method: SeedSamples, other: SeedSamples, price: float) -> Document:
     """Return a method minus another one, on the same episodes, without corrected p-values.
 
     ``improvement``: probability that a training seed has a better mean score on a scene than one of

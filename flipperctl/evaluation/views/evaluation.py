@@ -34,8 +34,7 @@ from flipperctl.evaluation.views.summary import (
 from flipperctl.messages import close_match
 from flipperctl.show import Column, Table, console, print_lines, print_table
 
-_LINES = 6
-"""Largest number of differences that are lines; more are a table."""
+_LINES = 6  # largest number of differences that are lines; more are a table
 _PUBLISHED = (
     Column("terrain", "scene", named=True),
     Column("policy", "of", named=True),

@@ -1,12 +1,14 @@
 """A map of capability: where in the plane of two settings a policy reaches the finish.
 
-In: a scene, axes, and a player of episodes. Out: success and pitch variation of every point of the
-grid. A coarse grid is played first, and then the points where success changes; points between equal
-ones are interpolated and marked as such.
+In: a scene, axes such as ``terrain.height=0.1:0.6,sim.friction=0.4:1.0``, and a player of episodes.
+Out: success and pitch variation of every point of the grid. A coarse grid is played first, and then
+the points where success changes; points between equal ones are interpolated and marked as such.
 """
 
 from __future__ import annotations
 
+import math
+import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -17,14 +19,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from flipperctl.api import FloatArray
-from flipperctl.errors import InterruptedRunError
+from flipperctl.config import EvalConfig, with_overrides
+from flipperctl.config.defaults import refuse_ineffective
+from flipperctl.config.describe import Setting, settings
+from flipperctl.errors import ConfigError, InterruptedRunError, RequestError
 from flipperctl.evaluation.plan import Entry
 from flipperctl.evaluation.play import Player
 from flipperctl.evaluation.replay import EpisodeRecord
 from flipperctl.evaluation.rows import Episodes, Row
-from flipperctl.evaluation.views.axes import EXAMPLE as EXAMPLE
-from flipperctl.evaluation.views.axes import Axis, grid_config
 from flipperctl.files import write_csv, write_json
+from flipperctl.messages import close_match
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,22 +41,150 @@ Play = Callable[[Sequence[Index], str], Iterator[tuple[Index, Episodes]]]
 fewer points if it was stopped."""
 Block = tuple[Index, Index]
 """A rectangle of points: the first and last index along the horizontal and the vertical axis."""
-NAMES = ("map.json", "map.csv", "map.png", "failure_map_*.json")
-"""Names of the files of a map."""
-EPISODES = 10
-"""Episodes of a grid point, unless the user chooses another number [-]."""
-TOLERANCE = 0.1
+NAMES = ("map.json", "map.csv", "map.png", "failure_map_*.json")  # names of the files of a map
+EPISODES = 10  # episodes of a grid point, unless the user chooses another number [-]
+BOUNDARY = 0.5  # success at the boundary [-]
+MOST_FAILURES = 20  # largest number of failures that are recorded [-]
+EXAMPLE = "terrain.height=0.1:0.6,sim.friction=0.4:1.0"
+_TOLERANCE = 0.1
 """Largest distance of success from 0 or 1 at which points between are not played [-]."""
-BOUNDARY = 0.5
-"""Success at the boundary [-]."""
-MOST_FAILURES = 20
-"""Largest number of failures that are recorded [-]."""
-_COARSE = 4
-"""Least number of intervals of the coarse grid along an axis with enough values [-]."""
-_DIGITS = 6
-"""Digits that the values of an axis are rounded to [-]."""
+_COARSE = 4  # least number of intervals of the coarse grid along an axis with enough values [-]
+_VALUES, _MOST = 20, 100
+"""Number of values of an axis without a number of its own, and the largest number [-]."""
+_DIGITS = 6  # digits that the values of an axis are rounded to [-], so that a point can be typed
+_SECTIONS = ("terrain", "robot", "sim", "perception", "episode")
+_ENDS = ("_low", "_high")  # endings of two settings that are the range of a drawn number
+_BOUND = re.compile(r"([≥>≤<]) ([-+.\de]+)")
 _EMPTY, _LINE = "#E4E4E8", "crimson"
 """Colours of points without a value, and of the boundary."""
+
+
+@dataclass(frozen=True)
+class Axis:
+    """Settings with one common value, and the values along the axis."""
+
+    name: str
+    """The settings as the user named them."""
+    keys: tuple[str, ...]
+    """Paths of the settings in the configuration."""
+    unit: str
+    values: tuple[float, ...]
+    """At least two values in increasing order, in the unit of the settings."""
+
+    @property
+    def label(self) -> str:
+        """Name and unit, for figures."""
+        return self.name if self.unit in ("", "-") else f"{self.name} [{self.unit}]"
+
+
+def parse_axes(text: str, config: EvalConfig) -> tuple[Axis, Axis]:
+    """Return the horizontal and the vertical axis that ``text``, given with ``--over``, names.
+
+    Each is a setting of the terrain, robot, engine, sensor or episode with a range ``LOW:HIGH`` or
+    ``LOW:HIGH:VALUES``, both ends included. Settings joined by ``+`` have one common value;
+    ``terrain.height`` stands for ``terrain.height_low+terrain.height_high`` where these exist.
+    Without a range, an axis leads from half to one and a half times the present value, within the
+    bounds of the setting, or over the bounds if the value is 0 or null.
+    """
+    parts = text.split(",")
+    if len(parts) != 2:
+        raise RequestError(
+            f"--over: two settings are allowed, as in --over {EXAMPLE}; got {text!r}"
+        )
+    known = {
+        s.path: s
+        for s in settings(config)
+        if s.path.partition(".")[0] in _SECTIONS and "[" not in s.path and _is_number(s)
+    }
+    first, second = (_axis(part.strip(), config, known) for part in parts)
+    if both := set(first.keys) & set(second.keys):
+        raise ConfigError(f"--over: {min(both)} stands in both axes; two settings are needed")
+    return first, second
+
+
+def _is_number(setting: Setting) -> bool:
+    """Return whether a setting is a number, or null in place of one."""
+    value, kind = setting.value, setting.field.type
+    if value is None:
+        return "float" in kind or "int" in kind
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _axis(text: str, config: EvalConfig, known: Mapping[str, Setting]) -> Axis:
+    name, _, ends = text.partition("=")
+    keys = tuple(key for one in name.split("+") for key in _keys(one, config, known))
+    refuse_ineffective(config, {key: f"--over {key}" for key in keys})
+    found = [known[key] for key in keys]
+    whole = all("float" not in s.field.type for s in found)
+    low, high, count = _typed_range(ends, text) if ends else (*_default_range(found), _VALUES)
+    values = [float(v) for v in np.linspace(low, high, count)]
+    rounded = [round(v) if whole else float(f"{v:.{_DIGITS}g}") for v in values]
+    if len(different := tuple(dict.fromkeys(rounded))) < 2:
+        raise RequestError(
+            f"--over {text}: two different values are needed, "
+            f"{'in whole numbers' if whole else 'in six digits'}; got {different[0]:g} alone"
+        )
+    return Axis(name, keys, found[0].field.unit, different)
+
+
+def _keys(name: str, config: EvalConfig, known: Mapping[str, Setting]) -> tuple[str, ...]:
+    """Return the paths that a name stands for."""
+    ends = tuple(f"{name}{end}" for end in _ENDS)
+    if name in known or all(end in known for end in ends):
+        return (name,) if name in known else ends
+    if any(s.path == name for s in settings(config)):
+        raise ConfigError(f"--over {name}: it is no number of ground, robot, engine or sensor")
+    there = sorted(path for path in known if path.startswith(f"{name.partition('.')[0]}."))
+    allowed = ", ".join(there) or f"settings of {', '.join(_SECTIONS)}"
+    raise ConfigError(
+        f"--over {name}: there is no such setting{close_match(name, known)}; known: {allowed} "
+        "(+ joins settings with one common value, as in terrain.low+terrain.high)"
+    )
+
+
+def _typed_range(ends: str, text: str) -> tuple[float, float, int]:
+    """Return both ends of a typed range, and the number of its values."""
+    try:
+        low, high, *rest = (float(end) for end in ends.split(":"))
+        (count,) = rest or [float(_VALUES)]
+    except ValueError as error:
+        raise RequestError(f"--over {text}: LOW:HIGH or LOW:HIGH:VALUES is allowed") from error
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise RequestError(f"--over {text}: a range from a lower to a higher number is allowed")
+    if not (count.is_integer() and 2 <= count <= _MOST):
+        raise RequestError(f"--over {text}: 2 to {_MOST} values are allowed")
+    return low, high, int(count)
+
+
+def _default_range(found: Sequence[Setting]) -> tuple[float, float]:
+    """Return both ends of an axis without a typed range; ``found`` are its settings.
+
+    A bound that is itself not allowed is replaced by a value a twentieth of the range inside it.
+    """
+    lows, highs = [], []
+    for setting in found:
+        ends = {sign: float(number) for sign, number in _BOUND.findall(setting.field.bounds)}
+        low = ends.get("≥", ends.get(">", -math.inf))
+        high = ends.get("≤", ends.get("<", math.inf))
+        inside = (high - low) / 20
+        lows.append(low + (inside if ">" in ends else 0.0))
+        highs.append(high - (inside if "<" in ends else 0.0))
+    low, high = max(lows), min(highs)
+    if middle := sum(float(s.value or 0) for s in found) / len(found):
+        near, far = sorted((0.5 * middle, 1.5 * middle))
+        low, high = max(low, near), min(high, far)
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise RequestError(
+            f"--over {found[0].path}: give a range, as in --over {EXAMPLE}; its bounds and "
+            "its present value give none"
+        )
+    return low, high
+
+
+def grid_config(config: EvalConfig, axes: tuple[Axis, Axis], at: Index) -> EvalConfig:
+    """Return the configuration of the grid point at two indices, one for each axis."""
+    pairs = zip(axes, at, strict=True)
+    return with_overrides(config, {k: a.values[index] for a, index in pairs for k in a.keys})
 
 
 @dataclass(frozen=True)
@@ -106,12 +238,12 @@ class CapabilityMap:
         """Policy and scene."""
         return f"{self.entry.label} on {self.entry.terrain}"
 
-    def rows(self) -> Iterator[dict[str, Any]]:
-        """Yield a flat row for each point, from the lowest values on."""
+    def rows(self) -> list[Row]:
+        """Return a flat row for each point, from the lowest values on."""
         first, second = self.axes
         outcomes = sorted({name for point in self.points.values() for name in point.outcomes})
-        for (i, j), point in sorted(self.points.items(), key=lambda item: item[0][::-1]):
-            yield {
+        return [
+            {
                 first.name: first.values[i],
                 second.name: second.values[j],
                 "episodes": point.episodes,
@@ -119,37 +251,34 @@ class CapabilityMap:
                 "pitch_variation_100hz": point.pitch_variation,
                 **{name: point.outcomes.get(name, 0) for name in outcomes},
             }
+            for (i, j), point in sorted(self.points.items(), key=lambda item: item[0][::-1])
+        ]
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
-        axes = [
-            {"name": a.name, "settings": list(a.keys), "unit": a.unit, "values": list(a.values)}
-            for a in self.axes
-        ]
         numbers = self.entry.config.eval
         return {
             "controller": self.entry.label,
             "terrain": self.entry.terrain,
             **({"interrupted": True} if self.interrupted else {}),
-            "axes": axes,
+            "axes": [
+                {"name": a.name, "settings": list(a.keys), "unit": a.unit, "values": list(a.values)}
+                for a in self.axes
+            ],
             "episodes_per_cell": numbers.episodes,
             "seed": numbers.seed,
             "cells_played": self.played,
             "conditions": self.entry.conditions.to_dict(),
-            "cells": list(self.rows()),
+            "cells": self.rows(),
         }
 
 
 def capability_map(entry: Entry, axes: tuple[Axis, Axis], player: Player) -> CapabilityMap:
     """Return the map of a policy; ``entry.config.eval`` has the episodes of a point.
 
-    A point's episodes are those of an evaluation with the values of the axes as overrides. Once a
-    stop is asked for, the map has the finished points alone.
-
-    Raises:
-        ConfigError: a point is not possible; this is found before any episode.
-        InterruptedRunError: it was stopped before any point was finished.
-        FlipperctlError: the policy cannot be built or failed, or a point killed its workers.
+    A point's episodes are those of an evaluation with the values of the axes as overrides; one that
+    is not possible raises before any episode. Once a stop is asked for, the map has the finished
+    points alone.
     """
     size = len(axes[0].values), len(axes[1].values)
     every = product(range(size[0]), range(size[1]))
@@ -185,15 +314,13 @@ def notes(entry: Entry, axes: tuple[Axis, Axis]) -> Iterator[str]:
         yield f"in a part of the map, such as {where}: {note}{more}"
 
 
-def _sample(
-    size: Index, play: Play, tolerance: float = TOLERANCE
-) -> tuple[dict[Index, GridPoint], bool]:
+def _sample(size: Index, play: Play) -> tuple[dict[Index, GridPoint], bool]:
     """Return the points of a grid of ``size`` values along each axis, and whether it is complete.
 
     The grid is divided into blocks, whose corners are played. A block is divided further unless
-    the success of all its played points is within ``tolerance`` of 1, or of all within it of 0; a
-    negative tolerance plays every point. The other points are interpolated between the corners of
-    their block. If the playing was stopped, only points that were played are returned.
+    the success of all its played points is within the tolerance of 1, or of all within it of 0. The
+    other points are interpolated between the corners of their block. If the playing was stopped,
+    only points that were played are returned.
     """
     points: dict[Index, GridPoint] = {}
     blocks: list[Block] = list(product(_coarse(size[0]), _coarse(size[1])))
@@ -203,7 +330,7 @@ def _sample(
         points |= {index: GridPoint.of(episodes) for index, episodes in play(missing, label)}
         if any(index not in points for index in missing):
             return points, False
-        divided = [b for b in blocks if _divides(b, points, tolerance)]
+        divided = [b for b in blocks if _divides(b, points)]
         if not divided:
             return points | _interpolated(blocks, points), True
         parts = [part for columns, rows in divided for part in product(_half(columns), _half(rows))]
@@ -231,11 +358,11 @@ def _corners(block: Block) -> list[Index]:
     return [(i, j) for j in rows for i in columns]
 
 
-def _divides(block: Block, points: Mapping[Index, GridPoint], tolerance: float) -> bool:
+def _divides(block: Block, points: Mapping[Index, GridPoint]) -> bool:
     """Return whether success changes within a block, where neighbours may have played points."""
     (left, right), (low, high) = block
     found = [p.success for (i, j), p in points.items() if left <= i <= right and low <= j <= high]
-    changes = not (min(found) >= 1 - tolerance or max(found) <= tolerance)
+    changes = not (min(found) >= 1 - _TOLERANCE or max(found) <= _TOLERANCE)
     return changes and (right - left > 1 or high - low > 1)
 
 
@@ -268,7 +395,7 @@ def write(folder: Path, found: CapabilityMap) -> None:
     from flipperctl.figures.figure import save
 
     write_json(folder / "map.json", found.to_dict())
-    write_csv(folder / "map.csv", list(found.rows()))
+    write_csv(folder / "map.csv", found.rows())
     save(figure(found), folder / "map.png")
     points = sorted(found.failures, key=lambda at: (abs(found.points[at].success - 0.5), at))
     for i, j in points[:MOST_FAILURES]:
@@ -284,11 +411,15 @@ def lines(found: CapabilityMap) -> Iterator[str]:
     columns, rows = found.size
     heads, below = _heads(second.values), _heads(first.values)
     indent, width = max(map(len, heads)), max(4, 1 + max(map(len, below)))
+    texts = {
+        at: f"{'' if point.episodes else '·'}{100 * point.success:.0f}"
+        for at, point in found.points.items()
+    }
     yield f"{found.title}: success [%]"
     yield f"columns: {first.label}; rows: {second.label}"
     for j in reversed(range(rows)):
-        texts = "".join(f"{_text(found.points.get((i, j))):>{width}}" for i in range(columns))
-        yield f"{heads[j]:>{indent}} {texts}"
+        row = "".join(f"{texts.get((i, j), '–'):>{width}}" for i in range(columns))
+        yield f"{heads[j]:>{indent}} {row}"
     yield f"{'':{indent}} " + "".join(f"{value:>{width}}" for value in below)
     yield (
         f"{found.played} of {columns * rows} points played, {found.entry.config.eval.episodes} "
@@ -303,10 +434,6 @@ def _heads(values: Sequence[float]) -> list[str]:
     every = ([f"{value:.{n}g}" for value in values] for n in range(2, _DIGITS))
     apart = (heads for heads in every if len(set(heads)) == len(heads))
     return next(apart, [f"{value:.{_DIGITS}g}" for value in values])
-
-
-def _text(point: GridPoint | None) -> str:
-    return "–" if point is None else f"{'' if point.episodes else '·'}{100 * point.success:.0f}"
 
 
 def figure(found: CapabilityMap) -> Figure:
@@ -361,8 +488,7 @@ def boundary(axes: tuple[Axis, Axis], success: FloatArray) -> list[FloatArray]:
     from matplotlib.figure import Figure
 
     scratch = Figure().subplots()
-    first, second = axes
-    lines = scratch.contour(first.values, second.values, success, levels=[BOUNDARY])
+    lines = scratch.contour(axes[0].values, axes[1].values, success, levels=[BOUNDARY])
     return [np.asarray(line, np.float64) for line in lines.allsegs[0] if len(line) > 1]
 
 

@@ -29,8 +29,7 @@ from flipperctl.show import Column, Table, interval_text
 
 Rewards = Mapping[str, RewardTerm]
 """Reward terms by name."""
-_SIGNIFICANT = 0.05
-"""Largest corrected p-value of a contradiction [-]."""
+_SIGNIFICANT = 0.05  # largest corrected p-value of a contradiction [-]
 _MEASURES = ("pitch_variation_100hz", "pitch_variation", "t_cost")
 
 

@@ -26,10 +26,8 @@ from flipperctl.policies.source import PolicySource, load_policy
 from flipperctl.reward_sum import paying_terms
 from flipperctl.show import Column, Table, interval_text
 
-LEVEL = "level"
-"""The controller that holds the flippers still."""
-_ROUNDING = 1e-9
-"""Gain over ``LEVEL`` that rounding alone explains [-]."""
+LEVEL = "level"  # the controller that holds the flippers still
+_ROUNDING = 1e-9  # gain over ``LEVEL`` that rounding alone explains [-]
 _PITCH = "pitch_variation_100hz"
 _STILL = "holding the flippers still"
 

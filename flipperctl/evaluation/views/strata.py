@@ -21,8 +21,7 @@ from flipperctl.evaluation.views import summary
 from flipperctl.messages import close_match
 from flipperctl.show import Column, Table
 
-_TRIES = 100
-"""Number of profiles in which a name is looked for before the evaluation."""
+_TRIES = 100  # number of profiles in which a name is looked for before the evaluation
 _STARTS = ("start_shift", "start_front", "start_rear")
 
 Names = tuple[str, ...]

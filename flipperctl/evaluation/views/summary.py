@@ -17,7 +17,7 @@ from flipperctl.evaluation.conditions import numbered
 from flipperctl.evaluation.evaluate import Played, Result
 from flipperctl.evaluation.rows import Episodes, Row, reached
 from flipperctl.evaluation.seeds import (
-    Method,
+    SeedSamples,
     difference_interval,
     mean_interval,
     success_difference,
@@ -31,8 +31,7 @@ Document = dict[str, Any]
 _MEASURED = tuple(name for name in CORE if name not in ("decisions", "max_pitch"))
 """Measures over the episodes that reached the finish alone."""
 _COMPARED = ("t_cost", "pitch_variation", "pitch_variation_100hz")
-VARIATION = "pitch variation [rad]"
-"""Heading of the first figure, θ̂_R at 100 Hz."""
+VARIATION = "pitch variation [rad]"  # heading of the first figure, θ̂_R at 100 Hz
 
 
 def baselines(terrain: str, ours: Episodes, others: Mapping[str, Episodes]) -> Document:
@@ -258,9 +257,9 @@ def _shared(group: Sequence[Played]) -> list[list[Row]]:
     return [[own[seed] for seed in shared] for own in rows]
 
 
-def _method(name: str, table: Sequence[Sequence[Row]]) -> Method:
+def _method(name: str, table: Sequence[Sequence[Row]]) -> SeedSamples:
     good = np.array([[reached(row) for row in rows] for rows in table])
-    return Method(name, {"": np.zeros(good.shape)}, {"": good})
+    return SeedSamples(name, {"": np.zeros(good.shape)}, {"": good})
 
 
 def _crossed(table: Sequence[Sequence[Row]], name: str) -> FloatArray | None:

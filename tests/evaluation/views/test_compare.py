@@ -6,18 +6,22 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flipperctl.evaluation.seeds import Method
+from flipperctl.evaluation.seeds import SeedSamples
 from flipperctl.evaluation.stored import Stored
 from flipperctl.evaluation.views.compare import ALL, Comparison, document, tables
 
 
-def method(name: str, *scenes: tuple[int, int]) -> Method:
+def method(name: str, *scenes: tuple[int, int]) -> SeedSamples:
     """Return a method that reached the finish in the first episodes of each scene."""
     reached = {f"{n}": (np.arange(of) < many)[None] for n, (many, of) in enumerate(scenes)}
-    return Method(name, {scene: np.ones(found.shape) for scene, found in reached.items()}, reached)
+    return SeedSamples(
+        name, {scene: np.ones(found.shape) for scene, found in reached.items()}, reached
+    )
 
 
-def rows(methods: list[Method], price: float, against: Method | str) -> list[dict[str, Any]]:
+def rows(
+    methods: list[SeedSamples], price: float, against: SeedSamples | str
+) -> list[dict[str, Any]]:
     name = against if isinstance(against, str) else against.name
     stored = Stored(tuple(methods), {"0": 5}, ())
     found = document(Comparison(stored, "pitch_variation_100hz", "rad", price, name))
@@ -99,7 +103,7 @@ def test_a_difference_of_success_ends_at_1() -> None:
     ours = np.ones((2, 6), bool)
     theirs = np.stack([rng.random(6) < 0.4, np.zeros(6, bool)])
     methods = [
-        Method(n, {"a": np.ones(r.shape)}, {"a": r}) for n, r in (("o", ours), ("t", theirs))
+        SeedSamples(n, {"a": np.ones(r.shape)}, {"a": r}) for n, r in (("o", ours), ("t", theirs))
     ]
     found = rows(methods, 6.28, methods[1])[0]["comparison"]
     assert found["success"]["high"] == 1.0
