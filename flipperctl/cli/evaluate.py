@@ -98,7 +98,7 @@ def evaluate(
     from flipperctl.evaluation.evaluate import Result
     from flipperctl.evaluation.policies import controllers, entrants, split_policies
     from flipperctl.evaluation.run import run
-    from flipperctl.evaluation.views import evaluation, strata
+    from flipperctl.evaluation.views import evaluation
     from flipperctl.evaluation.views.summary import Document
     from flipperctl.terminal.progress import EvaluationProgress
 
@@ -112,7 +112,7 @@ def evaluate(
     if record is not None and any(entry.config.eval.ray is not None for entry in plan.entries):
         raise RequestError("eval.ray: no meaning beside --record, which plays here; leave it out")
     references = controllers(passable, "--passable")
-    groups = strata.parse(by, "--by", [entry.config for entry in plan.rows])
+    groups = evaluation.parse_groups(by, "--by", [entry.config for entry in plan.rows])
     progress = EvaluationProgress()
 
     def printed(result: Result, document: Document) -> None:

@@ -15,7 +15,7 @@ from flipperctl.terminal.streams import print_note, show
 
 if TYPE_CHECKING:
     from flipperctl.cli.hydra.overrides import Overrides
-    from flipperctl.evaluation.views.ranking import Rewards, RewardScene
+    from flipperctl.evaluation.views.rewards import Rewards, RewardScene
 
 _REWARD_KEY = re.compile(r"[+~]*(rewards(?=[.=]|$)|reward@)")
 _DEFAULT = "paper"
@@ -99,7 +99,7 @@ def reward(
     from flipperctl.cli.hydra.compose import only_one
     from flipperctl.cli.plan import scenes
     from flipperctl.evaluation.conditions import Conditions
-    from flipperctl.evaluation.views.audit import audit, table
+    from flipperctl.evaluation.views.rewards import audit, audit_table
     from flipperctl.show import console, print_table
     from flipperctl.terminal.progress import episodes_progress
 
@@ -109,7 +109,7 @@ def reward(
         found = audit(config, source, episodes=count, report=report)
     conditions = Conditions.of(config)
     notes = [f"conditions {conditions.name}: {text}"] if (text := conditions.line()) else []
-    show(found, lambda: print_table(table(found, notes), console()), as_json=as_json)
+    show(found, lambda: print_table(audit_table(found, notes), console()), as_json=as_json)
 
 
 def _compare(names: str, words: Sequence[str], *, as_json: bool) -> None:
@@ -122,7 +122,7 @@ def _compare(names: str, words: Sequence[str], *, as_json: bool) -> None:
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.cli.plan import player
     from flipperctl.evaluation.policies import common_robot, policies
-    from flipperctl.evaluation.views import ranking
+    from flipperctl.evaluation.views import rewards
     from flipperctl.show import console, print_lines, print_table
 
     fields, overrides = controller_fields(Overrides.parse(words), "--compare")
@@ -137,12 +137,12 @@ def _compare(names: str, words: Sequence[str], *, as_json: bool) -> None:
         sets: dict[str, Rewards] = {**scenes[scene][1]} if scene in scenes else {}
         scenes[scene] = config, sets | {label or _DEFAULT: config.rewards}
     with player(None, "reward") as (plays, _):
-        found = ranking.rank_policies(list(scenes.values()), sources, plays)
+        found = rewards.rank_policies(list(scenes.values()), sources, plays)
 
     def printed() -> None:
         out = console()
-        print_table(ranking.table(found), out)
-        print_lines(out, ranking.verdict_lines(found))
+        print_table(rewards.table(found), out)
+        print_lines(out, rewards.verdict_lines(found))
 
     show({"scenes": found}, printed, as_json=as_json)
 

@@ -38,8 +38,12 @@ from flipperctl.evaluation import run as evaluation
 from flipperctl.evaluation.conditions import read_config
 from flipperctl.evaluation.policies import NamedPolicy, controllers, entrants
 from flipperctl.evaluation.run import episode_rows
-from flipperctl.evaluation.views import strata
-from flipperctl.evaluation.views.evaluation import csv_rows, parse_columns, print_result
+from flipperctl.evaluation.views.evaluation import (
+    csv_rows,
+    parse_columns,
+    parse_groups,
+    print_result,
+)
 from flipperctl.evaluation.views.summary import Document, rate_text
 from flipperctl.policies.source import FilePolicy, PolicySource, load_policy
 from flipperctl.results import METRICS
@@ -495,7 +499,7 @@ def evaluate(
         evaluation.run(
             plan,
             references=controllers(_names("passable", passable or None), "passable"),
-            by=strata.parse(_names("by", by or None), "by", [e.config for e in plan.rows]),
+            by=parse_groups(_names("by", by or None), "by", [e.config for e in plan.rows]),
             outputs={name: None if file is None else Path(file) for name, file in files.items()},
             show=keep,
             progress=show,

@@ -14,7 +14,7 @@ from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import NonFiniteError, PluginError, PluginFailedError
 from flipperctl.rollout.episode import play
-from tests.cli.call import EXACT, call
+from tests.cli.call import call
 
 EXAMPLE = str(Path(__file__).parents[2] / "examples" / "highest.py")
 
@@ -36,17 +36,6 @@ def test_eval_shows_it_everywhere(tmp_path: Path) -> None:
         with (out / name).open(newline="") as file:
             values = [float(row["highest"]) for row in csv.DictReader(file)]
         assert values == pytest.approx([0.1] * len(values), abs=1e-3)
-
-
-def test_training_writes_it_down(tmp_path: Path) -> None:
-    settings = [f"{key}={value}" for key, value in EXACT.items()]
-    command = ["train", "terrain=flat", *settings, "hydra.run.dir=run", "--plugins", EXAMPLE]
-    done = call(*command, cwd=tmp_path)
-    assert done.code == 0, done.err
-    with (tmp_path / "run" / "metrics.csv").open(newline="") as file:
-        rows = list(csv.DictReader(file))
-    assert {row["kind"] for row in rows} == {"episode", "validation"}
-    assert all(float(row["highest"]) > 0.09 for row in rows)
 
 
 @pytest.mark.parametrize(

@@ -69,12 +69,3 @@ def test_only_evaluations_of_mapping_sensors_have_them() -> None:
     assert ["map_error" not in row for row in rows] == [True, False]
     assert not MAPPING & {*columns()}
     assert measured(name="planar").keys() & MAPPING == set()
-
-
-def test_belts_that_are_measured_too_fast_drift() -> None:
-    none = {"noise": 0.0, "range_bias": 0.0, "tilt_wander": 0.0, "tilt_noise": 0.0}
-    exact = measured(name="lidar", pose="belts", azimuths=60, belt_error=0.0, **none)
-    assert exact["drift"] < 0.02
-    assert 0.0 < exact["unseen"] < 0.6
-    wrong = measured(name="lidar", pose="belts", azimuths=60, belt_error=0.2, **none)
-    assert wrong["drift"] > exact["drift"] + 0.02

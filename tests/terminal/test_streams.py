@@ -18,7 +18,6 @@ from flipperctl.cli.main import main, run_app
 from flipperctl.show import console
 from flipperctl.spelling import spell_plainly
 from flipperctl.terminal.streams import plain_streams
-from tests.cli.call import call
 
 LOUD = """
 import os
@@ -48,15 +47,6 @@ def test_what_plugins_and_their_processes_print_goes_to_stderr(tmp_path: Path) -
     assert json.loads(done.stdout)["scenes"][0]["episodes"] == 2
     for printed in ("imported", "generated", "from a child process"):
         assert printed in done.stderr
-
-
-def test_streams_without_file_descriptors_are_told_apart_as_well(tmp_path: Path) -> None:
-    (tmp_path / "loud.py").write_text(LOUD.replace("os.system", "print"))
-    words = ["inspect", "config", "terrain=loud", "--plugins", "loud.py"]
-    done = call(*words, "--json", cwd=tmp_path)
-    assert json.loads(done.out)["terrain"]["name"] == "loud"
-    assert "imported" in done.err
-    assert "imported" in call(*words, cwd=tmp_path).out  # tables do not mind
 
 
 def test_an_error_of_the_system_is_one_of_standard_output_only_if_that_fails(

@@ -1,7 +1,8 @@
 """The document and the tables of ``flipperctl eval``.
 
-In: the result of an evaluation. Out: the document of ``eval --json``, whose numbers are plain data,
-and from such a document the tables of the terminal, ``table.csv`` and ``table.tex``.
+In: the result of an evaluation, and names of drawn numbers (``--by``). Out: the document of
+``eval --json``, whose numbers are plain data, and from such a document the tables of the terminal,
+``table.csv`` and ``table.tex``.
 """
 
 from __future__ import annotations
@@ -12,14 +13,18 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
+
 from flipperctl.api import Outcome, Terrain
-from flipperctl.config import resolver, to_dict
+from flipperctl.config import EvalConfig, resolver, to_dict
+from flipperctl.config.words import check_different
+from flipperctl.env.ground import generate_profile
 from flipperctl.env.metrics import heading, other_measures
 from flipperctl.errors import RequestError
-from flipperctl.evaluation.evaluate import Result
+from flipperctl.evaluation.evaluate import Played, Result
 from flipperctl.evaluation.plan import is_best_known
-from flipperctl.evaluation.rows import Row
-from flipperctl.evaluation.views import engines, risk, strata, summary
+from flipperctl.evaluation.rows import Episodes, Row
+from flipperctl.evaluation.views import engines, risk, summary
 from flipperctl.evaluation.views.summary import (
     VARIATION,
     Document,
@@ -35,6 +40,11 @@ from flipperctl.messages import close_match
 from flipperctl.show import Column, Table, console, print_lines, print_table
 
 _LINES = 6  # largest number of differences that are lines; more are a table
+_TRIES = 100  # number of profiles in which a name is looked for before the evaluation
+_STARTS = ("start_shift", "start_front", "start_rear")
+Names = tuple[str, ...]
+"""Drawn numbers whose combinations are groups, such as length, height, slope or friction."""
+_SCENE, _POLICY = (Column(name, name, named=True) for name in ("scene", "policy"))
 _PUBLISHED = (
     Column("terrain", "scene", named=True),
     Column("policy", "of", named=True),
@@ -45,10 +55,10 @@ _PUBLISHED = (
 )
 
 
-def document(result: Result, by: Sequence[strata.Names] = ()) -> Document:
+def document(result: Result, by: Sequence[Names] = ()) -> Document:
     """Return the results as plain data, without individual episodes.
 
-    ``by``: numbers whose combinations are groups (see ``strata``).
+    ``by``: numbers whose combinations are groups.
     """
     scenes = []
     for one in result.rows:
@@ -68,7 +78,8 @@ def document(result: Result, by: Sequence[strata.Names] = ()) -> Document:
     correct(scenes)
     if by:
         for scene, one in zip(scenes, result.rows, strict=True):
-            scene["by"] = strata.groups(one, result.baselines(one), by)
+            others = result.baselines(one)
+            scene["by"] = {"+".join(names): list(_groups(one, others, names)) for names in by}
         correct([group for scene in scenes for found in scene["by"].values() for group in found])
     methods = summary.pooled(result)
     correct(methods)
@@ -97,6 +108,46 @@ def document(result: Result, by: Sequence[strata.Names] = ()) -> Document:
     }
 
 
+def parse_groups(text: str | None, option: str, configs: Sequence[EvalConfig]) -> list[Names]:
+    """Return the names in ``steps,slope+up``: a list of tables, each by one or several numbers."""
+    if text is None:
+        return []
+    found = [tuple(name.strip() for name in part.split("+")) for part in text.split(",")]
+    if not all(all(names) and len(set(names)) == len(names) for names in found):
+        raise RequestError(f"{option}: names as in steps,slope+up are allowed; got {text!r}")
+    check_different(f"{option} {text}", ["+".join(sorted(names)) for names in found])
+    for name in dict.fromkeys(name for names in found for name in names):
+        known: dict[str, None] = {}
+        for config in configs:
+            rng = np.random.default_rng(0)
+            known |= dict.fromkeys([*_STARTS, *config.sample(rng)])
+            drawn = (generate_profile(config.terrain, rng, 1.0).drawn for _ in range(_TRIES))
+            while name not in known and (found_here := next(drawn, None)) is not None:
+                known |= dict.fromkeys(found_here)
+            if name in known:
+                break
+        else:
+            raise RequestError(
+                f"{option}: no scene draws {name!r}{close_match(name, known)}; "
+                f"known: {', '.join(known)}"
+            )
+    return found
+
+
+def _groups(one: Played, others: Sequence[Played], names: Names) -> Iterator[dict[str, Any]]:
+    terrain = one.entry.terrain
+    for ranges, episodes in one.episodes.binned(names):
+        own = {
+            other.entry.label: Episodes(tuple(row for _, row in episodes.paired(other.episodes)))
+            for other in others
+        }
+        yield {
+            "drawn": {name: {"low": low, "high": high} for name, (low, high) in ranges.items()},
+            **summary.summary(terrain, episodes),
+            **baselines(terrain, episodes, own),
+        }
+
+
 # Tables of a document
 
 
@@ -113,9 +164,17 @@ def tables(found: Document, title: str, columns: Sequence[str] = ()) -> Iterator
         ]
     yield table
     if rows and not table.notes:
-        yield _differences(rows)
+        head = [
+            *([_SCENE] if any(row["scene"] for row in rows) else []),
+            _POLICY,
+            Column("against", "against", named=True),
+            Column("variation", "Δ pitch variation [rad]", sign="+"),
+            Column("success_text", "Δ success (p, Holm)"),
+        ]
+        shown = [row | {"success_text": gap_text(row["success"])} for row in rows]
+        yield Table(head, list(_without_repeats(shown)), "Differences on the same episodes")
     for name, scene in named(found):
-        yield from strata.tables(name, scene)
+        yield from group_tables(name, scene)
     yield from engines.tables(found.get("engines", ()))
     if beside := published(found):
         yield beside
@@ -131,11 +190,16 @@ def policies(found: Document, title: str, columns: Sequence[str] = ()) -> Table:
     )
     latex = r"pitch variation $\hat\theta_R$ [rad]"
     counts = dict.fromkeys(f"{row['episodes']} episodes" for row in rows if not row.get("dim"))
-    further = [*_chosen(found, [*columns, *(["episodes"] if len(counts) > 1 else [])])]
+    chosen = {*columns, "episodes"} if len(counts) > 1 else {*columns}
+    further = [
+        column
+        for name, column in known_columns().items()
+        if name in chosen and any(row.get(column.key) is not None for row in rows)
+    ]
     timed = any(column.key == "t_cost" for column in further)  # which has the interval as well
     columns_if = {
-        Column("scene", "scene", named=True): not single,
-        Column("policy", "policy", named=True): several,
+        _SCENE: not single,
+        _POLICY: several,
         Column("success_text", "success"): True,
         Column("failures", "failures", named=True): any(row["failures"] for row in rows),
         Column("passable_text", "of passable"): any(row["passable_text"] for row in rows),
@@ -236,11 +300,7 @@ def known_columns() -> dict[str, Column]:
 
 
 def parse_columns(text: str | None) -> list[str]:
-    """Return the names of ``--columns``; ``all`` stands for every one.
-
-    Raises:
-        RequestError: there is no such column.
-    """
+    """Return the names of ``--columns``; ``all`` stands for every one."""
     names = [] if text is None else [name.strip() for name in text.split(",")]
     known = known_columns()
     if names == ["all"]:
@@ -252,14 +312,6 @@ def parse_columns(text: str | None) -> list[str]:
                 f"{', '.join(known)}"
             )
     return list(dict.fromkeys(names))
-
-
-def _chosen(found: Document, names: Sequence[str]) -> Iterator[Column]:
-    """Yield the further columns that a document has values for."""
-    rows = list(_rows(found))
-    for name, column in known_columns().items():
-        if name in names and any(row.get(column.key) is not None for row in rows):
-            yield column
 
 
 def _difference_rows(found: Document, with_scene: bool) -> Iterator[Row]:
@@ -286,16 +338,34 @@ def _sentence(row: Row, *, several: bool) -> str:
     return f"{who}, same episodes: pitch variation {text}, success {gap_text(row['success'])}"
 
 
-def _differences(rows: Sequence[Row]) -> Table:
-    head = [
-        *([Column("scene", "scene", named=True)] if any(row["scene"] for row in rows) else []),
-        Column("policy", "policy", named=True),
-        Column("against", "against", named=True),
-        Column("variation", "Δ pitch variation [rad]", sign="+"),
-        Column("success_text", "Δ success (p, Holm)"),
-    ]
-    shown = [row | {"success_text": gap_text(row["success"])} for row in rows]
-    return Table(head, list(_without_repeats(shown)), "Differences on the same episodes")
+def group_tables(name: str, scene: Mapping[str, Any]) -> Iterator[Table]:
+    """Yield a table for each combination of numbers: success, and differences to the baselines."""
+    who = short(scene.get("method") or scene["controller"])
+    for by, found in scene.get("by", {}).items():
+        if found:
+            labels = dict.fromkeys(o["controller"] for group in found for o in compared(group))
+            head = [
+                *(Column(f"drawn_{one}", one) for one in found[0]["drawn"]),
+                Column("episodes", "episodes"),
+                Column("success_text", "success"),
+                Column("pitch_variation_100hz", VARIATION),
+                *(Column(f"gap_{label}", f"Δ to {label} [rad]", sign="+") for label in labels),
+            ]
+            title = f"{who} on {name} by {by.replace('+', ' and ')}"
+            yield Table(head, [_group_row(group) for group in found], title)
+
+
+def _group_row(group: Mapping[str, Any]) -> dict[str, Any]:
+    ends = {name: (one["low"], one["high"]) for name, one in group["drawn"].items()}
+    drawn = {
+        f"drawn_{name}": f"{low:.4g}" if low == high else f"{low:.3g} to {high:.3g}"
+        for name, (low, high) in ends.items()
+    }
+    gaps = {
+        f"gap_{other['controller']}": other["difference"]["pitch_variation_100hz"]
+        for other in compared(group)
+    }
+    return {**group, **drawn, **gaps, "success_text": rate_text(group["success"])}
 
 
 def published(found: Document) -> Table | None:

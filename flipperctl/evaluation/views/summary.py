@@ -6,7 +6,7 @@ In: the episodes of policies on one scene. Out: what ``eval --json`` has of the 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -121,10 +121,9 @@ def _search(episodes: Episodes) -> Document:
     found: Document = {}
     for key in [name for name in episodes[0] if name.startswith(SEARCH)]:
         values: list[Any] = episodes.values(key)
-        words = [value for value in values if isinstance(value, str)]
+        words = Counter(value for value in values if isinstance(value, str))
         mean = None if words else sum(values) / len(values)
-        name = key.removeprefix(SEARCH)
-        found[name] = dict(Counter(words).most_common()) if words else mean
+        found[key.removeprefix(SEARCH)] = dict(words.most_common()) if words else mean
     return found
 
 
@@ -141,33 +140,27 @@ def _difference(pairs: Sequence[tuple[Row, Row]]) -> Document:
     names = dict.fromkeys(_COMPARED, True)
     shared = Episodes(tuple(row for pair in pairs for row in pair)).measures()
     names |= {measure.plugin_name: measure.reached_only for measure in shared}
-    return {
-        "success": paired_success(won, lost, len(pairs)).to_dict(),
-        **{name: paired_difference(pairs, name, only) for name, only in names.items()},
-    }
-
-
-def paired_difference(
-    pairs: Sequence[tuple[Row, Row]], name: str, only_reached: bool = True
-) -> Document | None:
-    """Return the mean difference of a measure; None without a pair of episodes that have it."""
-    values = [
-        mine[name] - other[name]
-        for mine, other in pairs
-        if name in mine and name in other
-        if not only_reached or (reached(mine) and reached(other))
-    ]
-    return interval(values).to_dict() | {"episodes": len(values)} if values else None
+    found: Document = {"success": paired_success(won, lost, len(pairs)).to_dict()}
+    for name, only_reached in names.items():
+        values = [
+            mine[name] - other[name]
+            for mine, other in pairs
+            if name in mine and name in other
+            if not only_reached or (reached(mine) and reached(other))
+        ]
+        gap = interval(values).to_dict() | {"episodes": len(values)} if values else None
+        found[name] = gap
+    return found
 
 
 def correct(scenes: Sequence[Document]) -> None:
     """Correct the p-values of success of all baselines of documents that are shown together."""
-    correct_all([baseline["difference"] for scene in scenes for baseline in compared(scene)])
+    correct_all(baseline["difference"] for scene in scenes for baseline in compared(scene))
 
 
-def correct_all(differences: Sequence[Document]) -> None:
+def correct_all(differences: Iterable[Document]) -> None:
     """Correct the p-values of success of differences that are shown together (Holm 1979)."""
-    every = [one for gap in differences for one in (gap, *gap.get("parts", {}).values())]
+    every = (one for gap in differences for one in (gap, *gap.get("parts", {}).values()))
     found = [one["success"] for one in every]
     for one, p in zip(found, holm([one["p"] for one in found]), strict=True):
         one["p_holm"] = p
@@ -188,23 +181,16 @@ def named(found: Document) -> list[tuple[str, Document]]:
     for key, conditions in distinct.items():
         suite, terrain, _ = key
         alike = [c for (s, t, _), c in distinct.items() if (s, t) == (suite, terrain)]
-        parts = [terrain, *_telling(conditions, alike), *([suite] if several and suite else [])]
-        names[key] = ", ".join(parts)
+        own, *chosen = (
+            (c["name"], c["sim"]["name"], c["perception"]["name"]) for c in (conditions, *alike)
+        )
+        telling = [text for at, text in enumerate(own) if len({c[at] for c in chosen}) > 1]
+        telling += [] if len(set(chosen)) == len(alike) else [conditions["hash"]]
+        names[key] = ", ".join([terrain, *telling, *([suite] if several and suite else [])])
     texts = [names[key] for key in keys]
     if not any("method" in scene for scene in scenes):
         texts = numbered(texts)
     return list(zip(texts, scenes, strict=True))
-
-
-def _telling(one: Document, alike: Sequence[Document]) -> list[str]:
-    """Return what tells the conditions of a scene from others of its terrain."""
-    chosen = [_places(conditions) for conditions in alike]
-    own = [text for at, text in enumerate(_places(one)) if len({c[at] for c in chosen}) > 1]
-    return own if len(set(chosen)) == len(alike) else [*own, one["hash"]]
-
-
-def _places(conditions: Document) -> tuple[str, str, str]:
-    return conditions["name"], conditions["sim"]["name"], conditions["perception"]["name"]
 
 
 # Methods pooled over their training seeds, with intervals over seeds and episodes
@@ -231,6 +217,7 @@ def _pool(result: Result, group: Sequence[Played]) -> dict[str, Any]:
     method = _method(entry.method, table)
     success = success_interval(method)
     counts = Counter(row["outcome"] for rows in table for row in rows)
+    crossed = [(name, _crossed(table, name)) for name in _MEASURED]
     conditions = entry.conditions
     return {
         "terrain": entry.terrain,
@@ -240,7 +227,7 @@ def _pool(result: Result, group: Sequence[Played]) -> dict[str, Any]:
         "success_rate": success.mean,
         "success": success.to_dict(),
         "outcomes": {str(outcome): counts[outcome] for outcome in Outcome},
-        **{name: _pooled_measure(table, name) for name in _MEASURED},
+        **{name: None if v is None else mean_interval({"": v}).to_dict() for name, v in crossed},
         "seed": entry.config.eval.seed,
         "conditions": {"name": conditions.name, "hash": conditions.hash},
         "baselines": [
@@ -268,11 +255,6 @@ def _crossed(table: Sequence[Sequence[Row]], name: str) -> FloatArray | None:
     return np.array([[row[name] for row in rows] for rows in chosen]).T if chosen else None
 
 
-def _pooled_measure(table: Sequence[Sequence[Row]], name: str) -> dict[str, Any] | None:
-    values = _crossed(table, name)
-    return None if values is None else mean_interval({"": values}).to_dict()
-
-
 def _pooled_difference(group: Sequence[Played], other: Played) -> dict[str, Any]:
     """Return the method minus a baseline on the same episodes; measures where all reached."""
     table = _shared([*group, other])
@@ -280,11 +262,9 @@ def _pooled_difference(group: Sequence[Played], other: Played) -> dict[str, Any]
     success, p = success_difference(ours, theirs)
     found: dict[str, Any] = {"success": success.to_dict() | {"p": p, "p_holm": p}}
     for name in _COMPARED:
-        values = _crossed(table, name)
-        gap = None
-        if values is not None:
-            gap = difference_interval({"": values[:-1]}, {"": values[-1:]})[0].to_dict()
-        found[name] = gap
+        v = _crossed(table, name)
+        gap = None if v is None else difference_interval({"": v[:-1]}, {"": v[-1:]})[0]
+        found[name] = gap and gap.to_dict()
     return found
 
 
@@ -300,12 +280,10 @@ def short(label: str) -> str:
 
 def rate_text(found: Mapping[str, Any]) -> str:
     """Return a rate in percent, with its interval unless all succeeded."""
-    mean, low, high = (
-        None if (n := found[k]) is None else 100 * n for k in ("mean", "low", "high")
-    )
+    mean, low, high = 100 * found["mean"], found["low"], found["high"]
     if mean == 100 or low is None or high is None:
         return f"{mean:.3g} %"
-    return f"{mean:.3g} % [{low:.3g}, {high:.3g}]"
+    return f"{mean:.3g} % [{100 * low:.3g}, {100 * high:.3g}]"
 
 
 def p_text(p: float) -> str:

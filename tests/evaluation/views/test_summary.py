@@ -65,19 +65,6 @@ def test_a_draw_is_passable_whatever_the_policy_does_on_it() -> None:
     assert nobody["passable"] == none
 
 
-def test_a_summary_takes_a_mix_apart() -> None:
-    rows = [
-        sample(0, "stuck", 9.0, "wave"),
-        sample(1, "reached", 1.0, "gap"),
-        sample(2, "reached", 3.0, "gap"),
-    ]
-    found = summary("mix", episodes(rows))
-    assert found["success_rate"] == pytest.approx(2 / 3)
-    assert list(found["parts"]) == ["gap", "wave"]
-    assert found["parts"]["gap"] == summary("gap", episodes(rows[1:]))
-    assert found["parts"]["wave"] == summary("wave", episodes(rows[:1]))
-
-
 def test_pairs_are_equal_draws() -> None:
     ours = [sample(0, "reached", 1.0), sample(1, "reached", 2.0), sample(2, "stuck", 9.0)]
     theirs = [sample(2, "reached", 1.0), sample(1, "stuck", 0.0), sample(0, "reached", 1.5)]
@@ -91,20 +78,6 @@ def test_pairs_are_equal_draws() -> None:
     rest = difference(episodes(ours[2:]), theirs)
     assert rest["pitch_variation"] is None
     assert rest["success"] == paired_success(0, 1, 1).to_dict()
-
-
-def test_a_mix_is_compared_part_by_part_on_equal_draws() -> None:
-    labels = ("gap", "gap", "wave")
-    ours, theirs = (
-        [sample(i, "reached", v, t) for i, (v, t) in enumerate(zip(values, labels, strict=True))]
-        for values in ((1.0, 2.0, 3.0), (2.0, 3.0, 9.0))
-    )
-    found = difference(episodes(ours), theirs)
-    assert found["pitch_variation"]["mean"] == pytest.approx((-1 - 1 - 6) / 3)
-    gap, wave = (found["parts"][label]["pitch_variation"] for label in ("gap", "wave"))
-    assert (gap["mean"], gap["episodes"]) == (-1.0, 2)
-    assert (wave["mean"], wave["episodes"]) == (-6.0, 1)
-    assert "parts" not in difference(episodes(ours[:2]), theirs[:2])
 
 
 def test_a_part_that_the_other_did_not_play_is_not_compared() -> None:

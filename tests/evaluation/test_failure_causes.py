@@ -1,4 +1,4 @@
-"""Failures that are due to the sensing, in one engine and from engine to engine."""
+"""Why episodes failed: the sensing or the robot, in one engine and from engine to engine."""
 
 from collections.abc import Sequence
 from typing import Any, Literal
@@ -8,12 +8,19 @@ import pytest
 
 from flipperctl.api import GroundSensor, Profile, RobotState, Sensor, sensor
 from flipperctl.cli.plan import make_plan, scenes
-from flipperctl.config import EvalConfig
+from flipperctl.config import EvalConfig, with_overrides
 from flipperctl.evaluation.evaluate import evaluate
-from flipperctl.evaluation.failure_causes import Cause, at_true_pose, causes, on_true_ground
+from flipperctl.evaluation.failure_causes import (
+    Cause,
+    at_true_pose,
+    causes,
+    on_true_ground,
+    with_friction,
+)
 from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.policies import NamedPolicy
 from flipperctl.evaluation.views import engines, evaluation
+from flipperctl.policies.source import load_policy
 from flipperctl.sim.planar.sensing import PlanarSensor, TerrainSensor
 from tests.evaluation.samples import sample
 
@@ -101,3 +108,71 @@ def test_engines_have_a_third_step_with_the_sensor() -> None:
     assert (sensed["kept"], sensed["gap"]["success"]["lost"]) == (0.0, 1)
     assert found["causes"] == {"drift": 1}
     assert found["failures"][0]["default_outcome"] == "reached"
+
+
+@pytest.mark.parametrize("spread", [None, [0, 1], [0.2, 0.4]])
+@pytest.mark.parametrize("engine", ["planar", "mujoco"])
+def test_every_sample_of_the_friction_is_doubled(engine: str, spread: object) -> None:
+    sampled = {"randomise.friction": [0.4, 0.9], "randomise.spread": spread}
+    config = with_overrides(EvalConfig(terrain="step"), {"sim": engine, **sampled})
+    more = with_friction(config)
+    assert more is not None
+    for seed in range(20):
+        before, after = (c.sample(np.random.default_rng(seed)) for c in (config, more))
+        assert after["friction"] == pytest.approx(2 * before["friction"])
+
+
+def compared(**settings: Any) -> dict[str, Any]:
+    """Return what okada loses from the default engine to ``sim=mujoco``."""
+    config = EvalConfig(**settings)
+    okada = load_policy("okada", "here")
+    entries = [Entry(one, okada, comparison=0) for one in engines.steps(config)]
+    (found,) = engines.document(engines.explained(evaluate(Plan(tuple(entries)))))
+    return found
+
+
+def test_the_gap_is_paired_and_stands_beside_both_summaries() -> None:
+    found = compared(terrain="step", sim="mujoco", eval={"episodes": 3})
+    assert found["engines"] == ["planar", "mujoco"]
+    assert found["planar"]["success_rate"] == found["mujoco"]["success_rate"] == 1.0
+    # Three equal pairs prove no equality: |Δ| ≤ z² / (3 + z²) = 0.5615.
+    assert found["success_gap"] == found["gap"]["success"] == {
+        "mean": 0.0, "low": pytest.approx(-0.5615, abs=1e-4),
+        "high": pytest.approx(0.5615, abs=1e-4),
+        "episodes": 3, "won": 0, "lost": 0, "p": 1.0, "p_holm": 1.0,
+    }  # fmt: skip
+    assert (found["kept"], found["failures"], found["causes"]) == (1.0, [], {})
+    gap = found["gap"]["t_cost"]
+    assert gap["episodes"] == 3
+    means = [found[engine]["t_cost"]["mean"] for engine in ("mujoco", "planar")]
+    assert gap["mean"] == pytest.approx(means[0] - means[1])
+
+
+# The belt climbs 0.4 m with a friction of 1, and not with 0.6.
+STEEP = {"name": "step", "low": 0.4, "high": 0.4}
+ASIDE = {"offset": 1, "heading_gain": 0, "lateral_slope": 0.5, "friction": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("terrain", "sim", "overturn", "expected"),
+    [
+        (STEEP, {"friction": 0.6}, None, ("stuck", "traction")),
+        (STEEP, {"friction": 0.15}, None, ("stuck", "stuck")),
+        ("flat", {"lateral_slope": 0.2, "roll_limit": 0.1}, None, ("overturned", "roll")),
+        ({"name": "flat", "length": 4}, ASIDE, None, ("overturned", "heading")),
+        ("step", {}, 0.1, ("overturned", "overturned")),
+    ],
+    ids=lambda value: value[1] if isinstance(value, tuple) else "",
+)
+def test_a_failure_has_its_cause(
+    terrain: object, sim: dict[str, float], overturn: float | None, expected: tuple[str, str]
+) -> None:
+    found = compared(
+        terrain=terrain,
+        sim={"name": "mujoco", **sim},
+        episode={} if overturn is None else {"overturn": overturn},
+        eval={"episodes": 1},
+    )
+    (failure,) = found["failures"]
+    assert (failure["outcome"], failure["cause"]) == expected
+    assert found["causes"] == {expected[1]: 1}

@@ -1,13 +1,15 @@
-"""Rewards that contradict θ̂_R at 100 Hz, on episodes made by hand."""
+"""Rewards: contradictions to θ̂_R on episodes made by hand, and the shares of their terms."""
 
 from typing import Any
 
 import pytest
 
 from flipperctl.api import RewardTerm
-from flipperctl.config import resolver
+from flipperctl.config import EvalConfig, resolver
+from flipperctl.evaluation.play import EpisodeRunner
 from flipperctl.evaluation.rows import Episodes
-from flipperctl.evaluation.views.ranking import Verdict, decide, measures, rank
+from flipperctl.evaluation.views.rewards import Verdict, audit, decide, measures, rank
+from flipperctl.policies.source import PolicySource
 from tests.evaluation.samples import episodes as rows
 from tests.evaluation.samples import sample
 
@@ -147,3 +149,36 @@ def test_a_contradiction_among_many_comparisons_needs_more_evidence() -> None:
     for scene in decide([on_scene(rank("smooth", TERMS, played)), *others]):
         assert [r["verdict"] for r in scene["rankings"]] == [Verdict.AGREES]
         assert scene["rankings"][0]["contradictions"] == []
+
+
+def test_the_audit_pays_what_the_evaluation_pays() -> None:
+    source = PolicySource(settings={"name": "planner", "width": 2, "budget": 200})
+    config = EvalConfig(
+        terrain="step", rewards={"pitch": "pitch", "travel": "travel"}, eval={"seed": 5}
+    )
+    found = audit(config, source, episodes=2)
+    runner = EpisodeRunner(config, source, 5)
+    results = [runner.play(0), runner.play(1)]
+    assert found["decisions"] == sum(result["decisions"] for result in results)
+    mean = sum(result["return"] for result in results) / 2
+    assert found["return"] == pytest.approx(mean)
+    for name, term in found["terms"].items():
+        paid = sum(result[f"reward_{name}"] for result in results) / found["decisions"]
+        assert term["mean"] == pytest.approx(paid)
+        assert term["lowest"] <= term["mean"] <= term["highest"]
+    assert sum(term["share"] for term in found["terms"].values()) == pytest.approx(1.0)
+
+
+def test_an_audit_tells_what_never_matters_from_what_says_nothing() -> None:
+    # On flat ground with level flippers the chassis does not swing; each decision of the end pays
+    # 0 but the last, which pays 10.
+    rewards = {"pitch": "pitch", "end": "end", "nothing": {"name": "travel", "weight": 0.0}}
+    config = EvalConfig(terrain="flat", rewards=rewards)
+    found = audit(config, PolicySource(settings={"name": "level"}), episodes=2)
+    pitch, end, nothing = (found["terms"][name] for name in rewards)
+    assert (end["lowest"], end["highest"], end["saturated"]) == (0.0, 10.0, None)
+    assert end["mean"] == pytest.approx(20.0 / found["decisions"])
+    assert found["return"] == pytest.approx(10.0, abs=1e-3)
+    assert end["share"] == pytest.approx(1.0, abs=1e-3)
+    assert pitch["saturated"] == 0.0
+    assert (nothing["weight"], nothing["share"], nothing["saturated"]) == (0.0, 0.0, None)

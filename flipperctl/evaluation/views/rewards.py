@@ -1,21 +1,26 @@
-"""Rank policies by return and by θ̂_R at 100 Hz on the same episodes, and find contradictions.
+"""Judge a reward: the share of each term in the return, and whether it ranks policies by θ̂_R.
 
-In: the episodes of each policy with equal seeds, and one or several sets of reward terms. Out: a
-document, a table and verdicts. A reward contradicts the measure if a policy has a higher return
-than another but also a larger θ̂_R, with both paired differences beyond noise; ``decide`` corrects
-the tests of all pairs of policies, rewards and scenes together. The episodes are played once for
-all rewards, since the environment computes the terms of all of them.
+In: a policy, or the episodes of several with equal seeds, and sets of reward terms. Out: a
+document, a table and verdicts. A term that is too weak has no effect, one that saturates at most
+steps tells nothing. A reward contradicts θ̂_R at 100 Hz if a policy has a higher return than another
+but also a larger θ̂_R, with both paired differences beyond noise; ``decide`` corrects the tests of
+all pairs of policies, rewards and scenes together. The episodes are played once for all rewards,
+since the environment computes the terms of all of them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from enum import StrEnum
 from itertools import combinations, product
 from typing import Any
 
-from flipperctl.api import RewardTerm
+import numpy as np
+
+from flipperctl.api import FloatArray, RewardTerm
 from flipperctl.config import EvalConfig
+from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.play import Player
@@ -25,12 +30,98 @@ from flipperctl.evaluation.views.regret import returns
 from flipperctl.evaluation.views.summary import VARIATION, Document, named, short
 from flipperctl.policies.source import PolicySource
 from flipperctl.reward_sum import paying_terms
+from flipperctl.rollout.episode import decisions
+from flipperctl.rollout.seeds import EvaluationSeeds
 from flipperctl.show import Column, Table, interval_text
 
 Rewards = Mapping[str, RewardTerm]
 """Reward terms by name."""
 _SIGNIFICANT = 0.05  # largest corrected p-value of a contradiction [-]
+_TERMS = (
+    Column("term", "term", named=True),
+    Column("weight", "weight"),
+    Column("mean", "mean of a decision", 4),
+    Column("lowest", "lowest", 3),
+    Column("highest", "highest", 3),
+    Column("share_text", "share of the return"),
+    Column("saturated_text", "saturated"),
+)
 _MEASURES = ("pitch_variation_100hz", "pitch_variation", "t_cost")
+
+
+def audit(
+    config: EvalConfig,
+    source: PolicySource,
+    *,
+    episodes: int,
+    report: Callable[[float], None] = lambda done: None,
+) -> Document:
+    """Play the first episodes of an evaluation and summarise each reward term.
+
+    ``report`` is called with the number of finished episodes; a controller's search before an
+    episode counts as a fraction of it.
+    """
+    env = FlipperEnv(config=config)
+    policy = source.build(config)
+    seeds = EvaluationSeeds.of(config.eval.seed, config.terrain)
+    collected: dict[str, list[float]] = {name: [] for name in config.rewards}
+    for index in range(episodes):
+
+        def search(fraction: float, before: int = index) -> None:
+            report(before + fraction)
+
+        for decision in decisions(env, policy, seeds(index), report_progress=search):
+            for name, value in decision.rewards.items():
+                collected[name].append(value)
+        report(index + 1.0)
+    values = {name: np.array(column) for name, column in collected.items()}  # each (D,)
+    total = sum(float(np.abs(column).sum()) for column in values.values())
+    return {
+        "controller": source.label(),
+        "terrain": config.terrain.plugin_name,
+        "episodes": episodes,
+        "decisions": len(next(iter(values.values()), np.empty(0))),
+        "return": sum(float(column.sum()) for column in values.values()) / episodes,
+        "terms": {name: _term(config.rewards[name], v, total) for name, v in values.items()},
+        "seed": config.eval.seed,
+        "conditions": Conditions.of(config).to_dict(),
+    }
+
+
+def _term(term: RewardTerm, values: FloatArray, total: float) -> Document:
+    """Summarise the (D,) weighted values of a term; ``total`` is the absolute sum of all terms.
+
+    ``share``: fraction of that sum; ``saturated``: fraction of decisions at the declared lower
+    bound, None without one or at a weight of 0.
+    """
+    floor, sign = term.bounds[0] * term.weight, np.sign(term.weight)
+    floored = math.isfinite(floor) and sign != 0
+    return {
+        "weight": term.weight,
+        "mean": float(values.mean()),
+        "lowest": float(values.min()),
+        "highest": float(values.max()),
+        "share": float(np.abs(values).sum()) / total if total else 0.0,
+        "saturated": float((sign * values <= sign * floor).mean()) if floored else None,
+    }
+
+
+def audit_table(found: Document, notes: Sequence[str] = ()) -> Table:
+    """Return a row for each term, with lines below the table."""
+    rows = [
+        {
+            "term": name,
+            **one,
+            "share_text": f"{one['share']:.1%}",
+            "saturated_text": "–" if one["saturated"] is None else f"{one['saturated']:.1%}",
+        }
+        for name, one in found["terms"].items()
+    ]
+    title = (
+        f"{found['controller']} on {found['terrain']} · {found['episodes']} episodes, "
+        f"{found['decisions']} decisions · mean return {found['return']:.2f}"
+    )
+    return Table(_TERMS, rows, title, list(notes))
 
 
 class Verdict(StrEnum):
@@ -53,9 +144,6 @@ def rank_policies(
     """Rank the policies on every scene, and find the contradictions among all of them.
 
     ``policies``: their sources by the labels that the result uses.
-
-    Raises:
-        FlipperctlError: a policy does not fit a scene, found before the first episode, or failed.
     """
     for (config, rewards), (label, source) in product(scenes, policies.items()):
         source.build(config)  # raises for a wrong layout or robot
