@@ -223,7 +223,7 @@ def output(command: Sequence[str], what: str) -> str:
     """
     import subprocess
 
-    from flipperctl.rollout.children import python_environment
+    from flipperctl.rollout.pool import python_environment
 
     done = subprocess.run(  # noqa: S603
         command, env=python_environment(), capture_output=True, text=True, check=False

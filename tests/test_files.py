@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from flipperctl.errors import OutputError
+from flipperctl.errors import OutputError, WriteError
 from flipperctl.files import OutputKind, check_output, remove_partial, write_bytes
 
 
@@ -76,3 +76,18 @@ def test_a_file_that_cannot_be_written_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="folder cannot be written"):
         write_bytes(tmp_path / "folder", b"1")
     assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+
+
+def test_a_failing_write_keeps_the_old_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(descriptor: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    write_bytes(tmp_path / "a", b"1")
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(WriteError, match=r"No space left on device.*the old file is kept"):
+        write_bytes(tmp_path / "a", b"2")
+    with pytest.raises(WriteError, match=r"No space left on device\)$"):
+        write_bytes(tmp_path / "new", b"2")
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("a", b"1")]

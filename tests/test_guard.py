@@ -10,8 +10,7 @@ import pytest
 from pydantic import Field
 
 from flipperctl import errors, plugins
-from flipperctl.agent.networks import build_network, greedy
-from flipperctl.agent.noise import Noise
+from flipperctl.agent.networks import Noise, build_network, greedy
 from flipperctl.api import (
     AnyTerrain,
     Network,

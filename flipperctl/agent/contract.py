@@ -7,6 +7,7 @@ random numbers that a resumed run could not repeat.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import torch
@@ -15,11 +16,12 @@ from flipperctl.agent.frames import input_size
 from flipperctl.agent.networks import (
     TRAINING_COPIES,
     Distributional,
+    Noise,
     build_network,
     describe_fault,
     naming_network,
+    seeded,
 )
-from flipperctl.agent.noise import Noise, seeded
 from flipperctl.agent.replay import require, row_bytes
 from flipperctl.api import ACTIONS, Network, ObservationLayout
 from flipperctl.config import Agent
@@ -104,8 +106,7 @@ def check_contract(network: Network, layout: ObservationLayout) -> None:
         module = build_network(network, layout, len(ACTIONS))
     rows = observations(network, layout, 4)
     one, others = rows[:1], [rows[at : at + 1] for at in range(1, len(rows))]
-    trial = _Trial(network, module)
-    noise = Noise(module)
+    trial, noise = _Trial(network, module), Noise(module)
     modes: list[tuple[str, Callable[[], object]]] = [("in eval mode", module.eval)]
     if noise.parts:
         trial.require_noise_from_rng(noise, one)
@@ -156,8 +157,9 @@ class _Trial:
                 f"uses {moved} {use}, so that equal observations give unequal Q-values; random "
                 "numbers are allowed in the loss, where train() mode and gradients are on"
             )
-        if changed := _differing(kept, _clones(self._module)):
-            raise self._refusal(f"changes its buffer {changed!r} {use}; it must stay as it is")
+        for name, tensor in self._module.state_dict().items():
+            if not _same(kept[name], tensor):
+                raise self._refusal(f"changes its buffer {name!r} {use}; it must stay as it is")
         if not _equal(first, again):
             raise self._refusal(
                 f"gives unequal Q-values for equal observations {use}; it must remember nothing of "
@@ -165,7 +167,7 @@ class _Trial:
             )
         together = self._call(torch.cat([one, other]))
         alone = tuple(torch.cat(pair) for pair in zip(first, second, strict=True))
-        if not all(map(_close, together, alone)):
+        if not all(map(partial(torch.allclose, rtol=_ALONE, atol=_ALONE), together, alone)):
             raise self._refusal(
                 f"gives an observation other Q-values alone than in a batch {use}; a mean over the "
                 "batch, such as .mean() without dim=1, mixes them"
@@ -197,10 +199,6 @@ def _clones(module: torch.nn.Module) -> dict[str, torch.Tensor]:
     return {name: tensor.detach().clone() for name, tensor in module.state_dict().items()}
 
 
-def _differing(before: dict[str, torch.Tensor], after: dict[str, torch.Tensor]) -> str | None:
-    return next((n for n, tensor in before.items() if not _same(tensor, after[n])), None)
-
-
 def _equal(first: Values, second: Values) -> bool:
     return all(map(_same, first, second))
 
@@ -210,7 +208,3 @@ def _same(first: torch.Tensor, second: torch.Tensor) -> bool:
     return first.shape == second.shape and bool(
         ((first == second) | ((first != first) & (second != second))).all()
     )
-
-
-def _close(first: torch.Tensor, second: torch.Tensor) -> bool:
-    return torch.allclose(first, second, rtol=_ALONE, atol=_ALONE)

@@ -1,14 +1,23 @@
-"""The double dueling DQN: it learns from batches, whatever the environment."""
+"""The double dueling DQN: it learns from batches, whatever the environment.
+
+A part of all actions' values can only be told by the simulation: how much an episode still returns
+depends mostly on ground that the robot does not perceive yet. For the network that acts this is
+noise, larger than the differences between its actions. A baseline therefore sees the privileged
+state during the training, and adds one number to the values of all actions; the greedy action does
+not depend on it, and policies do not contain it. (Actors and critics with different inputs: Pinto
+et al. 2018, "Asymmetric actor critic"; baselines that depend on the input of a process: Mao et al.
+2019.)
+"""
 
 from __future__ import annotations
 
+import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from typing import Final
 
 import torch
 
-from flipperctl.agent.baseline import Baselines
-from flipperctl.agent.descent import part
 from flipperctl.agent.learner import Learner
 from flipperctl.agent.losses import (
     mean_value_penalty,
@@ -16,11 +25,62 @@ from flipperctl.agent.losses import (
     teacher_cross_entropy,
     teacher_large_margin,
 )
-from flipperctl.agent.networks import difference_loss, difference_targets, naming_network
-from flipperctl.agent.noise import seeded
+from flipperctl.agent.networks import difference_loss, difference_targets, naming_network, seeded
 from flipperctl.agent.replay import Batch, GroupBatch
 from flipperctl.config.agent import linear
 from flipperctl.errors import NonFiniteError
+
+PULL: Final = 0.01
+"""Weight of the mean squared output in the loss [-]: what the acting network can tell from its
+observation then becomes part of its own values, whose mean would otherwise be arbitrary."""
+_WIDTH: Final = 128
+
+
+class Baseline(torch.nn.Module):
+    """Maps an observation and the privileged state to a value for all actions."""
+
+    def __init__(self, observation: int, privileged: int, width: int = _WIDTH) -> None:
+        """``observation``, ``privileged``: lengths of the rows; ``width`` of the hidden layers."""
+        super().__init__()
+        self.layers = torch.nn.Sequential(
+            *(torch.nn.Linear(observation + privileged, width), torch.nn.ReLU()),
+            *(torch.nn.Linear(width, width), torch.nn.ReLU()),
+            torch.nn.Linear(width, 1),
+        )
+
+    def forward(self, observation: torch.Tensor, privileged: torch.Tensor) -> torch.Tensor:
+        """Return the values, (B,), of rows (B, …)."""
+        found: torch.Tensor = self.layers(torch.cat([observation, privileged], dim=1))
+        return found.squeeze(1)
+
+
+class Baselines(torch.nn.Module):
+    """The baseline that learns, and its target, which follows it slowly."""
+
+    def __init__(self, observation: int, privileged: int) -> None:
+        """``observation``, ``privileged``: lengths of the rows."""
+        super().__init__()
+        self.online = Baseline(observation, privileged)
+        self.target = copy.deepcopy(self.online).requires_grad_(False).eval()
+
+    def with_next(self, targets: torch.Tensor, batch: Batch) -> torch.Tensor:
+        """Return targets (B, …) of the acting network with the baseline of the next state."""
+        assert batch.next_privileged is not None  # as every batch of such a training
+        value = batch.discount * self.target(batch.next_observation, batch.next_privileged)
+        return targets + _as_column(value, targets)
+
+    def without_present(
+        self, targets: torch.Tensor, batch: Batch
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Return what of the targets (B, …) is left to the acting network, and the pull to 0."""
+        assert batch.privileged is not None  # as every batch of such a training
+        value = self.online(batch.observation, batch.privileged)
+        return targets - _as_column(value, targets), PULL * value.square().mean()
+
+
+def _as_column(value: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
+    """Return values (B,) in a shape that broadcasts to targets (B,) or (B, K)."""
+    return value if targets.ndim == 1 else value.unsqueeze(1)
 
 
 class D3qn(Learner):
@@ -33,7 +93,7 @@ class D3qn(Learner):
     ) -> list[tuple[torch.nn.Module, torch.nn.Module]]:
         if not privileged:
             return []
-        self.baselines = Baselines(inputs, privileged).to(self.device)
+        self._parts["baselines"] = self.baselines = Baselines(inputs, privileged).to(self.device)
         return [(self.baselines.online, self.baselines.target)]
 
     def update(self, batch: Batch, fraction: float, groups: Sequence[GroupBatch] = ()) -> float:
@@ -43,8 +103,7 @@ class D3qn(Learner):
         the first step. ``fraction``: completed part of the run, 0 to 1, which sets the learning
         rate and the weight of the labels. ``groups``: valued states for each step.
         """
-        count = self.optimiser.steps  # equal in a resumed run
-        random = seeded(self.device, self._seed, count)
+        random = seeded(self.device, self._seed, self.optimiser.steps)  # equal in a resumed run
         with naming_network(self.online, "forward"), random:  # only its own code can fail here
             return self._update(batch, fraction, groups)
 
@@ -83,7 +142,6 @@ class D3qn(Learner):
         return value
 
     def _difference_loss(self, batch: Batch, target: torch.Tensor) -> torch.Tensor:
-        """Return the loss of the temporal difference."""
         if self.baselines is None:
             return difference_loss(self.online, batch, target)
         left, pull = self.baselines.without_present(target, batch)
@@ -100,11 +158,9 @@ class D3qn(Learner):
             td = self._difference_loss(batch, target)
             if groups is None:
                 return s.td_weight * td
-            scale = self.settings.reward_scale
-            found = self.online(groups.observation.flatten(0, 1)).unflatten(
-                0, groups.observation.shape[:2]
-            )
-            searched = searched_values(found, groups.values * scale, s.clip)
+            values = self.online(groups.observation.flatten(0, 1))
+            values = values.unflatten(0, groups.observation.shape[:2])
+            searched = searched_values(values, groups.values * self.settings.reward_scale, s.clip)
             return s.td_weight * td + linear(s.weight, s.weight_end, fraction) * searched
         assert batch.label is not None  # the replay of a run with a teacher has labels
         values = self.online(batch.observation)
@@ -116,16 +172,3 @@ class D3qn(Learner):
         if not s.td_weight:
             return loss + mean_value_penalty(values)
         return s.td_weight * self._difference_loss(batch, target) + loss
-
-    def tensors(self) -> dict[str, torch.Tensor]:
-        """Return the learner's state: its networks and the optimisers' moments."""
-        if self.baselines is None:
-            return super().tensors()
-        further = self.baselines.state_dict().items()
-        return super().tensors() | {f"baselines.{name}": tensor for name, tensor in further}
-
-    def restore(self, tensors: Mapping[str, torch.Tensor], steps: int) -> None:
-        """Restore the tensors that ``tensors`` returned after ``steps`` gradient steps."""
-        super().restore(tensors, steps)
-        if self.baselines is not None:
-            self.baselines.load_state_dict(part(tensors, "baselines"))

@@ -13,10 +13,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from flipperctl.agent.descent import Adam, descend, flatten_parameters, part, restore_moments
 from flipperctl.agent.frames import input_size
-from flipperctl.agent.networks import TRAINING_COPIES, build_network, record_plugin
-from flipperctl.agent.noise import Noise
+from flipperctl.agent.losses import Adam, descend, flatten_parameters
+from flipperctl.agent.networks import TRAINING_COPIES, Noise, build_network, record_plugin
 from flipperctl.agent.risk import RiskLearner
 from flipperctl.api import ACTIONS, Network, ObservationLayout
 from flipperctl.config import Agent, Teacher
@@ -28,6 +27,17 @@ def arrays(module: torch.nn.Module) -> dict[str, NDArray[np.generic]]:
     """Return a copy of a network's weights, for policies in other processes."""
     state = module.state_dict()
     return {name: tensor.cpu().numpy().copy() for name, tensor in state.items()}
+
+
+def join(parts: Mapping[str, Mapping[str, torch.Tensor]]) -> dict[str, torch.Tensor]:
+    """Return the tensors of all parts, their names after those of the parts."""
+    return {f"{part}.{name}": t for part, state in parts.items() for name, t in state.items()}
+
+
+def part(tensors: Mapping[str, torch.Tensor], name: str) -> dict[str, torch.Tensor]:
+    """Return the tensors whose names begin with a part's name, without it."""
+    start = f"{name}."
+    return {key.removeprefix(start): t for key, t in tensors.items() if key.startswith(start)}
 
 
 class Learner:
@@ -50,6 +60,8 @@ class Learner:
         """
         self.settings, self._seed, self._teacher = settings, seed, teacher
         self.device = torch.device(device)
+        self._parts: dict[str, torch.nn.Module | Adam] = {}
+        """The learner's state, by its names in a checkpoint."""
         inputs = input_size(network, layout)
         with torch.random.fork_rng():
             torch.manual_seed(seed)
@@ -80,6 +92,10 @@ class Learner:
         self._target_noise.acts()
         self.noise_rng = np.random.default_rng(seed)
         """Generator of the networks' exploration noise, if they have any."""
+        own, self._parts = self._parts, {"online": self.online, "target": self.target}
+        if self.risk is not None:
+            self._parts |= {"risk": self.risk.network, "risk_optimiser": self.risk.optimiser}
+        self._parts |= {"optimiser": self.optimiser, **own}
 
     def _build_beside(
         self, inputs: int, privileged: int
@@ -101,39 +117,25 @@ class Learner:
         """The networks that begin with the weights of the training's start."""
         return self.online, self.target
 
-    def take_weights(self, other: Learner) -> None:
-        """Take the weights of another learner's networks, which are built alike; keep the rest."""
-        self.online.load_state_dict(other.online.state_dict())
-        self.target.load_state_dict(other.target.state_dict())
-
     def _descend(self, loss: torch.Tensor, rate: float) -> None:
         """Take a gradient step of the online network; let the target follow."""
         descend(loss, self._parameters, self.optimiser, self.settings.gradient_norm, rate)
         with torch.no_grad():
             self._target.lerp_(self._online, self.settings.target_rate)
-            self._follow_buffers()
-
-    def _follow_buffers(self) -> None:
-        """Update the target's statistics at the rate of its weights; copy its integer counts."""
-        for name in self._buffers:
-            online, target = self.online.get_buffer(name), self.target.get_buffer(name)
-            if online.is_floating_point():
-                target.lerp_(online, self.settings.target_rate)
-            else:
-                target.copy_(online)
+            for name in self._buffers:  # statistics follow as weights do; integer counts are copied
+                online, target = self.online.get_buffer(name), self.target.get_buffer(name)
+                if online.is_floating_point():
+                    target.lerp_(online, self.settings.target_rate)
+                else:
+                    target.copy_(online)
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """Return the learner's state: its networks and the optimisers' moments."""
-        found = {f"online.{k}": v for k, v in self.online.state_dict().items()}
-        found |= {f"target.{k}": v for k, v in self.target.state_dict().items()}
-        if self.risk is not None:
-            found |= self.risk.tensors()
-        return found | {f"optimiser.{k}": v for k, v in self.optimiser.moments.items()}
+        return join({name: made.state_dict() for name, made in self._parts.items()})
 
     def restore(self, tensors: Mapping[str, torch.Tensor], steps: int) -> None:
         """Restore the tensors that ``tensors`` returned after ``steps`` gradient steps."""
-        self.online.load_state_dict(part(tensors, "online"))
-        self.target.load_state_dict(part(tensors, "target"))
-        if self.risk is not None:
-            self.risk.restore(tensors, steps)
-        restore_moments(self.optimiser, part(tensors, "optimiser"), steps)
+        for name, made in self._parts.items():
+            made.load_state_dict(part(tensors, name))
+            if isinstance(made, Adam):
+                made.steps = steps

@@ -1,4 +1,4 @@
-"""Networks of the agent: built from a plugin, their outputs, their greedy decision.
+"""Networks of the agent: built from a plugin, their outputs, their greedy decision, their noise.
 
 In: a network plugin and the observation layout. Out: a torch module that was tested on a batch and
 on one observation, in ``train()`` and in ``eval()`` mode, and the actions that it decides on.
@@ -137,8 +137,8 @@ def _too_large(
         with torch.device("meta"):  # its tensors have a shape but no memory
             module = network.build(layout, n_actions)
         sizes = [(p.numel(), p.numel() * p.element_size()) for p in module.parameters()]
-    except Exception:  # noqa: BLE001  # plugin code that needs values
-        sizes = []
+    except Exception:  # noqa: BLE001  # the plugin's code may raise anything without values
+        sizes = []  # what was counted before stands in the error
     count, size = (sum(column) for column in zip(*sizes, strict=True)) if sizes else (0, least)
     parameters = f"{count:,} parameters" if count else "parameters"
     each = f" ({copies} times {replay.gigabytes(size)})" if copies > 1 else ""
@@ -258,3 +258,49 @@ def q_values(
         )
     found: list[float] = values
     return found
+
+
+@runtime_checkable
+class Noisy(Protocol):
+    """A submodule with exploration noise, in ``train()`` mode only (Fortunato et al. 2018)."""
+
+    def draw_noise(self, rng: np.random.Generator, /) -> None:
+        """Draw new noise from ``rng``."""
+
+
+class Noise:
+    """All noisy submodules of a network; there may be none."""
+
+    def __init__(self, module: torch.nn.Module) -> None:
+        self._module = module
+        self.parts = [part for part in module.modules() if isinstance(part, Noisy)]
+
+    def draw(self, rng: np.random.Generator) -> None:
+        """Draw new noise for every noisy submodule; without one, ``rng`` is not used."""
+        for part in self.parts:
+            with naming_network(self._module, "draw_noise"):
+                part.draw_noise(rng)
+
+    def acts(self) -> None:
+        """Put the network into the mode of decisions and targets: ``eval()``, but with its noise.
+
+        What ``train()`` mode does besides, such as dropping units, is for the loss alone.
+        """
+        self._module.eval()
+        for part in self.parts:
+            part.train()
+
+
+@contextmanager
+def seeded(device: torch.device, *key: int) -> Iterator[None]:
+    """Let torch's global generators draw what ``key`` determines; restore them afterwards.
+
+    Layers of torch, such as its dropout, draw from them.
+    """
+    on = [device] if device.type == "cuda" else []
+    with torch.random.fork_rng(devices=on):
+        (seed,) = np.random.SeedSequence(key).generate_state(1, np.uint64).tolist()
+        torch.default_generator.manual_seed(seed)
+        if on:
+            torch.cuda.manual_seed(seed)
+        yield

@@ -20,13 +20,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from flipperctl.agent.baseline import Baseline
-from flipperctl.agent.descent import Adam, descend, flatten_parameters, part, restore_moments
+from flipperctl.agent.d3qn import Baseline
 from flipperctl.agent.frames import input_size
-from flipperctl.agent.learner import Learner
-from flipperctl.agent.losses import clipped_gain, divergence
-from flipperctl.agent.networks import naming_network
-from flipperctl.agent.noise import seeded
+from flipperctl.agent.learner import Learner, part
+from flipperctl.agent.losses import Adam, clipped_gain, descend, divergence, flatten_parameters
+from flipperctl.agent.networks import naming_network, seeded
 from flipperctl.agent.replay import Batch
 from flipperctl.api import Network, ObservationLayout
 from flipperctl.config import Agent
@@ -95,6 +93,8 @@ class PolicyGradient(Learner):
         """Number of updates."""
         self.learnt = 0
         """Number of transitions of the run that it has learnt from."""
+        self._parts |= {"values": self.values, "anchor": self.anchor}
+        self._parts["value_optimiser"] = self._value_optimiser
 
     def update(self, batch: Batch, fraction: float, rng: np.random.Generator) -> float:
         """Improve the policy and its values by the transitions of whole episodes, in their order.
@@ -184,21 +184,14 @@ class PolicyGradient(Learner):
 
     def tensors(self) -> dict[str, torch.Tensor]:
         """Return the learner's state: its networks, the optimisers' moments and counters."""
-        found = super().tensors()
-        for name, module in (("values", self.values), ("anchor", self.anchor)):
-            found |= {f"{name}.{key}": tensor for key, tensor in module.state_dict().items()}
-        moments = self._value_optimiser.moments.items()
-        found |= {f"value_optimiser.{key}": moment for key, moment in moments}
         counts = [self.rounds, self.learnt, self.optimiser.steps, self._value_optimiser.steps]
         counts.append(0 if self.risk is None else self.risk.optimiser.steps)
-        return found | {"counts.all": torch.tensor(counts, dtype=torch.int64)}
+        return super().tensors() | {"counts.all": torch.tensor(counts, dtype=torch.int64)}
 
     def restore(self, tensors: Mapping[str, torch.Tensor], steps: int) -> None:
         """Restore the tensors that ``tensors`` returned; they hold all numbers of steps."""
         self.rounds, self.learnt, *taken = part(tensors, "counts")["all"].tolist()
         super().restore(tensors, taken[0])
-        self.values.load_state_dict(part(tensors, "values"))
-        self.anchor.load_state_dict(part(tensors, "anchor"))
-        restore_moments(self._value_optimiser, part(tensors, "value_optimiser"), taken[1])
+        self._value_optimiser.steps = taken[1]
         if self.risk is not None:
             self.risk.optimiser.steps = taken[2]

@@ -143,8 +143,6 @@ class Batch:
 class Replay:
     """A ring buffer of ``capacity`` transitions, with labels if there is a teacher."""
 
-    FIELDS = ("observation", "action", "reward", "next_observation", "discount")
-
     def __init__(
         self,
         capacity: int,
@@ -233,17 +231,21 @@ class Replay:
             total = reward + self._gamma * total
         length = len(self._pending)
         observation, action, _, label, privileged = self._pending.popleft()
+        values = {
+            "observation": observation,
+            "action": action,
+            "reward": total,
+            "next_observation": next_observation,
+            "discount": continues * self._gamma**length,
+            "label": 0.0 if label is None else label,
+            "privileged": privileged,
+            "next_privileged": next_privileged,
+            "failing": UNKNOWN,
+        }
         row = self._row_of(self.added)
-        values = (observation, action, total, next_observation, continues * self._gamma**length)
-        for name, value in zip(self.FIELDS, values, strict=True):
-            self.arrays[name][row] = value
-        if "label" in self.arrays:
-            self.arrays["label"][row] = 0.0 if label is None else label
-        if "privileged" in self.arrays:
-            self.arrays["privileged"][row] = privileged
-            self.arrays["next_privileged"][row] = next_privileged
-        if "failing" in self.arrays:
-            self.arrays["failing"][row] = UNKNOWN
+        for name, array in self.arrays.items():
+            if name in values:
+                array[row] = values[name]
         self.added += 1
         self._episode += 1
 
@@ -277,14 +279,14 @@ class Replay:
         ``among``: rows to draw from; None: all.
         """
         rows = rng.integers(len(self) if among is None else len(among), size=size)
-        if among is not None:
-            rows = among[rows]
-        return Batch(**{n: torch.from_numpy(array[rows]) for n, array in self.arrays.items()})
+        return self._batch(rows if among is None else among[rows])
 
     def newest(self, count: int) -> Batch:
         """Return the newest transitions, oldest first; fewer if the replay holds fewer."""
         first = max(self.added - count, self.added - (self.capacity - self.kept), self.kept)
-        rows = [self._row_of(number) for number in range(first, self.added)]
+        return self._batch([self._row_of(number) for number in range(first, self.added)])
+
+    def _batch(self, rows: NDArray[np.int64] | list[int]) -> Batch:
         return Batch(**{n: torch.from_numpy(array[rows]) for n, array in self.arrays.items()})
 
     def keep(self) -> None:
@@ -344,8 +346,7 @@ class GroupMemory:
     def __init__(self, capacity: int) -> None:
         self.capacity = capacity
         self.added = 0
-        self._observations = np.zeros((0, 0, 0), np.float32)
-        self._values = np.zeros((0, 0, 0), np.float32)
+        self._arrays: dict[str, NDArray[np.float32]] = {}
 
     def __len__(self) -> int:
         return min(self.added, self.capacity)
@@ -353,34 +354,27 @@ class GroupMemory:
     @property
     def states(self) -> int:
         """Number of states in a group; 0 before the first groups [-]."""
-        return self._observations.shape[1]
+        return self._arrays["values"].shape[1] if self._arrays else 0
 
     def add(self, groups: StateGroups) -> None:
         """Add groups, each in the place of the oldest once the memory is full."""
-        if not self._observations.size:
-            self._observations = np.zeros(
-                (self.capacity, *groups.observations.shape[1:]), np.float32
-            )
-            self._values = np.zeros((self.capacity, *groups.values.shape[1:]), np.float32)
-        rows = (self.added + np.arange(len(groups.values))) % self.capacity
-        self._observations[rows], self._values[rows] = groups.observations, groups.values
-        self.added += len(groups.values)
+        count = len(groups.values)
+        rows = (self.added + np.arange(count)) % self.capacity
+        for name in ("observations", "values"):
+            new = getattr(groups, name)
+            if name not in self._arrays:
+                self._arrays[name] = np.zeros((self.capacity, *new.shape[1:]), np.float32)
+            self._arrays[name][rows] = new
+        self.added += count
 
     def sample(self, size: int, rng: np.random.Generator) -> GroupBatch:
         """Return ``size`` groups, drawn uniformly with replacement."""
         rows = rng.integers(len(self), size=size)
-        return GroupBatch(
-            torch.from_numpy(self._observations[rows]), torch.from_numpy(self._values[rows])
-        )
+        return GroupBatch(*(torch.from_numpy(array[rows]) for array in self._arrays.values()))
 
     def filled(self) -> dict[str, NDArray[np.generic]]:
         """Return the used part of each array; nothing before the first groups."""
-        if not self.added:
-            return {}
-        return {
-            "observations": self._observations[: len(self)],
-            "values": self._values[: len(self)],
-        }
+        return {name: array[: len(self)] for name, array in self._arrays.items()}
 
     def restore(self, arrays: dict[str, NDArray[np.generic]], added: int, size: int) -> None:
         """Restore the arrays that ``filled`` returned after ``added`` groups.
@@ -396,11 +390,11 @@ class GroupMemory:
         if set(arrays) != {"observations", "values"}:
             raise ValueError(f"there are {sorted(arrays)}; observations and values are allowed")
         seen, values = arrays["observations"], arrays["values"]
-        shapes = seen.shape == (count, *seen.shape[1:2], size) and values.shape == (
-            *seen.shape[:2],
-            len(ACTIONS),
-        )
-        if not shapes or seen.dtype != np.float32 or values.dtype != np.float32:
+        states = seen.shape[1:2]
+        shapes = seen.shape, values.shape
+        if shapes != ((count, *states, size), (count, *states, len(ACTIONS))) or any(
+            array.dtype != np.float32 for array in (seen, values)
+        ):
             raise ValueError(f"shapes are {seen.shape} and {values.shape} for {count} groups")
         if not (np.isfinite(seen).all() and np.isfinite(values).all()):
             raise ValueError("a number is not finite")

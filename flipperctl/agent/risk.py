@@ -22,7 +22,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from flipperctl.agent.descent import Adam, flatten_parameters, part, restore_moments
+from flipperctl.agent.losses import Adam, flatten_parameters
 from flipperctl.agent.replay import UNKNOWN, Batch
 from flipperctl.core.risk import LAGS, RiskCalibration, RiskSign, with_recurrence
 from flipperctl.errors import NonFiniteError
@@ -149,14 +149,3 @@ class RiskLearner:
         """Return a copy of the weights, named for policies in other processes."""
         state = self.network.state_dict()
         return {f"{WEIGHTS}{n}": tensor.cpu().numpy().copy() for n, tensor in state.items()}
-
-    def tensors(self) -> dict[str, torch.Tensor]:
-        """Return the weights and the optimiser's moments, as parts of a checkpoint."""
-        found = {f"risk.{name}": tensor for name, tensor in self.network.state_dict().items()}
-        moments = self.optimiser.moments.items()
-        return found | {f"risk_optimiser.{name}": moment for name, moment in moments}
-
-    def restore(self, tensors: Mapping[str, torch.Tensor], steps: int) -> None:
-        """Restore the tensors that ``tensors`` returned after ``steps`` gradient steps."""
-        self.network.load_state_dict(part(tensors, "risk"))
-        restore_moments(self.optimiser, part(tensors, "risk_optimiser"), steps)

@@ -214,15 +214,15 @@ def run(
 
       flipperctl inspect run runs/stair/2026-01-31_12-00-00 --output curves.png
     """
-    from flipperctl.training.folder import RunRows, summarise
+    from flipperctl.training.folder import read_run, summarise
 
-    rows = RunRows.read(run)
+    episodes, validations = read_run(run)
     if output is not None:
         from flipperctl.figures.figure import save
         from flipperctl.figures.learning import learning_figure
 
-        save(learning_figure(rows.episodes, rows.validations, str(run)), output)
-    found = summarise(run, rows)
+        save(learning_figure(episodes, validations, str(run)), output)
+    found = summarise(run, episodes, validations)
     show(found, lambda: _print(found, output), as_json=as_json)
 
 

@@ -17,8 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from flipperctl.agent.frames import input_size, stacked
-from flipperctl.agent.networks import best, build_network, q_values
-from flipperctl.agent.noise import Noise
+from flipperctl.agent.networks import Noise, best, build_network, q_values
 from flipperctl.agent.risk import Risk, RiskNetwork, uncalibrated
 from flipperctl.api import (
     ACTIONS,

@@ -25,9 +25,8 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.controllers import DaggerPolicy, PluginPolicy
 from flipperctl.policies.source import controller_policy
 from flipperctl.policies.trained import ExploringPolicy, SamplingPolicy, TrainedPolicy
-from flipperctl.rollout.episode import Row, play
+from flipperctl.rollout.episode import RolloutRequest, Row, Step, Weights, play, steps
 from flipperctl.rollout.seeds import exploration_rng
-from flipperctl.rollout.steps import RolloutRequest, Step, Weights, steps
 
 
 class Actor:
@@ -48,10 +47,7 @@ class Actor:
         return self._greedy.play(seed)
 
     def play(self, request: RolloutRequest, weights: Weights) -> list[Step]:
-        """Play one episode to its end; equal requests give equal episodes.
-
-        The weights are separate from the request, since many requests share them.
-        """
+        """Play one episode to its end; equal requests with equal weights give equal episodes."""
         self._greedy.load(weights)
         config = self._config
         rng = exploration_rng(config.seed, request.episode)

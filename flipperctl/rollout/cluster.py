@@ -20,8 +20,7 @@ from queue import SimpleQueue
 from typing import Any
 
 from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError
-from flipperctl.rollout.children import DiedError, import_path
-from flipperctl.rollout.pool import POLL
+from flipperctl.rollout.pool import POLL, DiedError, import_path
 
 LOCAL = "local"
 """Address that stands for a cluster of this machine, started for this process alone."""
@@ -69,11 +68,20 @@ def join(address: str | None, key: str, **settings: Any) -> None:
     """
     ray = import_ray()
     if "runtime_env" not in settings:  # which may have an import path of its own
-        settings = {"job_config": _job_config(), **settings}
+        from ray.job_config import JobConfig
+
+        # Workers import from where this process does, but those of a job that is no client's from
+        # the working directory first. They insert one folder after the other before their own.
+        job = JobConfig(_client_job=True, _py_driver_sys_path=import_path()[::-1])
+        settings = {"job_config": job, **settings}
     try:
         _check_reachable(address)
-        with _kept_sigterm():
+        before = signal.getsignal(signal.SIGTERM)  # ``ray.init`` replaces it by an exit
+        try:
             ray.init(address=address, **settings)
+        finally:
+            with contextlib.suppress(ValueError):  # not in the main thread
+                signal.signal(signal.SIGTERM, before)
     except (OSError, ValueError, RuntimeError, ray.exceptions.RayError) as error:
         if _is_refused_token(error):
             raise ConfigError(
@@ -84,18 +92,6 @@ def join(address: str | None, key: str, **settings: Any) -> None:
         if isinstance(error, ValueError):  # raised before connecting, about the settings
             raise ConfigError(f"{key}: Ray cannot use {address!r}: {reason}") from error
         raise ConfigError(f"{key}: no Ray cluster answers at {address!r}: {reason}") from error
-
-
-def _job_config() -> Any:
-    """Return the settings by which workers import from where this process does.
-
-    Ray itself would let them import from the working directory first, except those of a job that it
-    takes for a client's.
-    """
-    from ray.job_config import JobConfig
-
-    # A worker inserts one folder after the other at the head of its own.
-    return JobConfig(_client_job=True, _py_driver_sys_path=import_path()[::-1])
 
 
 def is_connected() -> bool:
@@ -119,12 +115,10 @@ def cpus() -> tuple[int, int]:
 
 def _is_refused_token(error: BaseException) -> bool:
     """Return whether Ray failed for lack of a token, which only a cause's text says."""
-    found: BaseException | None = error
-    while found is not None:
-        if "AuthenticationError" in f"{type(found).__name__} {found}":
-            return True
-        found = found.__cause__
-    return False
+    cause: BaseException | None = error
+    while cause and "AuthenticationError" not in f"{type(cause).__name__} {cause}":
+        cause = cause.__cause__
+    return cause is not None
 
 
 def _check_reachable(address: str | None) -> None:
@@ -138,17 +132,6 @@ def _check_reachable(address: str | None) -> None:
 
         client: Any = _raylet
         client.GcsClient(address=address)
-
-
-@contextlib.contextmanager
-def _kept_sigterm() -> Iterator[None]:
-    """Keep this process's SIGTERM handler, which ``ray.init`` replaces by an exit."""
-    before = signal.getsignal(signal.SIGTERM)
-    try:
-        yield
-    finally:
-        with contextlib.suppress(ValueError):  # not in the main thread
-            signal.signal(signal.SIGTERM, before)
 
 
 _REPORT_AFTER = 10.0
@@ -178,15 +161,13 @@ class Hosts:
             self._starting += 1
         return RayHost(handle, self)
 
-    def began(self) -> None:
-        """Count a host that has started."""
+    def answered(self, *, first: bool) -> None:
+        """Note that a call has ended; the first one of a host tells that it has started."""
         with self._lock:
-            self._starting, self.started = self._starting - 1, self.started + 1
-            self._changed_at = self._answered_at = time.monotonic()
-
-    def answered(self) -> None:
-        """Note that a call has ended."""
-        self._answered_at = time.monotonic()
+            self._answered_at = time.monotonic()
+            if first:
+                self._starting, self.started = self._starting - 1, self.started + 1
+                self._changed_at = self._answered_at
 
     def ended(self, started: bool) -> None:
         """Count a host that has ended."""
@@ -195,10 +176,16 @@ class Hosts:
 
     def wait(self, since: float, started: bool) -> None:
         """Raise an error if the patience with a call that began at ``since`` is over."""
-        now = time.monotonic()
+        now, patience = time.monotonic(), f"{self._patience:g} s (collector.patience)"
         over = now - max(since, self._answered_at) > self._patience
-        if over and (started or not self.started):
-            raise FlipperctlError(self._timeout_text())
+        if over and started:
+            raise FlipperctlError(f"no Ray worker has played an episode for {patience}")
+        if over and not self.started:
+            free, total = cpus()
+            raise FlipperctlError(
+                f"no Ray worker got a CPU and started within {patience}: {free} of the cluster's "
+                f"{total} CPUs are free; wait for other jobs to end, or add machines"
+            )
         with self._lock:
             late = now > self._changed_at + _REPORT_AFTER and not started
             if not late or self._starting == self._reported:
@@ -208,24 +195,12 @@ class Hosts:
             if free:
                 return
             self._reported = waiting
-        text = (
+        rest = f"The run waits up to {patience} for one"
+        if self.started:
+            rest = f"The run continues with {self.started}; others join when a CPU is free"
+        self.notes.put(
             f"{waiting} of {self._count} Ray workers (collector.workers) have no CPU: "
-            f"none of the cluster's {total} is free. "
-        )
-        if self.started:
-            text += f"The run continues with {self.started}; others join when a CPU is free"
-        else:
-            text += f"The run waits up to {self._patience:g} s (collector.patience) for one"
-        self.notes.put(text)
-
-    def _timeout_text(self) -> str:
-        patience = f"{self._patience:g} s (collector.patience)"
-        free, total = cpus()
-        if self.started:
-            return f"no Ray worker has played an episode for {patience}"
-        return (
-            f"no Ray worker got a CPU and started within {patience}: {free} of the cluster's "
-            f"{total} CPUs are free; wait for other jobs to end, or add machines"
+            f"none of the cluster's {total} is free. {rest}"
         )
 
 
@@ -256,11 +231,8 @@ class RayHost:
         except (errors.RayActorError, errors.ObjectLostError, errors.WorkerCrashedError) as error:
             self._ending = f"was lost: {str(error).strip().splitlines()[-1]}"
             raise DiedError from error
-        if self._started:
-            hosts.answered()
-        else:
-            self._started = True
-            hosts.began()
+        hosts.answered(first=not self._started)
+        self._started = True
         return value
 
     def end(self, *, kill: bool) -> str:

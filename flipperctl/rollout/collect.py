@@ -20,9 +20,8 @@ from safetensors.numpy import save_file
 from flipperctl.config import RayCollector
 from flipperctl.rollout import cluster
 from flipperctl.rollout.actor import create_actor, play_greedily, play_request
-from flipperctl.rollout.episode import Row
+from flipperctl.rollout.episode import RolloutRequest, Row, Step, Weights
 from flipperctl.rollout.pool import POLL, Stop, WorkerDiedError, WorkerPool
-from flipperctl.rollout.steps import RolloutRequest, Step, Weights
 
 PlayHere = Callable[[int], Row]
 """Plays the greedy episode of a seed in this process."""
@@ -54,7 +53,7 @@ class InProcessCollector:
         return []
 
     def close(self) -> None:
-        """Do nothing: there are no worker processes."""
+        """Do nothing: there are no workers."""
 
 
 class RolloutWorkers:
@@ -91,7 +90,7 @@ class RolloutWorkers:
     def take(self, stop: Stop) -> tuple[RolloutRequest, list[Step] | None] | None:
         """Wait for a rollout; return its request with it, or with None if the worker died.
 
-        Returns None alone, and keeps the request, if the run is to stop before a rollout arrives.
+        Returns None alone, and keeps the request, if the run is to stop before one arrives.
         """
         while not (done := wait(self._awaited(), POLL, FIRST_COMPLETED).done):
             if stop():
@@ -118,11 +117,7 @@ class RolloutWorkers:
         shared.unlink()
 
     def evaluate(self, weights: Weights, seeds: Sequence[int]) -> list[Future[Row]]:
-        """Request one greedy episode for each seed, without waiting; they begin in this order.
-
-        The future of an episode that no worker has begun can be cancelled. If its worker died, it
-        raises ``WorkerDiedError``.
-        """
+        """Request one greedy episode for each seed, without waiting; see ``WorkerPool.submit``."""
         shared = self._share("evaluated", weights)
         return [self._pool.submit(play_greedily, seed, shared) for seed in seeds]
 
@@ -146,10 +141,7 @@ class RayWorkers(RolloutWorkers):
         plugin_paths: list[str],
         report: Callable[[str], None] = lambda text: None,
     ) -> None:
-        """Create the actors; do not wait until they have started.
-
-        ``report`` is called with sentences about the workers for the user.
-        """
+        """Create the actors, without waiting; ``report`` gets sentences about them."""
         self._settings, self._report = settings, report
         super().__init__(settings.workers, config, plugin_paths)
 
@@ -187,10 +179,9 @@ class AsyncCollector:
         accept: Callable[[RolloutRequest], bool],
         stop: Stop = lambda: False,
     ) -> None:
-        """``next_request`` makes the request of the next episode.
+        """``on_lost`` is called with each request whose worker died.
 
-        ``on_lost`` is called with each request whose worker died; ``accept`` returns whether the
-        rollout of a request is still used. ``stop`` ends any wait for workers.
+        ``accept`` returns whether the rollout of a request is still used; ``stop`` ends any wait.
         """
         self._workers, self._next_request = workers, next_request
         self._on_lost, self._accept, self._stop = on_lost, accept, stop
@@ -227,8 +218,8 @@ class AsyncCollector:
                 for other in futures:
                     other.cancel()
                 return None
-            rows.insert(0, row)
-        return rows
+            rows.append(row)
+        return rows[::-1]
 
     def _row(self, future: Future[Row], seed: int, play_here: PlayHere) -> Row | None:
         """Return the row of an episode, played here if no worker has begun it; None to stop."""

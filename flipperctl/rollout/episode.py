@@ -1,8 +1,8 @@
-"""The one episode loop, what is recorded of an episode, and how its risks fared.
+"""The one episode loop, and what is learnt and recorded of an episode.
 
-In: an environment, a policy, a seed. Out: one ``Decision`` after the other, each made on request of
-the iterator, so that the caller can learn, display, wait or stop in between; a ``RecordedEpisode``
-for a file.
+In: an environment, a policy, a seed. Out: one ``Decision``, or one ``Step`` of a learner, after the
+other, each made on request of the iterator, so that the caller can learn, display, wait or stop in
+between; a ``RecordedEpisode`` for a file.
 """
 
 from __future__ import annotations
@@ -14,11 +14,21 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.api import ACTIONS, FloatArray, Outcome, Perception, Policy, Transition
+from flipperctl.agent.frames import stacked
+from flipperctl.api import (
+    ACTIONS,
+    FloatArray,
+    Outcome,
+    Perception,
+    Policy,
+    StateGroups,
+    Transition,
+)
 from flipperctl.checkpoint.recording import RecordedEpisode
 from flipperctl.core.risk import RiskSign
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.pictures import Observer
+from flipperctl.env.privileged import PrivilegedStates
 from flipperctl.env.termination import ALLOWED, action_index
 from flipperctl.errors import FlipperctlError
 
@@ -56,18 +66,18 @@ class EpisodeRecorder:
         ``number`` counts episodes from 0; ``ending`` has the seed, outcome and terrain.
         """
         actions, rewards, labels = zip(*self._decisions, strict=True)
-        found = RecordedEpisode(
+        observations = np.array(self._observations, np.float32)
+        self.drop()
+        return RecordedEpisode(
             number=number,
             seed=ending["seed"],
             terrain=ending["terrain"],
             outcome=Outcome(ending["outcome"]),
-            observations=np.array(self._observations, np.float32),
+            observations=observations,
             actions=np.array(actions, np.int64),
             rewards=np.array(rewards, np.float64),
             labels=np.array(labels, np.float32),
         )
-        self.drop()
-        return found
 
 
 AHEAD = 3
@@ -96,8 +106,8 @@ class EpisodeRisks:
     @property
     def in_time(self) -> bool:
         """Whether it warned within the horizon before the end and ``AHEAD`` decisions ahead."""
-        until = max(0, len(self.told) - AHEAD)
-        return any(self.warnings[max(0, len(self.told) - self.sign.horizon) : until])
+        count = len(self.told)
+        return any(self.warnings[max(0, count - self.sign.horizon) : max(0, count - AHEAD)])
 
     @classmethod
     def of(cls, sign: RiskSign, told: Sequence[float]) -> Self:
@@ -213,10 +223,88 @@ def play(
     ``watch`` is called after each decision; ``observers`` also see the samples between decisions.
     """
     ending: Row | None = None
-    for decision in decisions(
-        env, policy, seed, report_progress=report_progress, observers=observers
-    ):
+    played = decisions(env, policy, seed, report_progress=report_progress, observers=observers)
+    for decision in played:
         watch(decision)
         ending = decision.ending
     assert ending is not None  # decisions() yields until there is one
     return ending
+
+
+Weights = Mapping[str, NDArray[Any]]
+"""A network's ``state_dict`` as arrays."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of an episode; observations are the network's inputs, (frames · (N + 3),)."""
+
+    observation: NDArray[np.float32]
+    action: int
+    reward: float
+    next_observation: NDArray[np.float32]
+    ending: Row | None
+    """``seed``, ``outcome``, metrics and difficulty after the episode's last step; None before."""
+    label: NDArray[np.float32] | None = None
+    """The teacher's distribution over actions at ``observation``, (9,), if there is a teacher."""
+    groups: StateGroups | None = None
+    """After the last step, the states that the teacher valued on the episode's ground."""
+    explored: bool = False
+    """Whether the action was random."""
+    privileged: NDArray[np.float32] | None = None
+    """Privileged state at ``observation``, (P,), if the training has them."""
+    next_privileged: NDArray[np.float32] | None = None
+    """Privileged state at ``next_observation``, (P,)."""
+
+
+@dataclass(frozen=True)
+class RolloutRequest:
+    """All that a worker needs to play one training episode."""
+
+    episode: int
+    """Number of the episode in the run, from 0."""
+    seed: int
+    epsilon: float
+    """Probability of a random action."""
+    decision: int
+    """Decisions of the run at the time of the request."""
+    version: int
+    """Number of updates before the weights; requests of one version share their weights."""
+    weights: Weights
+    difficulty: float = 1.0
+    """Difficulty of the terrain, 0 to 1."""
+
+
+def steps(
+    env: FlipperEnv,
+    policy: Policy,
+    seed: int,
+    *,
+    difficulty: float = 1.0,
+    frames: int = 1,
+    privileged: bool = False,
+) -> Iterator[Step]:
+    """Yield the steps of one episode; each is made on request of the iterator.
+
+    ``frames``: number of observations that the network takes as one input. ``privileged``: whether
+    the steps have privileged states.
+    """
+    states = PrivilegedStates(env) if privileged else None
+    before: NDArray[np.float32] | None = None
+    for d in decisions(env, policy, seed, difficulty=difficulty):
+        after = stacked(d.next_perception.recent, frames)
+        if states is not None:
+            states.add(d.transition)
+        yield Step(
+            observation=stacked(d.perception.recent, frames) if before is None else before,
+            action=d.action,
+            reward=d.reward,
+            next_observation=after,
+            ending=None if d.ending is None else {**d.ending, "difficulty": difficulty},
+            label=getattr(policy, "label", None),
+            groups=None if d.ending is None else getattr(policy, "groups", None),
+            explored=getattr(policy, "explored", False),
+            privileged=None if states is None else states.rows[-2],
+            next_privileged=None if states is None else states.rows[-1],
+        )
+        before = after

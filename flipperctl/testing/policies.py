@@ -137,8 +137,7 @@ def onnx(network: Network) -> None:
 def _built(network: Network, layout: ObservationLayout = LAYOUTS[-1]) -> torch.nn.Module:
     import torch
 
-    from flipperctl.agent.networks import build_network
-    from flipperctl.agent.noise import Noise
+    from flipperctl.agent.networks import Noise, build_network
 
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)

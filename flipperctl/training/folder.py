@@ -11,7 +11,6 @@ import hashlib
 import json
 import shutil
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +22,8 @@ from flipperctl.config.identity import differences
 from flipperctl.errors import CheckpointError, ConfigError, OutputError, RequestError
 from flipperctl.files import make_folder, remove_partial, write_bytes
 from flipperctl.results import CONFIG, HYDRA, METRICS, SUMMARY, holds_run, is_held, read_config
+from flipperctl.training.episodes import EPISODES, PARTS
 from flipperctl.training.listeners import NAME, read_rows
-from flipperctl.training.recorder import EPISODES, PARTS
 
 _SUMS = "SHA256SUMS"
 _LOCK, _LOCK_NOTE = Path(".run.lock"), Path(".run.lock.json")
@@ -109,8 +108,7 @@ def keep_plugins(directory: Path) -> None:
 
     Files of several folders lie together unless two of them have one name.
     """
-    files = plugins.loaded_files()
-    if not files:
+    if not (files := plugins.loaded_files()):
         return
     folders = list(dict.fromkeys(file.parent for file in files))
     apart = len({file.name for file in files}) < len(files)
@@ -134,10 +132,7 @@ def write_hydra(directory: Path, documents: Mapping[str, Any]) -> None:
 
 
 def differing_settings(there: TrainConfig, here: TrainConfig) -> list[str]:
-    """Return a text with both values for each setting in which two configurations differ.
-
-    Loggers may differ: they record a run and do not change it.
-    """
+    """Return each setting in which two configurations differ, but for loggers, with both values."""
     ours, theirs = (to_dict(config.model_copy(update={"logger": {}})) for config in (there, here))
     return [
         f"{path}: {first} there, {second} here" for path, first, second in differences(ours, theirs)
@@ -170,50 +165,41 @@ def discard(directory: Path, loggers: Iterable[str]) -> None:
 
 _REACHED = ("pitch_variation_100hz", "pitch_variation", "t_cost")
 """Measures of a validation that are means over the episodes that reached the finish."""
-_SHOWN = (
-    "decision",
-    "success_rate",
-    "pitch_variation_100hz",
-    "pitch_variation",
-    "t_cost",
-    "return",
-    "mean_return",
-)
+_SHOWN = ("decision", "success_rate", *_REACHED, "return", "mean_return")
 
 
-@dataclass(frozen=True)
-class RunRows:
-    """The rows of a run's ``metrics.csv``."""
-
-    episodes: list[dict[str, str]]
-    validations: list[dict[str, str]]
-
-    @classmethod
-    def read(cls, run: Path) -> RunRows:
-        """Read the rows of a run directory."""
-        metrics = run / METRICS
-        if not metrics.is_file():
-            hint = sweep_hint(run) or "is it a run directory?"
-            raise RequestError(f"{run} holds no {METRICS}; {hint}")
-        rows = read_rows(metrics)
-        kinds = ("episode", "validation")
-        return cls(*([row for row in rows if row["kind"] == kind] for kind in kinds))
+Rows = list[dict[str, str]]
 
 
-def summarise(run: Path, rows: RunRows) -> dict[str, Any]:
+def read_run(run: Path) -> tuple[Rows, Rows]:
+    """Return the rows of episodes and of validations in a run's ``metrics.csv``."""
+    metrics = run / METRICS
+    if not metrics.is_file():
+        hint = sweep_hint(run) or "is it a run directory?"
+        raise RequestError(f"{run} holds no {METRICS}; {hint}")
+    rows = read_rows(metrics)
+    episodes, validations = (
+        [row for row in rows if row["kind"] == kind] for kind in ("episode", "validation")
+    )
+    return episodes, validations
+
+
+def summarise(run: Path, episodes: Rows, validations: Rows) -> dict[str, Any]:
     """Return ``summary.json`` (None if missing), the number of episodes and the validations.
 
-    ``running``: whether a process trains it now.
+    ``running``: whether a process trains it now. Columns of later versions are left empty.
     """
     file = run / SUMMARY
+    numbers = [
+        {key: float(cell) if (cell := row.get(key)) else None for key in _SHOWN}
+        for row in validations
+    ]
     return {
         "run": str(run),
         "summary": json.loads(file.read_text("utf-8")) if file.is_file() else None,
         "running": is_held(run),
-        "episodes": len(rows.episodes),
-        "validations": [
-            of_reached({key: _number(row, key) for key in _SHOWN}) for row in rows.validations
-        ],
+        "episodes": len(episodes),
+        "validations": [of_reached(row) for row in numbers],
     }
 
 
@@ -225,9 +211,3 @@ def of_reached(validation: Mapping[str, Any]) -> dict[str, Any]:
     if validation.get("success_rate"):
         return dict(validation)
     return {name: None if name in _REACHED else v for name, v in validation.items()}
-
-
-def _number(row: Mapping[str, str], key: str) -> float | None:
-    """Return the number in a cell; None if it is empty, or its column is of a later version."""
-    cell = row.get(key)
-    return float(cell) if cell else None

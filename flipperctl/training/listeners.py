@@ -104,8 +104,7 @@ def openers(
 ) -> list[Callable[[], Listener]]:
     """Return for each logger a function that opens it for the run in ``directory``.
 
-    ``resume_at``: decision from which the run continues; None for a new run. The functions raise
-    MissingExtraError if a package that the logger needs is not installed.
+    ``resume_at``: decision from which the run continues; None for a new run.
     """
     plain = to_dict(config)
     return [
@@ -129,7 +128,7 @@ class GuardedLogger:
             self._drop(error, "open")
 
     def episode(self, row: Mapping[str, Any]) -> None:
-        """Record the row of an ended training episode."""
+        """Record the row of a training episode."""
         self._attempt("episode", row)
 
     def validation(self, row: Mapping[str, Any]) -> None:
@@ -192,10 +191,10 @@ class Stopwatch:
         write_json(self._path, {"seconds": round(self.seconds, 3)})
 
     def read(self) -> None:
-        """Read the time at the last checkpoint; keep 0 if the file is missing or not valid."""
+        """Read the time at the last checkpoint, without which a run resumes, too."""
         try:
             seconds = json.loads(self._path.read_text(encoding="utf-8"))["seconds"]
         except (OSError, ValueError, RecursionError, LookupError, TypeError):
-            return  # the time is not needed to resume a run
+            return
         if isinstance(seconds, int | float) and math.isfinite(seconds) and seconds >= 0:
             self._earlier = float(seconds)

@@ -12,9 +12,6 @@ from collections.abc import Callable, Collection, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from flipperctl.agent.frames import stacked
 from flipperctl.agent.replay import Replay
 from flipperctl.api import MAX_HISTORY, ObservationLayout, Robot
@@ -119,18 +116,17 @@ def _differing(section: str, ours: Mapping[str, Any], theirs: Mapping[str, Any])
 
     Another engine or sensor is named without its own settings.
     """
+
+    def text(value: object) -> str:
+        plain = None if value is ABSENT else value
+        return plain if isinstance(plain, str) else json.dumps(plain, separators=(",", ":"))
+
     if theirs.get("name") != ours.get("name"):
         yield f"{section}={theirs.get('name')} (here {ours.get('name')})"
         return
     for path, here, there in differences(ours, theirs, section):
         if section == "randomise" or ABSENT not in (here, there):  # it omits what it does not do
-            yield f"{path}={_text(there)} (here {_text(here)})"
-
-
-def _text(value: object) -> str:
-    """Return a value as the text of an override."""
-    plain = None if value is ABSENT else value
-    return plain if isinstance(plain, str) else json.dumps(plain, separators=(",", ":"))
+            yield f"{path}={text(there)} (here {text(here)})"
 
 
 def read_teacher(config: TrainConfig) -> Recording | None:
@@ -149,11 +145,7 @@ def read_teacher(config: TrainConfig) -> Recording | None:
 
 
 def add_recorded(replay: Replay, config: TrainConfig, report: Callable[[str], None]) -> None:
-    """Put the recorded episodes of the teacher, if there are any, into the replay of a new run.
-
-    ``report`` receives notes on the conditions in which they differ from the training, and on the
-    settings that have no effect on them.
-    """
+    """Put the recorded episodes of the teacher, if there are any, into the replay of a new run."""
     if (found := read_teacher(config)) is not None:
         for text in notes(config, found):
             report(text)
@@ -164,7 +156,8 @@ def fill(replay: Replay, found: Recording, config: TrainConfig) -> None:
     """Put all recorded decisions into an empty replay, which never overwrites them."""
     frames, bootstrapped = config.network.frames, config.agent.bootstrap_outcomes
     for episode in found.episodes:
-        rows = [_row(episode.observations, t, frames) for t in range(len(episode.observations))]
+        seen = list(episode.observations)
+        rows = [stacked(seen[: t + 1][-MAX_HISTORY:], frames) for t in range(len(seen))]
         last = len(episode.actions) - 1
         for t, action in enumerate(episode.actions):
             replay.add(
@@ -177,8 +170,3 @@ def fill(replay: Replay, found: Recording, config: TrainConfig) -> None:
                 label=episode.labels[t],
             )
     replay.keep()
-
-
-def _row(observations: NDArray[np.float32], t: int, frames: int) -> NDArray[np.float32]:
-    """Return the network's input at decision ``t`` of an episode."""
-    return stacked(list(observations[max(0, t + 1 - MAX_HISTORY) : t + 1]), frames)

@@ -1,9 +1,8 @@
 """Train in a run directory: start, continue or resume a run, with its lock, files and Ctrl-C.
 
 In: a training's configuration and a directory. Out: the files of the run, and its summary, with the
-returns of its best policy and of simple rules on episodes with seeds of their own. Device, terrain,
-network and memory are checked before. Nothing is printed here; ``Reports`` holds the caller's
-callbacks.
+returns of its best policy and of simple rules on episodes with seeds of their own. Nothing is
+printed here; ``Reports`` holds the caller's callbacks.
 """
 
 from __future__ import annotations
@@ -56,7 +55,7 @@ from flipperctl.training import folder as run_folder
 from flipperctl.training.listeners import MetricsCsv, openers
 from flipperctl.training.recorded import read_teacher
 from flipperctl.training.starting import read_start, read_values
-from flipperctl.training.trainer import Trainer, open_all
+from flipperctl.training.trainer import Trainer, closer
 
 _RESUMABLE = ("train.", "device", "collector", "logger")
 """What the overrides of a resumed run begin with."""
@@ -65,11 +64,7 @@ _JUDGING = ("best_by", "validation_episodes", "validation_seed")
 
 
 def check(config: TrainConfig) -> None:
-    """Refuse a training that cannot begin.
-
-    Raises:
-        RequestError: the terrain, device, teacher or network cannot be used.
-    """
+    """Refuse a training whose terrain, device, teacher, network or start cannot be used."""
     check_device(config)
     env = FlipperEnv(config=config.environment())
     env.reset(seed=0)
@@ -97,18 +92,14 @@ def check_resumable(words: Iterable[str]) -> None:
 
 def require_kept(before: Train, after: Train, state: State) -> None:
     """Refuse changes of a run in this state that would mix ways of judging or collecting."""
-
-    def word(value: object) -> str:
-        return str(value).lower() if isinstance(value, bool) else f"{value}"
-
-    kept_from_now = [*(_JUDGING if state.validations else ()), *(["record"] * (state.episode > 0))]
-    if state.orders:  # workers have begun episodes
-        kept_from_now.append("mode")
-    for name in kept_from_now:
+    fixed = [*(_JUDGING if state.validations else ()), *(["record"] * (state.episode > 0))]
+    fixed += ["mode"] * bool(state.orders)  # workers have begun episodes
+    for name in fixed:
         kept, given = getattr(before, name), getattr(after, name)
         if given != kept:
+            kept, given = (str(v).lower() if isinstance(v, bool) else v for v in (kept, given))
             raise ConfigError(
-                f"train.{name}={word(given)}: the run goes on with train.{name}={word(kept)}, "
+                f"train.{name}={given}: the run goes on with train.{name}={kept}, "
                 "which holds for all of it; leave it out, or begin a new run"
             )
 
@@ -127,56 +118,51 @@ SEED = 2_718_281_828
 this measure can still evaluate the chosen one on episodes that had no part in it."""
 
 
-class FinalRegret:
-    """Measures the best policy of a finished run once; stops at the next episode after Ctrl-C."""
+def final_regret(
+    config: TrainConfig, directory: Path, stop: Callable[[], bool], tell: Callable[[str], None]
+) -> dict[str, Any] | None:
+    """Compare the best policy of a finished run with simple rules; None if turned off or failed.
 
-    def __init__(
-        self,
-        config: TrainConfig,
-        directory: Path,
-        stop: Callable[[], bool],
-        tell: Callable[[str], None],
-    ) -> None:
-        """``tell`` is called with a line if a policy or the environment fails."""
-        self._config, self._directory = config, directory
-        self._stop, self._tell = stop, tell
-        self.interrupted = False
-        """Whether the measurement was stopped; the run is finished nevertheless."""
+    ``tell`` is called with a line if a policy or the environment fails. Raises InterruptedRunError
+    if ``stop``, called between episodes, returned True.
+    """
+    if not config.train.regret_episodes or not paying_terms(config.rewards):
+        return None
+    found = None
+    try:
+        with Player(stop=stop) as player:
+            found = measure(regret_scene(config, directory), player)
+    except KeyboardInterrupt:  # a second Ctrl-C; the summary is still to be written
+        pass
+    except FlipperctlError as error:
+        tell(f"the return of the best policy is not measured: {error}")
+        return None
+    if found is None:
+        raise InterruptedRunError(
+            "interrupted while the best policy was compared with simple rules; the training is "
+            "finished and saved. "
+            f"Compare with: {command('inspect', 'reward', '--regret', '--checkpoint', directory)}"
+        )
+    kept = {k: v for k, v in found.items() if k not in ("terrain", "rewards", "conditions")}
+    return {"seed": SEED, **kept}
 
-    def __call__(self) -> dict[str, Any] | None:
-        """Return the result; None if it is turned off, was stopped, or failed."""
-        if not self._config.train.regret_episodes or not paying_terms(self._config.rewards):
-            return None
-        try:
-            with Player(stop=self._stop) as player:
-                found = measure(self._scene(), player)
-                self.interrupted = player.interrupted
-        except KeyboardInterrupt:  # a second Ctrl-C; the summary is still to be written
-            self.interrupted, found = True, None
-        except FlipperctlError as error:
-            self._tell(f"the return of the best policy is not measured: {error}")
-            found = None
-        if found is None:
-            return None
-        kept = {k: v for k, v in found.items() if k not in ("terrain", "rewards", "conditions")}
-        return {"seed": SEED, **kept}
 
-    def _scene(self) -> RegretScene:
-        """Return the episodes in the conditions of the training, with its own reward terms.
+def regret_scene(config: TrainConfig, directory: Path) -> RegretScene:
+    """Return the episodes in the conditions of the training, with its own reward terms.
 
-        The references are rules, and the teacher if it is another rule; a search takes too long.
-        """
-        config, best = self._config, PolicySource(checkpoint=self._directory / checkpoint.BEST)
-        sections = {name: getattr(config, name) for name in EnvConfig.model_fields}
-        settings = Eval(episodes=config.train.regret_episodes, seed=SEED)
-        evaluation = EvalConfig(**sections, conditions=TRAINED, eval=settings)
-        references = {name: load_policy(name, "controller") for name in (LEVEL, "okada")}
-        teacher = config.teacher.controller
-        if teacher is not None and is_rule(teacher):
-            source = PolicySource(settings=to_dict(teacher))
-            if source not in references.values():
-                references["teacher"] = source
-        return RegretScene(evaluation, "own", "best policy", best, references)
+    The references are rules, and the teacher if it is another rule; a search takes too long.
+    """
+    best = PolicySource(checkpoint=directory / checkpoint.BEST)
+    sections = {name: getattr(config, name) for name in EnvConfig.model_fields}
+    settings = Eval(episodes=config.train.regret_episodes, seed=SEED)
+    evaluation = EvalConfig(**sections, conditions=TRAINED, eval=settings)
+    references = {name: load_policy(name, "controller") for name in (LEVEL, "okada")}
+    teacher = config.teacher.controller
+    if teacher is not None and is_rule(teacher):
+        source = PolicySource(settings=to_dict(teacher))
+        if source not in references.values():
+            references["teacher"] = source
+    return RegretScene(evaluation, "own", "best policy", best, references)
 
 
 @dataclass(frozen=True)
@@ -212,30 +198,23 @@ def start(
 
     ``keep_more`` writes further files into it, once it is known to be new and locked. ``numbered``:
     if it has a run, or another process trains there, take the first free of ``…_2``, ``…_3``, ….
-
-    Raises:
-        InterruptedRunError: the run was stopped by Ctrl-C; all is saved.
-        RunHeldError: another process is training in it.
-        OutputError: it already holds a run.
-        RequestError: the training cannot begin; nothing of it is left in the directory.
+    Of a training that is refused before its first decision, nothing is left in the directory.
     """
-    with _kept_threads():
-        for place in names(directory, numbered=numbered):
-            make_folder(place)
-            held = contextlib.ExitStack()
+    for place in names(directory, numbered=numbered):
+        make_folder(place)
+        with contextlib.ExitStack() as held:
             try:
                 held.enter_context(_held(place))
             except RunHeldError:
                 if not numbered:
                     raise
                 continue
-            with held:
-                if not holds_run(place):
-                    return _begin(config, place, reports, partial(keep_more, place))
-        raise OutputError(
-            f"{directory} already holds a run; resume it with: "
-            f"{command('train', '--resume', directory)}, or choose another hydra.run.dir"
-        )
+            if not holds_run(place):
+                return _begin(config, place, reports, partial(keep_more, place))
+    raise OutputError(
+        f"{directory} already holds a run; resume it with: "
+        f"{command('train', '--resume', directory)}, or choose another hydra.run.dir"
+    )
 
 
 def start_or_continue(
@@ -250,15 +229,9 @@ def start_or_continue(
 
     A finished run is not changed. If ``stop``, called between episodes, returns True, the run ends
     as after Ctrl-C.
-
-    Raises:
-        InterruptedRunError: the run was stopped; all is saved.
-        RunHeldError: another process is training in it.
-        OutputError: it holds a run with other settings.
-        RequestError: the training cannot begin; nothing of it is left in the directory.
     """
     make_folder(directory)
-    with _held(directory), _kept_threads():
+    with _held(directory):
         if not holds_run(directory):
             return _begin(config, directory, reports, keep_more, stop)
         saved, earlier = run_folder.read(directory)
@@ -285,15 +258,9 @@ def resume(
 
     ``run`` is its directory or its last checkpoint. ``changes`` are merged into its configuration,
     by their keys, such as ``train.decisions``; ``check`` may refuse the result.
-
-    Raises:
-        InterruptedRunError: the run was stopped by Ctrl-C; all is saved.
-        RunHeldError: another process is training it.
-        CheckpointError: ``run`` is not a run, or its checkpoint is damaged.
-        ConfigError: a setting is changed that holds from the start of a run.
     """
     directory = run_folder.find(run)
-    with hold(directory), _kept_threads():
+    with _held(directory):
         saved, before = run_folder.read(directory)
         config = with_overrides(before, dict(changes))
         if saved is not None and (state := saved.document.state) is not None:
@@ -304,23 +271,15 @@ def resume(
 
 @contextlib.contextmanager
 def _held(directory: Path) -> Iterator[None]:
-    """Lock the directory; remove it afterwards if it is empty."""
+    """Lock the directory; afterwards remove it if it is empty, and give torch its threads back."""
+    threads = torch.get_num_threads()
     try:
         with hold(directory):
             yield
     finally:
+        torch.set_num_threads(threads)
         with contextlib.suppress(OSError):  # it holds files
             directory.rmdir()
-
-
-@contextlib.contextmanager
-def _kept_threads() -> Iterator[None]:
-    """Give torch as many threads afterwards as it had before the training."""
-    threads = torch.get_num_threads()
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 def _begin(
@@ -331,9 +290,7 @@ def _begin(
     stop: Callable[[], bool] = lambda: False,
 ) -> Finished:
     run_folder.check_free(directory)
-    run_folder.clear_leftovers(directory)
-    trainer = Trainer(config, directory)
-    make_folder(directory / checkpoint.BEST.parent)
+    trainer = _trainer(config, directory)
     run_folder.keep_plugins(directory)
     keep_more()
     try:
@@ -356,9 +313,7 @@ def _continue(
             f"{directory} lacks {checkpoint.LAST}, from which it would be resumed; its policy can "
             "be evaluated, and a new run can start from it (agent.start_from)"
         )
-    run_folder.clear_leftovers(directory)
-    trainer = Trainer(config, directory)
-    make_folder(directory / checkpoint.BEST.parent)
+    trainer = _trainer(config, directory)
     if saved is None:
         reports.tell(
             f"{directory} was stopped before its first checkpoint; it begins again "
@@ -378,19 +333,45 @@ def _continue(
     return _train(trainer, decision, reports, stop)
 
 
+def _trainer(config: TrainConfig, directory: Path) -> Trainer:
+    """Return a trainer whose directory has no leftovers and the folder of checkpoints."""
+    run_folder.clear_leftovers(directory)
+    trainer = Trainer(config, directory)
+    make_folder(directory / checkpoint.BEST.parent)
+    return trainer
+
+
 def _train(
     trainer: Trainer, resume_at: int | None, reports: Reports, stop: Callable[[], bool]
 ) -> Finished:
-    directory = trainer.directory
-    trainer.listeners += _listeners(trainer, resume_at, reports)
-    run_folder.write_config(directory, trainer.config)  # once the files of a resumed run are read
+    directory, config = trainer.directory, trainer.config
+    total, done = config.train.decisions, trainer.progress.decision
+    columns = list(config.rewards), config.randomise.names
+    makers: list[Callable[[], Listener]] = [
+        lambda: MetricsCsv(directory / METRICS, *columns, resume_at),
+        *openers(config, directory, resume_at),
+        *(partial(make, total, done) for make in reports.listeners),
+    ]
+    with contextlib.ExitStack() as opened:  # the trainer closes them once it runs
+        for make in makers:
+            trainer.listeners.append(make())
+            opened.push(closer(trainer.listeners[-1]))
+        opened.pop_all()
+    run_folder.write_config(directory, config)  # once the files of a resumed run are read
+    stopped_late: list[InterruptedRunError] = []
     try:
         with interrupts("finishing the episode and saving …") as interrupted:
 
             def stopped() -> bool:
                 return interrupted() or stop()
 
-            regret = FinalRegret(trainer.config, directory, stopped, reports.tell)
+            def regret() -> dict[str, Any] | None:
+                try:
+                    return final_regret(config, directory, stopped, reports.tell)
+                except InterruptedRunError as error:  # the summary is still to be written
+                    stopped_late.append(error)
+                    return None
+
             summary = trainer.run(stopped, regret)
     except (FlipperctlError, OSError) as error:
         if directory.is_dir():
@@ -404,24 +385,6 @@ def _train(
             f"interrupted at decision {trainer.progress.decision}; all is saved. "
             f"Resume with: {command('train', '--resume', directory)}"
         )
-    if regret.interrupted:
-        raise InterruptedRunError(
-            "interrupted while the best policy was compared with simple rules; the training is "
-            "finished and saved. "
-            f"Compare with: {command('inspect', 'reward', '--regret', '--checkpoint', directory)}"
-        )
+    if stopped_late:
+        raise stopped_late[0]
     return Finished(directory, summary, trained=True)
-
-
-def _listeners(trainer: Trainer, resume_at: int | None, reports: Reports) -> list[Listener]:
-    """Open the listeners that write the run's files, and then those of the caller."""
-    config, directory = trainer.config, trainer.directory
-    metrics, terms = directory / METRICS, list(config.rewards)
-    total, done = config.train.decisions, trainer.progress.decision
-    return open_all(
-        [
-            lambda: MetricsCsv(metrics, terms, config.randomise.names, resume_at),
-            *openers(config, directory, resume_at),
-            *(lambda make=make: make(total, done) for make in reports.listeners),
-        ]
-    )

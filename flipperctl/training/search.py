@@ -40,7 +40,7 @@ from flipperctl.training.sweep import JobResult, Sweep, SweepRun, sweep_run
 if TYPE_CHECKING:
     from optuna import Study
     from optuna.distributions import BaseDistribution
-    from optuna.trial import FrozenTrial, Trial
+    from optuna.trial import FrozenTrial, Trial, TrialState
 
 _HEARTBEAT, _GRACE = 15, 120
 """Time between two heartbeats, and after the last one until its process counts as dead [s]."""
@@ -66,13 +66,6 @@ def search(
 
     ``sampled`` are the intervals and lists among the ``overrides``, by their keys; ``fixed`` are
     the others, which every job has. ``tell`` is called with lines about the progress.
-
-    Raises:
-        ConfigError: the storage cannot be used, the study searched something else, or there is
-            nothing to search.
-        InterruptedRunError: the search was stopped.
-        RunHeldError: another process works in the sweep's folder.
-        FlipperctlError: a trial was refused, or every trial failed.
     """
     space = distributions(sampled)
     study = _open_study(settings, sorted(overrides))
@@ -144,6 +137,12 @@ def _usable(storage: str | None, *more: type[Exception]) -> Iterator[None]:
         ) from error
 
 
+def _fail() -> TrialState:
+    from optuna.trial import TrialState
+
+    return TrialState.FAIL
+
+
 def _counts(trial: FrozenTrial) -> bool:
     """Return whether a trial was trained to the end, or has a training that failed."""
     return trial.value is not None or _FAILED in trial.user_attrs
@@ -161,11 +160,8 @@ class _Search:
     study: Study
     jobs: Sweep
     space: Mapping[str, BaseDistribution]
-    """What is sampled, by key."""
     fixed: Sequence[str]
-    """Overrides of every job."""
     tell: Callable[[str], None]
-    """Called with a line about the progress of the search."""
 
     def run(self) -> None:
         """Train trial after trial."""
@@ -205,9 +201,7 @@ class _Search:
 
     def _close(self, number: int) -> None:
         """Close a trial that was stopped; it does not count and is sampled again."""
-        from optuna.trial import TrialState
-
-        self.study.tell(number, state=TrialState.FAIL, skip_if_finished=True)
+        self.study.tell(number, state=_fail(), skip_if_finished=True)
 
     def _ask(self, beating: contextlib.ExitStack) -> Trial | None:
         """Return a new trial of this process; None if other searches have begun the last ones.
@@ -256,15 +250,12 @@ class _Search:
 
         Equal settings give equal runs.
         """
-        from optuna.trial import TrialState
-
-        twin = next(filter(_counts, self._twins(trial)), None)
-        if twin is None:
+        if (twin := next(filter(_counts, self._twins(trial)), None)) is None:
             return False
         for name in {_FAILED, _RUN} & twin.user_attrs.keys():
             trial.set_user_attr(name, twin.user_attrs[name])
         failed = twin.value is None
-        self.study.tell(trial, twin.value, state=TrialState.FAIL if failed else None)
+        self.study.tell(trial, twin.value, state=_fail() if failed else None)
         result = "failed" if failed else f"objective {twin.value:.5f}"
         self.tell(f"trial {trial.number} has the values of trial {twin.number}: {result}")
         return True
@@ -298,26 +289,24 @@ class _Search:
         jobs = [[*self.fixed, *(f"{k}={v}" for k, v in t.params.items())] for t in trials]
         numbers = [min([t.number, *(o.number for o in self._twins(t))]) for t in trials]
         results: list[JobResult] = []
-        begin = 0
-        for end in range(1, len(jobs) + 1):
-            if end < len(jobs) and numbers[end] == numbers[end - 1] + 1:
-                continue
+        while len(results) < len(jobs):
+            begin = end = len(results)
+            while end < len(jobs) and numbers[end] == numbers[begin] + end - begin:
+                end += 1
             results += self.jobs.launch(jobs[begin:end], numbers[begin])
             if len(results) < end:  # interrupted
                 break
-            begin = end
         return results
 
     def _record(self, trial: Trial, result: JobResult) -> Exception | None:
         """Record the result of a trial; return the error that stops the search, if any."""
         from optuna.exceptions import UpdateFinishedTrialError
-        from optuna.trial import TrialState
 
         value, error = result.value, result.error
         try:
             if isinstance(error, NonFiniteError | PluginFailedError):
                 trial.set_user_attr(_FAILED, True)  # a result: these settings do not work
-                self.study.tell(trial, state=TrialState.FAIL)
+                self.study.tell(trial, state=_fail())
                 self.tell(f"trial {trial.number} failed: {error}")
             elif error is not None or value is None:
                 self._close(trial.number)
@@ -354,9 +343,8 @@ class _Search:
         }
         for run, trial in trials.items():
             if run.is_relative_to(self.jobs.folder.absolute()) and (run / SUMMARY).is_file():
-                number, _ = job_order(run)
                 values = {name.lstrip("+~"): str(value) for name, value in trial.params.items()}
-                yield sweep_run(number, values, run, None)
+                yield sweep_run(job_order(run)[0], values, run, None)
 
     def conclude(self) -> None:
         """Write ``optimization_results.yaml``, and report the best trial."""
@@ -364,13 +352,9 @@ class _Search:
             raise FlipperctlError("every trial of the search failed; see the messages above")
         best = self.study.best_trial
         run = self._run_of(best)
-        results: dict[str, Any] = {
-            "name": "optuna",
-            "best_params": best.params,
-            "best_value": best.value,
-            "best_run": str(run),
-        }
-        OmegaConf.save(OmegaConf.create(results), self.jobs.folder / "optimization_results.yaml")
+        found = {"best_params": best.params, "best_value": best.value, "best_run": str(run)}
+        document = OmegaConf.create({"name": "optuna", **found})
+        OmegaConf.save(document, self.jobs.folder / "optimization_results.yaml")
         settings = " ".join(f"{key}={value}" for key, value in best.params.items())
         self.tell(
             f"\nBest of {len(self._finished())} trials: {settings}, objective {best.value:.5f}.\n"

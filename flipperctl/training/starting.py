@@ -1,26 +1,31 @@
-"""The weights that a training starts with in place of random ones.
+"""The weights that a training starts with in place of random ones, and the last part of it.
 
 In: a run, a checkpoint or a shipped policy (``agent.start_from``). Out: its networks' weights in
-those of the training, and on request those of its values.
+those of the training, and on request those of its values. ``FinalFit`` begins with them again.
 """
 
 from __future__ import annotations
 
+import time
+from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import torch
 
+from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.frames import input_size
-from flipperctl.agent.learner import Learner
+from flipperctl.agent.learner import Learner, join
 from flipperctl.agent.networks import build_network
 from flipperctl.agent.policy_gradient import PolicyGradient, build_values
-from flipperctl.api import ACTIONS
-from flipperctl.checkpoint import LAST, find, read
+from flipperctl.agent.replay import Replay
+from flipperctl.api import ACTIONS, ObservationLayout
+from flipperctl.checkpoint import LAST, Checkpoint, find, read
 from flipperctl.checkpoint.document import require_equal_layout
 from flipperctl.config import TrainConfig, to_dict
 from flipperctl.config.identity import differences
 from flipperctl.env.privileged import SIZE
-from flipperctl.errors import ConfigError
+from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.policies.source import check_layout, load_policy
 from flipperctl.policies.trained import naming, policy_module, policy_risk
 
@@ -35,11 +40,7 @@ Start = tuple[torch.nn.Module, torch.nn.Module | None]
 
 
 def read_start(config: TrainConfig) -> Start | None:
-    """Return the networks of the policy and of its risk that a training starts with.
-
-    The second is None if the training learns no risk or the policy has none; the result is None if
-    the training starts with random weights.
-    """
+    """Return the networks that a training starts with; None: random ones."""
     name = config.agent.start_from
     if name is None:
         return None
@@ -95,22 +96,19 @@ def _returns(config: TrainConfig) -> dict[str, object]:
 
 
 def start(config: TrainConfig, agent: Learner) -> Start | None:
-    """Give the networks of a new training the weights that it starts with, and return them.
-
-    Returns None if it names none.
-    """
+    """Give the networks of a new training the weights that it starts with, if any; return them."""
     found, values = read_start(config), read_values(config)
     if found is not None:
-        give(found, agent)
+        load_start_weights(found, agent)
     if values is not None:
         assert isinstance(agent, PolicyGradient)  # the only learner whose values can be given
         agent.values.load_state_dict(values)
     return found
 
 
-def give(found: Start, agent: Learner) -> None:
-    """Give the networks of ``agent`` the weights that ``read_start`` found."""
-    module, risk = found
+def load_start_weights(start: Start, agent: Learner) -> None:
+    """Give the networks of ``agent`` the weights that ``read_start`` returned."""
+    module, risk = start
     for network in agent.starting:
         network.load_state_dict(module.state_dict())
     if risk is not None and agent.risk is not None:
@@ -120,8 +118,7 @@ def give(found: Start, agent: Learner) -> None:
 def _same_network(config: TrainConfig, name: str, module: torch.nn.Module) -> torch.nn.Module:
     """Return the training's network with the weights of ``module``, if both are one function.
 
-    Settings that only change how it learns, such as a dropout, may differ, and with them the names
-    of the weights.
+    Settings that only change how it learns, such as a dropout, and names of weights may differ.
     """
     layout, network = config.perception.layout, config.network
     built = build_network(network, layout, len(ACTIONS)).eval()
@@ -144,3 +141,91 @@ def _same_network(config: TrainConfig, name: str, module: torch.nn.Module) -> to
     if not equal:
         raise ConfigError(text)
     return built
+
+
+_PART = "start"
+"""Part of a checkpoint that holds the weights to begin with."""
+_REPORTS = 4
+"""Number of messages about the progress."""
+
+
+class FinalFit:
+    """Learns all labels of a training anew at its end (``teacher.final_updates``).
+
+    A network that learns while the labels come meets the first ones most often, and the last ones,
+    which its own best driving leads to, least.
+    """
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        layout: ObservationLayout,
+        replay: Replay,
+        seeds: tuple[int, np.random.SeedSequence],
+        report: Callable[[str], None],
+    ) -> None:
+        """``seeds``: of the training's first weights, and of the batches."""
+        self._config, self._layout, self._replay = config, layout, replay
+        self._seeds, self._report = seeds, report
+        self._on = bool(config.teacher.final_updates and config.teacher.teaches)
+        self._start: Start | None = None
+
+    def begin(self, found: Start | None) -> None:
+        """Remember the weights that a new training starts with; their file may change later."""
+        self._start = found if self._on else None
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """Return the weights to begin with, for the checkpoint of the run."""
+        return {} if self._start is None else join({_PART: self._start[0].state_dict()})
+
+    def restore(self, saved: Checkpoint) -> None:
+        """Restore the weights to begin with."""
+        if not (self._on and self._config.agent.start_from):
+            return
+        weights = saved.part(_PART)
+        module = build_network(self._config.network, self._layout, len(ACTIONS))
+        try:
+            require_equal_layout(weights, module.state_dict())
+        except ValueError as error:
+            text = f"{saved.path}: its part {_PART} is not valid: {error}"
+            raise CheckpointError(text) from error
+        module.load_state_dict(weights)
+        self._start = module, None
+
+    def run(self, agent: Learner, stop: Callable[[], bool]) -> bool:
+        """Do all updates and give the agent the weights; do nothing if none are configured.
+
+        ``stop`` is called between updates. Return False, without a change, if it returns True; the
+        next call begins anew and finds the same weights for the same labels.
+        """
+        config, count = self._config, self._config.teacher.final_updates
+        if not self._on:
+            return True
+        rows = self._replay.labelled()
+        if not len(rows):
+            self._report("keeps what it has learnt: there are no labels to learn anew")
+            return True
+        self._report(f"learns the {len(rows):,} labels anew in {count:,} updates")
+        without_risk = config.agent.model_copy(update={"risk": False})
+        learner = D3qn(
+            *(config.network, self._layout, without_risk),
+            seed=self._seeds[0],
+            device=config.device,
+            teacher=config.teacher,
+        )
+        if self._start is not None:
+            load_start_weights(self._start, learner)
+        together, size = learner.settings.updates_together, learner.settings.batch_size
+        rng, begun, told = np.random.default_rng(self._seeds[1]), time.monotonic(), 1
+        for done in range(0, count, together):
+            if stop():
+                return False
+            if done * _REPORTS >= told * count:
+                left = (time.monotonic() - begun) * (count - done) / done
+                self._report(f"{done:,} of {count:,} updates, {left:.0f} s left")
+                told += 1
+            batch = self._replay.sample(min(together, count - done) * size, rng, rows)
+            learner.update(batch, done / count)
+        agent.online.load_state_dict(learner.online.state_dict())
+        agent.target.load_state_dict(learner.target.state_dict())
+        return True

@@ -13,7 +13,6 @@ import json
 import re
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -39,7 +38,7 @@ def folder_name(number: int, swept: Mapping[str, str]) -> str:
 
 
 def _short(value: str) -> str:
-    """Return a number with five digits, since a search samples sixteen; keep other values."""
+    """Return a number with five digits, since a search samples sixteen."""
     try:
         return value if len(value) <= 8 else f"{float(value):.5g}"
     except ValueError:
@@ -49,7 +48,7 @@ def _short(value: str) -> str:
 _MARK = ".sweep.stop"
 
 
-@contextmanager
+@contextlib.contextmanager
 def stopping(folder: Path) -> Iterator[Callable[[], bool]]:
     """Yield a function that returns whether the sweep in the locked ``folder`` must stop."""
     mark = folder / _MARK
@@ -62,10 +61,9 @@ def stopping(folder: Path) -> Iterator[Callable[[], bool]]:
 
 
 def stop_of(folder: Path, sweeper: dict[str, Any]) -> Callable[[], bool]:
-    """Return a function, to call between episodes, that returns whether the job must stop.
+    """Return a function that returns whether the job must stop: with its sweep, or ``sweeper``.
 
-    It must if the sweep was stopped, or if ``sweeper``, the process that waits for the job
-    (``lock.holder``), has died.
+    ``sweeper``: the process that waits for the job (``results.holder``), which may have died.
     """
     mark = folder / _MARK
     return lambda: mark.exists() or is_dead(sweeper)
@@ -116,25 +114,13 @@ def sweep_run(
     number: int, swept: dict[str, str], folder: Path, error: BaseException | None
 ) -> SweepRun:
     """Return a run, read from its folder; ``error`` is the one that ended its job, if any."""
-    failure = FlipperctlError(repr(error))
-    ended = error if error is None or isinstance(error, Exception) else failure
-    return SweepRun(number, swept, folder, ended, _summary(folder))
-
-
-def unreturned_run(
-    number: int, swept: dict[str, str], folder: Path, error: BaseException
-) -> SweepRun:
-    """Return a run, read from its folder, whose launcher failed with ``error``."""
-    found = sweep_run(number, swept, folder, error)
-    return replace(found, error=None) if found.summary.get("finished") else found
-
-
-def _summary(folder: Path) -> dict[str, Any]:
+    if error is not None and not isinstance(error, Exception):
+        error = FlipperctlError(repr(error))
     try:
-        found = json.loads((folder / SUMMARY).read_text())
+        summary = json.loads((folder / SUMMARY).read_text())
     except (OSError, ValueError):  # the run failed before it wrote one, or is on another machine
-        return {}
-    return found if isinstance(found, dict) else {}
+        summary = {}
+    return SweepRun(number, swept, folder, error, summary if isinstance(summary, dict) else {})
 
 
 def write_comparison(folder: Path, runs: Sequence[SweepRun]) -> list[SweepRun]:
@@ -160,24 +146,19 @@ def _earlier_rows(folder: Path, runs: Sequence[SweepRun]) -> list[dict[str, Any]
     The folder may have been moved since, so that rows are known by the places of their runs in it.
     A damaged file has no rows.
     """
-    replaced = [_place(run.folder, folder) for run in runs]
+    here, folders = folder.absolute(), [run.folder.absolute() for run in runs]
+    replaced = [(p.relative_to(here) if p.is_relative_to(here) else p).parts for p in folders]
     try:
         with (folder / FILE).open(encoding="utf-8", newline="") as file:
             rows = list(csv.DictReader(file))
     except (OSError, UnicodeDecodeError, csv.Error):
         return []
-    places = [Path(row.get("folder") or "").parts for row in rows]
-    return [
-        row
-        for row, parts in zip(rows, places, strict=True)
-        if not any(parts[-len(place) :] == place for place in replaced)
-    ]
-
-
-def _place(run: Path, folder: Path) -> tuple[str, ...]:
-    """Return the parts of a run's path below the folder of its sweep; all parts elsewhere."""
-    run, folder = run.absolute(), folder.absolute()
-    return (run.relative_to(folder) if run.is_relative_to(folder) else run).parts
+    kept = []
+    for row in rows:
+        parts = Path(row.get("folder") or "").parts
+        if not any(parts[-len(place) :] == place for place in replaced):
+            kept.append(row)
+    return kept
 
 
 Job = Sequence[str]
@@ -225,8 +206,7 @@ class Sweep:
         before each of several. ``numbered``: whether another folder beside ``folder`` is taken if
         another process works in it.
         """
-        self._numbered = numbered
-        self.folder = folder
+        self.folder, self._numbered = folder, numbered
         self._launcher, self._show, self._named, self._serial = launch, show, named, serial
         self._tell = tell
         self.stop: Callable[[], bool] = lambda: False
@@ -310,10 +290,10 @@ class Sweep:
         self, jobs: Sequence[Job], names: Sequence[str], first: int, error: BaseException
     ) -> None:
         """Record the runs of jobs that did not return, if the names of their folders are known."""
-        self.runs += [
-            unreturned_run(first + i, self._values(job), self.folder.absolute() / name, error)
-            for i, (job, name) in enumerate(zip(jobs, names, strict=False))
-        ]
+        for i, (job, name) in enumerate(zip(jobs, names, strict=False)):
+            folder = self.folder.absolute() / name
+            run = sweep_run(first + i, self._values(job), folder, error)
+            self.runs.append(replace(run, error=None) if run.summary.get("finished") else run)
 
     def _names(self, jobs: Sequence[Job], first: int) -> list[str]:
         """Return the folder name of each job; none if the launcher names them."""

@@ -1,17 +1,16 @@
 """The training loop: act → step → store → learn, with validations and checkpoints.
 
 In: a validated configuration and the directory of a new or resumed run. Out: checkpoints and
-summary.json. The command line writes config.yaml; listeners write metrics.csv and events. The first
-checkpoint is written before the first decision, so that a killed run can always be resumed. When
-the budget is spent, the rest of the running episodes is not learnt from.
+summary.json. The first checkpoint is written before the first decision, so that a killed run can
+always be resumed. When the budget is spent, the rest of the running episodes is not learnt from.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -19,10 +18,11 @@ import torch
 from flipperctl import checkpoint
 from flipperctl.agent.contract import check_demand
 from flipperctl.agent.d3qn import D3qn
+from flipperctl.agent.learner import join
 from flipperctl.agent.policy_gradient import PolicyGradient
 from flipperctl.api import ACTIONS, Listener, Outcome
 from flipperctl.checkpoint import Checkpoint
-from flipperctl.checkpoint.document import Generators, RequestState, State, Validation
+from flipperctl.checkpoint.document import Generators, RequestState, State
 from flipperctl.config import TrainConfig
 from flipperctl.config.defaults import notes_on_budget
 from flipperctl.config.identity import all_files_read, content_digest
@@ -33,60 +33,37 @@ from flipperctl.env.privileged import SIZE
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.files import write_json
 from flipperctl.rollout.collect import Collector
-from flipperctl.rollout.episode import Row
-from flipperctl.rollout.steps import RolloutRequest
-from flipperctl.training.episodes import EpisodeSource
-from flipperctl.training.listeners import Stopwatch
-from flipperctl.training.recorded import add_recorded
-from flipperctl.training.recorder import TrainingRecorder
-from flipperctl.training.relearning import Relearning
-from flipperctl.training.saving import (
+from flipperctl.rollout.episode import RolloutRequest, Row
+from flipperctl.training.episodes import (
+    EpisodeSource,
     Progress,
-    ValuedStates,
+    TrainingRecorder,
+    ValueTargets,
     arrays,
     new_replay,
     run_arrays,
     store,
 )
-from flipperctl.training.starting import start
+from flipperctl.training.listeners import Stopwatch
+from flipperctl.training.recorded import add_recorded
+from flipperctl.training.starting import FinalFit, start
 from flipperctl.training.validation import Validator
 
 _COUNTERS = ("decision", "episode", "started", "lost", "updates", "loss", "difficulty")
 """Numbers of ``Progress`` that a checkpoint holds."""
 
 
-class Closable(Protocol):
-    """Holds a resource."""
-
-    def close(self) -> None:
-        """Release the resource."""
-
-
-ClosableT = TypeVar("ClosableT", bound=Closable)
-
-
-def closer(one: Closable) -> Callable[..., None]:
+def closer(opened: Listener | Collector) -> Callable[..., None]:
     """Return an ``ExitStack`` callback that closes; of several errors, the first is raised."""
 
     def close(kind: object, error: BaseException | None, trace: object) -> None:
         try:
-            one.close()
+            opened.close()
         except BaseException:
             if error is None:
                 raise
 
     return close
-
-
-def open_all(makers: Iterable[Callable[[], ClosableT]]) -> list[ClosableT]:
-    """Return the objects of the makers; if a maker fails, close those made before."""
-    opened: list[ClosableT] = []
-    with ExitStack() as stack:
-        for make in makers:
-            opened.append(make())
-            stack.push(closer(opened[-1]))
-        stack.pop_all()
-    return opened
 
 
 class Trainer:
@@ -116,21 +93,14 @@ class Trainer:
             privileged=privileged,
         )
         self.replay = new_replay(config, layout, privileged)
-        seeds = seed, again
-        self._relearning = Relearning(config, layout, self.replay, seeds, self._report)
-        self.valued = ValuedStates(config.teacher)
-        generators = {
-            "explore": np.random.default_rng(explore),
-            "sample": np.random.default_rng(sample),
-            "noise": self.agent.noise_rng,
-        }
+        self.valued = ValueTargets(config.teacher)
+        self._final_fit = FinalFit(config, layout, self.replay, (seed, again), self._report)
+        exploring, self._sample_rng = np.random.default_rng(explore), np.random.default_rng(sample)
+        self._generators = {"explore": exploring, "sample": self._sample_rng}
+        self._generators["noise"] = self.agent.noise_rng
         self.progress = Progress(ground.first_difficulty(config.terrain))
-        self._sample_rng = generators["sample"]
-        self.episodes = EpisodeSource(
-            config, self.agent, self.progress, generators["explore"], self._report
-        )
+        self.episodes = EpisodeSource(config, self.agent, self.progress, exploring, self._report)
         self.validator = Validator(config, self.agent, env)
-        self._generators = generators
         self._files = all_files_read(checkpoint.plugged(config))
         self._digests = tuple(map(content_digest, self._files))
         self._stopwatch = Stopwatch(directory)
@@ -156,7 +126,7 @@ class Trainer:
             self._stopwatch.start()
             if not self._restored:  # else the checkpoint has what follows
                 self._recorder.restore(0)
-                self._relearning.begin(start(self.config, self.agent))
+                self._final_fit.begin(start(self.config, self.agent))
                 add_recorded(self.replay, self.config, self._report)
             self._save_all(self._outstanding)
             collector = self.episodes.start_collector(self._outstanding, stop, self.replay.kept)
@@ -182,7 +152,7 @@ class Trainer:
         while True:
             over = progress.decision >= settings.decisions
             if self._validation_due():
-                if over and not self._relearning.run(self.agent, stop):
+                if over and not self._final_fit.run(self.agent, stop):
                     return False
                 if not self._validate(collector):
                     return False
@@ -200,10 +170,10 @@ class Trainer:
     def _validation_due(self) -> bool:
         """Return whether a validation is due since the last one, or at the end of the budget."""
         decision, settings, last = self.progress.decision, self.config.train, self.validator.last
-        validated_at = 0 if last is None else last.decision
         if decision >= settings.decisions:
-            return last is None or validated_at != decision
-        return decision // settings.validate_every > validated_at // settings.validate_every
+            return last is None or last.decision != decision
+        before = 0 if last is None else last.decision
+        return decision // settings.validate_every > before // settings.validate_every
 
     def _train_episode(self, collector: Collector) -> None:
         """Collect, store and learn until the episode or the budget ends.
@@ -309,37 +279,16 @@ class Trainer:
         self._stopwatch.write()
 
     def _write_last(self, outstanding: Sequence[RolloutRequest]) -> None:
-        tensors = self.agent.tensors() | self._relearning.tensors()
         parts = {"replay": self.replay.filled(), "groups": self.valued.memory.filled()}
         parts |= {f"weights{request.version}": dict(request.weights) for request in outstanding}
-        for part, arrays_of_part in parts.items():
-            for name, array in arrays_of_part.items():
-                tensors[f"{part}.{name}"] = torch.from_numpy(array)
-        document = checkpoint.describe(self.config, "last", state=self._state(outstanding))
-        checkpoint.write(self.directory / checkpoint.LAST, document, tensors)
-
-    def _write_best(self, best: Validation) -> None:
-        """Write ``best.safetensors``: the policy that was just validated."""
-        document = checkpoint.describe(
-            self.config, "best", decision=best.decision, validation=best.model_dump()
-        )
-        networks = {"policy": self.agent.policy}
-        if self.agent.risk is not None:
-            networks["risk"] = self.agent.risk.network
-        tensors = {
-            f"{part}.{name}": tensor
-            for part, network in networks.items()
-            for name, tensor in network.state_dict().items()
-        }
-        checkpoint.write(self.directory / checkpoint.BEST, document, tensors)
-
-    def _state(self, outstanding: Sequence[RolloutRequest]) -> State:
+        held = {p: {n: torch.from_numpy(a) for n, a in kept.items()} for p, kept in parts.items()}
+        tensors = self.agent.tensors() | self._final_fit.tensors() | join(held)
         generators = {n: g.bit_generator.state for n, g in self._generators.items()}
         requests = [
             RequestState(**{name: getattr(request, name) for name in RequestState.model_fields})
             for request in outstanding
         ]
-        return State(
+        state = State(
             **{name: getattr(self.progress, name) for name in _COUNTERS},
             recent=tuple(self.progress.recent),
             validations=tuple(self.validator.history),
@@ -351,6 +300,8 @@ class Trainer:
             files=self._digests,
             generators=Generators.model_validate(generators),
         )
+        document = checkpoint.describe(self.config, "last", state=state)
+        checkpoint.write(self.directory / checkpoint.LAST, document, tensors)
 
     def _save_all(self, outstanding: Sequence[RolloutRequest]) -> None:
         """Write ``last.safetensors``, then ``best.safetensors`` if the policy is the best so far.
@@ -360,16 +311,18 @@ class Trainer:
         """
         self.save(outstanding)
         best = self.validator.best
-        if best is not None and best.decision == self.progress.decision:
-            self._write_best(best)
+        if best is None or best.decision != self.progress.decision:
+            return
+        document = checkpoint.describe(
+            self.config, "best", decision=best.decision, validation=best.model_dump()
+        )
+        networks = {"policy": self.agent.policy.state_dict()}
+        if self.agent.risk is not None:
+            networks["risk"] = self.agent.risk.network.state_dict()
+        checkpoint.write(self.directory / checkpoint.BEST, document, join(networks))
 
     def restore(self, saved: Checkpoint) -> None:
-        """Restore the run from a checkpoint that ``save`` wrote.
-
-        Raises:
-            CheckpointError: it is no checkpoint of a run, its tensors are not those of this run, or
-                a file that a plugin reads has changed.
-        """
+        """Restore the run from a checkpoint that ``save`` wrote."""
         state = saved.document.state
         if state is None:
             raise CheckpointError(f"{saved.path} holds a policy alone, not a run")
@@ -388,7 +341,7 @@ class Trainer:
             self.valued.memory.restore(arrays(saved, "groups"), state.groups_added, size)
         except ValueError as error:
             raise CheckpointError(f"{saved.path}: its part groups is not valid: {error}") from error
-        self._relearning.restore(saved)
+        self._final_fit.restore(saved)
         for name, generator in state.generators.model_dump().items():
             self._generators[name].bit_generator.state = generator
         for name in _COUNTERS:
@@ -406,6 +359,7 @@ class Trainer:
     def summary(self, finished: bool) -> dict[str, Any]:
         """Return the results of the run, as JSON types."""
         config, progress = self.config, self.progress
+        validations = {"best": self.validator.best, "last": self.validator.last}
         return {
             "finished": finished,
             "terrain": config.terrain.plugin_name,
@@ -416,10 +370,5 @@ class Trainer:
             "lost_episodes": progress.lost,
             "seconds": round(self._stopwatch.seconds, 1),
             "success_rate": progress.success_rate,
-            "best": _as_dict(self.validator.best),
-            "last": _as_dict(self.validator.last),
+            **{name: found and found.model_dump() for name, found in validations.items()},
         }
-
-
-def _as_dict(validation: Validation | None) -> dict[str, Any] | None:
-    return None if validation is None else validation.model_dump()

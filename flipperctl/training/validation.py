@@ -21,7 +21,7 @@ from flipperctl.core.risk import RiskCalibration, RiskSign
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.metrics import DRAWN
 from flipperctl.evaluation.rows import reached
-from flipperctl.evaluation.views.risk import Ended, predicted_and_actual, summarise, threshold_for
+from flipperctl.evaluation.views.risk import predicted_and_actual, summarise, threshold_for
 from flipperctl.reward_sum import paying_terms
 from flipperctl.rollout.actor import GreedyPlayer
 from flipperctl.rollout.collect import Collector
@@ -60,7 +60,13 @@ def calibrated(
     threshold = threshold_for(probabilities, settings.risk_false_alarms, _LEAST)
     calibration = RiskCalibration(RiskSign(settings.risk_horizon, threshold), slope, shift)
     final = [(EpisodeRisks(calibration.sign, risks.told), fails) for risks, fails in probabilities]
-    return calibration, calibration.to_metrics() | _metrics(final)
+    summary = summarise(final)
+    assert summary is not None  # there are episodes
+    counts = ("reached", "failures", "announced", "false_alarms")
+    metrics = {f"risk_{name}": float(summary[name]) for name in counts}
+    metrics["risk_false_warnings"] = summary["false_warnings"] or 0.0
+    metrics["risk_brier"] = summary["brier"]
+    return calibration, calibration.to_metrics() | metrics
 
 
 def fit(log_odds: FloatArray, came: FloatArray, horizon: int) -> tuple[float, float]:
@@ -97,18 +103,6 @@ def fit(log_odds: FloatArray, came: FloatArray, horizon: int) -> tuple[float, fl
         if np.abs(step).max() < 1e-9:
             break
     return math.exp(found[0]), float(found[1])
-
-
-def _metrics(episodes: Sequence[Ended]) -> dict[str, float]:
-    """Return the numbers of a summary that a validation keeps."""
-    found = summarise(episodes)
-    assert found is not None  # there are episodes
-    counts = ("reached", "failures", "announced", "false_alarms")
-    return {
-        **{f"risk_{name}": float(found[name]) for name in counts},
-        "risk_false_warnings": found["false_warnings"] or 0.0,
-        "risk_brier": found["brier"],
-    }
 
 
 def _log_odds(probabilities: FloatArray) -> FloatArray:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from flipperctl.agent.descent import Adam
 from flipperctl.agent.frames import input_size, stacked
 from flipperctl.agent.losses import (
+    Adam,
     double_q_target,
     double_quantile_target,
     huber,
@@ -26,12 +26,8 @@ from flipperctl.config.agent import linear
 def test_the_online_network_chooses_and_the_target_network_values() -> None:
     online = torch.tensor([[1.0, 3.0, 2.0], [0.0, -1.0, -2.0], [5.0, 6.0, 7.0]])
     target = torch.tensor([[10.0, 20.0, 30.0], [4.0, 9.0, 9.0], [1.0, 2.0, 3.0]])
-    value = double_q_target(
-        reward=torch.tensor([1.0, -2.0, 0.5]),
-        discount=torch.tensor([0.5, 0.25, 0.0]),
-        next_online=online,
-        next_target=target,
-    )
+    reward, discount = torch.tensor([1.0, -2.0, 0.5]), torch.tensor([0.5, 0.25, 0.0])
+    value = double_q_target(reward, discount, online, target)
     # 1 + 0.5 · 20, -2 + 0.25 · 4 (not the larger 9), and the reward alone where the episode ended
     assert value.tolist() == [11.0, -1.0, 0.5]
 
@@ -44,12 +40,9 @@ def test_the_loss_is_quadratic_near_zero_and_linear_far_out() -> None:
 
 def test_the_distribution_of_the_online_network_s_choice_is_scaled_and_shifted() -> None:
     target = torch.tensor([[[0.0, 2.0], [4.0, 8.0]], [[1.0, 1.0], [9.0, 9.0]]])
-    found = double_quantile_target(
-        reward=torch.tensor([1.0, -2.0]),
-        discount=torch.tensor([0.5, 0.0]),
-        next_online=torch.tensor([[1.0, 3.0], [0.0, -1.0]]),
-        next_target=target,
-    )
+    reward, discount = torch.tensor([1.0, -2.0]), torch.tensor([0.5, 0.0])
+    online = torch.tensor([[1.0, 3.0], [0.0, -1.0]])
+    found = double_quantile_target(reward, discount, online, target)
     # 1 + 0.5 · (4, 8); the episode ended in the other
     assert found.tolist() == [[3.0, 5.0], [-2.0, -2.0]]
 

@@ -14,7 +14,6 @@ from flipperctl.agent.risk import (
     RiskLearner,
     RiskNetwork,
     risk_loss,
-    split_weights,
 )
 from flipperctl.core.risk import LAGS, RiskCalibration, RiskSign
 from tests.agent.learners import LAYOUT, fixed_batch, learner
@@ -97,16 +96,6 @@ def test_the_policy_learns_bit_for_bit_the_same_with_a_risk() -> None:
     assert all(torch.equal(ours[name], tensor) for name, tensor in theirs.items())
     assert not any(name.startswith("risk") for name in theirs)
     assert risky.policy_arrays().keys() > plain.policy_arrays().keys()
-
-
-def test_a_worker_finds_the_weights_of_both_networks() -> None:
-    made = learner(risk=True)
-    assert made.risk is not None
-    risk, policy = split_weights(made.policy_arrays())
-    assert policy.keys() == made.policy.state_dict().keys()
-    RiskNetwork(LAYOUT.size).load_state_dict(risk)
-    for name, tensor in made.risk.network.state_dict().items():
-        assert torch.equal(risk[name], tensor)
 
 
 def test_a_calibration_scales_log_odds_and_coefficients() -> None:

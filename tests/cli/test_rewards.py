@@ -10,7 +10,7 @@ import pytest
 
 from flipperctl.errors import FlipperctlError
 from flipperctl.training import run as final_regret
-from flipperctl.training.run import SEED, FinalRegret
+from flipperctl.training.run import SEED, regret_scene
 from tests.cli.call import EXACT, call
 from tests.short import short_config
 
@@ -134,7 +134,7 @@ def test_a_teacher_that_is_a_rule_is_compared(
     teacher: dict[str, Any], names: list[str], tmp_path: Path
 ) -> None:
     config = short_config(**{"teacher.controller": teacher})
-    found = FinalRegret(config, tmp_path, lambda: False, print)._scene().references
+    found = regret_scene(config, tmp_path).references
     assert list(found) == names
 
 

@@ -11,7 +11,7 @@ from flipperctl.config import TrainConfig, parse, strict_yaml, with_overrides
 from flipperctl.config.resolver import named_robot
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.plan import find_suite
-from tests.long.yaml_texts import document, expected
+from tests.config.yaml_texts import document, expected
 
 
 @pytest.mark.parametrize(

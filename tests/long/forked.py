@@ -96,14 +96,6 @@ class Command:
             time.sleep(0.002)
         return True
 
-    def kill(self) -> bool:
-        """Kill the main process alone, as the system does; return False if it had ended before."""
-        if self.ended():
-            return False
-        os.kill(self.pid, signal.SIGKILL)
-        self.wait()
-        return self.code == -signal.SIGKILL
-
     def send(self, number: int, *, everyone: bool = False) -> None:
         """Send a signal to the main process, or to its workers too, unless it has ended."""
         if not self.ended():
@@ -234,9 +226,8 @@ class Tally:
 
     def add(self, other: "Tally") -> None:
         """Add the numbers of another tally."""
-        for name in ("count", "tracebacks", "hangs", "changes", "wrong_codes"):
-            setattr(self, name, getattr(self, name) + getattr(other, name))
-        self.codes.update(other.codes)
+        for name, value in vars(other).items():
+            setattr(self, name, getattr(self, name) + value)
 
     @property
     def violations(self) -> int:
@@ -244,28 +235,10 @@ class Tally:
         return self.tracebacks + self.hangs + self.changes + self.wrong_codes
 
 
-def progress(tallies: dict[str, Tally], count: int) -> None:
-    """Print the number of cases to stderr at every tenth case."""
-    done = sum(tally.count for tally in tallies.values())
-    if done % 10 == 0:
-        found = sum(tally.violations for tally in tallies.values())
-        print(f"{done} of {count}, {found} violations", file=sys.stderr, flush=True)
-
-
 def report(tallies: dict[str, Tally], seconds: float) -> int:
-    """Print the table; return the exit code."""
-    heading = ("kind", "count", "tracebacks", "hangs", "silent changes", "wrong codes", "codes")
-    rows = [
-        (
-            kind,
-            *(str(n) for n in (t.count, t.tracebacks, t.hangs, t.changes, t.wrong_codes)),
-            " ".join(f"{code}:{n}" for code, n in sorted(t.codes.items(), key=str)),
-        )
-        for kind, t in sorted(tallies.items())
-    ]
-    widths = [max(len(row[i]) for row in [heading, *rows]) for i in range(len(heading))]
-    for row in [heading, *rows]:
-        print("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)))
+    """Print a line for each kind; return the exit code."""
+    for kind, tally in sorted(tallies.items()):
+        print(f"{kind}: {tally}")
     found = sum(tally.violations for tally in tallies.values())
     print(f"{sum(t.count for t in tallies.values())} cases in {seconds:.0f} s, {found} violations")
     return 1 if found else 0

@@ -1,15 +1,21 @@
-"""SIGKILL at random times: each killed run is resumed and must equal a run that was not killed.
+"""Trainings and sweeps stopped at random times, and pairs that race for one run.
 
-``python -m tests.long.kills --count 200 --early 50 --seed 1`` kills real trainings, ``--early`` of
-them before their first checkpoint, and prints a table; it fails on any violation.
+``python -m tests.long.kills --count 200 --early 50 --sweeps 40 --races 100 --seed 1`` kills 200
+trainings, 50 of them before their first checkpoint, and resumes them; stops 40 sweeps by a signal
+and types them again until they end; and starts 100 pairs of trainings in one run directory, of
+which one must win and the other be refused. Each run must equal one that was left alone, bit for
+bit. It prints a table and fails on any violation.
 """
 
 import argparse
+import csv
 import random
 import shutil
+import signal
 import sys
 import time
 from collections import defaultdict
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -21,23 +27,42 @@ from tests.long.forked import (
     Tally,
     differences,
     preload,
-    progress,
     report,
     result,
     start,
 )
 
 LAST = Path("checkpoints/last.safetensors")
-_AGAIN = 0.3
+RESUME = ["train", "--resume", "run"]
+AGAIN = 0.3
 """Fraction of the resumed runs that are killed again, at most twice."""
+WORKERS = 0.2
+"""Fraction of the cases with worker processes."""
+MODES = {mode: ["train", *QUICK, f"train.mode={mode}", "hydra.run.dir=run"]
+         for mode in ("exact", "fast")}  # fmt: skip
+_SHORT = ["train.decisions=150", "train.validate_every=75", "train.checkpoint_every=40"]
+SWEEP = ["train", "-m", *{o.partition("=")[0]: o for o in [*QUICK, *_SHORT]}.values()]
+SWEEP += ["train.mode=exact", "seed=1,2,3", "hydra.sweep.dir=run"]
+LAUNCHERS = {"basic": SWEEP}
+LAUNCHERS["joblib"] = [*SWEEP, "hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
+STOPS = {
+    "SIGINT": (signal.SIGINT, False),
+    "SIGINT to all": (signal.SIGINT, True),  # as Ctrl-C in a terminal
+    "SIGTERM": (signal.SIGTERM, False),
+    "SIGKILL": (signal.SIGKILL, False),
+}
+"""The signal, and whether the worker processes get it too."""
+PAIRS = ("fresh + fresh", "resume + resume", "fresh + resume")
+REFUSALS = ("is being trained by", "already holds a run", "no such run", "holds neither")
 
 
 @dataclass(frozen=True)
 class Reference:
-    """A run that was not killed."""
+    """Runs that were left alone: a training, or the jobs of a sweep."""
 
     arguments: list[str]
-    found: dict[str, Any]
+    found: dict[str, dict[str, Any]]
+    """Result of each run, by the name of its folder in the case's."""
     begun: float
     """Time from the start until config.yaml existed [s]."""
     first: float
@@ -45,129 +70,221 @@ class Reference:
     whole: float
     """Time from the start until the end [s]."""
 
-
-def reference(mode: str, folder: Path) -> Reference:
-    """Train to the end and return the run with its times."""
-    arguments = ["train", *QUICK, f"train.mode={mode}", "hydra.run.dir=run"]
-    folder.mkdir()
-    command = start(arguments, folder, folder / "log")
-    begun = first = 0.0
-    while not command.ended():
-        if not begun and (folder / "run" / "config.yaml").exists():
-            begun = command.age
-        if not first and (folder / "run" / LAST).exists():
-            first = command.age
-        time.sleep(0.001)
-    whole = command.age
-    if command.code != 0:
-        raise SystemExit(f"the reference failed: {command.text}")
-    return Reference(arguments, result(folder / "run"), begun, first, whole)
+    @classmethod
+    def of(cls, arguments: list[str], folder: Path) -> "Reference":
+        """Train to the end; return the runs with the times."""
+        folder.mkdir()
+        command = start(arguments, folder, folder / "log")
+        times = dict.fromkeys((Path("config.yaml"), LAST), 0.0)
+        while not command.ended():
+            for file, known in times.items():
+                if not known and (folder / "run" / file).exists():
+                    times[file] = command.age
+            time.sleep(0.001)
+        if command.code != 0:
+            raise SystemExit(f"the reference failed: {command.text}")
+        runs = [path.parent for path in sorted(folder.rglob("metrics.csv"))]
+        found = {str(run.relative_to(folder)): result(run) for run in runs}
+        return cls(arguments, found, *times.values(), command.age)
 
 
 class Case:
-    """A run that is killed once or more often and then resumed to its end."""
+    """A folder in which commands run, and the count of what they do wrong."""
 
     def __init__(self, model: Reference, folder: Path, rng: random.Random) -> None:
         self.model, self.folder, self.rng = model, folder, rng
         self.tally = Tally(count=1)
         folder.mkdir()
 
-    def kill(self, earliest: float, latest: float) -> str | None:
-        """Kill the run at a random time [s]; return its state then, or None if it had ended."""
-        command = self._start(self.model.arguments)
-        if not self._killed(command, self.rng.uniform(earliest, latest)):
-            return None
-        run = self.folder / "run"
-        if (run / LAST).exists():
-            return "after the first checkpoint"
-        return "before the first checkpoint" if self._begun() else "before config.yaml"
+    def start(self, arguments: list[str], log: str = "log") -> Command:
+        return start(arguments, self.folder, self.folder / log)
 
-    def finish(self) -> Tally:
-        """Resume the run, perhaps kill it again, and compare it with the reference."""
-        resume = ["train", "--resume", "run"]
-        for _ in range(2):
-            if self._begun() and self.rng.random() < _AGAIN:
-                self._killed(self._start(resume), self.rng.uniform(0.0, self.model.whole))
-        if not self._begun():  # there is no run yet: resuming fails, and it is started again
-            self._end(self._start(resume), 2)
-            self._end(self._start(self.model.arguments), 0)
-        else:
-            self._end(self._start(resume), 0)
-        wrong = differences(self.folder / "run", self.model.found)
-        self.tally.changes += bool(wrong)
-        if self.tally.violations:
-            print(f"{self.folder}: {wrong}; {(self.folder / 'log').read_text()}", file=sys.stderr)
-        else:
-            shutil.rmtree(self.folder)
-        return self.tally
-
-    def _begun(self) -> bool:
-        return any((self.folder / "run" / name).exists() for name in ("config.yaml", LAST))
-
-    def _start(self, arguments: list[str]) -> Command:
-        return start(arguments, self.folder, self.folder / "log")
-
-    def _killed(self, command: Command, at: float) -> bool:
+    def stop(self, command: Command, at: float, number: int, *, everyone: bool = False) -> bool:
+        """Send a signal at a time [s]; wait for all processes; return whether it came in time."""
         while command.age < at and not command.ended():
             time.sleep(0.001)
-        killed = command.kill()
-        self.tally.hangs += not command.workers_ended()
-        return killed
+        in_time = not command.ended()
+        command.send(number, everyone=everyone)
+        self.tally.hangs += not command.wait()
+        if number == signal.SIGKILL:
+            self.tally.hangs += not command.workers_ended()
+        else:  # a forked command leaves without joblib's own end of its processes
+            command.kill_group()
+        return in_time and command.code != 0
 
-    def _end(self, command: Command, expected: int) -> None:
+    def end(self, arguments: list[str], expected: int) -> None:
+        """Run a command to its end."""
+        command = self.start(arguments)
         self.tally.hangs += not command.wait()
         self.tally.check(command, expected)
         self.tally.hangs += not command.workers_ended()
 
+    def compare(self, text: str, *faults: str) -> Tally:
+        """Compare the runs with the reference; keep the folder if something is wrong."""
+        wrong = [*faults]
+        for run, found in self.model.found.items():
+            wrong += [f"{run}: {part}" for part in differences(self.folder / run, found)]
+        self.tally.changes += bool(wrong)
+        if self.tally.violations:
+            logs = "".join(log.read_text() for log in sorted(self.folder.glob("log*")))
+            print(f"{self.folder}, {text}: {wrong}; {logs}", file=sys.stderr)
+        else:
+            shutil.rmtree(self.folder)
+        return self.tally
 
-def run(count: int, early: int, seed: int, folder: Path, fast: float) -> int:
-    """Kill ``count`` runs, ``early`` of them before their first checkpoint; return the exit code.
+    def begun(self) -> bool:
+        """Return whether there is a run, which can be resumed."""
+        return any((self.folder / "run" / name).exists() for name in ("config.yaml", LAST))
 
-    ``fast``: fraction of trainings with worker processes.
-    """
-    begun = time.monotonic()
-    rng = random.Random(seed)
-    preload()
-    names = ["exact"] * (fast < 1) + ["fast"] * (fast > 0)
-    modes = {mode: reference(mode, folder / mode) for mode in names}
-    tallies: dict[str, Tally] = defaultdict(Tally)
-    left = {"early": early, "later": count - early}
-    pace = 1.0  # time that a case takes for each second of the reference
-    for index in range(20 * count):
-        if not any(left.values()):
+
+def resumed(case: Case) -> Tally:
+    """Resume a killed run, perhaps kill it again, and compare it."""
+    for _ in range(2):
+        if case.begun() and case.rng.random() < AGAIN:
+            at = case.rng.uniform(0.0, case.model.whole)
+            case.stop(case.start(RESUME), at, signal.SIGKILL)
+    if not case.begun():  # resuming fails, and it is started again
+        case.end(RESUME, 2)
+        case.end(case.model.arguments, 0)
+    else:
+        case.end(RESUME, 0)
+    return case.compare("killed")
+
+
+def sweep(case: Case, stop: str) -> Tally:
+    """Stop a sweep up to three times, type it again until it ends, and compare its runs."""
+    number, everyone = STOPS[stop]
+    # Before the command has its own handler, SIGTERM ends it as it ends any process.
+    expected = (-number, 0) if number == signal.SIGKILL else (130, -signal.SIGTERM, 0)
+    for _ in range(case.rng.randint(1, 3)):
+        command = case.start(case.model.arguments)
+        case.stop(command, case.rng.uniform(0.0, case.model.whole), number, everyone=everyone)
+        case.tally.check(command, *expected)
+        if command.code == 0:
             break
-        mode = "fast" if rng.random() < fast else "exact"
-        model = modes[mode]
-        case = Case(model, folder / f"case{index}", rng)
-        # Half of the early kills fall into the short time in which the first files are written, as
-        # long as the machine is as fast as it was for the reference.
-        earliest = model.begun if left["early"] % 2 and index < 3 * count else 0.0
-        latest = model.first if left["early"] else model.whole
-        state = case.kill(pace * earliest, pace * latest)
-        kind = "later" if state == "after the first checkpoint" else "early"
-        if state is None or not left[kind]:
-            pace *= 1.25 if state and kind == "early" else 0.8
-            shutil.rmtree(case.folder)
-            continue
-        left[kind] -= 1
-        tallies[f"{mode}, {state}"].add(case.finish())
-        progress(tallies, count)
-    if any(left.values()):
-        print(f"these kills were not made: {left}", file=sys.stderr)
-        return 1
-    return report(tallies, time.monotonic() - begun)
+    case.end(case.model.arguments, 0)
+    with (case.folder / "run" / "sweep.csv").open(newline="") as file:
+        states = [row["state"] for row in csv.DictReader(file)]
+    wrong = states != ["finished"] * len(case.model.found)
+    return case.compare(stop, *[f"sweep.csv: {states}"] * wrong)
+
+
+def race(case: Case, pair: str, stopped: Path) -> Tally | None:
+    """Let two commands race; return None if the second one came after the end."""
+    if pair == "resume + resume":
+        shutil.copytree(stopped / "run", case.folder / "run")
+    known = {"fresh": case.model.arguments, "resume": RESUME}
+    words = [known[word] for word in pair.split(" + ")]
+    case.rng.shuffle(words)
+    delay = case.rng.choice([0.0, 0.0, case.rng.uniform(0.0, 0.6)]) * case.model.whole
+    first = case.start(words[0], "log0")
+    while first.age < delay:
+        time.sleep(0.001)
+    both = [first, case.start(words[1], "log1")]
+    for command in both:
+        case.tally.hangs += not command.wait()
+        case.tally.hangs += not command.workers_ended()
+    if any("nothing left to do" in command.text for command in both):
+        shutil.rmtree(case.folder)
+        return None
+    for command in both:
+        case.tally.check(command, 0, 2)
+        refused = [line for line in command.text.splitlines() if line.startswith("error: ")]
+        right = len(refused) == 1 and any(word in refused[0] for word in REFUSALS)
+        case.tally.wrong_codes += command.code == 2 and not right
+    case.tally.wrong_codes += sorted(command.code or 0 for command in both) != [0, 2]
+    return case.compare(f"{pair}, {delay:.3f} s")
+
+
+class Cases:
+    """All cases, drawn by one generator."""
+
+    def __init__(self, seed: int, folder: Path) -> None:
+        self.rng, self.folder, self.count = random.Random(seed), folder, 0
+        self.models: dict[str, Reference] = {}
+
+    def case(self, *names: str) -> tuple[str, Case]:
+        """Return a case of the first kind, or some of the second, which has workers."""
+        name = names[self.rng.random() < WORKERS]
+        if name not in self.models:
+            self.models[name] = Reference.of({**MODES, **LAUNCHERS}[name], self.folder / name)
+        self.count += 1
+        return name, Case(self.models[name], self.folder / f"case{self.count}", self.rng)
+
+    def kills(self, count: int, early: int) -> Iterator[tuple[str, Tally]]:
+        """Kill ``count`` trainings, ``early`` of them before their first checkpoint."""
+        left = {"early": early, "later": count - early}
+        pace = 1.0  # time that a case takes for each second of the reference
+        for index in range(20 * count):
+            if not any(left.values()):
+                return
+            name, case = self.case(*MODES)
+            model = case.model
+            # Half of the early kills fall into the short time in which the first files are written,
+            # as long as the machine is as fast as it was for the reference.
+            soon = model.begun if left["early"] % 2 and index < 3 * count else 0.0
+            late = model.first if left["early"] else model.whole
+            at = self.rng.uniform(pace * soon, pace * late)
+            killed = case.stop(case.start(model.arguments), at, signal.SIGKILL)
+            kind = "later" if (case.folder / "run" / LAST).exists() else "early"
+            if not killed or not left[kind]:
+                pace *= 1.25 if killed and kind == "early" else 0.8
+                shutil.rmtree(case.folder)
+                continue
+            left[kind] -= 1
+            state = "with a run" if case.begun() else "before config.yaml"
+            yield f"{name}, killed {kind} {state}", resumed(case)
+        raise SystemExit(f"these kills were not made: {left}")
+
+    def sweeps(self, count: int) -> Iterator[tuple[str, Tally]]:
+        """Stop sweeps by one signal after the other."""
+        for index in range(count):
+            stop = list(STOPS)[index % len(STOPS)]
+            name, case = self.case(*LAUNCHERS)
+            yield f"{name}, {stop}", sweep(case, stop)
+
+    def races(self, count: int) -> Iterator[tuple[str, Tally]]:
+        """Let pairs of commands race for one run."""
+        stopped: dict[str, Path] = {}
+        done = 0
+        for _ in range(5 * count):
+            if done == count:
+                return
+            pair = PAIRS[done % len(PAIRS)]
+            name, case = self.case(*MODES)
+            if name not in stopped:
+                made = Case(case.model, self.folder / f"stopped-{name}", self.rng)
+                command, metrics = made.start(case.model.arguments), made.folder / "run/metrics.csv"
+                while not metrics.exists() or metrics.read_text().count("\n") < 3:
+                    time.sleep(0.001)
+                if not made.stop(command, 0.0, signal.SIGTERM):
+                    raise SystemExit(f"it was to be interrupted: {command.text}")
+                stopped[name] = made.folder
+            if (tally := race(case, pair, stopped[name])) is not None:
+                done += 1
+                yield f"{name}, {pair}", tally
+        raise SystemExit(f"only {done} of {count} pairs met")
 
 
 def main() -> None:
     """Parse the command line and run the cases."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--count", type=int, default=200)
-    parser.add_argument("--early", type=int, default=50)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--fast", type=float, default=0.25, help="fraction with worker processes")
+    for name, count in (("count", 200), ("early", 50), ("sweeps", 40), ("races", 100), ("seed", 1)):
+        parser.add_argument(f"--{name}", type=int, default=count)
     options = parser.parse_args()
+    begun = time.monotonic()
+    preload()
+    tallies: dict[str, Tally] = defaultdict(Tally)
     with TemporaryDirectory(prefix="kills-", ignore_cleanup_errors=True) as folder:
-        sys.exit(run(options.count, options.early, options.seed, Path(folder), options.fast))
+        cases = Cases(options.seed, Path(folder))
+        found = (
+            *(cases.kills(options.count, options.early), cases.sweeps(options.sweeps)),
+            cases.races(options.races),
+        )
+        for cases_of_one_kind in found:
+            for kind, tally in cases_of_one_kind:
+                tallies[kind].add(tally)
+        sys.exit(report(tallies, time.monotonic() - begun))
 
 
 if __name__ == "__main__":

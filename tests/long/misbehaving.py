@@ -124,7 +124,11 @@ def main() -> int:
                 print(f"case {index}: {what}, {name}: {problem}\n  {done.text[-600:]}", flush=True)
             if index % 100 == 99:
                 print(f"{index + 1} cases, {sum(violations.values())} violations", flush=True)
-    _table(tried, reached, violations)
+    for key in sorted(tried):
+        print(
+            *key, f"{tried[key]} cases, {reached[key]} reached, {violations[key]} wrong", sep=", "
+        )
+    print(f"{chosen.count} cases, {violations.total()} violations")
     return 1 if violations else 0
 
 
@@ -197,16 +201,6 @@ def _limit_memory() -> None:
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     limit = pages * resource.getpagesize() + ROOM
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
-
-
-def _table(tried: Counter, reached: Counter, violations: Counter) -> None:
-    print(f"{'kind':11}{'where':18}{'how':9}{'command':18}{'count':>6}{'reached':>9}{'wrong':>7}")
-    for key in sorted(tried):
-        kind, spot, how, name = key
-        row = f"{kind:11}{spot:18}{how:9}{name:18}"
-        print(f"{row}{tried[key]:6}{reached[key]:9}{violations[key]:7}")
-    total = [sum(column.values()) for column in (tried, reached, violations)]
-    print(f"{'all':56}{total[0]:6}{total[1]:9}{total[2]:7}")
 
 
 if __name__ == "__main__":

@@ -259,7 +259,7 @@ RETURNED = {
     ),
     ("terrain", "at"): ("None", "'flat'", "3", "Profile([(0, 0)])"),
     ("terrain", "first_difficulty"): (*BAD_NUMBERS, "2.0", "-0.1"),
-    ("terrain", "next_difficulty"): (*BAD_NUMBERS, "2.0", "-0.1"),
+    ("terrain", "next_difficulty"): ("None", "2.0", "-0.1"),
     ("reward", "__call__"): (*BAD_NUMBERS, "np.zeros(3)", "-float('inf')", "1e300", "7.0", "(1,)"),
     ("reward", "bounds"): ("None", "(1.0, 0.0)", "3", "('a', 'b')", "(0.0,)", "(float('nan'), 1)"),
     ("network", "build"): (
@@ -298,7 +298,7 @@ RETURNED = {
         *("replace(now, velocity=np.array([np.inf, 0]))", "replace(now, front=None)"),
         *("replace(now, roll=float('inf'))", "replace(now, rear=1j)"),
     ),
-    ("sim", "penetration"): BAD_NUMBERS,
+    ("sim", "penetration"): ("None", "float('nan')"),
     ("sim", "ended"): ("'reached'", "3", "True", "object()", "float('nan')", "Outcome", "()"),
     ("sim", "draw"): (
         *("None", "'x'", "np.zeros((3, 3), np.uint8)", "np.zeros((width, height, 3), np.uint8)"),

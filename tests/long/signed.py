@@ -19,11 +19,11 @@ from flipperctl.config import with_overrides
 from flipperctl.export.policy import export
 from flipperctl.policies.source import exported_config
 from flipperctl.policies.trained import policy_module
-from flipperctl.rollout.steps import RolloutRequest
+from flipperctl.rollout.episode import RolloutRequest
 from flipperctl.runtime import OnnxPolicy
 from flipperctl.runtime.interface import CHECKSUM, PLACEHOLDER, add_checksum
 from flipperctl.training.trainer import Trainer
-from tests.long.mutations import BYTES, Rng, document
+from tests.long.mutations import Rng, document
 from tests.short import short_config, trainer
 
 INPUTS = np.random.default_rng(0).uniform(-0.5, 0.5, (50, 18)).astype(np.float32)
@@ -154,14 +154,3 @@ def resealed(data: bytes, rng: Rng) -> bytes:
     del model.metadata_props[:]
     onnx.helper.set_model_props(model, {**metadata, CHECKSUM: PLACEHOLDER})
     return add_checksum(model.SerializeToString())
-
-
-def disguised(data: bytes, rng: Rng) -> bytes:
-    """Return a damaged exported policy whose entries look like those of an older format."""
-    names = (b"sha256", b"terrain_config", b"format_version", b"flipperctl.sha256")
-    for _ in range(int(rng.integers(1, 3))):
-        name = names[int(rng.integers(len(names)))]
-        data = data.replace(name, bytes([*name[:-1], name[-1] ^ 1]))
-    if rng.random() < 0.7:
-        data = data.replace(b"format_version\x12\x012", b"format_version\x12\x011")
-    return BYTES["flip"](data, rng)

@@ -28,8 +28,7 @@ from flipperctl.policies.controllers import (
     plugin_policy,
 )
 from flipperctl.policies.source import controller_policy
-from flipperctl.rollout.episode import decisions
-from flipperctl.rollout.steps import steps
+from flipperctl.rollout.episode import decisions, steps
 
 
 def policy(name: str, **settings: object) -> PluginPolicy:

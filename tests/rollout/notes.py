@@ -3,27 +3,37 @@
 from collections.abc import Mapping
 from typing import Any
 
-from flipperctl.rollout.children import Child
-from flipperctl.rollout.pool import WorkerPool
+from flipperctl.errors import WriteError
+from flipperctl.rollout.pool import Child, WorkerPool
 
 
 class Notes:
-    """A listener that collects the notes."""
+    """A listener that keeps what it is given, and fails in the methods that are named."""
 
-    def __init__(self) -> None:
+    def __init__(self, *failing: str) -> None:
+        self.failing, self.closed = failing, 0
         self.notes: list[str] = []
+        self.rows: list[Mapping[str, Any]] = []
+
+    def _fail(self, method: str) -> None:
+        if method in self.failing:
+            raise WriteError(f"{method} failed")
 
     def episode(self, row: Mapping[str, Any]) -> None:
-        pass
+        self.rows.append(row)
+        self._fail("episode")
 
     def validation(self, row: Mapping[str, Any]) -> None:
-        pass
+        self.rows.append(row)
+        self._fail("validation")
 
     def note(self, text: str) -> None:
         self.notes.append(text)
+        self._fail("note")
 
     def close(self) -> None:
-        pass
+        self.closed += 1
+        self._fail("close")
 
 
 def process_ids(pool: WorkerPool) -> list[int]:

@@ -3,13 +3,21 @@
 from collections.abc import Sequence
 from concurrent.futures import Future
 from itertools import islice
+from pathlib import Path
 from typing import Any
 
+import pytest
+import torch
+
+from flipperctl.agent.frames import input_size
 from flipperctl.api import Perception, Simulator, action_index
+from flipperctl.config import to_dict
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.rollout.actor import Actor, GreedyPlayer
 from flipperctl.rollout.collect import AsyncCollector
+from flipperctl.rollout.episode import steps
 from flipperctl.rollout.pool import WorkerDiedError
-from flipperctl.rollout.steps import steps
+from tests.short import short_config, trainer
 
 
 class Workers:
@@ -74,10 +82,9 @@ class Alternating:
         self.explored = True
 
     def reset(self, simulator: Simulator) -> None:
-        """Begin an episode."""
+        pass
 
     def act(self, p: Perception) -> int:
-        """Hold the flippers."""
         self.explored = not self.explored
         return action_index(0, 0)
 
@@ -85,3 +92,24 @@ class Alternating:
 def test_steps_say_which_actions_were_random() -> None:
     made = islice(steps(FlipperEnv("flat"), Alternating(), 1), 4)
     assert [step.explored for step in made] == [False, True, False, True]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("network", ["at_d3qn", "stacked"])
+def test_it_does_not_matter_which_process_plays_a_validation(network: str, tmp_path: Path) -> None:
+    config = short_config(network={"name": network}, **{"agent.risk": True})
+    run = trainer(config, tmp_path)
+    before = torch.random.get_rng_state()
+    here, there = GreedyPlayer(config, run.validator._greedy._env), Actor(to_dict(config), [])
+    assert torch.equal(torch.random.get_rng_state(), before)  # it draws none of the training's
+    weights = run.agent.policy_arrays()
+    here.load(weights)
+    rows = [here.play(3), there.evaluate(weights, 3)]
+    assert rows[0] == rows[1]
+    draws = torch.Generator().manual_seed(0)
+    size = input_size(config.network, config.perception.layout)
+    rows_in = torch.randn(200, 1, size, generator=draws)
+    ours, theirs = (
+        torch.cat([m(row) for row in rows_in]) for m in (here.module, there._greedy.module)
+    )
+    assert torch.equal(ours, theirs)

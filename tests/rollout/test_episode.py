@@ -10,7 +10,7 @@ from flipperctl.api import Controller, Perception, Policy, Simulator, action_ind
 from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.controllers import FunctionPolicy
-from flipperctl.rollout.episode import Decision, decisions, play
+from flipperctl.rollout.episode import decisions, play
 
 HOLD = action_index(0, 0)
 
@@ -47,21 +47,6 @@ def test_to_stop_iterating_cancels_the_episode() -> None:
             break
     assert 2.0 < env.state.time < 3.0
     assert play(env, okada(), 3)["outcome"] == "reached"  # the next episode is complete
-
-
-def test_the_pace_is_called_before_each_decision() -> None:
-    called: list[float] = []
-    expected = [
-        d.transition.before.time
-        for d in decisions(FlipperEnv("flat"), okada(), 0, pace=called.append)
-    ]
-    assert called == expected
-
-
-def test_play_passes_every_decision_to_watch() -> None:
-    watched: list[Decision] = []
-    row = play(FlipperEnv("flat"), okada(), 0, watch=watched.append)
-    assert len(watched) == row["decisions"]
 
 
 def test_a_controller_without_act_and_build_is_refused() -> None:

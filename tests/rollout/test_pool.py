@@ -24,14 +24,16 @@ import pytest
 
 import flipperctl
 from flipperctl.errors import FlipperctlError
-from flipperctl.rollout import children
+from flipperctl.rollout import pool as children
 from flipperctl.rollout.pool import WorkerDiedError, WorkerPool
 from flipperctl.training.trainer import Trainer
 from tests.rollout.notes import Notes, process_ids
 from tests.short import short_config, trainer
 
 HOSTILE = ("random", "signal", "queue", "numbers", "numpy", "torch", "pickle", "socket", "struct")
-both = pytest.mark.parametrize("count", [1, 2])  # spawned, and forked from a server
+both = pytest.mark.parametrize(  # forked from a server, and spawned
+    "count", [2, pytest.param(1, marks=pytest.mark.long)]
+)
 
 
 @pytest.fixture
@@ -56,20 +58,12 @@ def initialize(module: str = "torch") -> None:
     importlib.import_module(module)
 
 
-def double(number: int) -> int:
-    return 2 * number
-
-
 def die() -> None:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
 def fail(error: BaseException) -> None:
     raise error
-
-
-def value(name: str) -> str | None:
-    return os.environ.get(name)
 
 
 def wait_for(path: Path, limit: float = 20.0) -> bool:
@@ -105,19 +99,25 @@ def test_a_dead_worker_is_replaced_and_runs_the_calls_after_it(
     module.__file__ = str(file)
     monkeypatch.setitem(sys.modules, "__main__", module)
     with closing(WorkerPool(2, initialize, ())) as workers:
-        assert workers.submit(double, 1).result() == 2
-        dead, after = workers.submit(die), [workers.submit(double, n) for n in range(4)]
+        assert workers.submit(abs, -1).result() == 1
+        dead, after = workers.submit(die), [workers.submit(abs, -n) for n in range(4)]
         with pytest.raises(WorkerDiedError, match=r"worker process [01] died"):
             dead.result()
-        assert [call.result() for call in after] == [0, 2, 4, 6]
+        assert [call.result() for call in after] == [0, 1, 2, 3]
         for pid in process_ids(workers):  # while they wait for calls
             os.kill(pid, signal.SIGKILL)
         while any(worker._host is not None and worker._host.idle for worker in workers._workers):
             time.sleep(0.001)
-        assert workers.submit(double, 2).result() == 4
+        assert workers.submit(abs, -2).result() == 2
 
 
-def test_a_worker_that_always_dies_ends_its_calls_with_a_reason(workers: WorkerPool) -> None:
+def test_an_error_in_a_worker_is_raised_unchanged_and_many_deaths_end_it(
+    workers: WorkerPool,
+) -> None:
+    for error in (FlipperctlError("on purpose"), EOFError("on purpose")):
+        with pytest.raises(type(error), match="on purpose"):
+            workers.submit(fail, error).result()
+    assert workers.submit(abs, -3).result() == 3
     for _ in range(2):
         with pytest.raises(WorkerDiedError):
             workers.submit(die).result()
@@ -125,23 +125,14 @@ def test_a_worker_that_always_dies_ends_its_calls_with_a_reason(workers: WorkerP
         workers.submit(die).result()
 
 
-@pytest.mark.parametrize("error", [FlipperctlError("on purpose"), EOFError("on purpose")])
-def test_an_error_in_a_worker_is_raised_unchanged(
-    error: BaseException, workers: WorkerPool
-) -> None:
-    with pytest.raises(type(error), match="on purpose"):
-        workers.submit(fail, error).result()
-    assert workers.submit(double, 3).result() == 6
-
-
 def test_a_long_call_holds_up_no_other(tmp_path: Path, workers: WorkerPool) -> None:
     """The first call waits for the last one, which any fixed division puts behind it or not."""
     long = workers.submit(wait_for, tmp_path / "last")
-    others = [workers.submit(double, number) for number in range(9)]
+    others = [workers.submit(abs, -number) for number in range(9)]
     last = workers.submit(touch, tmp_path / "last")
     assert long.result(timeout=30) is True
     assert last.result() is None
-    assert [call.result() for call in others] == [2 * number for number in range(9)]
+    assert [call.result() for call in others] == list(range(9))
 
 
 def test_closing_ends_a_call_that_is_under_way(tmp_path: Path) -> None:
@@ -158,30 +149,31 @@ def test_closing_ends_a_call_that_is_under_way(tmp_path: Path) -> None:
     assert queued[-1].cancelled()
 
 
-@pytest.mark.parametrize("count", [pytest.param(1, marks=pytest.mark.long), 2])
+@both
 def test_workers_have_the_environment_of_now(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The server, which lives as long as this process, has that of its start."""
     for text in ("first", "second"):
         monkeypatch.setenv("WORKER_SHALL_KNOW", text)
-        assert asked(count, value, "WORKER_SHALL_KNOW") == text
+        assert asked(count, os.getenv, "WORKER_SHALL_KNOW") == text
 
 
 @both
 def test_what_stops_a_whole_group_of_processes_leaves_the_workers_at_work(count: int) -> None:
     """Ctrl-C and a scheduler's SIGTERM reach every process; the learner stops its workers."""
     with closing(WorkerPool(count, initialize, ())) as workers:
-        call = workers.submit(double, 1)
+        call = workers.submit(abs, -1)
         while not process_ids(workers):
             time.sleep(0.001)
         for number in (signal.SIGINT, signal.SIGTERM):  # while it is starting
             os.kill(process_ids(workers)[0], number)
-        assert call.result() == 2
+        assert call.result() == 1
         for number in (signal.SIGINT, signal.SIGTERM):
             os.kill(process_ids(workers)[0], number)
-        assert workers.submit(double, 2).result() == 4
+        assert workers.submit(abs, -2).result() == 2
         assert workers.submit(mask).result() == mask() == set()
 
 
+@pytest.mark.long
 def test_a_training_run_continues_when_a_worker_is_killed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -213,7 +205,7 @@ def test_a_training_run_continues_when_a_worker_is_killed(
     assert "a worker died and is replaced; its episode" in listener.notes[0]
 
 
-@pytest.mark.parametrize("count", [pytest.param(1, marks=pytest.mark.long), 2])
+@both
 @pytest.mark.usefixtures("hostile")
 def test_nothing_is_imported_from_the_working_directory(count: int) -> None:
     names = ("flipperctl", "flipperctl.rollout.worker", *HOSTILE)
@@ -231,28 +223,21 @@ def test_what_was_imported_is_found_where_it_was_though_the_path_has_changed(
     assert asked(1, places, names) == [*found, str(hostile / "helper_of_a_script.py")]
 
 
-def test_a_worker_that_cannot_start_says_why() -> None:
-    with pytest.raises(
-        FlipperctlError, match=r"^worker process 0 cannot start: ModuleNotFound.*x_y"
-    ):
-        asked(2, mask, first=("x_y",))
-
-
 @both
-def test_a_system_that_refuses_a_process_is_named_with_what_works(
-    count: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_worker_that_cannot_start_says_why(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse() -> Any:
         raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
-    asked(2, mask)  # the server runs
+    text = r"^worker process 0 cannot start: ModuleNotFound.*x_y"
+    with pytest.raises(FlipperctlError, match=text):
+        asked(2, mask, first=("x_y",))  # the server runs afterwards
     monkeypatch.setattr(children, "Pipe", refuse)
-    with pytest.raises(
-        FlipperctlError, match=r"Too many open files; .*--jobs 1 .*train.mode=exact"
-    ):
+    text = r"Too many open files; .*--jobs 1 .*train.mode=exact"
+    with pytest.raises(FlipperctlError, match=text):
         asked(count, mask)
 
 
+@pytest.mark.long
 def test_a_worker_needs_few_descriptors() -> None:
     """A limit of 64 open files, of which a test may have many, bears two workers."""
     ours, theirs = Pipe()
@@ -268,6 +253,7 @@ def test_a_worker_needs_few_descriptors() -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
 
 
+@pytest.mark.long
 def test_a_server_that_died_is_replaced() -> None:
     asked(2, mask)
     server = children._Server._current

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flipperctl.runtime.point_cloud import PointTimes, read_cloud
-from tests.long.lidar_clouds import check
+from tests.runtime.lidar_clouds import check
 
 STAMP = 1.7e9
 CODES = {"i4": 5, "u4": 6, "f4": 7, "f8": 8}

@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 from flipperctl import checkpoint
+from flipperctl.api import Listener
 from flipperctl.config import TrainConfig
-from flipperctl.training.recorder import EPISODES
+from flipperctl.training.episodes import EPISODES
 from tests.short import few, trainer
 
 GRADIENT = {
@@ -38,6 +39,7 @@ SETUPS: dict[str, dict[str, object]] = {
     "gradient": {**GRADIENT, "train.decisions": 400},
     "taught": {
         **MPC,
+        "train.decisions": 150,
         "train.record": True,
         "network": {"name": "stacked", "window": 2},
         "agent.n_step": 2,
@@ -53,7 +55,8 @@ SETUPS: dict[str, dict[str, object]] = {
 
 def setup(name: str, **more: object) -> TrainConfig:
     """Return the configuration of a training by its name."""
-    return few(**{**SETUPS[name], **more})
+    short = {"train.decisions": 200, "train.validate_every": 100, "agent.learning_starts": 30}
+    return few(**{**short, **SETUPS[name], **more})
 
 
 @pytest.fixture(scope="session")
@@ -74,8 +77,14 @@ def require_resumes(config: TrainConfig, whole: Path, parts: Path, at: int) -> N
     """Train with a stop after ``at`` decisions; require the files of the whole run."""
     first = trainer(config, parts)
     assert first.run(stop=lambda: first.progress.decision >= at)["finished"] is False
+    require_same_end(whole, parts)
+
+
+def require_same_end(whole: Path, parts: Path, *listeners: Listener) -> None:
+    """Resume a stopped training; require the files of the whole run."""
     stopped = checkpoint.read(parts / checkpoint.LAST)
     second = trainer(stopped.config(), parts)
+    second.listeners += listeners
     second.restore(stopped)
     assert second.run()["finished"] is True
     for name in (checkpoint.BEST, checkpoint.LAST, EPISODES):  # as sha256sum sees it

@@ -13,7 +13,7 @@ from flipperctl.config import EnvConfig, to_dict
 from flipperctl.export import policy as export_policy
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.actor import Actor
-from flipperctl.rollout.steps import RolloutRequest
+from flipperctl.rollout.episode import RolloutRequest
 from flipperctl.runtime import OnnxPolicy
 from tests.played import play_episodes
 from tests.training.conftest import setup

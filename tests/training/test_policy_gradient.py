@@ -56,6 +56,7 @@ def test_a_round_longer_than_the_replay_is_refused(tmp_path: Path) -> None:
         made._learn_from_episodes()
 
 
+@pytest.mark.long
 def test_workers_draw_too_and_draws_become_sharper_towards_the_end(tmp_path: Path) -> None:
     sharper = {"agent.policy_gradient.temperature_end": 0.001, "train.mode": "fast"}
     made = trainer(setup("gradient", **sharper), tmp_path)
@@ -84,14 +85,3 @@ def test_its_values_are_not_taken_for_returns(run: Path) -> None:
     text = r"controller\.value=.*: it learnt by a policy gradient"
     with pytest.raises(CheckpointError, match=text):
         learned_value(str(run), "controller.value")
-
-
-def test_a_network_whose_noise_is_off_learns_without_it(tmp_path: Path) -> None:
-    """The parameters of its noise have no part in the loss."""
-    trainer(setup("gradient", network={"name": "noisy"}), tmp_path).run()
-    last = checkpoint.read(tmp_path / checkpoint.LAST)
-    anchor, online = last.part("anchor"), last.part("online")
-    same = {name for name in online if torch.equal(anchor[name], online[name])}
-    noise = {name for name in online if "sigma" in name}
-    assert noise == {name for name in same if "sigma" in name} != set()
-    assert len(same) < len(online)

@@ -14,7 +14,7 @@ from flipperctl import checkpoint
 from flipperctl.agent.replay import Replay
 from flipperctl.checkpoint import recording
 from flipperctl.checkpoint.recording import Recording
-from flipperctl.config import EnvConfig, Teacher
+from flipperctl.config import EnvConfig
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.evaluation.rows import RECORDED
 from flipperctl.policies.controllers import DaggerPolicy
@@ -22,9 +22,9 @@ from flipperctl.policies.source import PolicySource
 from flipperctl.rollout import actor
 from flipperctl.rollout.collect import RolloutWorkers
 from flipperctl.training import episodes
+from flipperctl.training.episodes import EPISODES, PARTS
 from flipperctl.training.folder import clear_leftovers
-from flipperctl.training.recorded import differing_conditions, fill, notes, read_teacher
-from flipperctl.training.recorder import EPISODES, PARTS
+from flipperctl.training.recorded import check_fit, differing_conditions, fill, read_teacher
 from flipperctl.training.trainer import Trainer
 from tests.cli.call import EXACT, call
 from tests.played import play_episodes
@@ -39,10 +39,10 @@ OKADA = PolicySource(settings={"name": "okada"})
 
 @pytest.fixture(scope="module")
 def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What the rule okada does on 20 steps."""
+    """What the rule okada does on 10 steps."""
     path = tmp_path_factory.mktemp("recorded") / "okada.safetensors"
     config = EnvConfig(terrain="step")
-    found = play_episodes(config, OKADA, episodes=20, seed=5, record=True)
+    found = play_episodes(config, OKADA, episodes=10, seed=5, record=True)
     recording.write(path, "okada", [(config, [e[RECORDED] for e in found])])
     return path
 
@@ -71,14 +71,6 @@ def test_recorded_decisions_are_n_step_transitions_with_labels(file: Path) -> No
     assert (arrays["discount"][count - 3 : count] == 0).all()
 
 
-def test_any_network_stacks_the_recorded_observations(file: Path) -> None:
-    replay, found = filled(file, network={"name": "stacked", "window": 3})
-    rows, seen = replay.filled()["observation"], found.episodes[0].observations
-    assert np.array_equal(rows[0], np.concatenate([seen[0]] * 3))
-    assert np.array_equal(rows[1], np.concatenate([seen[0], seen[0], seen[1]]))
-    assert np.array_equal(rows[5], np.concatenate(seen[3:6]))
-
-
 def test_a_run_with_a_recorded_teacher_resumes_bit_for_bit_without_the_file(
     file: Path, tmp_path: Path
 ) -> None:
@@ -101,12 +93,6 @@ def test_a_run_with_a_recorded_teacher_resumes_bit_for_bit_without_the_file(
     resumed.run()
 
 
-def test_a_student_learns_what_a_recorded_rule_does(file: Path, tmp_path: Path) -> None:
-    settings = {"teacher.episodes": str(file), "teacher.td_weight": 0.0, "agent.epsilon_start": 0.1}
-    config = short_config(**settings, **{"train.validation_episodes": 10})
-    assert trainer(config, tmp_path).run()["best"]["success_rate"] >= 0.8
-
-
 def test_a_replay_that_learns_from_a_run_is_that_of_the_run(runs: Callable[[str], Path]) -> None:
     folder = runs("taught")
     found = recording.read(folder / EPISODES)
@@ -121,28 +107,13 @@ def test_a_replay_that_learns_from_a_run_is_that_of_the_run(runs: Callable[[str]
         assert np.array_equal(array, own[name].numpy()[: len(array)]), name
 
 
-def test_recorded_episodes_have_no_privileged_states(file: Path) -> None:
-    with pytest.raises(ConfigError, match=r"agent\.privileged_value: .* hold no privileged states"):
-        short_config(**{"teacher.episodes": str(file), "agent.privileged_value": True})
-    imitates = {"teacher.td_weight": 0.0, "agent.privileged_value": True}
-    config = short_config(**{"teacher.episodes": str(file), **imitates})
-    assert not config.learns_privileged_value  # nothing would use it
-
-
-@pytest.fixture(scope="module")
-def unlabelled(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What a training without a teacher records."""
-    folder = tmp_path_factory.mktemp("unlabelled")
-    trainer(few(**{"train.record": True, "train.decisions": 100}), folder).run()
-    return folder / EPISODES
-
-
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
         ({"perception.bins": 21}, "15 bins of 0.15 m; .* ask for 21 of 0.15 m"),
         ({"rewards.pitch.lambda_2": 3.0}, "was recorded with other rewards .*td_weight=0"),
         ({"agent.replay_size": 100}, "agent.replay_size: 100 transitions leave no room"),
+        ({"agent.privileged_value": True}, "privileged_value: .* hold no privileged states"),
     ],
 )
 def test_episodes_that_do_not_fit_the_training_are_refused(
@@ -150,6 +121,20 @@ def test_episodes_that_do_not_fit_the_training_are_refused(
 ) -> None:
     with pytest.raises(ConfigError, match=text):
         read_teacher(short_config(**{"teacher.episodes": str(file), **changes}))
+
+
+def test_labels_alone_may_come_from_other_rewards_and_must_be_there(file: Path) -> None:
+    alone = {"teacher.td_weight": 0.0, "teacher.episodes": str(file)}
+    other = {"rewards.pitch.lambda_2": 3.0, "agent.privileged_value": True}
+    config = short_config(**alone, **other)
+    assert not config.learns_privileged_value  # nothing would use it
+    found = read_teacher(config)
+    assert found is not None
+    for episode in found.episodes:
+        episode.labels[:] = 0.0
+    with pytest.raises(ConfigError, match="holds no labels, so that nothing is learnt with teach"):
+        check_fit(config, found)
+    check_fit(short_config(**alone, **{"teacher.controller": {"name": "okada"}}), found)
 
 
 @pytest.fixture
@@ -206,7 +191,7 @@ def test_that_sums_over_recorded_decisions_are_not_cut_is_stated(
     file: Path, tmp_path: Path
 ) -> None:
     settings = {"teacher.episodes": str(file), "agent.cut_at_random": True, "train.decisions": 40}
-    run = trainer(few(**settings, **{"agent.learning_starts": 300}), tmp_path)
+    run = trainer(few(**settings, **{"agent.learning_starts": 90}), tmp_path)
     run.listeners.append(listener := Notes())
     run.run()
     assert listener.notes == [
@@ -214,41 +199,6 @@ def test_that_sums_over_recorded_decisions_are_not_cut_is_stated(
         "its decisions are not cut, whatever agent.cut_at_random"
     ]
     assert run.progress.updates == 40 // 2  # the recorded decisions count before learning
-
-
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [("agent.cut_at_random", False), ("agent.n_step", 1), ("teacher.td_weight", 0.0)],
-)
-def test_nothing_is_stated_where_there_is_no_sum_to_cut(
-    file: Path, name: str, value: object
-) -> None:
-    settings = {"teacher.episodes": str(file), "agent.cut_at_random": True, name: value}
-    assert list(notes(short_config(**settings), recording.read(file))) == []
-
-
-def test_episodes_without_labels_teach_nothing_by_labels_alone(unlabelled: Path) -> None:
-    found = recording.read(unlabelled)
-    assert found.decisions > 50
-    assert not any(episode.labels.any() for episode in found.episodes)
-    settings = {"teacher.episodes": str(unlabelled), "teacher.td_weight": 0.0}
-    with pytest.raises(
-        ConfigError, match=r"holds no labels, so that nothing is learnt with teacher"
-    ):
-        read_teacher(short_config(**settings))
-    assert read_teacher(short_config(**settings, **{"teacher.controller": {"name": "okada"}}))
-
-
-def test_labels_alone_may_come_from_other_rewards(file: Path) -> None:
-    changes = {"rewards.pitch.lambda_2": 3.0, "teacher.td_weight": 0.0}
-    assert read_teacher(short_config(**{"teacher.episodes": str(file), **changes})) is not None
-
-
-def test_something_recorded_must_be_named() -> None:
-    with pytest.raises(ConfigError, match=r"teacher\.episodes: the name of a file is needed"):
-        Teacher(episodes="")
-    assert Teacher(episodes="x").teaches
-    assert not Teacher().teaches
 
 
 def test_what_eval_records_is_refused_where_it_does_not_fit(tmp_path: Path) -> None:
@@ -261,7 +211,6 @@ def test_what_eval_records_is_refused_where_it_does_not_fit(tmp_path: Path) -> N
     for name, text in (
         ("a.safetensors robot.angle_step=0.2", f"robot.angle_step={math.pi / 12} (here 0.2)"),
         ("bad.safetensors", "is damaged"),
-        ("none.safetensors", "there is no such file of recorded"),
         ("", "teacher.episodes: the name of a file is needed"),
     ):
         more = f"teacher.episodes={name}".split() if name else []

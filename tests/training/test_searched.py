@@ -61,22 +61,14 @@ def test_the_experiment_resumes_bit_for_bit_with_its_groups(tmp_path: Path) -> N
     assert kept["observations"].shape == (10, SIZE, config.perception.layout.size)
     assert kept["values"].shape == (10, SIZE, 9)
     assert float(kept["values"].std()) > 0.1
-    run.valued.memory._values[0, 0, 0] = np.inf
+    run.valued.memory._arrays["values"][0, 0, 0] = np.inf
     run.save()
     damaged = checkpoint.read(tmp_path / "whole" / checkpoint.LAST)
     with pytest.raises(CheckpointError, match="part groups is not valid: a number is not finite"):
         trainer(config, tmp_path).restore(damaged)
 
 
-def test_any_network_learns_from_groups_alone(tmp_path: Path) -> None:
-    """The temporal difference has a weight of 0, and the shape of the network's targets."""
-    compose.register_defaults()
-    more = ["network=quantile", "teacher.td_weight=0", "train.decisions=24"]
-    words = [word for word in TINY if not word.startswith("network.")]
-    (config,) = compose.compose_train(Overrides.parse([*words, *more]))
-    trainer(config, tmp_path).run()
-
-
+@pytest.mark.long
 def test_workers_carry_the_groups(tmp_path: Path) -> None:
     run = trainer(tiny(12, "fast"), tmp_path)
     run.run()
@@ -90,22 +82,18 @@ class _Rating:
         self._shapes, self._episode = shapes, -1
 
     def reset(self, simulator: Simulator) -> None:
-        """Count the episode."""
         self._episode += 1
 
     def act(self, p: Perception) -> int:
-        """Hold the flippers."""
         return 4
 
     def costs(self, p: Perception) -> FloatArray:
-        """Return the costs of which holding has the least."""
         return np.abs(np.arange(9.0) - 4)
 
     def took(self, action: int) -> None:
-        """Forget the action."""
+        pass
 
     def groups(self, rng: np.random.Generator) -> StateGroups:
-        """Return groups of the episode's shape."""
         states, size = self._shapes[min(self._episode, len(self._shapes) - 1)]
         seen, values = (rng.normal(size=(5, states, n)).astype(np.float32) for n in (size, 9))
         return StateGroups(seen, values)
@@ -118,30 +106,17 @@ class Rater(Controller):
     shapes: list[tuple[int, int]] = [(3, 18)]  # noqa: RUF012  # pydantic copies it
 
     def build(self) -> Policy:
-        """Return the policy of the settings."""
         return _Rating(self.shapes)
 
 
 def taught(controller: Any, **more: Any) -> TrainConfig:
     short = {
-        "terrain": {"name": "flat", "length": 0.1},
-        "episode.run_up": 0.3,
-        "episode.run_out": 0.3,
-        "train.decisions": 20,
-        "teacher.student_share": 0.0,
-        "teacher.random": 0.0,
-        "train.validation_episodes": 1,
-        "agent.learning_starts": 4,
-        "teacher.controller": controller,
-        "teacher.loss": "values",
+        **{"terrain": {"name": "flat", "length": 0.1}, "train.decisions": 20},
+        **{"episode.run_up": 0.3, "episode.run_out": 0.3, "train.validation_episodes": 1},
+        **{"agent.learning_starts": 4, "teacher.student_share": 0.0, "teacher.random": 0.0},
+        **{"teacher.controller": controller, "teacher.loss": "values"},
     }
     return short_config(**{**short, **more})
-
-
-def test_a_teacher_that_values_nothing_is_refused(tmp_path: Path) -> None:
-    text = r"^teacher\.loss=values: the controller okada values no states; teacher=searched does$"
-    with pytest.raises(ConfigError, match=text):
-        trainer(taught({"name": "okada"}), tmp_path).run()
 
 
 def test_a_plugin_s_groups_are_learned_from(registry: dict[Any, Any], tmp_path: Path) -> None:
@@ -149,6 +124,9 @@ def test_a_plugin_s_groups_are_learned_from(registry: dict[Any, Any], tmp_path: 
     run = trainer(taught({"name": "rater"}), tmp_path)
     run.run()
     assert (run.valued.memory.added, run.valued.memory.states) == (5 * run.progress.episode, 3)
+    text = r"^teacher\.loss=values: the controller okada values no states; teacher=searched does$"
+    with pytest.raises(ConfigError, match=text):
+        trainer(taught({"name": "okada"}), tmp_path / "okada").run()
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from flipperctl.errors import ConfigError
 from flipperctl.sim.planar import Planar, compiled, world
 from flipperctl.sim.planar.compiled import GROUND, TRACK, Belt, Budget, CompiledLoop
 from flipperctl.sim.planar.world import PlanarWorld
-from tests.long.energy import Balance, measure, violations
+from tests.sim.planar.energy import Balance, measure, violations
 from tests.sim.planar.plain import PlainLoop
 from tests.sim.test_physics import FLAT, NEEDED, PLANAR, crossing, episode, resting_on_slope
 
@@ -158,7 +158,7 @@ def test_a_stop_that_is_not_touched_changes_nothing() -> None:
     assert stopped.save()[0] == free.save()[0]
 
 
-# No energy from nowhere: episodes of ``python -m tests.long.energy``
+# No energy from nowhere
 
 
 def balance(terrain: str, seed: int, actions: int) -> Balance:

@@ -1,9 +1,5 @@
-"""Random clouds of LiDARs, with invalid points and times: few points are lost, or it is told.
+"""Random clouds of LiDARs, with invalid points and times: few points are lost, or it is told."""
 
-python -m tests.long.lidar_clouds --count 5000
-"""
-
-import argparse
 from types import SimpleNamespace
 
 import numpy as np
@@ -72,15 +68,3 @@ def check(seed):
         assert np.abs(shifts + stamp - true).max() < 1e-4, (seed, zero, name, code, unit)
     if zero == "boot":
         assert times.remarks(), (seed, zero, name, code, unit)
-
-
-def main():
-    """Check many recordings."""
-    parser = argparse.ArgumentParser(prog="python -m tests.long.lidar_clouds", description=__doc__)
-    parser.add_argument("--count", type=int, default=2000)
-    for seed in range(parser.parse_args().count):
-        check(seed)
-
-
-if __name__ == "__main__":
-    main()
