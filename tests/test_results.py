@@ -45,20 +45,10 @@ def test_files_that_no_command_has_written_are_kept(tmp_path: Path) -> None:
         assert call(*PLAY, "terrain=ramp", cwd=tmp_path).code == 0  # writes ramp.png
 
 
-@pytest.mark.parametrize(
-    "command",
-    [
-        PLAY,
-        ["map", *PLAY[1:], "--over", "sim.friction,sim.gravity"],
-        ["bench", "decision", *PLAY[-2:]],
-    ],
-)
-def test_a_folder_in_use_is_refused_at_once_with_its_holder(
-    command: list[str], tmp_path: Path
-) -> None:
+def test_a_folder_in_use_is_refused_at_once_with_its_holder(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     with hold(tmp_path / "out", "results"):
-        text = refused(call(*command, "terrain=flat", cwd=tmp_path))
+        text = refused(call(*PLAY, "terrain=flat", cwd=tmp_path))
     assert f"out is in use by process {os.getpid()} on " in text
     assert " since " in text
     assert shown(tmp_path / "out") == set()

@@ -96,7 +96,7 @@ def evaluate(
     from flipperctl.cli.plan import make_plan
     from flipperctl.config.words import with_flags
     from flipperctl.evaluation.evaluate import Result
-    from flipperctl.evaluation.policies import controllers, entrants, split_policies
+    from flipperctl.evaluation.plan import controllers, entrants, split_policies
     from flipperctl.evaluation.run import run
     from flipperctl.evaluation.views import evaluation
     from flipperctl.evaluation.views.summary import Document

@@ -17,15 +17,18 @@ from flipperctl.config import DEFAULT_ENGINE, EvalConfig, resolver
 from flipperctl.config.words import key_of
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.conditions import Inherited, policy_notes, read_config
-from flipperctl.evaluation.plan import Entry, Plan, SuiteScene, split_suite
-from flipperctl.evaluation.play import Player
-from flipperctl.evaluation.policies import (
+from flipperctl.evaluation.plan import (
+    Entry,
     NamedPolicy,
+    Plan,
+    SuiteScene,
     controllers,
     entrants,
     split_policies,
+    split_suite,
     standing,
 )
+from flipperctl.evaluation.play import Player
 from flipperctl.evaluation.views.engines import steps
 from flipperctl.evaluation.views.summary import short
 from flipperctl.policies.source import PolicySource, load_policy

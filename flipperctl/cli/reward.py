@@ -79,7 +79,7 @@ def reward(
       flipperctl inspect reward --regret --checkpoint generalist terrain=ramp
     """
     from flipperctl.config.words import with_default, with_flags
-    from flipperctl.evaluation.policies import controller_or_okada, require_one_policy
+    from flipperctl.evaluation.plan import controller_or_okada, require_one_policy
 
     chosen = controller_or_okada(checkpoint, controller)
     words = with_default(with_flags(overrides, episodes=episodes), "eval.episodes", 20)
@@ -121,7 +121,7 @@ def _compare(names: str, words: Sequence[str], *, as_json: bool) -> None:
     from flipperctl.cli.hydra.compose import compose_eval, register_robot
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.cli.plan import player
-    from flipperctl.evaluation.policies import common_robot, policies
+    from flipperctl.evaluation.plan import common_robot, policies
     from flipperctl.evaluation.views import rewards
     from flipperctl.show import console, print_lines, print_table
 
@@ -159,7 +159,7 @@ def _regret(
     """Compare a policy with references on each combination of the lists, rewards included."""
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.cli.plan import player, scenes
-    from flipperctl.evaluation.policies import policies
+    from flipperctl.evaluation.plan import policies
     from flipperctl.evaluation.views import regret
     from flipperctl.show import console, print_lines, print_table
 

@@ -61,7 +61,7 @@ def train(
     """
     arguments = list(overrides or [])
     if resume is not None:
-        from flipperctl.evaluation.policies import refuse_beside
+        from flipperctl.evaluation.plan import refuse_beside
 
         refuse_beside("--resume", {"cfg": cfg, "multirun": multirun, "output": output})
         _resume(resume, arguments)

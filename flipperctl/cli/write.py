@@ -177,7 +177,7 @@ def export(
     from flipperctl.cli.hydra.compose import only_one
     from flipperctl.cli.plan import scenes
     from flipperctl.config.words import with_engine, with_flags
-    from flipperctl.evaluation.policies import controller_or_okada
+    from flipperctl.evaluation.plan import controller_or_okada
     from flipperctl.export.scene import export_scene
     from flipperctl.ros.episode import export_bag
     from flipperctl.terminal.tables import print_bag, print_scene

@@ -1,13 +1,16 @@
-"""The plan of an evaluation: which policies play which scenes, and how they are called.
+"""What is evaluated: policies that a user names, scenes of suites, and the plan that they make.
 
-In: a configuration and a policy's source for each entry; the name or file of a suite, a list of
-scenes on which any method is evaluated. Out: a ``Plan``, which ``evaluate`` plays.
+In: names of controllers, shipped policies, runs, files or folders of sweeps, and the name or file
+of a suite, a list of scenes. Out: the policies' sources, methods with the policies that differ in
+their training seeds, and a ``Plan``, which ``evaluate`` plays: which policies play which scenes,
+and how they are called.
 """
 
 from __future__ import annotations
 
+import os
 import shlex
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.resources import files
@@ -15,13 +18,18 @@ from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
+from flipperctl import checkpoint as checkpoints
 from flipperctl import plugins
-from flipperctl.config import EvalConfig, strict_yaml
-from flipperctl.config.words import check_words, key_of
-from flipperctl.errors import ConfigError
+from flipperctl.api import Robot, registry
+from flipperctl.config import EvalConfig, resolver, strict_yaml, to_dict
+from flipperctl.config.identity import differences
+from flipperctl.config.words import check_different, check_words, key_of
+from flipperctl.errors import ConfigError, FlipperctlError, RequestError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.messages import close_match
-from flipperctl.policies.source import PolicySource
+from flipperctl.policies.identity import method_settings, without_input_paths
+from flipperctl.policies.source import ExportedPolicy, PolicySource, load_policy
+from flipperctl.results import unfinished
 
 BEST_KNOWN = "best known"
 """How a row of the best stored policy is called, before its label in brackets."""
@@ -229,3 +237,223 @@ def split_suite(words: list[str]) -> tuple[Suite | None, list[str]]:
         raise ConfigError(f"suite is given twice: {chosen[0]} and {chosen[1]}; one is allowed")
     suite = find_suite(chosen[0].partition("=")[2]) if chosen else None
     return suite, [word for word in words if word not in chosen]
+
+
+def require_one_policy(
+    checkpoint: Path | None, controller: str | None, overrides: Sequence[str] | None
+) -> None:
+    """Check that exactly one of the two is given; suggest a word without ``=`` as one."""
+    if (checkpoint is None) != (controller is None):
+        return
+    words = [word for word in overrides or () if "=" not in word and not word.startswith("~")]
+    if checkpoint is None and words:
+        raise RequestError(
+            f"{words[0]}: give either --checkpoint {words[0]}, if it is a run, a file or a shipped "
+            f"policy, or --controller {words[0]}, if it is a controller"
+        )
+    raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
+
+
+def refuse_beside(option: str, others: Mapping[str, Any]) -> None:
+    """Refuse options that have no meaning beside ``option``; ``others`` has their values."""
+    for name, value in others.items():
+        if value:
+            name = name if name == "overrides" or "=" in name else f"--{name}"
+            raise RequestError(f"{name}: no meaning beside {option}; leave it out")
+
+
+def controller_or_okada(checkpoint: Path | None, controller: str | None) -> str | None:
+    """Return the controller to evaluate, by default okada; None if a checkpoint is given."""
+    if checkpoint is not None and controller is not None:
+        raise RequestError("give --checkpoint or --controller, not both")
+    return None if checkpoint else controller or "okada"
+
+
+DEFAULT_CONTROLLERS = ("level", "okada")
+"""Controllers that stand in a table of several methods unless others are named."""
+
+
+def controllers(names: str | None, option: str, default: Sequence[str] = ()) -> list[PolicySource]:
+    """Return controllers at their ``reference_settings``; ``names`` are separated by commas.
+
+    ``default`` is used if ``names`` is None; the name ``none`` stands for no controller.
+    """
+    return list(_controllers(names, option, default).values())
+
+
+def _controllers(names: str | None, option: str, default: Sequence[str]) -> dict[str, PolicySource]:
+    chosen = default if names is None else [] if names == "none" else names.split(",")
+    found = [name.strip() for name in chosen]
+    if "none" in found:
+        raise RequestError(f"{option}: none stands alone, without other names; got {names}")
+    if not all(found):
+        raise RequestError(f"{option}: names between commas, or none, are allowed; got {names!r}")
+    check_different(option, found)
+    return {name: load_policy(name, option, "controller") for name in found}
+
+
+def policies(
+    names: str,
+    fields: Mapping[str, Any],
+    tell: Callable[[str], None],
+    option: str = "--compare",
+    fewest: int = 2,
+) -> dict[str, PolicySource]:
+    """Return the policies named between commas with ``option``; ``fields`` apply to controllers.
+
+    Each applies to those that have such a field. ``tell`` is called with a line if a run has no
+    best policy yet.
+    """
+    labels = [name.strip() for name in names.split(",")]
+    if len(set(labels)) < max(fewest, len(labels)) or not all(labels):
+        least = "two different names are" if fewest > 1 else "one name is"
+        allowed = f"at least {least} allowed, as in level,okada, each once"
+        raise RequestError(f"{option}: {allowed}; got {names!r}")
+    sources = {label: load_policy(label, option, tell=tell) for label in labels}
+    for label, source in sources.items():
+        if own := {n: value for n, value in fields.items() if n in (source.settings or {})}:
+            changed = {**resolver.reference(label, option), **own}
+            sources[label] = load_policy(label, "controller", fields=changed)
+    known = {name for s in sources.values() for name in s.settings or {} if name != "name"}
+    for field in fields:
+        if field not in known:
+            raise ConfigError(
+                f"controller.{field}: no controller of {option} has such a field"
+                f"{close_match(field, sorted(known))}; known: {', '.join(sorted(known)) or 'none'}"
+            )
+    return sources
+
+
+def common_robot(sources: Mapping[str, PolicySource], chosen: Collection[str]) -> Robot:
+    """Return the robot of the files among the policies; the default one if there are none."""
+    robots = {name: robot for name, s in sources.items() if (robot := s.robot()) is not None}
+    if not robots:
+        return Robot()
+    (first, ours), *others = robots.items()
+    for other, theirs in others:
+        for key, *values in differences(to_dict(ours), to_dict(theirs), "robot"):
+            if not {"robot", key} & set(chosen):
+                first_value, value = ("null" if v is None else f"{v:.6g}" for v in values)
+                raise ConfigError(
+                    f"--compare: {first} is for {key}={first_value}, {other} for {value}; give "
+                    f"{key}=… to choose the robot"
+                )
+    return ours
+
+
+@dataclass(frozen=True)
+class NamedPolicy:
+    """A policy of an evaluation of several."""
+
+    method: str
+    """Name of the method; policies of equal methods differ in their training seeds."""
+    run: Path | None = None
+    """A run, a file or a shipped policy; None for a controller."""
+    training_seed: int | None = None
+    """Seed of the training; None for a controller."""
+
+
+def entrants(names: Sequence[str], tell: Callable[[str], None]) -> list[NamedPolicy]:
+    """Return the policies of all methods, each once.
+
+    A name is that of a controller or a shipped policy, or the path of a run, a checkpoint or an
+    exported file; names of controllers may be joined by commas, and a path of such a name begins
+    with ``./``. A folder with the runs of a sweep stands for them all: for one method, if they
+    differ in their seeds alone. ``tell`` is called with a line for each run that has no
+    checkpoint, repeats another one, or is not finished.
+    """
+    found: dict[NamedPolicy, None] = {}
+    for name in (part for text in names for part in _split(text)):
+        if ("controller", name) in registry:
+            found[NamedPolicy(name)] = None
+        else:
+            found |= dict.fromkeys(_of_path(Path(name), tell))
+    return list(found)
+
+
+def _split(text: str) -> list[str]:
+    """Return the names that commas join; a path may have commas of its own."""
+    if _exists(text) or "," not in text:
+        return [text]
+    names = [name.strip() for name in text.split(",")]
+    if not all(names):
+        raise RequestError(f"names between commas are allowed, as in okada,level; got {text!r}")
+    return names
+
+
+def split_policies(words: Sequence[str] | None) -> tuple[list[str], list[str]]:
+    """Return the policies among the words of a command, and the overrides."""
+    policies: list[str] = []
+    overrides: list[str] = []
+    for word in words or ():
+        plain = "=" not in word and not word.startswith(("~", "+"))
+        (policies if plain or _exists(word) else overrides).append(word)
+    return policies, overrides
+
+
+def _exists(name: str) -> bool:
+    return os.path.exists(name)  # noqa: PTH110  # false for any text, however long
+
+
+def standing(baseline: str | None, present: Sequence[NamedPolicy]) -> list[NamedPolicy]:
+    """Return the controllers beside the methods; ``baseline`` names others, or none."""
+    names = _controllers(baseline, "--baseline", DEFAULT_CONTROLLERS)
+    return [e for e in map(NamedPolicy, names) if e not in present]
+
+
+def _of_path(path: Path, tell: Callable[[str], None]) -> Iterator[NamedPolicy]:
+    # False for any text, however long.
+    sweep = os.path.isdir(path) and not checkpoints.holds(path)  # noqa: PTH112
+    if not sweep or not checkpoints.runs_in(path):
+        yield NamedPolicy(str(path), path, _trained(load_policy(path))[0])
+        return
+    trained: list[tuple[Path, int | None, dict[str, Any]]] = []
+    for run in sorted((f for f in path.iterdir() if f.is_dir()), key=checkpoints.job_order):
+        if not (run / "config.yaml").exists() and not checkpoints.holds(run):
+            continue  # no run at all
+        try:
+            seed, settings = _trained(load_policy(run, takes="file"))
+        except FlipperctlError as error:
+            tell(f"{run} is left out: {error}")
+            continue
+        equal = [other for other, *theirs in trained if theirs == [seed, settings]]
+        if equal:
+            tell(f"{run} is left out: {equal[0]} has its seed and what it learns by")
+            continue
+        if unfinished(run):
+            tell(f"{run} is not trained to its end; it counts like the others")
+        trained.append((run, seed, settings))
+    if not trained:
+        raise RequestError(f"{path}: no run of this sweep has a checkpoint that can be read")
+    # Seeds that each went on from a run of their own are one method; runs of one seed that went on
+    # from several runs are several.
+    groups: dict[str, list[tuple[Path, int | None]]] = {}
+    keys = [(repr(without_input_paths(settings)), seed) for _, seed, settings in trained]
+    for (alike, _), (run, seed, settings) in zip(keys, trained, strict=True):
+        repeated = any(keys.count(key) > 1 for key in keys if key[0] == alike)
+        groups.setdefault(repr(settings) if repeated else alike, []).append((run, seed))
+    swept = [_swept(members[0][0]) for members in groups.values()]
+    for members, values in zip(groups.values(), swept, strict=True):
+        telling = values and swept.count(values) == 1
+        name = f"{path}/{values}" if telling else str(members[0][0])
+        for run, seed in members:
+            yield NamedPolicy(str(path) if len(groups) == 1 else name, run, seed)
+
+
+def _swept(run: Path) -> str:
+    """Return the swept values in the name of a run but for its seed, as in ``network=conv``."""
+    values: list[str] = []
+    for part in run.name.partition("_")[2].split(","):
+        if "=" in part or not values:
+            values.append(part)
+        else:  # of a list, as in network.hidden=_64,32_
+            values[-1] += f",{part}"
+    return ",".join(one for one in values if "=" in one and not one.startswith("seed="))
+
+
+def _trained(source: PolicySource) -> tuple[int | None, dict[str, Any]]:
+    """Return the seed of a training, and the settings that name its method."""
+    if source.is_exported:
+        return ExportedPolicy(source.file).interface.seed, {"file": str(source.file)}
+    config = checkpoints.read_policy(source.file).policy_config()
+    return config.seed, method_settings(config)

@@ -194,11 +194,6 @@ class Player:
 
         The progress is shown under the ``label``. ``record``: play all, since stored rows have no
         decisions.
-
-        Raises:
-            OutputError, WriteError: a block cannot be written.
-            FlipperctlError: the policy cannot be built or failed, or an episode killed its workers.
-                The blocks before the failure are stored, and the failure is noted.
         """
         chosen = list(range(config.eval.episodes)) if indices is None else list(indices)
         held = {} if record else self.store.find(self.key(config, source))

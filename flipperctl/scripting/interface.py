@@ -36,7 +36,7 @@ from flipperctl.errors import (
 from flipperctl.evaluation import evaluate as results
 from flipperctl.evaluation import run as evaluation
 from flipperctl.evaluation.conditions import read_config
-from flipperctl.evaluation.policies import NamedPolicy, controllers, entrants
+from flipperctl.evaluation.plan import NamedPolicy, controllers, entrants
 from flipperctl.evaluation.run import episode_rows
 from flipperctl.evaluation.views.evaluation import (
     csv_rows,

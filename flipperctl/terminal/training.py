@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from flipperctl.config import TrainConfig
-from flipperctl.evaluation.views import regret, risk
+from flipperctl.evaluation.views import regret, summary
 from flipperctl.session import command
 from flipperctl.terminal.notices import print_notices
 from flipperctl.terminal.progress import TrainingProgress, way_text
@@ -47,4 +47,4 @@ def _risk_line(validation: Mapping[str, Any]) -> str:
     """Return a line about the policy's risk, if it learnt one."""
     start = "risk_"
     found = {n.removeprefix(start): v for n, v in validation.items() if n.startswith(start)}
-    return f"Its risk, there: {risk.text(found)}.\n" if "threshold" in found else ""
+    return f"Its risk, there: {summary.risk_text(found)}.\n" if "threshold" in found else ""

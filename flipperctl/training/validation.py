@@ -21,7 +21,7 @@ from flipperctl.core.risk import RiskCalibration, RiskSign
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.metrics import DRAWN
 from flipperctl.evaluation.rows import reached
-from flipperctl.evaluation.views.risk import predicted_and_actual, summarise, threshold_for
+from flipperctl.evaluation.views.summary import predicted_and_actual, summarise, threshold_for
 from flipperctl.reward_sum import paying_terms
 from flipperctl.rollout.actor import GreedyPlayer
 from flipperctl.rollout.collect import Collector

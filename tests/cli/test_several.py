@@ -15,9 +15,8 @@ from flipperctl.api import Policy
 from flipperctl.cli.plan import make_plan
 from flipperctl.config import EnvConfig
 from flipperctl.errors import CheckpointError
-from flipperctl.evaluation.plan import Plan
+from flipperctl.evaluation.plan import Plan, _swept, entrants
 from flipperctl.evaluation.play import EpisodeRunner
-from flipperctl.evaluation.policies import _swept, entrants
 from flipperctl.evaluation.rows import Row
 from flipperctl.policies.source import PolicySource
 from tests.cli.call import Done, call

@@ -12,8 +12,7 @@ from flipperctl.cli.plan import make_plan
 from flipperctl.config import EvalConfig, with_overrides
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
-from flipperctl.evaluation.plan import Plan, find_suite, shipped_suites, split_suite
-from flipperctl.evaluation.policies import NamedPolicy
+from flipperctl.evaluation.plan import NamedPolicy, Plan, find_suite, shipped_suites, split_suite
 from tests.cli.call import call
 
 _GROUPS = "terrain", "sim", "perception", "conditions"

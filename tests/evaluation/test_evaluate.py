@@ -8,7 +8,6 @@ import pytest
 
 from flipperctl.config import EvalConfig
 from flipperctl.errors import InterruptedRunError
-from flipperctl.evaluation import play as playing
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.evaluate import Result
 from flipperctl.evaluation.evaluate import evaluate as play
@@ -75,19 +74,6 @@ def test_a_baseline_and_references_play_the_episodes_of_each_scene() -> None:
     assert [gap["p_holm"] for gap in gaps] == holm([gap["p"] for gap in gaps])
     no_ends = {"mean": 0.0, "low": None, "high": None, "episodes": 2}
     assert flat["baselines"][0]["difference"]["t_cost"] == no_ends
-
-
-def test_each_scene_has_its_own_policy_and_processes(monkeypatch: pytest.MonkeyPatch) -> None:
-    jobs: list[int] = []
-    pool = playing.worker_pool
-    monkeypatch.setattr(playing, "worker_pool", lambda n: jobs.append(n) or pool(n))
-    two = STEP.model_copy(update={"eval": STEP.eval.model_copy(update={"jobs": 2})})
-    found = evaluate([(two, LEVEL), (FLAT, OKADA)], [RANDOM])
-    assert jobs == [2]  # both of its scene, and none of the other one
-    assert [scene["controller"] for scene in documents(found)] == ["level", "okada"]
-    assert evaluation.document(found)["controller"] == "level, okada"
-    alone = [evaluate([one]).rows[0] for one in ((STEP, LEVEL), (FLAT, OKADA))]
-    assert [one.episodes for one in found.rows] == [one.episodes for one in alone]
 
 
 def test_several_methods_have_rows_of_their_own_and_differences_to_baselines() -> None:

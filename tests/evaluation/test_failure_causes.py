@@ -17,8 +17,7 @@ from flipperctl.evaluation.failure_causes import (
     on_true_ground,
     with_friction,
 )
-from flipperctl.evaluation.plan import Entry, Plan
-from flipperctl.evaluation.policies import NamedPolicy
+from flipperctl.evaluation.plan import Entry, NamedPolicy, Plan
 from flipperctl.evaluation.views import engines, evaluation
 from flipperctl.policies.source import load_policy
 from flipperctl.sim.planar.sensing import PlanarSensor, TerrainSensor

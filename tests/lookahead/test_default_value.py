@@ -12,7 +12,7 @@ from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.plan import scenes
 from flipperctl.config import EnvConfig, resolver, to_dict, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.evaluation import policies
+from flipperctl.evaluation import plan
 from flipperctl.lookahead import planner
 from flipperctl.lookahead.controllers import Mpc, Planner
 from flipperctl.lookahead.mpc import MpcPolicy, ReturnPolicy
@@ -79,9 +79,9 @@ def test_the_generalist_is_taught_by_learned_values_for_every_robot() -> None:
 
 
 def test_a_name_beside_another_policy_is_the_hand_set_cost() -> None:
-    (baseline,) = policies.controllers("mpc", "--baseline")
-    compared = policies.policies("level,mpc", {}, print)["mpc"]
-    valued = policies.policies("level,mpc", {"value": "mpc_value"}, print)["mpc"]
+    (baseline,) = plan.controllers("mpc", "--baseline")
+    compared = plan.policies("level,mpc", {}, print)["mpc"]
+    valued = plan.policies("level,mpc", {"value": "mpc_value"}, print)["mpc"]
     assert baseline == compared
     assert built(baseline.settings) is MpcPolicy
     assert built(valued.settings) is ReturnPolicy

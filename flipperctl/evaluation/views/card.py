@@ -24,8 +24,7 @@ from flipperctl.config.identity import content_digest
 from flipperctl.errors import ConfigError, RequestError
 from flipperctl.evaluation.store import FOLDER, played_policies
 from flipperctl.evaluation.stored import SUMMARY
-from flipperctl.evaluation.views import risk
-from flipperctl.evaluation.views.summary import compared
+from flipperctl.evaluation.views.summary import compared, risk_text
 from flipperctl.files import OutputKind
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource
@@ -78,11 +77,7 @@ _SECTIONS = (
 
 
 def rows_of(document: Mapping[str, Any]) -> Iterator[StoredRow]:
-    """Yield the rows of a document of ``eval --json``; in each scene the policy's is the first.
-
-    Raises:
-        KeyError: the document has another form.
-    """
+    """Yield the rows of a document of ``eval --json``; in each scene the policy's is the first."""
     for scene in document["scenes"]:
         for method in (scene, *compared(scene)):
             yield _row(scene, method, is_policy=method is scene)
@@ -127,11 +122,7 @@ def ends_text(ends: Ends | None, digits: int, *, interval: bool = True) -> str:
 
 
 def read_document(folder_or_file: Path) -> dict[str, Any]:
-    """Return the results of a folder of ``eval --output``, or of its file, with their ``rows``.
-
-    Raises:
-        RequestError: there is no such file, it holds no results of ``eval``, or not all of them.
-    """
+    """Return the results of a folder of ``eval --output``, or of its file, with their ``rows``."""
     path = folder_or_file / SUMMARY if folder_or_file.is_dir() else folder_or_file
     try:
         document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
@@ -155,11 +146,7 @@ def read_document(folder_or_file: Path) -> dict[str, Any]:
 
 
 def policy_rows(file: Path, results: Sequence[Path]) -> list[StoredRow]:
-    """Return the stored results of a policy and its baselines; the label becomes its name.
-
-    Raises:
-        RequestError: a folder holds no results, those of another policy, or those of other weights.
-    """
+    """Return the stored results of a policy and its baselines; the label becomes its name."""
     found = []
     for folder in results:
         rows, played = read_document(folder)["rows"], played_policies(folder / FOLDER)
@@ -197,9 +184,6 @@ def card_text(
     """Return the card of a policy; ``policy`` is the name or path, ``file`` its checkpoint.
 
     ``rows``: results of ``policy_rows``; ``commands``: those that make the results again.
-
-    Raises:
-        CheckpointError: the checkpoint cannot be read.
     """
     saved = checkpoints.read(file)
     label = PolicySource(checkpoint=file).label()
@@ -348,5 +332,5 @@ def limits(rows: Sequence[StoredRow]) -> Iterator[str]:
             )
     for row in own:
         if "risk" in row:
-            yield f"- Its risk on `{row['terrain']}` ({row['hash']}): {risk.text(row['risk'])}."
+            yield f"- Its risk on `{row['terrain']}` ({row['hash']}): {risk_text(row['risk'])}."
     yield "- Other robots, terrains and conditions than those above were not evaluated.\n"

@@ -95,9 +95,6 @@ def compare(
     """Read the methods of ``DIR`` or ``METHOD=DIR``.
 
     ``against``: the method to compare with, by default the first; ``all`` for every pair.
-
-    Raises:
-        RequestError: an argument or a folder is wrong.
     """
     found = resolver.get(Measure.kind, measure, "--measure")
     assert issubclass(found, Measure)

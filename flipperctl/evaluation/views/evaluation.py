@@ -24,7 +24,7 @@ from flipperctl.errors import RequestError
 from flipperctl.evaluation.evaluate import Played, Result
 from flipperctl.evaluation.plan import is_best_known
 from flipperctl.evaluation.rows import Episodes, Row
-from flipperctl.evaluation.views import engines, risk, summary
+from flipperctl.evaluation.views import engines, summary
 from flipperctl.evaluation.views.summary import (
     VARIATION,
     Document,
@@ -78,8 +78,8 @@ def document(result: Result, by: Sequence[Names] = ()) -> Document:
     correct(scenes)
     if by:
         for scene, one in zip(scenes, result.rows, strict=True):
-            others = result.baselines(one)
-            scene["by"] = {"+".join(names): list(_groups(one, others, names)) for names in by}
+            beside = result.baselines(one)
+            scene["by"] = {"+".join(names): list(_groups(one, beside, names)) for names in by}
         correct([group for scene in scenes for found in scene["by"].values() for group in found])
     methods = summary.pooled(result)
     correct(methods)
@@ -447,7 +447,7 @@ def _risks(found: Document) -> Iterator[str]:
         told = scene.get("risk")
         if told is not None and (told["failures"] or told["false_alarms"]):
             who = short(scene.get("method") or scene["controller"])
-            yield f"risk, {who} on {name}: {risk.text(told)}"
+            yield f"risk, {who} on {name}: {summary.risk_text(told)}"
 
 
 # Files

@@ -74,9 +74,6 @@ def measure(scene: RegretScene, player: Player) -> Document | None:
     """Play the scene's episodes with every policy; return the regret as plain data.
 
     Return None if a stop was asked for, since the episodes are then not the same.
-
-    Raises:
-        FlipperctlError: a policy cannot be built or failed, or no reward term is left to judge by.
     """
     config, terrain = scene.config, scene.config.terrain.plugin_name
     if not (terms := paying_terms(config.rewards)):

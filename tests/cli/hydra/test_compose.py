@@ -11,7 +11,7 @@ from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.reward import controller_fields
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, to_dict, with_overrides
 from flipperctl.errors import ConfigError
-from flipperctl.evaluation.policies import policies
+from flipperctl.evaluation.plan import policies
 from flipperctl.lookahead.controllers import Mpc
 from flipperctl.sim.planar import PlanarSensor
 from tests.cli.call import EXACT, call

@@ -1,8 +1,6 @@
 """The parts of a card that its results make; ``tests/cli/test_card.py`` has the whole."""
 
-import yaml
-
-from flipperctl.evaluation.views.card import MEASURES, StoredRow, front_matter, limits, results
+from flipperctl.evaluation.views.card import MEASURES, StoredRow, limits, results
 
 ENDS = (1.25, 1.0, 1.5)
 RISK = {"horizon": 10, "threshold": 0.25, "failures": 3, "announced": 2, "reached": 97}
@@ -23,27 +21,6 @@ POLICY: StoredRow = {
 LEVEL = POLICY | {"method": "level", "is_policy": False, "difference": (0.2, 0.1, 0.3)}
 OKADA = POLICY | {"method": "okada", "is_policy": False, "difference": (-0.2, -0.3, -0.1)}
 ROWS = (POLICY | {"risk": {**RISK, "false_alarms": 9, "false_warnings": 0.004}}, LEVEL, OKADA)
-
-
-def test_the_front_matter_is_a_model_index_of_the_policy_alone() -> None:
-    empty, front, _ = front_matter("mine", ROWS).split("---\n", 2)
-    assert empty == ""
-    head = yaml.safe_load(front)
-    assert set(head) == {"library_name", "tags", "model-index"}
-    (model,) = head["model-index"]
-    assert model["name"] == "mine"
-    (result,) = model["results"]
-    # The keys that huggingface_hub reads and requires.
-    assert set(result) == {"task", "dataset", "metrics"}
-    assert set(result["task"]) == {"type", "name"}
-    assert result["dataset"] == {
-        "name": "stair, conditions nominal 01234567",
-        "type": "flipperctl/stair",
-        "args": {"episodes": 100, "seed": 7, "engine": "planar"},
-    }
-    assert result["metrics"][0] == {"type": "success_rate", "value": 0.97, "name": "success rate"}
-    assert all({"type", "value"} <= set(metric) for metric in result["metrics"])
-    assert "model-index" not in front_matter("mine", ())
 
 
 def test_results_and_limits_are_those_of_the_rows() -> None:

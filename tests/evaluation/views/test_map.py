@@ -1,7 +1,6 @@
 """Maps of capability: which points are played, what lies between, and interruptions."""
 
 from collections.abc import Callable, Iterator, Sequence
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ from flipperctl.errors import ConfigError, RequestError
 from flipperctl.evaluation.plan import Entry
 from flipperctl.evaluation.play import EpisodeRunner, Player
 from flipperctl.evaluation.rows import Episodes
-from flipperctl.evaluation.store import EpisodeStore, FolderStore
+from flipperctl.evaluation.store import EpisodeStore
 from flipperctl.evaluation.views.map import (
     Axis,
     CapabilityMap,
@@ -87,15 +86,6 @@ def test_a_point_is_an_evaluation_with_the_values_as_overrides() -> None:
     assert [row["terrain.height"] for row in found.rows()] == [0.2, 0.5, 0.2, 0.5]
 
 
-def test_a_map_is_played_once_and_goes_on_from_its_store(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    axes = parse_axes("terrain.height=0.1:0.2:2,sim.friction=0.9:1.0:2", UPLIFT)
-    first = mapped(axes, store=FolderStore(tmp_path))
-    monkeypatch.setattr(EpisodeRunner, "play", lambda self, index: 1 / 0)
-    assert mapped(axes, store=FolderStore(tmp_path)) == first
-
-
 def test_an_interrupted_map_has_the_finished_points() -> None:
     axes = parse_axes("terrain.height=0.1:0.2:2,sim.friction=0.9:1.0:2", UPLIFT)
     calls: list[bool] = []
@@ -118,23 +108,6 @@ def test_the_boundary_lies_halfway_between_success_and_failure() -> None:
     (line,) = boundary(axes, np.array([[1.0, 1.0, 0.0], [1.0, 0.0, 0.0]]))
     assert sorted(map(tuple, line.round(6).tolist())) == [(0.15, 1.0), (0.2, 0.75), (0.25, 0.5)]
     assert boundary(axes, np.ones((2, 3))) == []
-
-
-def test_a_map_as_plain_data() -> None:
-    axes = parse_axes("terrain.height=0.1:0.2:2,sim.friction=0.9:1.0:2", UPLIFT)
-    points, _ = _sample((2, 2), player(lambda c: c == (0, 0), []))
-    found = CapabilityMap(Entry(UPLIFT, OKADA), axes, points)
-    document = found.to_dict()
-    assert document["cells_played"] == 4
-    assert document["cells"][0] == {
-        "terrain.height": 0.1,
-        "sim.friction": 0.9,
-        "episodes": 2,
-        "success_rate": 1.0,
-        "pitch_variation_100hz": 1.0,
-        "reached": 2,
-        "stuck": 0,
-    }
 
 
 def test_a_range_and_its_number_of_values() -> None:

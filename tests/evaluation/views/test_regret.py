@@ -56,13 +56,6 @@ def test_the_best_known_return_is_that_of_each_episode() -> None:
     assert one["best_reference"]["fraction"] == pytest.approx(0.0)
 
 
-def test_episodes_that_were_not_reached_count() -> None:
-    one = found([5.0] * 5)
-    assert one["references"]["level"]["success_rate"] == 0
-    assert one["references"]["level"]["return"]["mean"] == pytest.approx(3.0)
-    assert one["episodes"] == 5
-
-
 def test_there_is_no_fraction_of_no_gain() -> None:
     one = found([0.0, 1.0, 2.0, 3.0, 4.0], okada=[-1.0] * 5)  # level is the best of each episode
     assert (one["policy"]["fraction"], one["best_reference"]["fraction"]) == (None, None)

@@ -152,7 +152,7 @@ def test_a_contradiction_among_many_comparisons_needs_more_evidence() -> None:
 
 
 def test_the_audit_pays_what_the_evaluation_pays() -> None:
-    source = PolicySource(settings={"name": "planner", "width": 2, "budget": 200})
+    source = PolicySource(settings={"name": "okada"})
     config = EvalConfig(
         terrain="step", rewards={"pitch": "pitch", "travel": "travel"}, eval={"seed": 5}
     )

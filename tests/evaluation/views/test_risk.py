@@ -3,8 +3,7 @@
 import pytest
 
 from flipperctl.core.risk import RiskSign
-from flipperctl.evaluation.views.risk import summarise, threshold_for
-from flipperctl.evaluation.views.summary import summary
+from flipperctl.evaluation.views.summary import summarise, summary, threshold_for
 from flipperctl.rollout.episode import EpisodeRisks
 from tests.evaluation.samples import episodes, sample
 
