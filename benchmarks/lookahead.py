@@ -27,7 +27,7 @@ from flipperctl.api import ACTIONS, Perception, Simulator
 from flipperctl.bench import Values, quantile, quantity
 from flipperctl.config import EnvConfig, TrainConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.lookahead.controllers import Mpc, ValueIteration
+from flipperctl.lookahead import Mpc, ValueIteration
 from flipperctl.lookahead.model import Model
 from flipperctl.lookahead.mpc import MpcPolicy
 from flipperctl.policies.source import load_policy

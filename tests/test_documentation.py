@@ -16,8 +16,7 @@ import pytest
 from flipperctl import checkpoint
 from flipperctl.api import ACTIONS
 from flipperctl.env import flipper_env
-from flipperctl.lookahead import planner
-from flipperctl.lookahead.controllers import Mpc, Planner
+from flipperctl.lookahead import Mpc, Planner, planner
 from flipperctl.testing import checks
 from tests.cli.call import EXACT, GROUPS, RUN, call
 from tests.cli.test_compare import write

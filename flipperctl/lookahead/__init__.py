@@ -1,5 +1,163 @@
-"""Controllers that plan in simulation; importing this package registers them."""
+"""``mpc``, ``planner`` and ``value_iteration``: the controllers that plan in simulation.
 
-from flipperctl.lookahead.controllers import Mpc, Planner, ValueIteration
+Importing this package registers them; building their policies imports numba.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+from pydantic import PrivateAttr
+
+from flipperctl.api import Controller, Policy, RewardTerm, controller
+from flipperctl.config import PAPER_REWARDS
+from flipperctl.config.resolver import create
+from flipperctl.errors import ConfigError
+from flipperctl.lookahead.settings import (
+    LearnedValue,
+    MpcSettings,
+    PlannerSettings,
+    ValueIterationSettings,
+)
 
 __all__ = ["Mpc", "Planner", "ValueIteration"]
+
+
+@controller("mpc")
+class Mpc(MpcSettings, Controller):
+    """Model predictive control: plan on the perceived ground, take one action, plan again.
+
+    At each decision a beam search simulates a nominal robot on the perceived ground and takes the
+    first action of the best plan. With ``value``, by default the shipped one, plans have the
+    largest return of reward terms, and end with the values of a trained policy. Without it, they
+    have the least hand-set cost: lost time plus, weighted in seconds, pitch variation, postures and
+    the pitch at the horizon. The controller needs no training of its own and runs in real time on
+    one core.
+    """
+
+    baselines: ClassVar[tuple[str, ...]] = ("okada", "level")
+    reference_settings: ClassVar[Mapping[str, Any]] = {"value": ""}
+
+    _learned: LearnedValue | None = PrivateAttr(None)
+
+    def ending_with(self, learned: LearnedValue) -> Mpc:
+        """Return these settings with the values that ``value`` names.
+
+        The caller reads the file: this package knows neither checkpoints nor networks.
+        """
+        settings = self.model_copy()
+        settings._learned = learned
+        return settings
+
+    def without_value(self) -> Mpc:
+        """Return these settings with the hand-set cost."""
+        return self.model_copy(update={"value": ""})
+
+    def build(self) -> Policy:
+        """Return a policy that plans with these settings.
+
+        Raises:
+            ConfigError: ``value`` names values that ``ending_with`` was not given, there are
+                ``rewards`` without it, or a term needs what predictions lack.
+        """
+        from flipperctl.lookahead.mpc import MpcPolicy, ReturnPolicy
+
+        if self._learned is not None:
+            return ReturnPolicy(self, self._learned)
+        if self.value:
+            raise ConfigError(
+                f"controller.value={self.value}: the file of the values was not read; "
+                "flipperctl.load and the commands read it, and value='' needs none"
+            )
+        if self.rewards is not None:
+            raise ConfigError(
+                "controller.rewards: plans are paid by rewards only with values of what follows "
+                "them; set controller.value to a run that was trained with these rewards"
+            )
+        return MpcPolicy(self)
+
+
+@controller("planner")
+class Planner(PlannerSettings, Controller):
+    """Search for the best trajectory across the scene before the episode begins, then play it.
+
+    The cost of a trajectory is its time plus ``smoothness`` seconds for each radian of θ̂_R at
+    100 Hz. The search begins with the trajectories of ``level``, ``okada``, ``mpc`` and ``policy``,
+    adds those of beam searches on the true ground with ``width`` and twice ``width`` nodes, and
+    improves the best one. Every trajectory is played in the simulated scene, which decides its
+    outcome and cost. With a ``smoothness`` above 0, the result is no rougher than the smoothest
+    trajectory that the search began with. It is a yardstick for policies and cannot run on a robot.
+    """
+
+    searches_first: ClassVar[bool] = True
+    baselines: ClassVar[tuple[str, ...]] = ("okada", "level")
+
+    _trained: Policy | None = PrivateAttr(None)
+
+    @property
+    def named(self) -> Mapping[str, str]:
+        """The setting that names a file, and its value; empty without one."""
+        return {"policy": self.policy} if self.policy else {}
+
+    def starting_from(self, policies: Sequence[Policy]) -> Planner:
+        """Return these settings with the policy that ``policy`` names.
+
+        The caller reads the file: this package knows neither checkpoints nor networks.
+        """
+        settings = self.model_copy()
+        (settings._trained,) = policies
+        return settings
+
+    def build(self) -> Policy:
+        """Return a policy that searches for a plan at the start of each episode.
+
+        Raises:
+            ConfigError: ``policy`` names a policy that ``starting_from`` was not given.
+        """
+        from flipperctl.lookahead.planner import PlannerPolicy
+
+        if self.policy and self._trained is None:
+            raise ConfigError(
+                f"controller.policy={self.policy}: this command reads no policy for the planner; "
+                "flipperctl eval and inspect reward do"
+            )
+        return PlannerPolicy(self, self._trained)
+
+
+@controller("value_iteration")
+class ValueIteration(ValueIterationSettings, Controller):
+    """Compute the value of every reachable state of the true ground, then act by it.
+
+    Before an episode, the prediction model explores all flipper settings along the whole ground,
+    and value iteration on the states found gives the best return of the configured rewards from
+    each. It takes one to three seconds. The policy is a yardstick for others and, as a teacher
+    (``teacher=searched``), their source of values; it cannot run on a robot.
+    """
+
+    searches_first: ClassVar[bool] = True
+    closed_loop: ClassVar[bool] = True
+    baselines: ClassVar[tuple[str, ...]] = ("okada", "level")
+
+    _rewards: Mapping[str, RewardTerm] | None = PrivateAttr(None)
+
+    def paying(self, rewards: Mapping[str, RewardTerm]) -> ValueIteration:
+        """Return these settings with the reward terms that count."""
+        settings = self.model_copy()
+        settings._rewards = rewards
+        return settings
+
+    def build(self) -> Policy:
+        """Return a policy that explores the ground at the start of each episode.
+
+        Without ``paying``, the paper's rewards count.
+
+        Raises:
+            ConfigError: a term needs what predictions lack.
+        """
+        from flipperctl.lookahead.value_iteration import ValueIterationPolicy
+
+        rewards = self._rewards
+        if rewards is None:
+            rewards = {n: create("reward", n, f"rewards.{n}") for n in PAPER_REWARDS.values()}
+        return ValueIterationPolicy(self, rewards)

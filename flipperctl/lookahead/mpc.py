@@ -10,8 +10,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,7 +36,7 @@ from flipperctl.lookahead.model import (
     next_targets,
     nominal,
 )
-from flipperctl.lookahead.search import HOLD, History, Plan, Returns, Scores, Search
+from flipperctl.lookahead.search import HOLD, History, Plan, Returns, Scores, Search, none_yet
 from flipperctl.lookahead.settings import LearnedValue, MpcSettings
 from flipperctl.reward_sum import RewardSum
 from flipperctl.sim.ground import kept_points
@@ -46,46 +45,29 @@ HURRY = 5.0
 """Divisor of the cost weight of pitch variation in a hurry [-]."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class HandSetCost:
-    """The objective of plans without a learned value: their hand-set cost, in seconds."""
+    """What the plans of M nodes have cost so far by the hand-set cost, in seconds."""
 
     settings: MpcSettings
     robot: Robot
+    begin: float  # x of the chassis centre at the root [m]
     hurry: int = 0
     """How often the weights of pitch variation and final pitch are divided by ``HURRY`` [-]."""
-    poses: ClassVar[bool] = False
+    poses: bool = False
+    depth: int = 0  # number of decisions from the root
+    variation: FloatArray = field(default_factory=none_yet)  # pitch variation, (M,) [rad]
+    paid: FloatArray = field(default_factory=none_yet)  # cost of postures and turns, (M,) [s]
+    steep: FloatArray = field(default_factory=none_yet)  # largest absolute pitch, (M,) [rad]
 
-    @property
-    def calm(self) -> float:
-        """Factor of these weights [-]."""
-        return HURRY**-self.hurry
-
-    def begin(self, model: Model, root: FloatArray) -> CostAccount:
-        """Return the account of a search from the state ``root``."""
-        zero = np.zeros(1)
-        return CostAccount(self, model.chassis(root)[0], 0, zero, zero, zero)
-
-
-@dataclass(frozen=True)
-class CostAccount:
-    """What the plans of M nodes have cost so far."""
-
-    of: HandSetCost
-    begin: float  # x of the chassis centre at the root [m]
-    depth: int  # number of decisions from the root
-    variation: FloatArray  # pitch variation from the root, (M,) [rad]
-    paid: FloatArray  # cost of postures and turns from the root, (M,) [s]
-    steep: FloatArray  # largest absolute pitch from the root, (M,) [rad]
-
-    def take(self, rows: NDArray[np.int64]) -> CostAccount:
+    def take(self, rows: NDArray[np.int64]) -> HandSetCost:
         """Return the account of some of the nodes."""
-        kept = self.variation[rows], self.paid[rows], self.steep[rows]
-        return CostAccount(self.of, self.begin, self.depth, *kept)
+        kept = {name: getattr(self, name)[rows] for name in ("variation", "paid", "steep")}
+        return replace(self, **kept)
 
     def extend(self, parent: NDArray[np.int64], action: NDArray[np.int64], found: Branch) -> Scores:
         """Return the scores of plans that are one decision longer."""
-        of, robot, states = self.of.settings, self.of.robot, found.states
+        of, robot, states = self.settings, self.robot, found.states
         variation = self.variation[parent] + found.pitch_variation
         step = (
             of.flippers * np.abs(states[:, TARGETS:]).sum(axis=1)
@@ -97,19 +79,22 @@ class CostAccount:
         distance = found.places[:, 0] - self.begin
         lost = robot.decision_period * (self.depth + 1) - distance / robot.track_speed
         lost = np.maximum(lost, 0.0)  # otherwise plans would push themselves along by flippers
+        calm = HURRY**-self.hurry
         final = (
             lost
             + of.standstill * np.maximum(0.0, lost - of.standstill_from)
-            + self.of.calm * of.pitch * np.abs(states[:, 2])
+            + calm * of.pitch * np.abs(states[:, 2])
             + of.steep * np.maximum(0.0, steep - of.steep_from)
         )
-        weight = self.of.calm * of.swing
+        weight = calm * of.swing
         return Scores(
             cost=paid + final + weight * variation,
             hurried=paid + final + weight / HURRY * variation,
             ended=np.zeros(len(lost), np.bool_),
             lost_time=lost,
-            account=CostAccount(self.of, self.begin, self.depth + 1, variation, paid, steep),
+            account=replace(
+                self, depth=self.depth + 1, variation=variation, paid=paid, steep=steep
+            ),
         )
 
 
@@ -203,18 +188,19 @@ class MpcPolicy:
         """
         settings, former = self._settings, self._former
         hurry = min(_MOST_HURRY, 1 + self._standing // _PATIENCE)
-        size = {"depth": settings.horizon, "beam_per_action": settings.of_each}
-        calm = Search(robot, HandSetCost(settings, robot), width=settings.beam, **size)
-        width = round(settings.wider * settings.beam * hurry)
-        wide = Search(robot, HandSetCost(settings, robot, hurry), width=width, **size)
+        depth, each = settings.horizon, settings.of_each
+        calm = HandSetCost(settings=settings, robot=robot, begin=model.chassis(root)[0])
         plan, self.simulated = None, 0
         if not self._hurried and hurry == 1:
-            plan = calm.run(model, root, former, deadline)
+            search = Search(robot, settings.beam, depth, each)
+            plan = search.run(model, root, calm, former, deadline)
             self.simulated = plan.simulated
             stuck = plan.lost_time > settings.stuck_from or len(plan.actions) < settings.horizon
             self._hurried = stuck and time.perf_counter() < deadline
         if plan is None or self._hurried:
-            plan = wide.run(model, root, former, deadline)
+            width = round(settings.wider * settings.beam * hurry)
+            search, account = Search(robot, width, depth, each), replace(calm, hurry=hurry)
+            plan = search.run(model, root, account, former, deadline)
             self.simulated += plan.simulated
             self._hurried = plan.lost_time > settings.stuck_from / 2
         return plan
@@ -396,26 +382,22 @@ class ReturnPolicy(MpcPolicy):
         """Search for the largest return, the wider the longer the robot has stood."""
         settings, learned = self._settings, self._learned
         ground = Ground(self._line, learned.layout)
-        objective = Returns(
+        place = np.array(model.chassis(root))
+        account = Returns(
             rewards=self._rewards,
             horizon=lambda nodes: learned.value(ground.observations(nodes.places, nodes.states)),
             gamma=learned.gamma,
             profile=Profile(self._line),
             robot=robot,
-            root=self._history.node(root, np.array(model.chassis(root))),
+            nodes=self._history.node(root, place),
+            begin=place[0],
             standing=self._standing,
             patience=_EPISODE.stuck_decisions(robot.decision_period),
             averaging=_AVERAGING,
         )
         width = settings.beam * min(_WIDEST, 1 + self._standing // _LONG)
-        search = Search(
-            robot,
-            objective,
-            width=width,
-            depth=settings.horizon,
-            beam_per_action=max(1, settings.of_each),
-        )
-        plan = search.run(model, root, self._former, deadline)
+        search = Search(robot, width, settings.horizon, max(1, settings.of_each))
+        plan = search.run(model, root, account, self._former, deadline)
         self.simulated = plan.simulated
         return plan
 

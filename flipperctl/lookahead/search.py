@@ -1,8 +1,9 @@
 """A beam search over flipper commands on the ground around the robot.
 
-In: the robot's present state on a piece of ground, and an objective. Out: the cheapest sequence of
-actions, and the cost of the best sequence that begins with each action. ``Returns`` is the negative
-discounted return of reward terms and of a value at the horizon; ``mpc`` has a hand-set cost too.
+In: the robot's present state on a piece of ground, and an account of what plans cost. Out: the
+cheapest sequence of actions, and the cost of the best sequence that begins with each action.
+``Returns`` is the negative discounted return of reward terms and of a value at the horizon; ``mpc``
+has a hand-set cost too.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -73,24 +74,17 @@ class Scores(NamedTuple):
 
 
 class Account(Protocol):
-    """What the plans of a level's nodes have cost so far."""
+    """What the plans of a level's nodes have cost so far; it says what a search minimises."""
+
+    @property
+    def poses(self) -> bool:
+        """Whether the poses between two decisions are needed."""
 
     def extend(self, parent: NDArray[np.int64], action: NDArray[np.int64], found: Branch) -> Scores:
         """Return the scores of longer plans: ``action`` (M,) from the nodes ``parent`` (M,)."""
 
     def take(self, rows: NDArray[np.int64]) -> Account:
         """Return the account of some of the nodes."""
-
-
-class Objective(Protocol):
-    """What a search minimises."""
-
-    @property
-    def poses(self) -> bool:
-        """Whether the poses between two decisions are needed."""
-
-    def begin(self, model: Model, root: FloatArray) -> Account:
-        """Return the account of a search from the state ``root``, (``STATE``,)."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +123,6 @@ class Search:
     """A search of one size; no run depends on an earlier one."""
 
     robot: Robot
-    objective: Objective
     width: int  # nodes that are kept at each depth
     depth: int  # decisions to the horizon
     beam_per_action: int = 0
@@ -140,17 +133,17 @@ class Search:
         self,
         model: Model,
         root: FloatArray,
+        account: Account,
         former: tuple[int, ...] = (),
         deadline: float = math.inf,
     ) -> Plan:
         """Return the cheapest plan from the state ``root``, (``STATE``,).
 
-        The plan ``former`` is kept in the beam whatever its cost. Once ``time.perf_counter`` passes
-        ``deadline`` [s], the search ends at the depth that it has reached.
+        ``account``: that of the root. The plan ``former`` is kept in the beam whatever its cost.
+        Once ``time.perf_counter`` passes ``deadline`` [s], the search ends at its depth of then.
         """
-        robot, poses = self.robot, self.objective.poses
-        none, begin = np.array([-1]), self.objective.begin(model, root)
-        levels = [_Level(root[None], begin, none, none, none, np.zeros(1), 0)]
+        robot, poses, none = self.robot, account.poses, np.array([-1])
+        levels = [_Level(root[None], account, none, none, none, np.zeros(1), 0)]
         costs, best = np.full(len(ACTIONS), np.inf), math.inf
         final, least = np.full(len(ACTIONS), np.inf), math.inf
         ended: tuple[tuple[int, ...], FloatArray, float] | None = None  # the cheapest such plan
@@ -300,12 +293,17 @@ class History:
         )
 
 
+def none_yet() -> FloatArray:
+    """Return what the plan of the root alone has cost, (1,)."""
+    return np.zeros(1)
+
+
 _SLOW = 0.3  # share of the way at full speed below which a plan stands [-]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Returns:
-    """The objective of one decision's search."""
+    """The discounted reward of the plans of M nodes, by which a search minimises its negative."""
 
     rewards: RewardSum
     horizon: Callable[[Nodes], FloatArray]
@@ -313,35 +311,21 @@ class Returns:
     gamma: float  # discount per decision [-]
     profile: Profile  # the known ground
     robot: Robot
-    root: Nodes  # the robot before its decision, one node
+    nodes: Nodes
     standing: int  # number of decisions in which the robot has stood until now
-    patience: int  # number of decisions without progress after which an episode ends as stuck [-]
+    patience: int
+    """Number of decisions without progress after which an episode ends as stuck [-]."""
     averaging: float = 0.0
     """Share of the estimates at smaller depths in the return of a plan, 0 to 1. The best of many
     plans is often the one whose value errs most; its errors at several depths average out."""
+    poses: bool = True  # reward terms see those between decisions
+    begin: float  # x of the chassis centre at the root [m]
+    depth: int = 0  # number of decisions from the root
+    earned: FloatArray = field(default_factory=none_yet)
+    """Discounted rewards from the root, (M,) [-]."""
+    estimate: FloatArray = field(default_factory=none_yet)  # return of the plans, (M,) [-]
 
-    @property
-    def poses(self) -> bool:
-        """Reward terms see the poses between decisions."""
-        return True
-
-    def begin(self, model: Model, root: FloatArray) -> ReturnAccount:
-        """Return the account of a search from the state ``root``."""
-        nodes, zero = replace(self.root, states=root[None]), np.zeros(1)
-        return ReturnAccount(self, nodes, 0, zero, zero)
-
-
-@dataclass(frozen=True)
-class ReturnAccount:
-    """The discounted reward of the plans of M nodes."""
-
-    objective: Returns
-    nodes: Nodes
-    depth: int  # number of decisions from the root
-    earned: FloatArray  # discounted rewards from the root, (M,) [-]
-    estimate: FloatArray  # estimated return of the plans, (M,) [-]
-
-    def take(self, rows: NDArray[np.int64]) -> ReturnAccount:
+    def take(self, rows: NDArray[np.int64]) -> Returns:
         """Return the account of some of the nodes."""
         return replace(
             self,
@@ -352,36 +336,32 @@ class ReturnAccount:
 
     def extend(self, parent: NDArray[np.int64], action: NDArray[np.int64], found: Branch) -> Scores:
         """Return the scores of plans that are one decision longer."""
-        o, period = self.objective, self.objective.robot.decision_period
+        period = self.robot.decision_period
         before = self.nodes.take(parent)
         after = before.after(found, action, period)
-        ts = transitions(before, after, found, o.profile, o.robot)
-        reward = o.rewards.array(ts)
+        ts = transitions(before, after, found, self.profile, self.robot)
+        reward = self.rewards.array(ts)
         ended = found.outcome != RUNNING
         ahead = np.zeros(len(parent))
         going = np.flatnonzero(~ended)
-        ahead[going] = o.horizon(after.take(going))
-        distance = found.places[:, 0] - o.root.places[0, 0]
-        way = o.robot.track_speed * period * (self.depth + 1)
-        if o.standing:
+        ahead[going] = self.horizon(after.take(going))
+        distance = found.places[:, 0] - self.begin
+        way = self.robot.track_speed * period * (self.depth + 1)
+        if self.standing:
             # The longer the robot has stood, the likelier the episode ends before it moves. The
             # value does not know how long it has stood.
             rows = np.flatnonzero(~ended & (distance < _SLOW * way))
-            risk = min(1.0, (o.standing + self.depth + 1) / o.patience)
+            risk = min(1.0, (self.standing + self.depth + 1) / self.patience)
             if len(rows):
-                stuck = o.rewards.array(ts.ending(rows, Outcome.STUCK))
+                stuck = self.rewards.array(ts.ending(rows, Outcome.STUCK))
                 reward[rows] += risk * (stuck - reward[rows])
                 ahead[rows] *= 1.0 - risk
-        discount = o.gamma**self.depth
+        discount = self.gamma**self.depth
         earned = self.earned[parent] + discount * reward
-        estimate = earned + discount * o.gamma * ahead
-        if self.depth and o.averaging:
-            mixed = o.averaging * self.estimate[parent] + (1 - o.averaging) * estimate
+        estimate = earned + discount * self.gamma * ahead
+        if self.depth and self.averaging:
+            mixed = self.averaging * self.estimate[parent] + (1 - self.averaging) * estimate
             estimate = np.where(ended, estimate, mixed)
-        return Scores(
-            cost=-estimate,
-            hurried=-distance,
-            ended=ended,
-            lost_time=np.maximum(0.0, period * (self.depth + 1) - distance / o.robot.track_speed),
-            account=ReturnAccount(o, after, self.depth + 1, earned, estimate),
-        )
+        lost = period * (self.depth + 1) - distance / self.robot.track_speed
+        account = replace(self, nodes=after, depth=self.depth + 1, earned=earned, estimate=estimate)
+        return Scores(-estimate, -distance, ended, np.maximum(0.0, lost), account)

@@ -422,24 +422,19 @@ class ValueIterationPolicy:
         """Return the negative value of each action in the true state, (9,) [-]."""
         self._catch_up()
         settings, robot, root = self._settings, self._robot, self._here()
-        objective = Returns(
+        account = Returns(
             rewards=self._rewards,
             horizon=self._horizon,
             gamma=settings.gamma,
             profile=self._simulator.profile,
             robot=robot,
-            root=root,
+            nodes=root,
+            begin=root.places[0, 0],
             standing=0,
             patience=self._patience,
         )
-        search = Search(
-            robot,
-            objective,
-            width=settings.beam,
-            depth=settings.horizon,
-            beam_per_action=1,
-        )
-        costs = search.run(self._model, root.states[0]).costs
+        search = Search(robot, settings.beam, settings.horizon, beam_per_action=1)
+        costs = search.run(self._model, root.states[0], account).costs
         costs = -with_stops(-costs[None])[0]
         return np.asarray(np.where(np.isfinite(costs), costs, costs[np.isfinite(costs)].max()))
 

@@ -13,8 +13,7 @@ from flipperctl.cli.plan import scenes
 from flipperctl.config import EnvConfig, resolver, to_dict, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation import plan
-from flipperctl.lookahead import planner
-from flipperctl.lookahead.controllers import Mpc, Planner
+from flipperctl.lookahead import Mpc, Planner, planner
 from flipperctl.lookahead.mpc import MpcPolicy, ReturnPolicy
 from flipperctl.lookahead.settings import HAND_SET
 from flipperctl.policies.source import PolicySource, learned_value, with_files

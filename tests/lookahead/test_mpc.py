@@ -24,8 +24,7 @@ from flipperctl.cli.plan import scenes
 from flipperctl.config import EnvConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError, ConfigError
-from flipperctl.lookahead import mpc
-from flipperctl.lookahead.controllers import Mpc
+from flipperctl.lookahead import Mpc, mpc
 from flipperctl.lookahead.settings import LearnedValue
 from flipperctl.policies.source import PolicySource, learned_value
 from flipperctl.policies.trained import policy_module

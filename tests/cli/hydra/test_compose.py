@@ -12,7 +12,7 @@ from flipperctl.cli.reward import controller_fields
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, to_dict, with_overrides
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.plan import policies
-from flipperctl.lookahead.controllers import Mpc
+from flipperctl.lookahead import Mpc
 from flipperctl.sim.planar import PlanarSensor
 from tests.cli.call import EXACT, call
 
