@@ -19,8 +19,7 @@ from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError
 from flipperctl.policies.source import PolicySource, load_policy
-from flipperctl.rollout.episode import Row, play
-from flipperctl.rollout.seeds import EvaluationSeeds
+from flipperctl.rollout.episode import EvaluationSeeds, Row, play
 
 ABOUT = (
     "θ̂_R of a rule at 100 Hz and at decisions on the paper's scenes, from several starts, by "

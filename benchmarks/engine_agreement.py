@@ -28,8 +28,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.views.engines import in_default_engine
 from flipperctl.policies.source import PolicySource
-from flipperctl.rollout.episode import Row, decisions
-from flipperctl.rollout.seeds import EvaluationSeeds
+from flipperctl.rollout.episode import EvaluationSeeds, Row, decisions
 from flipperctl.show import Column, Table, console, print_table
 
 PITCH_TOLERANCE = 0.05

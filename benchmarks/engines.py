@@ -20,8 +20,7 @@ from flipperctl.config import DEFAULT_ENGINE, EnvConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
 from flipperctl.policies.source import load_policy
-from flipperctl.rollout.episode import decisions
-from flipperctl.rollout.seeds import EvaluationSeeds
+from flipperctl.rollout.episode import EvaluationSeeds, decisions
 
 ABOUT = (
     "simulated time per second of CPU time (× real time on one core) of every engine and of the "

@@ -27,8 +27,7 @@ from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import RequestError
 from flipperctl.policies.controllers import FunctionPolicy
-from flipperctl.rollout.episode import steps
-from flipperctl.rollout.seeds import training_seed
+from flipperctl.rollout.episode import steps, training_seed
 
 ABOUT = "sample, gradient step and soft target update of the agent, on one torch thread"
 

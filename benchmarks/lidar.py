@@ -17,7 +17,7 @@ from benchmarks.settings import Benchmark, ratio
 from flipperctl.bench import measure_in_turn, quantity
 from flipperctl.config import with_overrides
 from flipperctl.errors import MissingExtraError
-from flipperctl.rollout.seeds import EvaluationSeeds
+from flipperctl.rollout.episode import EvaluationSeeds
 
 ABOUT = (
     "simulated time per second of CPU time (× real time on one core) of the environment in 3-D, on "

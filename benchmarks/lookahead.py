@@ -32,8 +32,7 @@ from flipperctl.lookahead.model import Model
 from flipperctl.lookahead.mpc import MpcPolicy
 from flipperctl.policies.source import load_policy
 from flipperctl.policies.trained import value_of
-from flipperctl.rollout.episode import Decision, decisions
-from flipperctl.rollout.seeds import EvaluationSeeds
+from flipperctl.rollout.episode import Decision, EvaluationSeeds, decisions
 from flipperctl.testing.policies import one_thread
 
 ABOUT = (

@@ -27,8 +27,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.guarded import GuardedWorld
 from flipperctl.policies.source import load_policy
 from flipperctl.reward_sum import RewardSum
-from flipperctl.rollout.episode import decisions
-from flipperctl.rollout.seeds import EvaluationSeeds
+from flipperctl.rollout.episode import EvaluationSeeds, decisions
 from flipperctl.sim.planar.compiled import TRACK, step_alone
 from flipperctl.sim.planar.world import PlanarWorld
 

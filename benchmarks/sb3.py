@@ -25,8 +25,7 @@ from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.rows import reached
 from flipperctl.policies.trained import TrainedPolicy
-from flipperctl.rollout.episode import play
-from flipperctl.rollout.seeds import validation_seed
+from flipperctl.rollout.episode import play, validation_seed
 
 SETTINGS: Mapping[str, Any] = {
     "net_arch": (128, 128),

@@ -24,8 +24,7 @@ from flipperctl.errors import MissingExtraError
 from flipperctl.policies.trained import ExploringPolicy
 from flipperctl.rollout.cluster import LOCAL, QUIET, is_connected, join
 from flipperctl.rollout.collect import RayWorkers, RolloutWorkers
-from flipperctl.rollout.episode import RolloutRequest, steps
-from flipperctl.rollout.seeds import training_seed
+from flipperctl.rollout.episode import RolloutRequest, steps, training_seed
 
 ABOUT = "decisions per second (ε-greedy on the network, no updates) by number of workers, in turn"
 EPSILON = 0.05

@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from flipperctl import entry, plugins
 from flipperctl.api import FloatArray, Robot
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.rollout.seeds import EvaluationSeeds
+from flipperctl.rollout.episode import EvaluationSeeds
 from flipperctl.sim.ground import inflated
 from flipperctl.sim.jit import cached
 

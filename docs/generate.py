@@ -35,7 +35,7 @@ from flipperctl.config import (
     Train,
 )
 from flipperctl.config.describe import Field, fields
-from flipperctl.training.search_space import SearchSettings
+from flipperctl.training.search import SearchSettings
 
 SECTIONS: Mapping[str, type[Settings]] = {
     "train": Train,

@@ -106,8 +106,7 @@ def evaluation(config: TrainConfig, sizes: Sizes, report: Report) -> dict[str, A
     from flipperctl.config import with_overrides
     from flipperctl.env.flipper_env import FlipperEnv
     from flipperctl.policies.source import load_policy
-    from flipperctl.rollout.episode import decisions
-    from flipperctl.rollout.seeds import EvaluationSeeds
+    from flipperctl.rollout.episode import EvaluationSeeds, decisions
 
     own, missing = config.environment(), list[str]()
     clocks: dict[str, Callable[[], float]] = {}

@@ -36,9 +36,8 @@ from flipperctl.policies.controllers import DemonstratingPolicy
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout import cluster
-from flipperctl.rollout.episode import Decision, EpisodeRecorder, decisions, play
+from flipperctl.rollout.episode import Decision, EpisodeRecorder, EvaluationSeeds, decisions, play
 from flipperctl.rollout.pool import POLL, Host, WorkerDiedError, WorkerPool
-from flipperctl.rollout.seeds import EvaluationSeeds
 
 Progress = Callable[[str, int], AbstractContextManager[Callable[[float], None]]]
 """Opens a progress display from a label and a number of episodes. Its context manager yields a

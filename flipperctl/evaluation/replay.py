@@ -47,8 +47,7 @@ from flipperctl.messages import explain
 from flipperctl.policies.identity import named_files
 from flipperctl.policies.source import PolicySource
 from flipperctl.results import result_folder
-from flipperctl.rollout.episode import Decision, EpisodeRisks, play
-from flipperctl.rollout.seeds import EvaluationSeeds
+from flipperctl.rollout.episode import Decision, EpisodeRisks, EvaluationSeeds, play
 from flipperctl.sim.versions import engine_versions
 
 NAMES = ("replay.json", "replay.png")

@@ -46,8 +46,7 @@ from flipperctl.errors import ConfigError, ExportError, FlipperctlError, Missing
 from flipperctl.files import OutputKind, check_output, write_bytes
 from flipperctl.guard import naming
 from flipperctl.policies.trained import TrainedPolicy, policy_module, policy_risk
-from flipperctl.rollout.episode import play
-from flipperctl.rollout.seeds import EvaluationSeeds
+from flipperctl.rollout.episode import EvaluationSeeds, play
 from flipperctl.runtime.interface import CHECKSUM, FORMAT_VERSION, PLACEHOLDER, PREFIX, add_checksum
 from flipperctl.sim.lidar import LidarSensor
 

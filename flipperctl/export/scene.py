@@ -13,7 +13,7 @@ from flipperctl.config import EvalConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 from flipperctl.files import OutputKind, check_output, write_bytes
-from flipperctl.rollout.seeds import EvaluationSeeds
+from flipperctl.rollout.episode import EvaluationSeeds
 
 _URDF = re.compile(rb'<robot name="(flipperctl"|ground">\s*<link name="ground">)')
 SceneFormat = Literal["mjcf", "urdf"]

@@ -1,4 +1,4 @@
-"""The one episode loop, and what is learnt and recorded of an episode.
+"""The one episode loop, what is learnt and recorded of an episode, and the seeds of episodes.
 
 In: an environment, a policy, a seed. Out: one ``Decision``, or one ``Step`` of a learner, after the
 other, each made on request of the iterator, so that the caller can learn, display, wait or stop in
@@ -7,6 +7,8 @@ between; a ``RecordedEpisode`` for a file.
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
@@ -22,9 +24,11 @@ from flipperctl.api import (
     Perception,
     Policy,
     StateGroups,
+    Terrain,
     Transition,
 )
 from flipperctl.checkpoint.recording import RecordedEpisode
+from flipperctl.config import identity
 from flipperctl.core.risk import RiskSign
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.pictures import Observer
@@ -308,3 +312,64 @@ def steps(
             next_privileged=None if states is None else states.rows[-1],
         )
         before = after
+
+
+# Seeds lie in three streams with disjoint ranges. Those of trainings have 32 bits; those of
+# validations and evaluations are the stream's number followed by 50 random bits, below 2^53, so
+# that every JSON reader keeps all their digits.
+_TRAINING, _VALIDATION, _EVALUATION, _EXPLORATION = 1, 2, 3, 4
+_RANDOM_BITS = 50
+
+
+def training_seed(seed: int, episode: int) -> int:
+    """Return the seed of a training episode, below 2^32; ``seed`` is that of the training."""
+    return int(_sequence(seed, _TRAINING, episode).generate_state(1, np.uint32)[0])
+
+
+def validation_seed(seed: int, episode: int) -> int:
+    """Return the seed of a validation episode, from 2^51 on; ``seed`` is that of validations."""
+    return _long_seed(_VALIDATION, seed, episode)
+
+
+@dataclass(frozen=True)
+class EvaluationSeeds:
+    """The seeds of an evaluation's episodes on one terrain, from 3 · 2^50 on.
+
+    Equal arguments give equal seeds on every machine. The seeds of two terrains differ, so that
+    episodes on several terrains are independent samples. Physics, sensing, start, engine and policy
+    do not influence the seeds, so that all of them meet the same ground.
+    """
+
+    seed: int
+    """Seed of the evaluation."""
+    terrain: tuple[int, ...]
+    """Four 32-bit words of the SHA-256 of the terrain's ``config.identity``."""
+
+    @classmethod
+    def of(cls, seed: int, terrain: Terrain) -> EvaluationSeeds:
+        """Return the seeds of an evaluation on a terrain."""
+        text = json.dumps(identity(terrain), sort_keys=True, separators=(",", ":"))
+        digest = hashlib.sha256(text.encode()).digest()
+        return cls(seed, tuple(np.frombuffer(digest[:16], "<u4").tolist()))
+
+    def __call__(self, episode: int) -> int:
+        """Return the seed of an episode, counted from 0."""
+        return _long_seed(_EVALUATION, self.seed, *self.terrain, episode)
+
+    def first(self, count: int) -> list[int]:
+        """Return the seeds of the first episodes."""
+        return [self(episode) for episode in range(count)]
+
+
+def exploration_rng(seed: int, episode: int) -> np.random.Generator:
+    """Return the generator of a worker's exploration in one training episode."""
+    return np.random.default_rng(_sequence(seed, _EXPLORATION, episode))
+
+
+def _long_seed(stream: int, seed: int, *key: int) -> int:
+    (word,) = _sequence(seed, stream, *key).generate_state(1, np.uint64)
+    return (stream << _RANDOM_BITS) | (int(word) >> (64 - _RANDOM_BITS))
+
+
+def _sequence(seed: int, stream: int, *key: int) -> np.random.SeedSequence:
+    return np.random.SeedSequence(seed, spawn_key=(stream, *key))

@@ -231,7 +231,7 @@ class _Worker:
                 self._host.end(kill=self._busy)
 
 
-_PRELOAD = ("flipperctl.rollout.actor", "flipperctl.sim.planar.compiled")
+_PRELOAD = ("flipperctl.rollout.collect", "flipperctl.sim.planar.compiled")
 """What the fork server imports once for all its workers."""
 
 

@@ -25,8 +25,7 @@ from flipperctl.env.pictures import Observer
 from flipperctl.errors import OutputError, RequestError
 from flipperctl.files import new_folder
 from flipperctl.policies.source import PolicySource
-from flipperctl.rollout.episode import decisions
-from flipperctl.rollout.seeds import EvaluationSeeds
+from flipperctl.rollout.episode import EvaluationSeeds, decisions
 from flipperctl.ros.messages import (
     LEVEL,
     LIDAR,

@@ -32,17 +32,24 @@ from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.files import make_folder
 from flipperctl.guard import refusal
 from flipperctl.policies.source import controller_notes
-from flipperctl.rollout.actor import teacher_of, training_policy
 from flipperctl.rollout.collect import (
     AsyncCollector,
     Collector,
     InProcessCollector,
     RayWorkers,
     RolloutWorkers,
+    teacher_of,
+    training_policy,
 )
-from flipperctl.rollout.episode import EpisodeRecorder, RolloutRequest, Step, Weights, steps
+from flipperctl.rollout.episode import (
+    EpisodeRecorder,
+    RolloutRequest,
+    Step,
+    Weights,
+    steps,
+    training_seed,
+)
 from flipperctl.rollout.pool import Stop
-from flipperctl.rollout.seeds import training_seed
 
 
 @dataclass

@@ -24,6 +24,7 @@ from flipperctl.files import make_folder, remove_partial, write_bytes
 from flipperctl.results import CONFIG, HYDRA, METRICS, SUMMARY, holds_run, is_held, read_config
 from flipperctl.training.episodes import EPISODES, PARTS
 from flipperctl.training.listeners import NAME, read_rows
+from flipperctl.training.sweep import REACHED, of_reached
 
 _SUMS = "SHA256SUMS"
 _LOCK, _LOCK_NOTE = Path(".run.lock"), Path(".run.lock.json")
@@ -163,9 +164,7 @@ def discard(directory: Path, loggers: Iterable[str]) -> None:
     (directory / checkpoint.BEST.parent).rmdir()
 
 
-_REACHED = ("pitch_variation_100hz", "pitch_variation", "t_cost")
-"""Measures of a validation that are means over the episodes that reached the finish."""
-_SHOWN = ("decision", "success_rate", *_REACHED, "return", "mean_return")
+_SHOWN = ("decision", "success_rate", *REACHED, "return", "mean_return")
 
 
 Rows = list[dict[str, str]]
@@ -201,13 +200,3 @@ def summarise(run: Path, episodes: Rows, validations: Rows) -> dict[str, Any]:
         "episodes": len(episodes),
         "validations": [of_reached(row) for row in numbers],
     }
-
-
-def of_reached(validation: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the measures of a validation; None for those of the way to a finish never reached.
-
-    The files have the means over all episodes there, by which validations are ranked.
-    """
-    if validation.get("success_rate"):
-        return dict(validation)
-    return {name: None if name in _REACHED else v for name, v in validation.items()}

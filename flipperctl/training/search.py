@@ -13,28 +13,32 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import math
 import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from omegaconf import OmegaConf
+from pydantic import Field, ValidationError
 
+from flipperctl.api import Settings
 from flipperctl.checkpoint import job_order
 from flipperctl.errors import (
     ConfigError,
     FlipperctlError,
     InterruptedRunError,
+    MissingExtraError,
     NonFiniteError,
     PluginFailedError,
     RequestError,
 )
+from flipperctl.messages import explain
 from flipperctl.results import SUMMARY, holder, is_dead
 from flipperctl.session import command, sweep_command
-from flipperctl.training.search_space import Interval, SearchSettings, distributions
 from flipperctl.training.sweep import JobResult, Sweep, SweepRun, sweep_run
 
 if TYPE_CHECKING:
@@ -51,6 +55,110 @@ _MEASURE, _AT_100_HZ = "measure", "pitch_variation_100hz"
 _OWNER, _PLACE, _RUN, _FAILED = "owner", "place", "run", "failed"
 """Attributes of a trial: its process; its place in the search, which decides what is sampled; the
 path of its run; whether its training failed (Optuna's FAIL also marks interrupted trials)."""
+
+
+class SearchSettings(Settings):
+    """The section ``hydra.sweeper`` of a search."""
+
+    n_trials: int = Field(
+        20,
+        ge=1,
+        le=100_000,
+        description="finished trials of the whole study, those of earlier starts included",
+    )
+    n_jobs: int = Field(
+        1, ge=1, le=1000, description="trials proposed at once, for a launcher to run side by side"
+    )
+    storage: str | None = Field(
+        None,
+        description="URL of the study's database, as in sqlite:///search.db; null: in memory",
+    )
+    study_name: str = Field("search", min_length=1, description="name of the study in the storage")
+    sampler: Literal["tpe", "random"] = Field("tpe", description="Optuna's sampler")
+    seed: int = Field(1, ge=0, lt=2**31, description="seed of the proposals")
+
+
+def objective(best: dict[str, Any] | None, episodes: int, best_by: str = "success") -> float | None:
+    """Return the objective that a sweeper maximises, from a run's best validation.
+
+    It is the mean return if ``best_by``, as in ``train.best_by``, is ``return``. Else it is the
+    success rate minus a penalty of at most one episode that grows with θ̂_R at 100 Hz [rad]:
+    ``success − θ̂_R / (1 + θ̂_R) / episodes``. It orders runs as validations are ordered: by success,
+    then by θ̂_R. Return None if there was no validation.
+    """
+    if best is None:
+        return None
+    if best_by == "return":
+        return float(best["mean_return"])
+    variation = best["pitch_variation_100hz"]
+    penalty = variation / (1.0 + variation) if math.isfinite(variation) else 1.0
+    return float(best["success_rate"]) - penalty / episodes
+
+
+def check_settings(given: Mapping[str, Any]) -> SearchSettings:
+    """Return the settings of a search."""
+    try:
+        import optuna
+    except ImportError as error:
+        raise MissingExtraError(
+            "hydra/sweeper=optuna needs the package optuna; install flipperctl[optuna]"
+        ) from error
+    try:
+        settings = SearchSettings(**given)
+    except ValidationError as error:
+        raise ConfigError(explain(error, "hydra.sweeper", SearchSettings)) from error
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    return settings
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An interval of numbers, of integers if both ends are integers."""
+
+    low: float
+    high: float
+    log: bool
+    """Whether numbers are sampled on a logarithmic scale."""
+    typed: str
+    """The override, for errors."""
+
+    @property
+    def whole(self) -> bool:
+        """Whether the numbers are integers."""
+        return isinstance(self.low, int) and isinstance(self.high, int)
+
+    def probes(self) -> tuple[float, float, float]:
+        """Return both ends and a number between them, a fraction unless both are integers."""
+        between = self.low + 0.3819 * (self.high - self.low)
+        return self.low, self.high, self.low if self.whole else between
+
+
+def distributions(
+    sampled: Mapping[str, Interval | Sequence[str]],
+) -> dict[str, BaseDistribution]:
+    """Return the distribution of each key."""
+    from optuna.distributions import CategoricalDistribution
+
+    if not sampled:
+        raise ConfigError(
+            "hydra/sweeper=optuna has nothing to search; give an interval or a list, as in "
+            "'agent.learning_rate=tag(log,interval(1e-4,3e-3))' or agent.batch_size=64,128"
+        )
+    return {
+        key: _numbers(one) if isinstance(one, Interval) else CategoricalDistribution(list(one))
+        for key, one in sampled.items()
+    }
+
+
+def _numbers(interval: Interval) -> BaseDistribution:
+    from optuna.distributions import FloatDistribution, IntDistribution
+
+    made = IntDistribution if interval.whole else FloatDistribution
+    try:
+        low, high = interval.low, interval.high
+        return made(low, high, log=interval.log)  # type: ignore[arg-type]  # both are of its kind
+    except ValueError as error:
+        raise ConfigError(f"{interval.typed}: {error}") from error
 
 
 def search(

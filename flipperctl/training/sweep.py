@@ -21,7 +21,6 @@ from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
 from flipperctl.files import make_folder, write_csv
 from flipperctl.results import SUMMARY, hold, holds_run, is_dead, names
 from flipperctl.session import interrupts
-from flipperctl.training.folder import of_reached
 
 _LONGEST = 120
 """Largest length of a folder's name in characters; file systems allow 255 bytes."""
@@ -67,6 +66,20 @@ def stop_of(folder: Path, sweeper: dict[str, Any]) -> Callable[[], bool]:
     """
     mark = folder / _MARK
     return lambda: mark.exists() or is_dead(sweeper)
+
+
+REACHED = ("pitch_variation_100hz", "pitch_variation", "t_cost")
+"""Measures of a validation that are means over the episodes that reached the finish."""
+
+
+def of_reached(validation: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the measures of a validation; None for those of the way to a finish never reached.
+
+    The files have the means over all episodes there, by which validations are ranked.
+    """
+    if validation.get("success_rate"):
+        return dict(validation)
+    return {name: None if name in REACHED else v for name, v in validation.items()}
 
 
 FILE = "sweep.csv"

@@ -23,10 +23,8 @@ from flipperctl.env.metrics import DRAWN
 from flipperctl.evaluation.rows import reached
 from flipperctl.evaluation.views.summary import predicted_and_actual, summarise, threshold_for
 from flipperctl.reward_sum import paying_terms
-from flipperctl.rollout.actor import GreedyPlayer
-from flipperctl.rollout.collect import Collector
-from flipperctl.rollout.episode import EpisodeRisks, Row
-from flipperctl.rollout.seeds import validation_seed
+from flipperctl.rollout.collect import Collector, GreedyPlayer
+from flipperctl.rollout.episode import EpisodeRisks, Row, validation_seed
 
 _LEAST: Final = 0.05
 """Smallest threshold of a warning [-], however few false alarms a smaller one would give."""

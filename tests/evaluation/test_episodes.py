@@ -14,9 +14,8 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.play import Player
 from flipperctl.evaluation.rows import RECORDED, Row, arranged
 from flipperctl.policies.source import PolicySource
-from flipperctl.rollout.episode import play
+from flipperctl.rollout.episode import EvaluationSeeds, play
 from flipperctl.rollout.pool import WorkerPool
-from flipperctl.rollout.seeds import EvaluationSeeds
 from tests.rollout.notes import process_ids
 
 LEVEL = PolicySource(settings={"name": "level"})

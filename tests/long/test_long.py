@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.long import golden
-from tests.long.files import BAD, KINDS, fuzz
+from tests.long.files import BAD, fuzz
 
 ROOT = Path(__file__).parents[2]
 SHORT = {"--count": 100, "--early": 50, "--sweeps": 40, "--races": 100}
@@ -73,10 +73,10 @@ def test_golden_runs_commands_apart_and_lists_what_differs(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
-def test_damaged_files_are_refused_or_read_as_the_original(kind: str) -> None:
+@pytest.mark.parametrize(("kind", "count"), [("checkpoint", 24), ("onnx", 12), ("ground", 40)])
+def test_damaged_files_are_refused_or_read_as_the_original(kind: str, count: int) -> None:
     with fuzz(kind, seed=0) as found:
-        verdicts = list(found.run(40))
-    assert len(verdicts) == 40
+        verdicts = list(found.run(count))
+    assert len(verdicts) == count
     assert [v for v in verdicts if v[1][0] in BAD] == []
-    assert sum(verdict == "refused" for _, (verdict, _) in verdicts) > 12
+    assert sum(verdict == "refused" for _, (verdict, _) in verdicts) > count / 4

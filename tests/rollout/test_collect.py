@@ -13,8 +13,7 @@ from flipperctl.agent.frames import input_size
 from flipperctl.api import Perception, Simulator, action_index
 from flipperctl.config import to_dict
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.rollout.actor import Actor, GreedyPlayer
-from flipperctl.rollout.collect import AsyncCollector
+from flipperctl.rollout.collect import Actor, AsyncCollector, GreedyPlayer
 from flipperctl.rollout.episode import steps
 from flipperctl.rollout.pool import WorkerDiedError
 from tests.short import short_config, trainer

@@ -13,7 +13,7 @@ from flipperctl.config import EnvConfig, identity
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.rows import sampled
 from flipperctl.policies.source import PolicySource
-from flipperctl.rollout.seeds import EvaluationSeeds, training_seed, validation_seed
+from flipperctl.rollout.episode import EvaluationSeeds, training_seed, validation_seed
 from tests.played import play_episodes
 
 FAMILIES = "step,ramp,gap"

@@ -18,8 +18,7 @@ from flipperctl.core.sensing import Measured
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError, OutputError
 from flipperctl.policies.source import PolicySource
-from flipperctl.rollout.episode import decisions
-from flipperctl.rollout.seeds import EvaluationSeeds
+from flipperctl.rollout.episode import EvaluationSeeds, decisions
 from flipperctl.ros import episode
 from flipperctl.ros.episode import Stamped, Watch, export_bag, write_bag
 from flipperctl.ros.messages import EPOCH, Messages, nanoseconds, quaternion, typestore

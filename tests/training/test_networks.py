@@ -12,7 +12,7 @@ from flipperctl.agent.learner import arrays
 from flipperctl.config import EnvConfig, to_dict
 from flipperctl.export import policy as export_policy
 from flipperctl.policies.source import PolicySource
-from flipperctl.rollout.actor import Actor
+from flipperctl.rollout.collect import Actor
 from flipperctl.rollout.episode import RolloutRequest
 from flipperctl.runtime import OnnxPolicy
 from tests.played import play_episodes

@@ -19,7 +19,7 @@ from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.evaluation.rows import RECORDED
 from flipperctl.policies.controllers import DaggerPolicy
 from flipperctl.policies.source import PolicySource
-from flipperctl.rollout import actor
+from flipperctl.rollout import collect as actor
 from flipperctl.rollout.collect import RolloutWorkers
 from flipperctl.training import episodes
 from flipperctl.training.episodes import EPISODES, PARTS

@@ -3,8 +3,7 @@
 import csv
 from pathlib import Path
 
-from flipperctl.training.folder import of_reached
-from flipperctl.training.sweep import FILE, SweepRun, write_comparison
+from flipperctl.training.sweep import FILE, SweepRun, of_reached, write_comparison
 
 
 def test_a_validation_that_reached_nothing_has_no_way_to_the_finish(tmp_path: Path) -> None:

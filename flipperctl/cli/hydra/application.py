@@ -181,7 +181,7 @@ class _Job:
     def run(self, composed: Any) -> float | None:
         """Train with the composed configuration; return the objective of a search."""
         from flipperctl.terminal.training import print_best, reports
-        from flipperctl.training.search_space import objective
+        from flipperctl.training.search import objective
 
         settings = HydraConfig.get()
         self.process.restore()

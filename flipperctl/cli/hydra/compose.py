@@ -45,7 +45,7 @@ from flipperctl.config.sampled import OMITTED, PATH_SECTIONS
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import NOMINAL, TRAINED, Inherited, explain_missing_training
 from flipperctl.terminal.notices import print_notices
-from flipperctl.training.search_space import SearchSettings
+from flipperctl.training.search import SearchSettings
 
 CONFIGS = str(resources.files("flipperctl.configs"))
 EVAL_CONTROLLER = "eval"

@@ -18,7 +18,7 @@ from hydra.errors import OverrideParseException
 from flipperctl.config.defaults import CHOICES
 from flipperctl.config.words import check_different, check_words, expand_files, unreadable
 from flipperctl.errors import ConfigError
-from flipperctl.training.search_space import Interval
+from flipperctl.training.search import Interval
 
 SEARCH_PATH = "hydra.searchpath"
 """Key of the folders with further configuration files."""

@@ -31,8 +31,7 @@ from flipperctl.session import quote_path, sweep_command
 from flipperctl.show import NONE, Column, Table, console, print_table
 from flipperctl.terminal.progress import HEADING, PAPERS_HEADING
 from flipperctl.terminal.streams import print_note
-from flipperctl.training.search import search
-from flipperctl.training.search_space import Interval, check_settings
+from flipperctl.training.search import Interval, check_settings, search
 from flipperctl.training.sweep import FILE, Job, JobResult, Sweep, SweepRun
 
 _OBJECT_STORE = 75 * 2**20

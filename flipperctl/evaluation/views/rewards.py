@@ -30,8 +30,7 @@ from flipperctl.evaluation.views.regret import returns
 from flipperctl.evaluation.views.summary import VARIATION, Document, named, short
 from flipperctl.policies.source import PolicySource
 from flipperctl.reward_sum import paying_terms
-from flipperctl.rollout.episode import decisions
-from flipperctl.rollout.seeds import EvaluationSeeds
+from flipperctl.rollout.episode import EvaluationSeeds, decisions
 from flipperctl.show import Column, Table, interval_text
 
 Rewards = Mapping[str, RewardTerm]

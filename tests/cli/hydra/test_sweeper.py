@@ -22,7 +22,7 @@ from flipperctl.errors import (
     NonFiniteError,
 )
 from flipperctl.training import search as searching
-from flipperctl.training.search_space import SearchSettings, distributions, objective
+from flipperctl.training.search import SearchSettings, distributions, objective
 from tests.cli.call import refused
 
 DRAWN = ["agent.learning_rate=tag(log,interval(1e-4,3e-3))", "agent.batch_size=32,64"]
