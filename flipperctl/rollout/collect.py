@@ -27,7 +27,7 @@ from flipperctl import plugins
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.networks import build_network, naming_network
 from flipperctl.agent.risk import RiskNetwork, plain_risk, split_weights
-from flipperctl.api import ACTIONS
+from flipperctl.api import ACTIONS, Policy
 from flipperctl.config import RayCollector, TrainConfig, parse
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.controllers import DaggerPolicy, PluginPolicy
@@ -70,17 +70,11 @@ class Actor:
         rng = exploration_rng(config.seed, request.episode)
         policy = training_policy(
             *(config, self._greedy.module, self._teacher, lambda: request.epsilon),
-            temperature=lambda: config.temperature_at(request.decision),
-            learns=lambda: request.decision >= config.agent.learning_starts,
+            decision=lambda: request.decision,
+            starts=config.agent.learning_starts,
             rngs=(rng, rng),
         )
-        made = steps(
-            *(self._env, policy, request.seed),
-            difficulty=request.difficulty,
-            frames=config.network.frames,
-            privileged=config.learns_privileged_value,
-        )
-        return list(made)
+        return list(training_steps(config, self._env, policy, request.seed, request.difficulty))
 
 
 def teacher_of(config: TrainConfig) -> PluginPolicy | None:
@@ -97,24 +91,32 @@ def training_policy(
     teacher: PluginPolicy | None,
     epsilon: Callable[[], float],
     *,
-    temperature: Callable[[], float],
-    learns: Callable[[], bool],
+    decision: Callable[[], int],
+    starts: int,
     rngs: tuple[np.random.Generator, np.random.Generator],
 ) -> SamplingPolicy | ExploringPolicy | DaggerPolicy:
     """Return the policy of training episodes, mixed with the teacher if there is one.
 
-    ``learns``: whether the student has begun to learn, before which a teacher drives. ``rngs`` draw
-    the actions and the network's noise.
+    Before the ``decision`` of the run comes to ``starts``, a teacher drives. ``rngs`` draw the
+    actions and the network's noise.
     """
     frames, agent = config.network.frames, config.agent
     student: SamplingPolicy | ExploringPolicy = (
-        SamplingPolicy(module, frames, temperature, rngs[0])
+        SamplingPolicy(module, frames, lambda: config.temperature_at(decision()), rngs[0])
         if agent.is_policy_gradient
         else ExploringPolicy(module, frames, epsilon, *rngs, share=agent.exploring_share)
     )
     if teacher is None:
         return student
-    return DaggerPolicy(student, teacher, config.teacher, learns, rngs[0])
+    return DaggerPolicy(student, teacher, config.teacher, lambda: decision() >= starts, rngs[0])
+
+
+def training_steps(
+    config: TrainConfig, env: FlipperEnv, policy: Policy, seed: int, difficulty: float
+) -> Iterator[Step]:
+    """Yield the steps of an episode with what the training learns from."""
+    frames, privileged = config.network.frames, config.learns_privileged_value
+    return steps(env, policy, seed, difficulty=difficulty, frames=frames, privileged=privileged)
 
 
 class GreedyPlayer:

@@ -40,13 +40,13 @@ from flipperctl.rollout.collect import (
     RolloutWorkers,
     teacher_of,
     training_policy,
+    training_steps,
 )
 from flipperctl.rollout.episode import (
     EpisodeRecorder,
     RolloutRequest,
     Step,
     Weights,
-    steps,
     training_seed,
 )
 from flipperctl.rollout.pool import Stop
@@ -139,17 +139,11 @@ class EpisodeSource:
         env = FlipperEnv(config=config.environment())
         policy = training_policy(
             *(config, agent.online, teacher_of(config), lambda: self.epsilon),
-            temperature=lambda: config.temperature_at(progress.decision),
-            learns=lambda: progress.decision >= starts,
+            decision=lambda: progress.decision,
+            starts=starts,
             rngs=(self._rng, agent.noise_rng),
         )
-        frames, privileged = config.network.frames, config.learns_privileged_value
-        return lambda: steps(
-            *(env, policy, self._next_seed()),
-            difficulty=progress.difficulty,
-            frames=frames,
-            privileged=privileged,
-        )
+        return lambda: training_steps(config, env, policy, self._next_seed(), progress.difficulty)
 
     def _next_seed(self) -> int:
         self._progress.started += 1

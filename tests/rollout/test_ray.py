@@ -127,14 +127,6 @@ def test_a_run_on_two_nodes_finishes_though_one_is_killed(cluster: Any, tmp_path
     assert (labels.sum(axis=1) == 1).all()
 
 
-@pytest.mark.long
-def test_an_address_without_a_cluster_is_named(tmp_path: Path) -> None:
-    collector = {"name": "ray", "address": "127.0.0.1:1", "workers": 1}
-    config = short_config(**{"train.mode": "fast", "collector": collector})
-    with pytest.raises(ConfigError, match=r"collector\.address: no Ray cluster answers"):
-        trainer(config, tmp_path).run()
-
-
 def test_exact_and_ray_exclude_each_other() -> None:
     with pytest.raises(ConfigError, match=r"^train\.mode: exact.*collector=ray needs .*=fast$"):
         short_config(**{"collector": {"name": "ray"}})

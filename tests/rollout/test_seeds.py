@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from flipperctl_plugins.terrains.profile_file import ProfileFile
 from flipperctl_plugins.terrains.stairs import Stair
 
 from flipperctl.api import Profile, Terrain
@@ -77,16 +76,6 @@ def test_trainings_of_0_2_repeat() -> None:
     assert [training_seed(1, i) for i in range(3)] == [3290936230, 2737152525, 1158480471]
 
 
-def test_a_seed_of_a_result_gives_its_episode_again() -> None:
-    config = EnvConfig(terrain="stair")
-    level = PolicySource(settings={"name": "level"})
-    (result,) = play_episodes(config, level, episodes=[2], seed=9)
-    env = FlipperEnv(config=config)
-    env.reset(seed=result["seed"])
-    assert env._sampled_values == sampled(result)
-    assert float(result["seed"]) == result["seed"]  # exact where numbers are floats
-
-
 def test_the_seeds_depend_on_the_terrain_and_its_settings() -> None:
     stair = seeds_of("stair")(0)
     assert stair == seeds_of(Stair())(0)
@@ -112,11 +101,6 @@ def test_recorded_ground_is_known_by_its_content(
     assert seeds_of(recorded("kerb.csv") | {"unit": "cm"})(0) != kerb
     inside = [seeds_of({"name": "mix", "parts": [recorded(p)]})(0) for p in ("kerb.csv", same[0])]
     assert inside[0] == inside[1] != kerb
-
-
-def test_the_included_example_is_itself_by_its_path() -> None:
-    (example,) = ProfileFile().files_read()
-    assert identity(ProfileFile()) == identity(ProfileFile(path=str(example)))
 
 
 def test_several_paths_in_one_setting_and_a_file_that_is_missing(tmp_path: Path) -> None:

@@ -1,16 +1,14 @@
 """Training with a teacher: its labels, who drives, and runs that repeat and resume bit for bit."""
 
-from collections.abc import Callable
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from numpy.typing import NDArray
 
 from flipperctl import checkpoint
-from flipperctl.api import ACTIONS, Perception, Simulator
+from flipperctl.api import Perception, Simulator
 from flipperctl.config import EnvConfig, Teacher, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
@@ -150,16 +148,6 @@ def test_a_teacher_that_plans_whole_episodes_labels_only_its_own() -> None:
         Teacher(controller="okada", td_weight=0, weight_end=0)
     with pytest.raises(ConfigError, match=r"teacher\.episodes: the name of a file is needed"):
         Teacher(episodes="")
-
-
-def test_a_taught_run_keeps_its_labels_and_names_its_teacher(runs: Callable[[str], Path]) -> None:
-    whole = checkpoint.read(runs("taught") / checkpoint.LAST)
-    labels = whole.part("replay")["label"]
-    assert whole.document.state is not None
-    assert labels.shape == (whole.document.state.replay_added, len(ACTIONS))
-    assert torch.allclose(labels.sum(dim=1), torch.ones(len(labels)), atol=1e-5)
-    assert ("controller", "mpc") in {(p.kind, p.name) for p in whole.document.plugins}
-    assert "replay.label" not in checkpoint.read(runs("conv") / checkpoint.LAST).tensors
 
 
 def test_imitation_alone_learns_what_a_rule_does(tmp_path: Path) -> None:
