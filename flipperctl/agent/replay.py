@@ -374,7 +374,7 @@ class GroupMemory:
 
     def filled(self) -> dict[str, NDArray[np.generic]]:
         """Return the used part of each array; nothing before the first groups."""
-        return {name: array[: len(self)] for name, array in self._arrays.items()}
+        return {name: array[: len(self)] for name, array in self._arrays.items() if self.added}
 
     def restore(self, arrays: dict[str, NDArray[np.generic]], added: int, size: int) -> None:
         """Restore the arrays that ``filled`` returned after ``added`` groups.

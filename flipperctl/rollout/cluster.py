@@ -70,8 +70,8 @@ def join(address: str | None, key: str, **settings: Any) -> None:
     if "runtime_env" not in settings:  # which may have an import path of its own
         from ray.job_config import JobConfig
 
-        # Workers import from where this process does, but those of a job that is no client's from
-        # the working directory first. They insert one folder after the other before their own.
+        # Ray lets workers import from the working directory first, except those of a client's job.
+        # A worker inserts one folder after the other at the head of its path.
         job = JobConfig(_client_job=True, _py_driver_sys_path=import_path()[::-1])
         settings = {"job_config": job, **settings}
     try:
@@ -116,7 +116,7 @@ def cpus() -> tuple[int, int]:
 def _is_refused_token(error: BaseException) -> bool:
     """Return whether Ray failed for lack of a token, which only a cause's text says."""
     cause: BaseException | None = error
-    while cause and "AuthenticationError" not in f"{type(cause).__name__} {cause}":
+    while cause is not None and "AuthenticationError" not in f"{type(cause).__name__} {cause}":
         cause = cause.__cause__
     return cause is not None
 

@@ -143,17 +143,13 @@ class Decision:
     """One decision and its results."""
 
     perception: Perception
-    """The policy's input."""
     action: int
-    """Index of the chosen action."""
     reward: float
-    """Sum of the weighted reward terms."""
+    """Sum of ``rewards``, the weighted value of each reward term."""
     rewards: Mapping[str, float]
-    """Weighted value of each reward term."""
     transition: Transition
     """True states before and after the decision, with the poses between at 100 Hz."""
     next_perception: Perception
-    """What the robot perceives after the decision."""
     ending: Row | None
     """Seed, outcome and metrics of the episode after its last decision; None before."""
 

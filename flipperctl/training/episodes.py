@@ -67,7 +67,6 @@ class Progress:
     lost: int = 0
     """Number of episodes lost because their worker died."""
     updates: int = 0
-    """Number of updates of the network."""
     loss: float = 0.0
     """Loss of the last update."""
     recent: deque[bool] = field(default_factory=lambda: deque(maxlen=RECENT))

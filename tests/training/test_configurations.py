@@ -1,4 +1,4 @@
-"""A few random configurations; ``python -m tests.long.configurations`` trains a thousand."""
+"""Random configurations over every section: each trains 60 decisions or is refused by name."""
 
 import tempfile
 from pathlib import Path
@@ -11,19 +11,23 @@ from tests.configurations import Overrides, attempt, command, left_out, override
 pytestmark = pytest.mark.slow
 
 
-@settings(
-    max_examples=3,
-    phases=[Phase.generate],  # a smaller case of a fault takes minutes to find
-    derandomize=True,
-    database=None,
-    deadline=None,
-    suppress_health_check=list(HealthCheck),
-)
-@given(drawn=overrides())
-def test_a_configuration_trains_or_is_refused_by_name(drawn: Overrides) -> None:
-    with tempfile.TemporaryDirectory() as folder:
-        found = attempt(drawn, Path(folder) / "run")
-    assert found.kind in ("trained", "refused"), f"{found.text}\n{command(drawn)}"
+@pytest.mark.parametrize("count", [3, pytest.param(60, marks=pytest.mark.long)])
+def test_a_configuration_trains_or_is_refused_by_name(count: int) -> None:
+    @settings(
+        max_examples=count,
+        phases=[Phase.generate],  # a smaller case of a fault takes minutes to find
+        derandomize=True,
+        database=None,
+        deadline=None,
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(drawn=overrides())
+    def draw(drawn: Overrides) -> None:
+        with tempfile.TemporaryDirectory() as folder:
+            found = attempt(drawn, Path(folder) / "run")
+        assert found.kind in ("trained", "refused"), f"{found.text}\n{command(drawn)}"
+
+    draw()
 
 
 def test_settings_of_every_type_are_drawn() -> None:
