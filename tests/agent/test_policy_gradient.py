@@ -76,6 +76,19 @@ def test_advantages_sum_later_differences_up_to_the_end_of_the_episode() -> None
     assert advantages(differences, discounts, 0.5) == pytest.approx(np.array(expected))
 
 
+def test_values_learn_the_return_and_a_copy_goes_on_with_the_counts() -> None:
+    agent = learner()
+    batch = replace(round_of(agent, np.random.default_rng(0)), reward=torch.arange(256.0))
+    _, goal = agent._advantages(batch)
+    torch.testing.assert_close(goal, batch.reward)  # each decision ends its episode
+    copy = learner()
+    agent.update(batch, 0.0, np.random.default_rng(0))
+    copy.restore(agent.tensors(), 0)
+    assert copy.rounds == 1
+    assert copy.optimiser.steps == agent.optimiser.steps
+    assert copy._value_optimiser.steps == agent._value_optimiser.steps
+
+
 def test_limited_advantages_let_rare_failures_outweigh_the_rest_no_longer() -> None:
     usual = torch.linspace(-1, 1, 990)
     found = torch.cat([usual, torch.full((10,), -50.0)])

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.stats import t as student
 
 from flipperctl.evaluation.seeds import (
     PRICE,
@@ -82,6 +83,35 @@ def test_few_seeds_have_their_own_quantile_and_p_value() -> None:
     assert found.high == pytest.approx(1 + 12.7062, abs=1e-4)
     _, p = difference_interval({"a": scores}, {"a": np.zeros((1, 5))})
     assert p == pytest.approx(0.5, abs=1e-9)
+
+
+def test_what_neither_seed_nor_episode_explains_counts_once() -> None:
+    # The sums over seeds, A, and over episodes, B, both contain the residual C (Satterthwaite).
+    scores = np.add.outer(np.array([0.0, 1, 2, 3, 4]), np.array([0.0, 3, 6, 9, 12]))
+    scores += np.diag([1.0, -1, 1, -1, 1])
+    left = scores - scores.mean(axis=0) - scores.mean(axis=1, keepdims=True) + scores.mean()
+    a, b = (np.var(scores.mean(axis=axis), ddof=1) / 5 for axis in (1, 0))
+    c = (left**2).sum() / 16 / 25
+    variance = a + b - c
+    freedom = variance**2 / (a**2 / 4 + b**2 / 4 + c**2 / 16)
+    half = student.ppf(0.975, freedom) * math.sqrt(variance)
+    found = mean_interval({"a": scores})
+    assert (found.low, found.high) == pytest.approx((found.mean - half, found.mean + half))
+
+
+def test_the_jackknife_of_a_mean_is_students_interval() -> None:
+    values = [1.0, 2.0, 4.0, 3.0, 7.0]
+    found = statistic_interval(
+        {"a": np.array([values])}, lambda m: m.mean(axis=(-2, -1)), np.random.default_rng(0)
+    )
+    expected = interval(values)
+    assert (found.low, found.high) == pytest.approx((expected.low, expected.high))
+
+
+def test_a_difference_without_variation_is_certain() -> None:
+    one, none = np.ones((1, 5)), np.zeros((1, 5))
+    assert difference_interval({"a": one}, {"a": none})[1] == 0
+    assert difference_interval({"a": one}, {"a": one})[1] == 1
 
 
 @pytest.mark.parametrize("seeds", [3, 5])
