@@ -65,14 +65,11 @@ def test_a_setting_of_the_hand_set_cost_chooses_that_and_others_do_not() -> None
     assert Mpc(rewards={"end": "end"}, value="mpc_value").value == "mpc_value"
 
 
-@pytest.mark.parametrize("word", ["teacher=mpc", "teacher=lookahead", "experiment=taught"])
-def test_presets_teach_with_the_hand_set_cost(word: str) -> None:
-    assert taught(word)["value"] == ""
-    own = taught(word, "teacher.controller.value=null")
+def test_presets_teach_with_the_hand_set_cost_and_the_generalist_s_with_values() -> None:
+    for word in ("teacher=mpc", "teacher=lookahead", "experiment=taught"):
+        assert taught(word)["value"] == ""
+    own = taught("teacher=mpc", "teacher.controller.value=null")
     assert (own["value"], own["fallback"]) == ("mpc_value", True)
-
-
-def test_the_generalist_is_taught_by_learned_values_for_every_robot() -> None:
     found = taught("experiment=generalist")
     assert (found["value"], bool(found["fallback"])) == ("mpc_value_large", False)
 

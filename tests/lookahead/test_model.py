@@ -8,7 +8,6 @@ import pytest
 from flipperctl.api import ACTIONS, LAST_PITCHES, ObservationLayout, Outcome, Profile, Robot
 from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.errors import ConfigError
 from flipperctl.lookahead.dynamics import MOST_EXACT, OVERTURNED, REACHED, RUNNING
 from flipperctl.lookahead.model import FLIPPERS, TARGETS, Ground, Model, Nodes, transitions
 from flipperctl.lookahead.search import History
@@ -301,11 +300,6 @@ def test_the_past_of_a_policy_begins_with_its_episode() -> None:
         branch = model.expand(node.states, node.states[:, TARGETS : TARGETS + 2], 0.6, poses=True)
         known = history.node(node.states[0], node.places[0]).after(branch, np.array([4]), 0.6)
         assert known.pitches.shape == (1, min(decisions + 1, LAST_PITCHES))
-
-
-def test_the_terrain_that_flippers_are_compared_with_has_a_length() -> None:
-    with pytest.raises(ConfigError, match=r"near=0.5 must be below far=0.45"):
-        resolver.create("reward", {"name": "flipper", "near": 0.5}, "rewards")
 
 
 # Heights around predicted places

@@ -190,31 +190,22 @@ def sampled(graph: Graph, seed: int = 0, off_path: float = 0.4, unseen: float = 
     )
 
 
-def test_groups_are_finite_and_repeat_themselves(step: Graph) -> None:
+def test_groups_repeat_themselves_and_share_what_they_see(step: Graph) -> None:
+    """They lie within 0.3 m: the face of 0.2 m is at most two bins away from another's."""
     groups, again, other = sampled(step), sampled(step), sampled(step, seed=1)
     assert groups.observations.shape == (COUNT, SIZE, LAYOUT.size)
-    assert groups.values.shape == (COUNT, SIZE, len(ACTIONS))
     assert groups.observations.dtype == groups.values.dtype == np.float32
     assert np.isfinite(groups.observations).all()
-    assert np.isfinite(groups.values).all()
     assert np.array_equal(groups.values, again.values)
     assert not np.array_equal(groups.values, other.values)
-
-
-def test_values_are_those_of_represented_states(step: Graph) -> None:
     known = {row.tobytes() for row in with_stops(step.values).astype(np.float32)}
-    rows = sampled(step).values.reshape(-1, len(ACTIONS))
+    rows = groups.values.reshape(-1, len(ACTIONS))
     assert all(row.tobytes() in known for row in rows)
     assert len(np.unique(rows, axis=0)) > 100
-
-
-def test_the_states_of_a_group_share_what_they_see(step: Graph) -> None:
-    """They lie within 0.3 m: the face of 0.2 m is at most two bins away from another's."""
-    heights = sampled(step).observations[:, :, : LAYOUT.bins]
-    edge = np.abs(np.diff(heights, axis=2)).argmax(axis=2)
-    seen = np.abs(np.diff(heights, axis=2)).max(axis=2).min(axis=1) > 0.08
+    steps = np.abs(np.diff(groups.observations[:, :, : LAYOUT.bins], axis=2))
+    seen = steps.max(axis=2).min(axis=1) > 0.08
     assert seen.sum() > 10
-    assert np.ptp(edge[seen], axis=1).max() <= 2
+    assert np.ptp(steps.argmax(axis=2)[seen], axis=1).max() <= 2
 
 
 def test_off_path_states_are_worse_than_those_of_the_best_way(step: Graph) -> None:

@@ -231,9 +231,7 @@ def test_a_simulator_goes_back_to_the_middle_of_a_turn() -> None:
 # The ground in episodes
 
 
-@pytest.mark.parametrize(
-    ("engine", "pose"), [("planar", "true"), ("mujoco", "true"), ("mujoco", "belts")]
-)
+@pytest.mark.parametrize(("engine", "pose"), [("planar", "true"), ("mujoco", "belts")])
 def test_without_errors_the_map_is_the_true_ground_once_it_was_seen(engine: str, pose: str) -> None:
     """By odometry too, as the belts do not slip."""
     sensing = {**EXACT, "pose": pose, "belt_error": 0.0}

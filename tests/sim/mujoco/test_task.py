@@ -112,33 +112,24 @@ def test_render_shows_the_world_in_3d_and_leaves_the_episode_alone() -> None:
     drawn, plain = (
         FlipperEnv("step", sim="mujoco", render_mode=mode) for mode in ("rgb_array", None)
     )
-    observations = [env.reset(seed=2)[0] for env in (drawn, plain)]
-    for action in (8, 0, 4):
-        picture = drawn.render()
-        assert picture is not None
-        assert (picture.shape, picture.dtype) == ((HEIGHT, WIDTH, 3), np.uint8)
-        assert np.array_equal(picture, drawn.render())
-        orange = (picture[..., 0] > 150) & (picture[..., 2] < 60)  # boards of the tracks
-        assert orange.sum() > 1000
-        assert np.array_equal(*observations)
-        observations = [env.step(action)[0] for env in (drawn, plain)]
+    for env in (drawn, plain):
+        env.reset(seed=2)
+    picture = drawn.render()
+    assert picture is not None
+    assert (picture.shape, picture.dtype) == ((HEIGHT, WIDTH, 3), np.uint8)
+    assert np.array_equal(picture, drawn.render())
+    orange = (picture[..., 0] > 150) & (picture[..., 2] < 60)  # boards of the tracks
+    assert orange.sum() > 1000
+    assert np.array_equal(*(env.step(8)[0] for env in (drawn, plain)))
     assert plain.render() is None
 
 
-def test_render_names_what_is_missing_and_whose_fault_it_is(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    env = FlipperEnv("step", sim="mujoco", render_mode="rgb_array")
-    env.reset(seed=2)
-    with monkeypatch.context() as patched:
-        patched.delenv("MUJOCO_GL", raising=False)
-        patched.setattr(ctypes.util, "find_library", lambda name: None)
-        with pytest.raises(RequestError, match="has neither EGL nor OSMesa: on Debian"):
-            env.render()
-
+def test_a_picture_that_fails_is_the_engine_s_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     def draw(self: MujocoWorld, width: int, height: int) -> np.ndarray:
         raise ValueError("no colours")
 
+    env = FlipperEnv("step", sim="mujoco", render_mode="rgb_array")
+    env.reset(seed=2)
     monkeypatch.setattr(MujocoWorld, "draw", draw)
     with pytest.raises(PluginFailedError, match="sim 'mujoco': draw raised ValueError: no colours"):
         env.render()
