@@ -54,11 +54,7 @@ class Drive:
         period: float,
         rng: np.random.Generator,
     ) -> None:
-        """Place the robot; decisions take ``period`` [s], and the engine samples from ``rng``.
-
-        Raises:
-            PluginFailedError: the engine's code failed.
-        """
+        """Place the robot; decisions take ``period`` [s], and the engine samples from ``rng``."""
         engine, self.robot, perception = sections
         self.world: DrivenWorld = place(engine, profile, self.robot, start, rng)
         lasting = simulated(period)
@@ -137,12 +133,10 @@ class Drive:
         """Return the events of the next decision, those of ``sample_every`` included."""
         if not self._samplings:
             return self._events
-        samples, _ = self._events[-1]
-        due = [n for n in range(1, samples + 1) if self._is_due(self._samples + n)]
+        (samples, _), now = self._events[-1], self._samples
+        every = {period for period, _ in self._samplings}
+        due = (n for n in range(1, samples + 1) if any((now + n) % period == 0 for period in every))
         return sorted([*self._events, *((n, _SAMPLE) for n in due)])
-
-    def _is_due(self, sample: int) -> bool:
-        return any(sample % every == 0 for every, _ in self._samplings)
 
     def _take_samples(self) -> None:
         for every, call in self._samplings:

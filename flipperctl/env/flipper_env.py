@@ -119,7 +119,8 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self._last_move: tuple[int, int] | None = None
         self._outcome: Outcome | None = None
         self._replayed: repeating.Replayed | None = None
-        self._running = False
+        self.running = False
+        """Whether an episode runs: ``reset`` began it, and it has not ended."""
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -136,7 +137,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         difficulty = ground.asked_difficulty(options)
         if isinstance(seed, bool):
             raise ValueError(f"seed: a number is allowed; the value is {seed}")
-        self._running = False
+        self.running = False
         before = global_states() if self.foreign else None
         super().reset(seed=seed)
         self._begin(difficulty, seed)
@@ -177,7 +178,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self._metrics = EpisodeMetrics(self._measures)
         self.perception = self._perceiver.perceive(self.drive.delayed_state)
         self._replayed = repeating.Replayed(spawned, difficulty)
-        self._running = True
+        self.running = True
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what repeats the episode so far; observers stay with the original."""
@@ -234,11 +235,6 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         return SceneSimulator(self._drive, perceiver, self.profile, report_progress)
 
     @property
-    def running(self) -> bool:
-        """Whether an episode runs: ``reset`` began it, and it has not ended."""
-        return self._running
-
-    @property
     def state(self) -> RobotState:
         """True state of the robot."""
         return self.drive.state
@@ -272,7 +268,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         index = action_index(action)
         if index is None:
             raise ValueError(f"there is no action {action!r}; {ALLOWED}")
-        if not self._running or self._replayed is None:
+        if not self.running or self._replayed is None:
             raise ResetNeeded("no episode is running: call reset before step")
         states = global_states() if self.foreign else None
         self._replayed.actions.append(index)
@@ -306,7 +302,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             require_unmoved(states, used or self.foreign, "in a decision")
         info: dict[str, Any] = {"rewards": dict(parts)}
         if outcome is not None:
-            self._running = False
+            self.running = False
             info["outcome"] = outcome
             info["metrics"] = {
                 "terrain": self.profile.label,

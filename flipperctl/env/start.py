@@ -72,9 +72,6 @@ def finish_of(profile: Profile, robot: Robot, episode: Episode) -> Finish:
     on with a line that is parallel to its chassis, down to the level ground past the last edge.
     Past that edge the robot has finished on the level ground, too, where that lies above the line:
     one that passed the finish on raised flippers, as it may where the ground then rises, drives on.
-
-    Raises:
-        TerrainError: the robot cannot stand at the finish.
     """
     run_out = run_out_of(profile, episode)
     x = profile.end + run_out
@@ -109,9 +106,6 @@ def sampled(
     Ahead of the first edge the robot rests level; past it (``run_up`` below 0) it has the height
     and the pitch in which it rests there. A profile with a ``run_up`` of its own chooses the place,
     or the nearest one where the robot can stand.
-
-    Raises:
-        TerrainError: the robot cannot stand where it should start.
     """
     shift, *turned = rng.uniform(-1.0, 1.0, 3) * np.array(
         [episode.start_noise, episode.start_angle_noise, episode.start_angle_noise]
@@ -164,12 +158,7 @@ def ahead(profile: Profile) -> Profile:
 
 
 def check_placed(world: World, start: Start, config: EnvConfig, profile: Profile) -> None:
-    """Check that the engine placed the robot on the ground, where it should start.
-
-    Raises:
-        TerrainError: the ground overlaps the robot.
-        ConfigError: the engine starts on level ground only.
-    """
+    """Check that the engine placed the robot on the ground, where it should start."""
     run_up = run_up_of(profile, config.episode)
     if start.height is not None:
         turned, lifted = world.pitch - start.pitch, world.position[1] - start.height

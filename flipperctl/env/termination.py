@@ -44,12 +44,7 @@ class Termination:
     def __init__(
         self, profile: Profile, robot: Robot, episode: Episode, start: float, period: float
     ) -> None:
-        """Begin at ``start``, world x of the chassis centre [m]; decisions take ``period`` [s].
-
-        Raises:
-            ConfigError: the robot is so slow that the time limit is not a finite number.
-            TerrainError: the robot cannot stand at the finish, or starts past it.
-        """
+        """Begin at ``start``, world x of the chassis centre [m]; decisions take ``period`` [s]."""
         self._episode = episode
         finish = finish_of(profile, robot, episode)
         self.finish = finish.x

@@ -26,7 +26,6 @@ from tests.plugins.test_profile_file import LINE, assert_block, profile, scanned
 
 BLOCK = [((0, 0, 6), (4, 3, 7)), ((1.5, 0, 6.9), (2.5, 3, 7.3))]
 CEILING = ((0, 0, 9.5), (4, 3, 9.6))
-FILE_LINE = ["terrain.start=[1,2]", "terrain.end=[3,2]"]
 
 
 @pytest.mark.parametrize(
@@ -107,29 +106,25 @@ def sheet(low: float, high: float, z: float) -> Trimesh:
     return Trimesh(corners, [(0, 1, 2), (0, 2, 3)], process=False)
 
 
-EVAL = ("eval", "--controller", "level", "--episodes", "2", "--jobs", "2", "episode.run_out=0.2")
+def terrain_of(path: Path, **fields: Any) -> Any:
+    settings = {"name": "profile_file", "path": str(path), **fields}
+    return resolver.create("terrain", settings, "terrain")
 
 
-def warnings_of(
-    *overrides: str, cwd: Path, command: tuple[str, ...] = ("inspect", "terrain", "profile_file")
-) -> list[str]:
-    """Return the warnings of a command, of which each appears once."""
-    done = call(*command, "--json", *overrides, cwd=cwd)
-    assert done.code == 0, done.err
-    json.loads(done.out)
-    lines = [line for line in done.err.splitlines() if line.startswith("warning: ")]
-    assert len(set(lines)) == len(lines)
-    return lines
-
-
-def test_layers_and_a_large_extent_are_said_once(tmp_path: Path) -> None:
+def test_layers_are_said_once_by_two_processes(tmp_path: Path) -> None:
     write(tmp_path / "sheets.obj", concatenate([sheet(0, 4, 0), sheet(0, 4, 2.5)]))
-    words = [*FILE_LINE, "terrain.path=sheets.obj", "terrain=profile_file"]
-    (found,) = warnings_of(*words, cwd=tmp_path, command=EVAL)  # by two processes
+    asked = ["eval", "--controller", "level", "--episodes", "2", "--jobs", "2", "--json"]
+    asked += ["episode.run_out=0.2", "terrain=profile_file", "terrain.path=sheets.obj"]
+    done = call(*asked, "terrain.start=[1,2]", "terrain.end=[3,2]", cwd=tmp_path)
+    json.loads(done.out)
+    (found,) = (line for line in done.err.splitlines() if line.startswith("warning: "))
     assert "sheets.obj: something lies 1 m or more above the ground at 101 of 101" in found
     assert "the lowest layer is taken (terrain.highest=true takes the highest)" in found
+
+
+def test_a_large_extent_is_said(tmp_path: Path) -> None:
     write(tmp_path / "mm.obj", sheet(0, 4000, 0))
-    (found,) = warnings_of(*FILE_LINE, "terrain.path=mm.obj", cwd=tmp_path)
+    (found,) = terrain_of(tmp_path / "mm.obj", **LINE).notices()
     assert "mm.obj: it covers 4000 by 3 by 0 m, more than 1 km; terrain.unit=m is set" in found
 
 
@@ -145,17 +140,12 @@ def test_a_wrong_unit_and_missing_values_of_a_csv_are_said(
     rows: str, text: str, tmp_path: Path
 ) -> None:
     (tmp_path / "ground.csv").write_text(f"x,z\n{rows}")
-    (found,) = warnings_of("terrain.path=ground.csv", cwd=tmp_path)
+    (found,) = terrain_of(tmp_path / "ground.csv").notices()
     assert text in found
 
 
 SLAB = [((0, 0, -1), (3, 3, 0)), ((3, 0, -1), (8, 3, 0.2)), ((0, 0, 0.7), (8, 3, 0.8))]
 LONG = {"start": (0.5, 1.5), "end": (7.5, 1.5)}
-
-
-def terrain_of(path: Path, **fields: Any) -> Any:
-    settings = {"name": "profile_file", "path": str(path), **fields}
-    return resolver.create("terrain", settings, "terrain")
 
 
 def test_a_slab_that_is_too_low_to_drive_below_is_said(tmp_path: Path) -> None:
@@ -216,12 +206,6 @@ def test_a_small_hole_in_a_cloud_of_a_room_is_bridged(tmp_path: Path) -> None:
     assert found.points[:, 1].max() < 0.31
 
 
-def test_plain_ground_is_not_remarked_on(tmp_path: Path) -> None:
-    write(tmp_path / "block.obj", solid(*BLOCK))
-    assert warnings_of(*FILE_LINE, "terrain.path=block.obj", cwd=tmp_path) == []
-    assert warnings_of(cwd=tmp_path) == []
-
-
 @pytest.mark.parametrize(
     ("value", "fields"), [(-9999, {}), (-32768, {}), (3.4028235e38, {}), (77.0, {"no_data": 77.0})]
 )
@@ -264,13 +248,6 @@ def test_comments_and_gaps_of_a_csv_are_read(tmp_path: Path) -> None:
     assert profile(file).points == pytest.approx(np.array([(0, 0), (0.5, 0), (0.7, 0.1)]))
     with pytest.raises(TerrainError, match=r"line 7: no height is known from x = 0\.5 to 0\.7"):
         profile(file, largest_gap=0.1)
-
-
-def test_comments_of_an_xyz_are_read(tmp_path: Path) -> None:
-    file = tmp_path / "scan.xyz"
-    write_cloud(file, scanned()[:-1])
-    file.write_text("// x y z\n# more\n" + file.read_text())
-    assert_block(profile(file, **LINE), 0.02)
 
 
 def test_up_maps_the_axes_as_its_description_says(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The planner: its plans are the best known, repeatable and carried out in the episode."""
+"""The planner: its plans are the best known and are carried out in the episode."""
 
 import pytest
 
@@ -33,7 +33,6 @@ def test_a_plan_crosses_a_step_more_smoothly_than_the_policies_it_starts_from() 
     costs = [r["t_cost"] + 30 * r["pitch_variation_100hz"] for r in (row, *others)]
     assert costs[0] == min(costs)
     assert row["pitch_variation_100hz"] < 0.6 * others[1]["pitch_variation_100hz"]
-    assert planned(env, budget=3000) == row  # the search is deterministic
 
 
 @pytest.mark.long
