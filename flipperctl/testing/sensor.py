@@ -16,7 +16,6 @@ from functools import cache
 from types import CodeType, FunctionType, ModuleType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from flipperctl.api import (
     SAMPLE_PERIOD,
@@ -53,25 +52,19 @@ _RAISE = action_index(1, 0)
 _Taken = tuple[str, float, str | None]
 """A measurement's instrument and time [s], and what is wrong with its value, which may be a large
 scan and is not kept; None: nothing."""
-_Episode = tuple[list[Perception], list[_Taken]]
-"""Perceptions and measurements of two decisions."""
-_first: dict[int, tuple[Sensor, _Episode]] = {}
-"""Identity of a sensor → the sensor, and its first episode, which several checks read."""
 
 
-@of("perception", "senses")
-def senses(sensor: Sensor) -> None:
-    """Check perceptions in an episode: shapes, finite numbers, points in order of x."""
-    for p in _first_episode(sensor)[0]:
-        require(bool((np.diff(p.points[:, 0]) >= 0).all()), "the points' x decreases")
+@of("perception", "episodes")
+def episodes(sensor: Sensor) -> None:
+    """Check that equal generators give equal perceptions, and instruments plain data in time.
 
-
-@of("perception", "samples")
-def samples(sensor: Sensor) -> None:
-    """Check that instruments measure plain data, at the start and at multiples of their period."""
-    _, taken = _first_episode(sensor)
-    instruments = sensor.instruments(_mounting(_drive(sensor))) or {}
-    for name, instrument in instruments.items():
+    They measure at the start and at multiples of their period.
+    """
+    before = global_states()
+    (one, taken), (other, _) = _episode(sensor), _episode(sensor)
+    moved = moved_since(before)
+    require(not moved, f"draws from {moved}; only rng is allowed")
+    for name, instrument in (sensor.instruments(_mounting(_drive(sensor))) or {}).items():
         for measured, _, fault in taken:
             if measured == name:
                 require(fault is None, f"instrument {name!r} returned {fault}")
@@ -86,16 +79,9 @@ def samples(sensor: Sensor) -> None:
             f"instrument {name!r} measured {len(times)} times in {2 * _PERIOD:g} s; "
             f"{len(due)} are expected at a period of {period:g} s",
         )
-
-
-@of("perception", "repeats")
-def repeats(sensor: Sensor) -> None:
-    """Check that equal generators give equal perceptions and no other randomness is used."""
-    (one, _), before = _first_episode(sensor), global_states()
-    other, _ = _episode(sensor)
     require(_equal(one, other), "equal generators give unequal perceptions")
-    moved = moved_since(before)
-    require(not moved, f"draws from {moved}; only rng is allowed")
+    for p in one:
+        require(bool((np.diff(p.points[:, 0]) >= 0).all()), "the points' x decreases")
 
 
 @of("perception", "returns")
@@ -201,14 +187,8 @@ def _perceiver(sensor: Sensor, drive: Drive) -> Perceiver:
     return Perceiver(sensor, _mounting(drive), drive.robot, rngs)
 
 
-def _first_episode(sensor: Sensor) -> _Episode:
-    """Return the sensor's first episode, which is driven once for all checks."""
-    if id(sensor) not in _first:
-        _first[id(sensor)] = sensor, _episode(sensor)
-    return _first[id(sensor)][1]
-
-
-def _episode(sensor: Sensor) -> _Episode:
+def _episode(sensor: Sensor) -> tuple[list[Perception], list[_Taken]]:
+    """Return perceptions and measurements of two decisions."""
     drive = _drive(sensor)
     perceiver, taken = _perceiver(sensor, drive), list[_Taken]()
 
@@ -244,15 +224,10 @@ def _perceived(perceiver: Perceiver, states: Sequence[RobotState]) -> list[Perce
 
 def _equal(one: Sequence[Perception], other: Sequence[Perception]) -> bool:
     return all(
-        np.array_equal(p.observation, q.observation)
-        and np.array_equal(p.points, q.points)
-        and np.array_equal(_filled(p), _filled(q))
+        np.array_equal(getattr(p, name), getattr(q, name))
         for p, q in zip(one, other, strict=True)
+        for name in ("observation", "points", "filled")
     )
-
-
-def _filled(p: Perception) -> NDArray[np.bool_]:
-    return np.zeros(len(p.points), np.bool_) if p.filled is None else p.filled
 
 
 def _fault(value: object) -> str | None:

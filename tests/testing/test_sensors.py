@@ -85,8 +85,8 @@ def sensing(instrument: type[api.Instrument], estimator: type[Level]) -> type[ap
 @pytest.mark.parametrize(
     ("check", "instrument", "estimator", "words"),
     [
-        ("samples", Loose, Level, ["'counter' returned [3]", "frozen dataclass"]),
-        ("repeats", Drawn, Level, ["unequal perceptions"]),
+        ("episodes", Loose, Level, ["'counter' returned [3]", "frozen dataclass"]),
+        ("episodes", Drawn, Level, ["unequal perceptions"]),
         ("returns", Counter, Level, ["after its snapshot is loaded", "save and load"]),
         ("portable", Counter, Contract, ["Contract uses flipperctl.api;", "numpy"]),
     ],
