@@ -1,4 +1,4 @@
-"""Checkpoint files: damaged, foreign and dangerous files are refused with one clear error."""
+"""Checkpoint files: damaged, foreign, dangerous and wrong ones are refused with one clear error."""
 
 import json
 import os
@@ -18,11 +18,20 @@ from flipperctl.api import registry
 from flipperctl.config.models import AbsentTerrain
 from flipperctl.errors import CheckpointError, WriteError
 from flipperctl.policies.trained import policy_module
+from flipperctl.training import listeners as timing
+from tests.cli.call import call
+from tests.short import short_config, trainer
 
 
 @pytest.fixture
 def best(short_run: Path, tmp_path: Path) -> Path:
     return Path(shutil.copy(short_run / checkpoint.BEST, tmp_path / "best.safetensors"))
+
+
+@pytest.fixture
+def last(short_run: Path, tmp_path: Path) -> Path:
+    (tmp_path / "run" / "checkpoints").mkdir(parents=True)
+    return Path(shutil.copy(short_run / checkpoint.LAST, tmp_path / "run" / checkpoint.LAST))
 
 
 def resign(path: Path, changes: dict[str, object]) -> None:
@@ -66,8 +75,12 @@ def test_a_policy_is_read_again_when_its_file_or_the_plugins_change(best: Path) 
         checkpoint.read_policy(best)
 
 
-def test_every_flipped_bit_is_found(best: Path) -> None:
+def test_every_flipped_bit_and_a_missing_end_are_found(best: Path) -> None:
     data = best.read_bytes()
+    for size in (0, 500, -1):
+        best.write_bytes(data[:size])
+        with pytest.raises(CheckpointError, match="damaged"):
+            checkpoint.read(best)
     # Some in the header, in the document, in the digest, in the weights.
     for at in (0, 9, 100, 2000, len(data) // 2, len(data) - 1):
         best.write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
@@ -75,18 +88,10 @@ def test_every_flipped_bit_is_found(best: Path) -> None:
             checkpoint.read(best)
 
 
-@pytest.mark.parametrize("size", [0, 500, -1])
-def test_a_truncated_file_is_damaged(best: Path, size: int) -> None:
-    best.write_bytes(best.read_bytes()[:size])
-    with pytest.raises(CheckpointError, match="damaged"):
-        checkpoint.read(best)
-
-
 def test_a_foreign_safetensors_file_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "other.safetensors"
-    save_file({"weight": torch.zeros(2)}, path)
+    save_file({"weight": torch.zeros(2)}, tmp_path / "other.safetensors")
     with pytest.raises(CheckpointError, match="not a checkpoint of flipperctl"):
-        checkpoint.read(path)
+        checkpoint.read(tmp_path / "other.safetensors")
 
 
 class Mine:
@@ -122,12 +127,6 @@ def test_a_header_whose_length_looks_like_a_pickle_is_read(best: Path) -> None:
     assert checkpoint.read(best).document.versions["padding"] == "x" * padding
 
 
-def test_weights_of_another_shape_are_refused(best: Path) -> None:
-    resign(best, {"config.network.head": 32})
-    with pytest.raises(CheckpointError, match="do not fit network 'at_d3qn'"):
-        policy_module(checkpoint.read(best))
-
-
 def test_equal_contents_are_equal_files(best: Path) -> None:
     saved = checkpoint.read(best)
     # safetensors itself gives the two entries of the metadata in one of two orders, by chance.
@@ -148,8 +147,6 @@ def test_a_run_directory_stands_for_its_checkpoint(short_run: Path, tmp_path: Pa
     assert checkpoint.find(short_run, checkpoint.LAST) == short_run / checkpoint.LAST
     with pytest.raises(CheckpointError, match="is it a run directory"):
         checkpoint.find(tmp_path)
-    with pytest.raises(CheckpointError, match="no such run"):
-        checkpoint.find(tmp_path / "missing")
     last = tmp_path / "0_seed=1" / checkpoint.LAST
     last.parent.mkdir(parents=True)
     last.touch()
@@ -179,3 +176,145 @@ def test_a_disk_that_fills_up_while_writing_keeps_the_old_checkpoint(best: Path)
         signal.signal(signal.SIGXFSZ, ignored)
     assert best.read_bytes() == before
     assert list(best.parent.iterdir()) == [best]
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"config": ...}, "document.config: Field required"),
+        ({"config.rewards.end.weight": None}, "document.config.rewards.end.weight: "),
+        ({"config.seed": True}, "document.config.seed: Input should be a valid integer"),
+        ({"kind": "better"}, "document.kind: Input should be 'best' or 'last'"),
+        ({"plugins.0.name": "a\nb"}, "document.plugins.0.name: String should match"),
+        (
+            {"actions.joints": ["left", "right"]},
+            "document.actions: the actions turn left, right",
+        ),
+        ({"padding": "x"}, "document.padding: there is no such key"),
+        ({"decision": 1 << 70}, "document.decision: "),
+        ({"validation": ...}, "belong to the kind 'best'"),
+        ({"validation.success_rate": 1.5}, "document.validation.success_rate: "),
+        ({"state": {}}, "document.state"),
+    ],
+)
+def test_a_wrong_document_is_named_by_its_path(
+    changes: dict[str, Any], expected: str, best: Path
+) -> None:
+    resign(best, changes)
+    with pytest.raises(CheckpointError) as caught:
+        checkpoint.read(best)
+    assert expected in str(caught.value)
+    assert str(best) in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("[]", "it must be a mapping; it is a list"),
+        ("[" * 100_000, "nested too deeply"),
+        ('{"format": 2, "format": 2}', "the key 'format' twice"),
+        ('{"format": true}', "its format is True"),
+        ('{"format": 1e999}', "it holds 1e999"),
+        ('{"format": 2, "kind": "\\ud800"}', "document: Invalid JSON"),
+        ('{"format": 2, "kind": ' + "[" * 300 + "]" * 300 + "}", "recursion limit"),
+    ],
+)
+def test_text_that_is_not_a_document_is_refused(text: str, expected: str, best: Path) -> None:
+    best.write_bytes(checkpoint.serialize(text, checkpoint.read(best).tensors))
+    with pytest.raises(CheckpointError, match="its document is not valid") as caught:
+        checkpoint.read(best)
+    assert expected in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"state": ...}, "a state belongs to the kind 'last', and to no other"),
+        ({"state.generators.explore.state.state": 1 << 128}, "explore.state.state: "),
+        ({"state.recent": [True] * 101}, "document.state.recent: "),
+        ({"state.validations.0.pitch_variation": None}, "state.validations.0.pitch_variation: "),
+        ({"state.lost": 10**6}, "lost is 1000000, above started"),
+        ({"state.replay_added": 601}, "replay_added is 601, above decision"),
+        ({"state.orders": [[0, 1, 0.5, 0, 0, 1.0]]}, "document.state.orders.0: "),
+    ],
+)
+def test_a_wrong_state_is_named_by_its_path(
+    changes: dict[str, Any], expected: str, last: Path
+) -> None:
+    resign(last, changes)
+    with pytest.raises(CheckpointError) as caught:
+        checkpoint.read(last)
+    assert expected in str(caught.value)
+
+
+def changed(path: Path, name: str, tensor: torch.Tensor) -> checkpoint.Checkpoint:
+    saved = checkpoint.read(path)
+    checkpoint.write(path, saved.document, {**saved.tensors, name: tensor})
+    return checkpoint.read(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "tensor", "expected"),
+    [
+        ("replay.reward", torch.zeros(3), r"replay is not valid: reward is float32 \(3,\); flo"),
+        ("replay.action", torch.full((600,), 9), r"replay is not valid: action is int64 \(600,\)"),
+        ("optimiser.third", torch.zeros(3), "there is no tensor 'third'"),
+        ("online.1.joined.0.bias", torch.zeros(1), r"online is not valid: 1\.joined\.0\.bias is "),
+    ],
+)
+def test_a_run_is_resumed_only_from_its_own_tensors(
+    name: str, tensor: torch.Tensor, expected: str, last: Path
+) -> None:
+    saved = changed(last, name, tensor)
+    with pytest.raises(CheckpointError, match=expected):
+        trainer(short_config(), last.parents[1]).restore(saved)
+
+
+def test_weights_that_do_not_fit_are_refused(best: Path) -> None:
+    name = "policy.1.joined.0.bias"
+    infinite = torch.full_like(checkpoint.read(best).tensors[name], float("inf"))
+    with pytest.raises(CheckpointError, match=r"1\.joined\.0\.bias holds numbers that are not"):
+        policy_module(changed(best, name, infinite))
+    resign(best, {"config.network.head": 32})
+    with pytest.raises(CheckpointError, match="do not fit network 'at_d3qn'"):
+        policy_module(checkpoint.read(best))
+    with pytest.raises(CheckpointError, match=r"a tensor is named 'more\.x'"):
+        changed(best, "more.x", torch.zeros(1))
+
+
+@pytest.mark.parametrize(
+    ("version", "changes"), [("0.1", {"format": 1}), ("0.2", {"actions": None})]
+)
+def test_a_checkpoint_of_an_earlier_version_is_refused_in_one_line(
+    version: str, changes: dict[str, Any], last: Path
+) -> None:
+    saved = checkpoint.read(last)
+    changed = {**saved.document.plain(), **changes}
+    text = json.dumps({k: v for k, v in changed.items() if v is not None})
+    last.write_bytes(checkpoint.serialize(text, saved.tensors))
+    done = call("inspect", "checkpoint", str(last), cwd=last.parent)
+    refused = f"last.safetensors is of version {version}; this version reads 0.3; train again"
+    assert (done.code, done.err.count("\n")) == (2, 1)
+    assert refused in done.err
+
+
+def elapsed(run: Path) -> float:
+    """Return the time that the run has taken so far [s]."""
+    stopwatch = timing.Stopwatch(run)
+    stopwatch.read()
+    return stopwatch.seconds
+
+
+def test_the_time_continues_when_a_run_is_resumed(last: Path) -> None:
+    run = last.parents[1]
+    (run / timing.NAME).write_text('{"seconds": 100.0}')
+    learner = trainer(short_config(**{"train.decisions": 650}), run)
+    learner.restore(checkpoint.read(last))
+    summary = learner.run()
+    assert 100 < summary["seconds"] < 160
+    assert elapsed(run) == pytest.approx(summary["seconds"], abs=1)
+    for text in ("", "[]", '{"seconds": "x"}', '{"seconds": -1}', '{"seconds": NaN}'):
+        (run / timing.NAME).write_text(text)
+        assert elapsed(run) == pytest.approx(0.0, abs=1)

@@ -23,6 +23,7 @@ from tests.cli.call import refused
 from tests.short import short_config
 
 PLAIN = to_dict(TrainConfig(terrain="flat", network="mlp"))
+STAIR = EnvConfig(terrain="stair")
 GRADIENT = {
     "agent.learner": "policy_gradient",
     "agent.n_step": 1,
@@ -32,12 +33,48 @@ GRADIENT = {
 OKADA = {"teacher.controller": {"name": "okada"}, "teacher.td_weight": 0.0}
 
 
-def test_an_unknown_name_gives_a_close_match_and_all_that_is_registered() -> None:
-    with pytest.raises(ConfigError) as error:
-        resolver.get("terrain", "stairs", "terrain")
-    assert str(error.value).startswith("terrain: there is no terrain plugin 'stairs'")
-    assert "did you mean 'stair'?" in str(error.value)
-    assert "paper_step" in str(error.value)
+def logged(overrides: dict[str, Any]) -> TrainConfig:
+    return with_overrides(parse(TrainConfig, PLAIN), overrides)
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (
+            lambda: resolver.get("terrain", "stairs", "terrain"),
+            r"^terrain: there is no terrain plugin 'stairs'; did you mean 'stair'\?.*paper_step",
+        ),
+        (
+            lambda: resolver.create("terrain", {"name": "mix", "parts": ["stiar"]}, "terrain"),
+            r"^terrain\.parts\.0: there is no terrain plugin 'stiar'; did you mean 'stair'\?.*step",
+        ),
+        (lambda: resolver.create("sim", "mine", "sim"), r"reinstalled \(pip install -e \.\)"),
+        (lambda: resolver.create("terrain", "mine", "terrain"), "loaded by --plugins FILE"),
+        (lambda: resolver.create("terrain", {"rise": 0.1}, "terrain"), "a mapping with 'name'"),
+        (
+            lambda: with_overrides(STAIR, {"terrain.rise.x": 1}),
+            r"terrain\.rise\.x: rise is a value, not a section",
+        ),
+        (lambda: parse(Teacher, {"temperature": 1e-323}), "greater than or equal to 0.000001"),
+        (lambda: logged({"logger": "wandbb"}), r"logger\.wandbb: .*did you mean 'wandb'"),
+        (
+            lambda: logged({"logger.wandb.project": "x"}),
+            r"logger\.wandb: .*chosen: tensorboard; logger=wandb",
+        ),
+        (
+            lambda: logged({"logger": "trackio"}),
+            r"logger\.trackio: .*'trackio'; it is gone: logger=wandb",
+        ),
+        (lambda: logged({"logger": 3}), "logger: names, or a mapping"),
+        (
+            lambda: logged({"logger": {"../x": {"name": "wandb"}}}),
+            r"logger\.\.\./x: lower-case letters",
+        ),
+    ],
+)
+def test_a_wrong_setting_says_what_is_allowed(call: Any, text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        call()
 
 
 def test_a_plugins_container_makes_an_equal_plugin() -> None:
@@ -47,27 +84,14 @@ def test_a_plugins_container_makes_an_equal_plugin() -> None:
     assert [p.plugin_name for p in resolver.nested_plugins(mix)] == ["mix", "flat", "step"]
 
 
-def test_a_name_inside_a_plugin_is_refused_in_the_words_of_one_outside() -> None:
-    with pytest.raises(ConfigError) as outside:
-        resolver.create("terrain", "stiar", "terrain.parts.0")
-    with pytest.raises(ConfigError) as inside:
-        resolver.create("terrain", {"name": "mix", "parts": ["stiar"]}, "terrain")
-    assert str(inside.value) == str(outside.value)
-
-
 def test_nested_and_dotted_overrides_and_a_whole_container_make_the_same_settings() -> None:
-    base = EnvConfig(terrain="stair")
-    dotted = with_overrides(base, {"terrain.rise": 0.1, "rewards.pitch.window": 4})
-    nested = with_overrides(base, {"terrain": {"rise": 0.1}, "rewards": {"pitch": {"window": 4}}})
+    dotted = with_overrides(STAIR, {"terrain.rise": 0.1, "rewards.pitch.window": 4})
+    nested = with_overrides(STAIR, {"terrain": {"rise": 0.1}, "rewards": {"pitch": {"window": 4}}})
     assert dotted == nested == parse(EnvConfig, to_dict(nested))
-    assert dotted != base
-
-
-def test_overrides_drop_terms_and_add_others() -> None:
-    base = EnvConfig(terrain="stair")
-    found = with_overrides(base, {"rewards.pitch": None, "rewards.hit": "impact"})
+    assert dotted != STAIR
+    found = with_overrides(STAIR, {"rewards.pitch": None, "rewards.hit": "impact"})
     assert set(found.rewards) == {"flipper", "end", "hit"}
-    assert with_overrides(base, {"rewards": {}}).rewards == {}
+    assert with_overrides(STAIR, {"rewards": {}}).rewards == {}
 
 
 def test_a_collector_may_be_named_alone() -> None:
@@ -82,51 +106,19 @@ def test_a_collector_may_be_named_alone() -> None:
 
 
 @pytest.mark.parametrize(
-    "named",
+    ("named", "field"),
     [
-        {"sim": "mujoco"},
-        {"sim": {"name": "mujoco"}},
-        {"robot": "absolem"},
-        {"perception": "lidar"},
+        ({"sim": "mujoco"}, "friction"),
+        ({"sim": {"name": "mujoco"}}, "friction"),
+        ({"robot": "absolem"}, "track_speed"),
     ],
 )
-def test_fields_of_what_is_named_count_in_any_order(named: dict[str, object]) -> None:
-    fields = {"sim": "friction", "robot": "track_speed", "perception": "delay"}
+def test_fields_of_what_is_named_count_in_any_order(named: dict[str, object], field: str) -> None:
     (section,) = named
-    field = f"{section}.{fields[section]}"
-    base = EnvConfig(terrain="stair")
-    found = [
-        with_overrides(base, {**first, **then})
-        for first, then in ((named, {field: 0.31}), ({field: 0.31}, named))
-    ]
-    assert found[0] == found[1] != with_overrides(base, named)
-    assert getattr(getattr(found[0], section), fields[section]) == 0.31
-
-
-@pytest.mark.parametrize("kind", ["sim", "perception"])
-def test_an_engine_that_is_not_found_may_need_a_reinstall(kind: str) -> None:
-    with pytest.raises(ConfigError, match=r"reinstalled \(pip install -e \.\)"):
-        resolver.create(kind, "mine", kind)
-    with pytest.raises(ConfigError) as error:
-        resolver.create("terrain", "mine", "terrain")
-    assert "reinstalled" not in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("call", "text"),
-    [
-        (lambda: resolver.create("terrain", {"rise": 0.1}, "terrain"), "a mapping with 'name'"),
-        (
-            lambda: with_overrides(EnvConfig(terrain="stair"), {"terrain.rise.x": 1}),
-            r"terrain\.rise\.x: rise is a value, not a section",
-        ),
-        (lambda: parse(Teacher, {"temperature": 1e-323}), "greater than or equal to 0.000001"),
-        (lambda: parse(Teacher, {"q_temperature": 1e-323}), "greater than or equal to 0.000001"),
-    ],
-)
-def test_a_wrong_setting_says_what_is_allowed(call: Any, text: str) -> None:
-    with pytest.raises(ConfigError, match=text):
-        call()
+    change = {f"{section}.{field}": 0.31}
+    found = [with_overrides(STAIR, pair) for pair in ({**named, **change}, {**change, **named})]
+    assert found[0] == found[1] != with_overrides(STAIR, named)
+    assert getattr(getattr(found[0], section), field) == 0.31
 
 
 @pytest.mark.parametrize(
@@ -144,38 +136,19 @@ def test_loggers_are_chosen_by_name(given: Any, names: list[str]) -> None:
 
 
 def test_a_resumed_run_may_have_other_loggers() -> None:
-    config = parse(TrainConfig, PLAIN)
-    both = with_overrides(config, {"logger": ["csv", "wandb"], "logger.wandb.project": "stairs"})
+    both = logged({"logger": ["csv", "wandb"], "logger.wandb.project": "stairs"})
     assert to_dict(both)["logger"]["wandb"]["project"] == "stairs"
     assert list(both.logger) == ["wandb"]
-    later = with_overrides(config, {"logger.wandb.project": "stairs", "logger": ["csv", "wandb"]})
+    later = logged({"logger.wandb.project": "stairs", "logger": ["csv", "wandb"]})
     assert later.logger == both.logger
     one = with_overrides(both, {"logger.wandb.mode": "offline"})
     assert to_dict(one)["logger"]["wandb"] == to_dict(both)["logger"]["wandb"] | {"mode": "offline"}
-
-
-@pytest.mark.parametrize(
-    ("overrides", "text"),
-    [
-        ({"logger": "wandbb"}, r"logger\.wandbb: .*did you mean 'wandb'"),
-        ({"logger.wandb.project": "x"}, r"logger\.wandb: .*chosen: tensorboard; logger=wandb"),
-        ({"logger": "trackio"}, r"logger\.trackio: .*'trackio'; it is gone: logger=wandb"),
-        ({"logger": 3}, "logger: names, or a mapping"),
-        ({"logger": {"../x": {"name": "wandb"}}}, r"logger\.\.\./x: lower-case letters"),
-    ],
-)
-def test_a_wrong_logger_says_what_is_allowed(overrides: dict[str, Any], text: str) -> None:
-    with pytest.raises(ConfigError, match=text):
-        with_overrides(parse(TrainConfig, PLAIN), overrides)
-
-
-def test_a_policy_is_judged_without_the_plugins_of_its_loggers() -> None:
-    mine = {"mine": {"name": "mine", "server": "here"}, **PLAIN["logger"]}
+    mine = {"mine": {"name": "mine", "server": "here"}, **PLAIN["logger"]}  # its plugin is missing
     assert with_stand_ins({**PLAIN, "logger": mine}, {})["logger"] == PLAIN["logger"]
 
 
 def test_a_setting_that_is_gone_is_left_out_at_its_last_value(tmp_path: Path) -> None:
-    config = parse(TrainConfig, to_dict(TrainConfig(terrain="flat", network="mlp", sim="mujoco")))
+    config = TrainConfig(terrain="flat", network="mlp", sim="mujoco")
     plain = to_dict(config)
     plain["sim"] |= {"roll_gain": 0.0, "ground_width": 4.0, "rotor_inertia": 1.0}
     plain["agent"] |= {"act_with": "target"}
@@ -185,11 +158,8 @@ def test_a_setting_that_is_gone_is_left_out_at_its_last_value(tmp_path: Path) ->
     assert mpc == resolver.create("controller", "mpc", "controller")
     with pytest.raises(ConfigError, match=r"gone; its value was 30\.0; it is 5"):
         parse(EvalConfig, {"terrain": "flat", "perception": {"name": "lidar", "wander_time": 5}})
-    for words, text in (
-        ("train agent.policy_gradient.value_passes=8", "value_passes is gone; its value was 8\n"),
-        ("eval mpc controller.averaging=0", "controller.averaging is gone; its value was 0.5\n"),
-    ):
-        assert text in refused(*words.split(), cwd=tmp_path)
+    text = refused("eval", "mpc", "controller.averaging=0", cwd=tmp_path)
+    assert "controller.averaging is gone; its value was 0.5\n" in text
 
 
 @pytest.mark.parametrize(

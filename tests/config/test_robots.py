@@ -56,6 +56,8 @@ def test_a_file_becomes_settings_that_other_words_win_over(tmp_path):
         ("track_radius: 0.4", r"mine.yaml: chassis_length \(0.76 m\) must exceed twice"),
         ("- 1", "mine.yaml: settings of the robot are allowed"),
         ("a: [1", "mine.yaml, line 1: no YAML"),
+        ("flipper_speed: yes", r"mine\.yaml\.flipper_speed: .*number"),
+        ("flipper_speed: 12:30", r"mine\.yaml\.flipper_speed: .*number"),
     ],
 )
 def test_an_error_names_the_file_the_key_and_what_is_allowed(tmp_path, text, error):
@@ -73,13 +75,7 @@ def test_unknown_robots_and_lists_of_files_are_refused(tmp_path):
     with pytest.raises(ConfigError, match="did you mean 'absolem'"):
         named_robot("absolen")
     assert "known: absolem, nubot" in refused("inspect", "config", "robot=absolen", cwd=tmp_path)
-
-
-def test_commands_take_names_and_files(tmp_path):
     (tmp_path / "mine.yaml").write_text("chassis_length: 0.7\n")
-    done = call("inspect", "config", "robot=absolem", "robot.track_speed=0.3", cwd=tmp_path)
-    shown = yaml.safe_load(done.out)["robot"]
-    assert Robot(**shown) == named_robot("absolem").model_copy(update={"track_speed": 0.3})
     done = call("train", "--cfg", "job", "robot=mine.yaml", cwd=tmp_path)
     assert Robot(**yaml.safe_load(done.out)["robot"]) == Robot(chassis_length=0.7)
 
@@ -98,8 +94,9 @@ def test_a_policy_is_evaluated_and_exported_for_another_robot(tmp_path):
 def test_a_name_wins_over_the_robot_of_compared_files():
     primary = register_robot(Robot(chassis_length=0.8))
     assert compose_environment(Overrides.parse([]), primary).robot.chassis_length == 0.8
-    chosen = compose_environment(Overrides.parse(["robot=absolem"]), primary).robot
-    assert chosen == named_robot("absolem")
+    words = Overrides.parse(["robot=absolem", "robot.track_speed=0.3"])
+    changed = named_robot("absolem").model_copy(update={"track_speed": 0.3})
+    assert compose_environment(words, primary).robot == changed
 
 
 def test_conditions_for_nubot_are_remarked_on():

@@ -8,7 +8,6 @@ import pytest
 
 from flipperctl.api import Robot
 from flipperctl.config import TrainConfig, parse, strict_yaml, with_overrides
-from flipperctl.config.resolver import named_robot
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.plan import find_suite
 from tests.config.yaml_texts import document, expected
@@ -50,7 +49,7 @@ def test_what_is_ambiguous_is_refused(text: str, error: str) -> None:
 
 
 def test_random_documents_are_read_as_they_are_written() -> None:
-    for seed in range(150):
+    for seed in range(100):
         rng = random.Random(seed)
         made = document(rng)
         try:
@@ -59,14 +58,6 @@ def test_random_documents_are_read_as_they_are_written() -> None:
             assert made.twice, made.text
         else:
             assert not made.twice, made.text
-
-
-@pytest.mark.parametrize("value", ["yes", "12:30", ".inf"])
-def test_a_robot_file_with_another_value_is_refused(tmp_path: Path, value: str) -> None:
-    file = tmp_path / "mine.yaml"
-    file.write_text(f"flipper_speed: {value}\n")
-    with pytest.raises(ConfigError, match=r"mine\.yaml\.flipper_speed: .*number"):
-        named_robot(str(file))
 
 
 def test_scenes_have_the_names_that_are_written(tmp_path: Path) -> None:

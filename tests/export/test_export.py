@@ -110,6 +110,7 @@ def test_the_controller_has_the_map_of_the_training(saved: checkpoint.Checkpoint
         assert on_robot._settings == expected
 
 
+@pytest.mark.long
 def test_pt2_gives_the_same_q_values(saved: checkpoint.Checkpoint, tmp_path: Path) -> None:
     path = tmp_path / "step.pt2"
     found = policy.export(saved, "pt2", path)
