@@ -52,8 +52,9 @@ class Setting:
 def fields(cls: type[Settings]) -> list[Field]:
     """Return the fields of a class of settings."""
     complete = not any(info.is_required() for info in cls.model_fields.values())
-    defaults = _defaults(cls) if complete else {}
-    found = []
+    defaults, found = {}, []
+    if complete:
+        defaults = resolver.defaults(cls) if issubclass(cls, Plugin) else _plain(cls())
     for name, info in cls.model_fields.items():
         default = defaults.get(name) if complete or info.is_required() else info.get_default()
         shown = str(getattr(info.annotation, "__name__", info.annotation))
@@ -75,7 +76,10 @@ def settings(config: Settings, path: str = "") -> Iterator[Setting]:
             continue  # yielded by ``_choice``
         where, value = f"{path}.{field.name}".lstrip("."), getattr(config, field.name)
         if isinstance(config, Randomise) and field.name in PATH_SECTIONS and value:
-            yield from _sampled_by_path(field.name, plain[field.name], path)
+            cls = _sampled_from(field.name)
+            for name, by_path in plain[field.name].items():
+                words = bounds(cls, name), unit(cls, name) or "-", f"of {field.name}.{name}"
+                yield Setting(path, f"{where}.{name}", by_path, Field(name, "Range", None, *words))
             continue
         nested = list(_nested(value, where))
         if not nested or isinstance(value, tuple | list):
@@ -100,7 +104,7 @@ def describe_plugin(kind: str, name: str) -> dict[str, Any]:
     return {
         "kind": kind,
         "name": name,
-        "summary": (cls.__doc__ or "").strip().splitlines()[0] if cls.__doc__ else "",
+        "summary": _summary(cls),
         "module": cls.__module__,
         "source": guard.definition(cls),
         "fields": [asdict(field) for field in fields(cls)],
@@ -116,10 +120,7 @@ def list_settings(config: Settings, default: Settings) -> list[dict[str, Any]]:
             "path": s.path,
             "value": s.value,
             "default": choices.get(s.path) if s.path == s.section else s.field.default,
-            "bounds": s.field.bounds,
-            "unit": s.field.unit,
-            "type": s.field.type,
-            "description": s.field.description,
+            **{name: getattr(s.field, name) for name in ("bounds", "unit", "type", "description")},
         }
         for s in settings(config)
     ]
@@ -140,16 +141,6 @@ def paths_named(
     return ends if len(ends) <= 3 else []
 
 
-def _sampled_by_path(section: str, ranges: Mapping[str, Any], path: str) -> Iterator[Setting]:
-    """Yield the range or probability of each setting of ``section`` that is sampled."""
-    cls = _sampled_from(section)
-    for name, value in ranges.items():
-        known = name in cls.model_fields
-        words = (bounds(cls, name), unit(cls, name)) if known else ("", "-")
-        field = Field(name, "Range", None, *words, f"of {section}.{name}")
-        yield Setting(path, f"{path}.{section}.{name}", value, field)
-
-
 def _nested(value: Any, path: str) -> Iterator[tuple[str, Settings]]:
     """Yield the settings in a field's value, each with its path."""
     if isinstance(value, Settings):
@@ -164,14 +155,16 @@ def _nested(value: Any, path: str) -> Iterator[tuple[str, Settings]]:
 
 def _choice(path: str, chosen: Settings) -> Iterator[Setting]:
     """Yield the setting that names ``chosen``, if it is a plugin or one of several variants."""
-    cls = type(chosen)
-    summary = (cls.__doc__ or "").strip().partition("\n")[0]
+    name, kind = getattr(chosen, _CHOICE, None), "section"
     if isinstance(chosen, Plugin):
-        field = Field(_CHOICE, f"{chosen.kind} plugin", None, "", "", summary)
-        yield Setting(path, path, chosen.plugin_name, field)
-    elif _CHOICE in cls.model_fields:
-        field = Field(_CHOICE, "section", None, "", "", summary)
-        yield Setting(path, path, getattr(chosen, _CHOICE), field)
+        name, kind = chosen.plugin_name, f"{chosen.kind} plugin"
+    if name is not None:
+        field = Field(_CHOICE, kind, None, "", "", _summary(type(chosen)))
+        yield Setting(path, path, name, field)
+
+
+def _summary(cls: type[Settings]) -> str:
+    return (cls.__doc__ or "").strip().partition("\n")[0]
 
 
 def _allowed(cls: type[Settings], name: str) -> str:
@@ -198,10 +191,6 @@ def _values(annotation: Any) -> Iterator[str]:
     else:
         for inner in get_args(annotation):
             yield from _values(inner)
-
-
-def _defaults(cls: type[Settings]) -> dict[str, Any]:
-    return resolver.defaults(cls) if issubclass(cls, Plugin) else _plain(cls())
 
 
 def _plain(config: Settings) -> dict[str, Any]:

@@ -92,11 +92,7 @@ def get(kind: str, name: object, where: str) -> type[Plugin]:
 
 
 def create(kind: str, settings: object, where: str) -> Any:
-    """Return a plugin instance from its name, or from a mapping with ``name`` and its fields.
-
-    Raises:
-        ConfigError: the name is unknown, or a field is unknown, of the wrong type or out of bounds.
-    """
+    """Return a plugin instance from its name, or from a mapping with ``name`` and its fields."""
     if isinstance(settings, Plugin):
         if not hasattr(type(settings), "plugin_name"):
             raise ConfigError(
@@ -143,11 +139,7 @@ def _guarded(plugin: Plugin) -> Plugin:
 
 
 def parse(model: type[SettingsT], values: Mapping[str, Any], where: str = "") -> SettingsT:
-    """Validate composed values, which errors call ``where``.
-
-    Raises:
-        ConfigError: one line with the configuration path, the value and what is allowed.
-    """
+    """Validate composed values; an error names the path, after ``where``, and what is allowed."""
     try:
         return model(**values)
     except ValidationError as error:

@@ -32,11 +32,7 @@ _SCALARS: dict[str, tuple[str, Callable[[str], object]]] = {
 
 
 def read(file: Traversable, where: str) -> Any:
-    """Return the data of a file, which errors call ``where``.
-
-    Raises:
-        ConfigError: the file cannot be read or is no YAML, or a key is given twice.
-    """
+    """Return the data of a file, which errors call ``where``."""
     return parse(read_text(file, where), where)
 
 

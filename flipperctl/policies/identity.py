@@ -54,7 +54,7 @@ class PolicyIdentity:
         file = source.checkpoint
         digest = ""
         for _ in range(_ATTEMPTS):  # what is read and the digest are of one file
-            before, digest = digest, _required(file, content_digest(file))
+            before, digest = digest, _content(file)
             if digest == before:
                 break
             exported = ExportedPolicy(file).interface if source.is_exported else None
@@ -92,8 +92,7 @@ def _of_controller(controller: Controller) -> str:
     document: dict[str, Any] = identity(controller)
     for key, named in named_files(controller):  # their content counts, not their place
         document["settings"].pop(key.partition("[")[0], None)
-        file = find(Path(named))
-        document[key] = _required(file, content_digest(file))
+        document[key] = _content(find(Path(named)))
     return _digest([document, *foreign_sources([controller])])
 
 
@@ -105,8 +104,8 @@ def named_files(controller: Controller) -> Iterator[tuple[str, str]]:
         yield "value", controller.value
 
 
-def _required(file: Path, digest: str | None) -> str:
-    if digest is None:
+def _content(file: Path) -> str:
+    if (digest := content_digest(file)) is None:
         raise CheckpointError(f"{file} cannot be read")
     return digest
 

@@ -14,7 +14,7 @@ import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,29 +34,17 @@ from flipperctl.policies.controllers import PluginPolicy, plugin_policy
 from flipperctl.runtime import OnnxPolicy
 from flipperctl.runtime.interface import Interface
 
+if TYPE_CHECKING:
+    from flipperctl.policies.trained import TrainedPolicy
+
 _CLOSE = 1e-6
 """Largest difference of angles, speeds and periods that counts as rounding [SI units]."""
 _APPLIED = ("angle_step", "angle_limit", "flipper_speed", "control_period")
 """Settings of a robot that a file applies itself."""
 
 
-class FilePolicy(Protocol):
-    """A policy of a file, which acts by a Q-value of each action, on observations alone."""
-
-    def reset(self, simulator: Simulator | None = None, /) -> None:
-        """Begin an episode; no simulator is needed."""
-
-    def act(self, p: Perception, /) -> int:
-        """Return the index into ``ACTIONS`` of the next action."""
-
-    def act_on(self, recent: Sequence[NDArray[np.float32]], /) -> int:
-        """Return the next action after these observations, each (N + 3,) in SI units.
-
-        They are the newest of the episode, the last one is new to the policy.
-        """
-
-    def q_values(self, p: Perception, /) -> Sequence[float]:
-        """Return the Q-values, (9,), without changing what the policy remembers."""
+FilePolicy: TypeAlias = "ExportedPolicy | TrainedPolicy"
+"""A policy of a file, which acts by a Q-value of each action, on observations alone."""
 
 
 @runtime_checkable
@@ -90,13 +78,8 @@ def load_policy(
     The name of a registered controller means it, though a folder is called so; ``./okada`` is the
     folder. Else the word is a run, a checkpoint or an exported file, or the name of a shipped
     policy. A controller has its ``reference_settings``, or the ``fields`` if they are given.
-    ``tell`` is called with a line if no validation has chosen the best policy of a run.
-
-    Raises:
-        CheckpointError: no file is where the word points, or it is an exported one and has to be a
-            checkpoint. Errors begin with ``where``, the option or setting that holds the word.
-        ConfigError: there is no policy of this name, or a field is wrong.
-        RequestError: it is a file, and a controller is asked for.
+    ``tell`` is called with a line if no validation has chosen the best policy of a run. Errors
+    begin with ``where``, the option or setting that holds the word.
     """
     if not isinstance(word, str | os.PathLike):
         raise ConfigError(f"{where}: a path or a name is allowed; the value is {word!r}")
@@ -177,15 +160,7 @@ class PolicySource:
         return None if self.checkpoint is None else self.config().robot
 
     def build(self, config: EnvConfig) -> Policy:
-        """Build the policy for an environment of this configuration.
-
-        Raises:
-            CheckpointError: the policy was trained on another observation layout, or its file is
-                missing or damaged.
-            ConfigError: the environment's robot contradicts values that an exported file applies.
-            PolicyError: the exported file is damaged.
-            PluginFailedError: the controller's code failed.
-        """
+        """Build the policy for an environment of this configuration, which has to fit a file."""
         if self.checkpoint is None:
             return controller_policy(self.controller(), config)
         return self.build_file(config)
@@ -227,10 +202,7 @@ class PolicySource:
 def controller_policy(
     controller: Controller, config: EnvConfig, path: str = "controller"
 ) -> PluginPolicy:
-    """Return the policy of a controller with the files and rewards that it uses.
-
-    ``path``: section of the controller, for errors.
-    """
+    """Return the policy of a controller ``with_files``."""
     return plugin_policy(with_files(controller, config, path))
 
 
@@ -297,16 +269,13 @@ class ExportedPolicy:
         """Read the file."""
         self._policy = OnnxPolicy(file)
         self.interface = self._policy.interface
+        self.risk_sign: RiskSign | None = self.interface.risk
+        """When the risk is a warning; None without one in the file."""
 
     @property
     def risk(self) -> float | None:
         """Risk at the last decision; None without one in the file."""
         return self._policy.risk
-
-    @property
-    def risk_sign(self) -> RiskSign | None:
-        """When the risk is a warning; None without one in the file."""
-        return self.interface.risk
 
     def reset(self, simulator: Simulator | None = None) -> None:
         """Forget the observations of the previous episode."""
