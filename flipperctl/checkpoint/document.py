@@ -57,11 +57,16 @@ class Record(BaseModel):
     model_config = ConfigDict(frozen=True, strict=True, extra="forbid", allow_inf_nan=False)
 
 
-class PartialPlugin(Record):
-    """The settings of a plugin; all but the name stay unchecked, as the plugin may be missing."""
+class Partial(Record):
+    """The part of settings that can be read without their plugins; further ones stay unchecked."""
 
     model_config = ConfigDict(extra="allow")
     __pydantic_extra__: dict[str, JsonValue]
+
+
+class PartialPlugin(Partial):
+    """The settings of a plugin."""
+
     name: Label
 
 
@@ -71,11 +76,9 @@ class PartialReward(PartialPlugin):
     weight: float
 
 
-class PartialConfig(Record):
-    """The part of a training configuration that can be read without its plugins."""
+class PartialConfig(Partial):
+    """The settings of a training."""
 
-    model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, JsonValue]
     terrain: PartialPlugin
     rewards: dict[Label, PartialReward]
     network: PartialPlugin

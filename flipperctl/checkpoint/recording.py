@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ConfigDict, Field, JsonValue, model_validator
+from pydantic import Field, model_validator
 
 from flipperctl import __version__
 from flipperctl.api import ACTIONS, Outcome, Robot
@@ -32,6 +32,7 @@ from flipperctl.checkpoint.document import (
     EPISODES,
     Count,
     Label,
+    Partial,
     PartialReward,
     Record,
     decode,
@@ -76,20 +77,16 @@ class RecordedEpisode:
     """Target distributions over actions for a student, (T, 9); zeros without a label."""
 
 
-class PartialPerception(Record):
+class PartialPerception(Partial):
     """The observation layout, with further settings of the sensor."""
 
-    model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, JsonValue]
     bins: Annotated[int, Field(ge=3, le=101)]
     bin_width: Annotated[float, Field(gt=0, le=1)]
 
 
-class PartialEnvironment(Record):
-    """The part of an environment's configuration that can be read without its plugins."""
+class PartialEnvironment(Partial):
+    """The configuration of an environment."""
 
-    model_config = ConfigDict(extra="allow")
-    __pydantic_extra__: dict[str, JsonValue]
     perception: PartialPerception
     robot: dict[Label, float | None]
     rewards: dict[Label, PartialReward]

@@ -52,8 +52,7 @@ class PolicyGradient(Settings):
     )
     clip: PositiveShare = Field(
         0.15,
-        description="change of an action's probability, as a share of it, beyond which an update "
-        "gains nothing more [-]",
+        description="change of an action's probability, as a share, past which no update gains [-]",
     )
     divergence: float = Field(
         0.02,
@@ -151,8 +150,7 @@ class Agent(Settings):
         4,
         ge=1,
         le=1000,
-        description="decisions from a warning on whose actions are drawn with "
-        "agent.escape_temperature above 0 [-]",
+        description="decisions from a warning on that are drawn with agent.escape_temperature [-]",
     )
     batch_size: int = Field(128, ge=2, le=65536, description="transitions per update [-]")
     replay_size: int = Field(
@@ -276,8 +274,7 @@ class Teacher(Settings):
     )
     student_share: Share = Field(
         0.6,
-        description="fraction of episodes in which the student acts once it learns; the teacher "
-        "acts in the others [-]",
+        description="fraction of episodes in which, once it learns, the student acts [-]",
     )
     label_share: PositiveShare = Field(
         1.0,
@@ -315,8 +312,7 @@ class Teacher(Settings):
         0.8,
         gt=0,
         le=1000,
-        description="margin between the Q-values of the teacher's action and others, in scaled "
-        "rewards [-]",
+        description="margin of the teacher's action over others in Q-values, scaled rewards [-]",
     )
     final_updates: int = Field(
         0,

@@ -81,15 +81,13 @@ class Episode(Settings):
         None,
         gt=0,
         le=600,
-        description="time over which progress is measured, at least two decisions; null selects "
-        "stuck_window [s]",
+        description="time of the progress, at least two decisions; null selects stuck_window [s]",
     )
     stuck_progress: float = Field(
         0.1,
         ge=0,
         le=10,
-        description="progress in the window below which a robot is stuck; not given in the "
-        "paper [m]",
+        description="progress in the window below which one is stuck; not given in the paper [m]",
     )
 
     @model_validator(mode="after")
@@ -151,8 +149,7 @@ class Train(Settings):
     )
     record: bool = Field(
         False,
-        description="write all training episodes, decision by decision, to episodes.safetensors in "
-        "the run directory [-]",
+        description="write all training episodes to episodes.safetensors in the run directory [-]",
     )
     threads: int = Field(1, ge=1, le=256, description="torch threads of the learner [-]")
 
@@ -201,6 +198,5 @@ class Eval(Settings):
     )
     ray: str | None = Field(
         None,
-        description="Ray cluster that plays the cells: its address, or local for one of eval.jobs "
-        "processes [-]",
+        description="Ray cluster that plays the cells: address, or local for eval.jobs workers [-]",
     )

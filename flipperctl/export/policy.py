@@ -93,12 +93,14 @@ def export(
     metadata = policy_metadata(config, None if risk is None else risk.sign)
     # The exporters run the network's code and wrap its errors.
     with naming(config.network, "forward", ExportError, while_=" (export)"):
+        network = folded(module)
+        if risk is not None:
+            network = PolicyWithRisk(network, risk).eval()
         if format == "onnx":
-            metadata = {**metadata, CHECKSUM: PLACEHOLDER}
-            data, outputs = export_onnx(with_risk(folded(module), risk), config, metadata)
+            data, outputs = export_onnx(network, config, {**metadata, CHECKSUM: PLACEHOLDER})
             data = add_checksum(data)
         else:
-            data, outputs = export_pt2(with_risk(folded(module), risk), config, metadata)
+            data, outputs = export_pt2(network, config, metadata)
     found = compare(module, outputs, observations, risk)
     write_bytes(output, data)
     return {
@@ -193,18 +195,6 @@ def _layer(weight: torch.Tensor, bias: torch.Tensor) -> nn.Linear:
     return layer.requires_grad_(False)
 
 
-def with_risk(policy: nn.Module, risk: Risk | None) -> nn.Module:
-    """Return one network of both, or the policy alone without a risk."""
-    return policy if risk is None else PolicyWithRisk(policy, risk).eval()
-
-
-def output_names(module: nn.Module) -> tuple[str, ...]:
-    """Return the names of a network's outputs in an exported file, in their order."""
-    if isinstance(module, PolicyWithRisk):
-        return ("q_values", "risk", "risk_recurrence")
-    return ("q_values",)
-
-
 def policy_metadata(config: TrainConfig, risk: RiskSign | None = None) -> dict[str, str]:
     """Return the metadata of a policy without its checksum; values other than text are JSON.
 
@@ -232,13 +222,8 @@ def policy_metadata(config: TrainConfig, risk: RiskSign | None = None) -> dict[s
     if files := [p for p in plugin_references(config) if p.file is not None]:
         values["plugins"] = [{"kind": p.kind, "name": p.name, "file": p.file} for p in files]
     if risk is not None:
-        values["risk"] = {
-            "meaning": MEANING_OF_RISK,
-            "horizon": risk.horizon,
-            "threshold": risk.threshold,
-            "lags": LAGS,
-            "scale": SCALE,
-        }
+        sign = {"meaning": MEANING_OF_RISK, **asdict(risk)}
+        values["risk"] = {**sign, "lags": LAGS, "scale": SCALE}
         if (escape := config.agent.escape) is not None:
             values["escape"] = {"meaning": MEANING_OF_ESCAPE, **asdict(escape)}
     if isinstance(layout, LidarSensor):
@@ -252,24 +237,15 @@ def policy_metadata(config: TrainConfig, risk: RiskSign | None = None) -> dict[s
 def describe_observation(layout: ObservationLayout) -> list[dict[str, str]]:
     """Return the name, unit, frame and meaning of each of an observation's N + 3 numbers."""
     edges = pairwise(observation.edges(layout.bins, layout.bin_width))
-    heights = [
-        {
-            "name": f"h_{i + 1}",
-            "unit": "m",
-            "frame": "L",
-            "meaning": f"mean terrain height, up positive, for x in [{low:.3f}, {high:.3f}) m",
-        }
-        for i, (low, high) in enumerate(edges)
+    height = "mean terrain height, up positive, for x in [{:.3f}, {:.3f}) m"
+    front, rear, pitch = observation.ANGLES
+    rows = [
+        *((f"h_{i}", "m", "L", height.format(*ends)) for i, ends in enumerate(edges, 1)),
+        (front, "rad", "R", "front flippers, above chassis positive"),
+        (rear, "rad", "R", "rear flippers, above chassis positive"),
+        (pitch, "rad", "L", "pitch, nose up positive"),
     ]
-    angles = (
-        ("R", "front flippers, above chassis positive"),
-        ("R", "rear flippers, above chassis positive"),
-        ("L", "pitch, nose up positive"),
-    )
-    return heights + [
-        {"name": name, "unit": "rad", "frame": frame, "meaning": meaning}
-        for name, (frame, meaning) in zip(observation.ANGLES, angles, strict=True)
-    ]
+    return [dict(zip(("name", "unit", "frame", "meaning"), row, strict=True)) for row in rows]
 
 
 def export_onnx(
@@ -279,12 +255,15 @@ def export_onnx(
     onnx, runtime = (_import_package(name) for name in ("onnx", "onnxruntime"))
     _import_package("onnxscript")
     example = torch.zeros(2, input_size(config.network, config.perception))
+    names = ["q_values"]
+    if isinstance(module, PolicyWithRisk):
+        names += ["risk", "risk_recurrence"]
     with _silent_exporter():
         program = torch.onnx.export(
             module,
             (example,),
             input_names=["observation"],
-            output_names=list(output_names(module)),
+            output_names=names,
             dynamic_shapes=({0: torch.export.Dim("batch")},),
             opset_version=OPSET,
             dynamo=True,
@@ -301,7 +280,7 @@ def export_onnx(
     session = runtime.InferenceSession(data, providers=["CPUExecutionProvider"])
 
     def outputs(observations: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
-        return tuple(session.run(list(output_names(module)), {"observation": observations}))
+        return tuple(session.run(names, {"observation": observations}))
 
     return data, outputs
 

@@ -152,15 +152,8 @@ def test_a_run_directory_stands_for_its_checkpoint(short_run: Path, tmp_path: Pa
     last.touch()
     with pytest.raises(CheckpointError, match=r"one of its runs, such as .*0_seed=1"):
         checkpoint.find(tmp_path)
-
-
-def test_a_misspelt_run_suggests_the_run_beside_it(short_run: Path, tmp_path: Path) -> None:
-    (tmp_path / "first").symlink_to(short_run)
-    (tmp_path / "frost").mkdir()  # no run
-    with pytest.raises(CheckpointError, match=r"did you mean '.*/first'\?"):
-        checkpoint.find(tmp_path / "frist")
-    with pytest.raises(CheckpointError, match="did you mean 'generalist'"):
-        checkpoint.find(Path("generalsit"))
+    with pytest.raises(CheckpointError, match=r"did you mean '.*/0_seed=1'\?"):
+        checkpoint.find(tmp_path / "0_sed=1")
 
 
 def test_a_disk_that_fills_up_while_writing_keeps_the_old_checkpoint(best: Path) -> None:

@@ -25,12 +25,8 @@ PRESETS = Path(__file__).parents[2] / "configs/robot"
 def test_a_preset_states_every_setting(name):
     stated = yaml.safe_load((PRESETS / f"{name}.yaml").read_text(encoding="utf-8"))
     assert set(stated) == set(Robot.model_fields)  # Hydra overrides only keys that exist
-    if name == "nubot":
-        assert named_robot(name) == Robot()
-
-
-def test_the_reach_of_absolem_is_the_published_one():
-    robot = named_robot("absolem")
+    assert (named_robot(name) == Robot()) == (name == "nubot")
+    robot = named_robot("absolem")  # whose reach is the published one
     assert 2 * robot.hinge_offset == pytest.approx(0.5)  # distance of the axles
     assert robot.flipper_axle + robot.track_radius == pytest.approx(0.33 + 0.029)
     assert robot.chassis_mass + 2 * robot.flipper_mass == pytest.approx(38)
