@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from itertools import zip_longest
 from pathlib import Path
 
@@ -21,16 +21,6 @@ def key_of(word: str) -> str:
     return word.lstrip("+~").partition("=")[0]
 
 
-def check_once(overrides: Iterable[str]) -> None:
-    """Refuse a key with two values, of which Hydra would take the last."""
-    given: dict[str, str] = {}
-    for override in overrides:
-        key = key_of(override)
-        if key in given:
-            raise ConfigError(f"{key} is given twice: {given[key]} and {override}; one is allowed")
-        given[key] = override
-
-
 def check_different(where: str, values: Sequence[object]) -> None:
     """Refuse a list that names something twice."""
     for index, value in enumerate(values):
@@ -39,7 +29,7 @@ def check_different(where: str, values: Sequence[object]) -> None:
 
 
 def check_words(overrides: Sequence[str]) -> None:
-    """Refuse a word that is not an override, because of the shell or a typing mistake."""
+    """Refuse a word that is no override, and a key with two, of which Hydra takes the last."""
     before = ""
     for word, after in zip_longest(overrides, overrides[1:], fillvalue=""):
         key, equals, _ = word.lstrip("+~").partition("=")
@@ -58,7 +48,11 @@ def check_words(overrides: Sequence[str]) -> None:
                 f"{word!r} is no override; write key=value, as in terrain=stair{hint}"
             )
         before = word
-    check_once(overrides)
+    given: dict[str, str] = {}
+    for word in overrides:
+        if (key := key_of(word)) in given:
+            raise ConfigError(f"{key} is given twice: {given[key]} and {word}; one is allowed")
+        given[key] = word
 
 
 def unreadable(word: str) -> ConfigError:

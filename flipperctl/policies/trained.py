@@ -204,12 +204,11 @@ def policy_risk(checkpoint: Checkpoint) -> Risk | None:
     network = RiskNetwork(input_size(config.network, config.perception))
     weights = checkpoint.part("risk")
     # Its calibration is that of the policy's validation, or of the run's last one, if any.
-    *_, validation = (None, *(document.state.validations if document.state else ()))
-    validation = document.validation or validation
+    validations = document.state.validations if document.state else (document.validation,)
     calibration = uncalibrated(config.agent.risk_horizon)
     try:
         require_equal_layout(weights, network.state_dict())
-        if validation is not None:
+        if validations and (validation := validations[-1]):
             calibration = RiskCalibration.of(validation.__pydantic_extra__)
     except ValueError as error:
         raise CheckpointError(f"{checkpoint.path}: its risk is not valid: {error}") from error
@@ -231,26 +230,27 @@ def read_value(file: Path, name: str, path: str) -> LearnedValue:
     with naming(path):
         checkpoint = read_policy(file)
         config = checkpoint.policy_config()
-    if config.network.frames > 1:
-        raise CheckpointError(
-            f"{path}={name}: its network {config.network.plugin_name} takes "
-            f"{config.network.frames} observations, of which a plan predicts one; a network of one "
-            "observation is allowed"
-        )
-    teacher = config.teacher
+    network, teacher = config.network, config.teacher
     named = (checkpoint.document.config.model_extra or {}).get("teacher")
     taught = isinstance(named, Mapping) and named.get("controller") is not None  # missing here
-    if (teacher.teaches or taught) and not teacher.td_weight and teacher.loss != "values":
-        raise CheckpointError(
-            f"{path}={name}: it only imitated its teacher, so that its values estimate no return; "
-            "train with teacher.td_weight above 0, or with experiment=searched"
+    if network.frames > 1:
+        fault = (
+            f"its network {network.plugin_name} takes {network.frames} observations, of which a "
+            "plan predicts one; a network of one observation is allowed"
         )
-    if config.agent.is_policy_gradient:
-        raise CheckpointError(
-            f"{path}={name}: it learnt by a policy gradient, so that its values order the actions "
-            "and estimate no return; train with agent.learner=d3qn, or with experiment=searched"
+    elif (teacher.teaches or taught) and not teacher.td_weight and teacher.loss != "values":
+        fault = (
+            "it only imitated its teacher, so that its values estimate no return; train with "
+            "teacher.td_weight above 0, or with experiment=searched"
         )
-    return value_of(policy_module(checkpoint), config)
+    elif config.agent.is_policy_gradient:
+        fault = (
+            "it learnt by a policy gradient, so that its values order the actions and estimate no "
+            "return; train with agent.learner=d3qn, or with experiment=searched"
+        )
+    else:
+        return value_of(policy_module(checkpoint), config)
+    raise CheckpointError(f"{path}={name}: {fault}")
 
 
 read_value_once = cache(read_value)
