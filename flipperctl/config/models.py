@@ -122,14 +122,9 @@ class EnvConfig(Settings):
     randomise: Randomise = Randomise()
 
     @model_validator(mode="after")
-    def _check_combinations(self) -> EnvConfig:
-        check_ranges(self._sampled_sections, self.randomise)
-        self._check_decisions()
-        self._check_episode()
-        return self
-
-    def _check_decisions(self) -> None:
+    def _check_decisions(self) -> EnvConfig:
         """Refuse decisions shorter than a sample period, and delays longer than a decision."""
+        check_ranges(self._sampled_sections, self.randomise)
         period = self.robot.decision_period
         if period < SAMPLE_PERIOD:
             given = self.robot.control_period is not None
@@ -138,17 +133,16 @@ class EnvConfig(Settings):
                 f"robot.{cause} a decision would take {period:.3g} s; at least "
                 f"{SAMPLE_PERIOD:g} s, the sampling time of the pitch, is allowed"
             )
-        delays = (
-            ("robot", "actuator_delay", self.robot.actuator_delay),
-            ("perception", "delay", self.perception.delay),
-        )
-        for section, name, own in delays:
-            sampled = self.randomise.find(section, name)
-            longest, key = (sampled.ends[1], sampled.key) if sampled else (own, f"{section}.{name}")
+        for section, name in (("robot", "actuator_delay"), ("perception", "delay")):
+            longest, key = getattr(getattr(self, section), name), f"{section}.{name}"
+            if sampled := self.randomise.find(section, name):
+                longest, key = sampled.ends[1], sampled.key
             if longest > period:
                 raise ConfigError(f"{key}: {longest:g} s is longer than a decision, {period:g} s")
+        return self
 
-    def _check_episode(self) -> None:
+    @model_validator(mode="after")
+    def _check_episode(self) -> EnvConfig:
         """Refuse a start angle beyond the limit, and a rule by which every robot is stuck."""
         robot, episode = self.robot, self.episode
         if abs(episode.start_angle) > robot.angle_limit:
@@ -166,6 +160,7 @@ class EnvConfig(Settings):
                 f"decisions is more than a robot of {slowest:g} m/s drives on level ground; at "
                 f"most {farthest:.3g} m is allowed, or every robot is stuck"
             )
+        return self
 
     @property
     def _sampled_sections(self) -> dict[str, Settings]:
