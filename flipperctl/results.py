@@ -19,6 +19,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -191,13 +192,13 @@ def unfinished(directory: Path) -> bool:
     return isinstance(planned, int) and finished(directory, planned) is None
 
 
+@dataclass
 class ResultFolder:
     """A folder of results that this process holds."""
 
-    def __init__(self, path: Path, command: str) -> None:
-        """``command`` is the name under which the files are listed."""
-        self.path = path
-        self._command = command
+    path: Path
+    command: str
+    """The name under which the files are listed."""
 
     def replace(self, write: Callable[[Path], None], later: Sequence[str] = ()) -> None:
         """Replace the command's earlier files by those that ``write`` leaves in a given folder.
@@ -216,7 +217,7 @@ class ResultFolder:
             part.mkdir()
             write(part)
             new = sorted(file.name for file in part.iterdir())
-            earlier = self._files().get(self._command, [])
+            earlier = self.files().get(self.command, [])
             self._list([*earlier, *new, *later])
             for name in earlier:
                 (self.path / name).unlink(missing_ok=True)
@@ -230,17 +231,7 @@ class ResultFolder:
         finally:
             shutil.rmtree(part, ignore_errors=True)
 
-    def require_own(self, names: Sequence[str]) -> None:
-        """Refuse to replace files that no command has written here; ``names`` may be patterns."""
-        listed = {name for own in self._files().values() for name in own}
-        for file in sorted(file for name in names for file in self.path.glob(name)):
-            if file.name not in listed:
-                raise OutputError(
-                    f"{file} is not of an earlier result and would be replaced; move "
-                    "it, or choose another --output"
-                )
-
-    def _files(self) -> dict[str, list[str]]:
+    def files(self) -> dict[str, list[str]]:
         """Return the names of each command's files; none if the list is damaged."""
         try:
             listed: Any = json.loads((self.path / _LIST).read_text())
@@ -251,8 +242,8 @@ class ResultFolder:
 
     def _list(self, names: Sequence[str]) -> None:
         mine = set(names)
-        others = {c: [n for n in listed if n not in mine] for c, listed in self._files().items()}
-        write_json(self.path / _LIST, others | {self._command: sorted(mine)})
+        others = {c: [n for n in listed if n not in mine] for c, listed in self.files().items()}
+        write_json(self.path / _LIST, others | {self.command: sorted(mine)})
 
 
 @contextmanager
@@ -280,7 +271,13 @@ def result_folder(
             raise OutputError(f"{path / name} cannot be written: it is a folder")
     with hold(make_folder(path), "results", use="in use"):
         found = ResultFolder(path, command)
-        found.require_own(names)
+        listed = {name for own in found.files().values() for name in own}
+        for file in sorted(file for name in names for file in path.glob(name)):
+            if file.name not in listed:
+                raise OutputError(
+                    f"{file} is not of an earlier result and would be replaced; move "
+                    "it, or choose another --output"
+                )
         yield found
 
 

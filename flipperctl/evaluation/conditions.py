@@ -17,14 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from flipperctl.api import ObservationLayout, Settings, registry
-from flipperctl.config import (
-    DEFAULT_ENGINE,
-    EnvConfig,
-    EvalConfig,
-    Randomise,
-    TrainConfig,
-    to_dict,
-)
+from flipperctl.config import DEFAULT_ENGINE, EnvConfig, EvalConfig, Randomise, TrainConfig, to_dict
 from flipperctl.config.identity import ABSENT, all_files_read, content_digest, differences
 from flipperctl.config.models import AbsentReward, AbsentTerrain
 from flipperctl.errors import CheckpointError

@@ -203,8 +203,9 @@ class Player:
                 def search(fraction: float) -> None:
                     report(done + fraction)
 
-                for rows in self._play([(config, source, missing)], search, record=record):
-                    for row in self._kept(config, source, missing, rows):
+                requests = [(config, source, missing)]
+                with closing(self._play(requests, search, record=record)) as played:
+                    for row in self._kept(config, source, missing, next(played)):
                         held[row["episode"]] = row
                         done += 1
                         report(done)
@@ -223,7 +224,7 @@ class Player:
         ]
         parts = zip(requests, missing, strict=True)
         played = self._play([(*request, indices) for request, indices in parts if indices])
-        with self._progress(label, len(requests)) as report:
+        with self._progress(label, len(requests)) as report, closing(played):
             for at, (request, held) in enumerate(zip(requests, found, strict=True)):
                 if missing[at]:
                     rows = self._kept(*request, missing[at], next(played))

@@ -30,18 +30,6 @@ def test_aggregates_equal_those_of_rliable(example: dict[str, Any]) -> None:
     assert found == same(np.array(example["profile"]))
 
 
-@pytest.mark.parametrize("example", STORED["rliable"])
-def test_the_stratified_bootstrap_has_the_ends_of_rliables(example: dict[str, Any]) -> None:
-    ours = np.array(example["ours"])
-    generator = np.random.RandomState(STORED["seed"])
-    rows = np.array(
-        [generator.choice(len(ours), ours.shape) for _ in range(STORED["resamples"])], np.intp
-    )
-    drawn = aggregates.interquartile_mean(np.take_along_axis(ours[None], rows, axis=-2))
-    ends = np.percentile(drawn, [2.5, 97.5])
-    assert ends == same(np.array(example["interquartile_mean_ends"]))
-
-
 def test_intervals_and_tests_equal_those_of_statsmodels() -> None:
     mean = OTHERS["mean"]
     found = intervals.interval(mean["values"])

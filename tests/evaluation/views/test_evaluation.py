@@ -78,7 +78,7 @@ def test_the_table_has_what_a_reader_needs_and_baselines_are_rows() -> None:
     assert others == []
     assert table.title == "a&b_50% on step · 5 episodes"
     assert [column.heading for column in table.columns] == [
-        *("policy", "success", "failures", "pitch variation [rad]", "time [s]"),
+        *("policy", "success", "failures", "pitch variation [rad]", "time [s]")
     ]
     assert table.texts() == [
         ["a&b_50%", "100 %", "", "6.00 [2.07, 9.93]", "30.0"],

@@ -120,10 +120,7 @@ def test_scenes_that_differ_in_the_policys_settings_alone_keep_their_own_failure
     assert write_failures(tmp_path, *scenes) == 2
     files = sorted(tmp_path.glob("failure_*"))
     records = [read_record(file) for file in files]
-    assert [(record.policy.controller or {})["far"] for record in records] == [
-        0.45,
-        0.15,
-    ]
+    assert [(record.policy.controller or {})["far"] for record in records] == [0.45, 0.15]
     assert records[0].digest != records[1].digest
     for file in files:
         assert replay(file).differences == []
