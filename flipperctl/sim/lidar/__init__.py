@@ -32,7 +32,6 @@ from flipperctl.sim.lidar.instruments import (
     Accelerometer,
     BeltEncoders,
     Encoders,
-    InertialErrors,
     InertialUnit,
     RangeErrors,
     Scanner,
@@ -276,14 +275,10 @@ class LidarSensor(Sensor):
     def _odometry(self, mounting: Mounting) -> dict[str, Instrument]:
         rng, robot = mounting.rng, mounting.robot
         assert isinstance(robot, Robot)  # a RobotGeometry has no speed
-        errors = InertialErrors(
-            tilt_wander=self.tilt_wander,
-            tilt_noise=self.tilt_noise,
-            yaw_rate_noise=self.yaw_rate_noise,
-            yaw_rate_bias=self.yaw_rate_bias * float(rng.standard_normal()),
-        )
+        rate_bias = self.yaw_rate_bias * float(rng.standard_normal())
         belts = BeltEncoders(robot.track_speed, self.belt_error * rng.uniform(-1.0, 1.0))
-        unit = InertialUnit(errors, rng)
+        tilt, rate = (self.tilt_wander, self.tilt_noise), (self.yaw_rate_noise, rate_bias)
+        unit = InertialUnit(*tilt, *rate, rng)
         bias = self.accelerometer_bias * rng.standard_normal(3)
         force = Accelerometer(self.accelerometer_noise, bias, mounting.gravity)
         return {"belts": belts, "inertial": unit, "accelerometer": force}

@@ -71,38 +71,37 @@ PERIOD = 0.01
 _WANDER_TIME = 30.0  # time constant of the slow error of roll and pitch [s]
 
 
-@dataclass(frozen=True)
-class InertialErrors:
-    """Errors of an inertial unit; standard deviations unless stated otherwise."""
-
-    tilt_wander: float  # slow error of roll and pitch [rad]
-    tilt_noise: float  # white noise of roll and pitch [rad]
-    yaw_rate_noise: float  # white noise of the rate of the heading [rad/s]
-    yaw_rate_bias: float
-    """Constant error of the rate of the heading in the episode, not a deviation [rad/s]."""
-
-
 class InertialUnit(Instrument):
     """Measures the attitude with a slow and a white error, and the rate of the heading."""
 
     period = PERIOD
 
-    def __init__(self, errors: InertialErrors, rng: np.random.Generator) -> None:
-        """``rng``: generator of the slow error at the start."""
-        self._errors = errors
-        self._tilt: FloatArray = errors.tilt_wander * rng.standard_normal(2)
+    def __init__(
+        self,
+        tilt_wander: float,
+        tilt_noise: float,
+        yaw_rate_noise: float,
+        yaw_rate_bias: float,
+        rng: np.random.Generator,
+    ) -> None:
+        """Take standard deviations [rad], [rad/s], and the constant error of the episode [rad/s].
+
+        ``rng``: generator of the slow error at the start.
+        """
+        self._wander, self._noise = tilt_wander, tilt_noise
+        self._rate_noise, self._rate_bias = yaw_rate_noise, yaw_rate_bias
+        self._tilt: FloatArray = tilt_wander * rng.standard_normal(2)
         self._yaw: float | None = None
 
     def measure(self, state: RobotState, rng: np.random.Generator) -> Inertial:
         """Return a measurement; the slow error is a first-order Gauss-Markov process."""
-        errors = self._errors
         noise = rng.standard_normal(5)
         stays = math.exp(-PERIOD / _WANDER_TIME)
-        self._tilt = stays * self._tilt + errors.tilt_wander * math.sqrt(1 - stays**2) * noise[:2]
-        roll, pitch = (self._tilt + errors.tilt_noise * noise[2:4]).tolist()
+        self._tilt = stays * self._tilt + self._wander * math.sqrt(1 - stays**2) * noise[:2]
+        roll, pitch = (self._tilt + self._noise * noise[2:4]).tolist()
         last, self._yaw = self._yaw, heading(state)
         turned = 0.0 if last is None else math.remainder(self._yaw - last, 2 * math.pi)
-        rate = turned / PERIOD + errors.yaw_rate_bias + errors.yaw_rate_noise * float(noise[4])
+        rate = turned / PERIOD + self._rate_bias + self._rate_noise * float(noise[4])
         return Inertial(roll=state.roll + roll, pitch=state.pitch + pitch, yaw_rate=rate)
 
     def save(self) -> tuple[Any, ...]:

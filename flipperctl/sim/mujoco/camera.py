@@ -71,38 +71,24 @@ class Camera:
         mujoco.mj_kinematics(self._model, data)  # ``mj_step`` does not update the bodies' poses
         mujoco.mj_comPos(self._model, data)
         mujoco.mj_camlight(self._model, data)
-        mujoco.mjv_updateScene(
-            self._model,
-            data,
-            self._options,
-            None,
-            camera,
-            mujoco.mjtCatBit.mjCAT_ALL.value,
-            self._scene,
-        )
+        everything = mujoco.mjtCatBit.mjCAT_ALL.value
+        view = self._options, None, camera, everything, self._scene
+        mujoco.mjv_updateScene(self._model, data, *view)
         self._gl.make_current()
         pixels = np.empty((self._view.height, self._view.width, 3), np.uint8)
         buffer = np.empty((self._view.height, self._view.width), np.float32)
         mujoco.mjr_render(self._view, self._scene, self._context)
         mujoco.mjr_readPixels(pixels, buffer, self._view, self._context)
-        # OpenGL begins at the bottom
-        return CameraImage(pixels[::-1].copy(), self._depth(buffer[::-1].astype(np.float64)))
-
-    def _depth(self, buffer: NDArray[np.float64]) -> NDArray[np.float32]:
-        """Return the distances of a depth buffer, 1 at the nearest plane and 0 at the farthest."""
         extent, planes = self._model.stat.extent, self._model.vis.map
         near, far = planes.znear * extent, planes.zfar * extent
-        depth = near * far / (buffer * (far - near) + near)
-        return np.where(depth < _SKY * far, depth, np.inf).astype(np.float32)
+        # From 1 at the nearest plane to 0 at the farthest; OpenGL begins at the bottom.
+        depth = near * far / (buffer[::-1].astype(np.float64) * (far - near) + near)
+        depth = np.where(depth < _SKY * far, depth, np.inf).astype(np.float32)
+        return CameraImage(pixels[::-1].copy(), depth)
 
 
 def _context(width: int, height: int) -> Any:
-    """Return an OpenGL context without a window.
-
-    Raises:
-        RequestError: the machine has neither EGL nor OSMesa.
-        FlipperctlError: the installed library cannot draw.
-    """
+    """Return an OpenGL context without a window."""
     wanted = os.environ.get("MUJOCO_GL", "").lower()
     names = [wanted] if wanted in _LIBRARIES else list(_LIBRARIES)
     installed = [name for name in names if ctypes.util.find_library(_LIBRARIES[name])]

@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray, Profile, Surface
 from flipperctl.errors import PluginFailedError, TerrainError
@@ -93,45 +92,42 @@ class Strip(NamedTuple):
     line: FloatArray  # its outline, level ground before and past it included, (V, 2) of x and z [m]
 
 
-def reach(sim: MujocoSettings) -> float:
-    """Return the largest distance of the robot's tracks from the line at the start [m]."""
-    return sim.flipper_offset + sim.track_width / 2 + sim.offset
-
-
-def surface_borders(sim: MujocoSettings) -> set[float]:
-    """Return the borders between the strips of a surface, as y [m]."""
-    count = math.ceil((reach(sim) + _MARGIN) / sim.strip_width)
-    narrow = count * sim.strip_width
-    wide = np.arange(narrow, GROUND_WIDTH / 2, _WIDE)
-    positive = [*(sim.strip_width * k for k in range(count)), *wide.tolist()]
-    return {y * sign for y in positive for sign in (-1.0, 1.0)}
-
-
 def surface_strips(
-    profile: Profile, surface: Surface, borders: list[float], kept: list[float], sim: MujocoSettings
+    profile: Profile,
+    surface: Surface,
+    borders: list[float],
+    kept: list[float],
+    within: float,
 ) -> list[Strip]:
     """Return the strips between ascending borders.
 
-    Equal neighbours are one, except at the borders ``kept``.
+    Equal neighbours are one, except at the borders ``kept``. ``within``: largest distance of the
+    robot's tracks from the line at the start [m].
 
     Raises:
         TerrainError: the surface cannot be read, or is unknown where the robot drives.
         PluginFailedError: the surface returned an array of another shape.
     """
-    middles = np.array([(low + high) / 2 for low, high in pairwise(borders)])
+    y = np.array([(low + high) / 2 for low, high in pairwise(borders)])
     try:
-        heights = surface.heights(middles)
+        heights = surface.heights(y)
     except ValueError as error:
         raise TerrainError(f"sim=mujoco: {error}") from error
-    if heights.shape != (allowed := (len(surface.x), len(middles))):
+    if heights.shape != (allowed := (len(surface.x), len(y))):
         raise PluginFailedError(
             f"{type(surface).__name__}.heights returned an array of the shape {heights.shape}; "
             f"{allowed} is allowed"
         )
-    nearest = np.array([max(low, -high, 0.0) for low, high in pairwise(borders)])
-    driven = nearest < reach(sim)
-    _check(surface.x, middles, heights, driven, reach(sim))
-    heights = _continued(heights, middles)
+    driven = np.array([max(low, -high, 0.0) < within for low, high in pairwise(borders)])
+    if len(unknown := np.argwhere(~np.isfinite(heights) & driven)):
+        i, j = unknown[0]
+        raise TerrainError(
+            f"sim=mujoco: the ground is unknown {surface.x[i]:.2f} m along the line and "
+            f"{abs(y[j]):.2f} m to its {'left' if y[j] > 0 else 'right'}, in a hole or outside the "
+            f"recording; the robot needs {within:.2f} m to each side: move the line, or raise the "
+            "terrain's largest_gap"
+        )
+    heights = _continued(heights, y)
     found: list[Strip] = []
     for (low, high), column in zip(pairwise(borders), heights.T, strict=True):
         line = _outline(profile, surface.x, column)
@@ -140,20 +136,6 @@ def surface_strips(
             low, line = found.pop().low, line
         found.append(Strip(low, high, line))
     return found
-
-
-def _check(
-    x: FloatArray, y: FloatArray, heights: FloatArray, driven: NDArray[np.bool_], within: float
-) -> None:
-    unknown = ~np.isfinite(heights) & driven
-    if unknown.any():
-        i, j = np.argwhere(unknown)[0]
-        side = "left" if y[j] > 0 else "right"
-        raise TerrainError(
-            f"sim=mujoco: the ground is unknown {x[i]:.2f} m along the line and {abs(y[j]):.2f} m "
-            f"to its {side}, in a hole or outside the recording; the robot needs "
-            f"{within:.2f} m to each side: move the line, or raise the terrain's largest_gap"
-        )
 
 
 def _continued(heights: FloatArray, y: FloatArray) -> FloatArray:
@@ -252,8 +234,12 @@ def _strips(profile: Profile, sim: MujocoSettings) -> list[Strip]:
     if profile.surface is None:
         line = profile.extended(LEVEL_GROUND, LEVEL_GROUND)
         return [Strip(*ends, line) for ends in pairwise(_within({-half, half} | changed, half))]
-    borders = _within({-half, half} | changed | surface_borders(sim), half)
-    return surface_strips(profile, profile.surface, borders, _within(changed, half), sim)
+    reach, width = sim.flipper_offset + sim.track_width / 2 + sim.offset, sim.strip_width
+    count = math.ceil((reach + _MARGIN) / width)  # narrow strips on each side
+    wide = np.arange(count * width, half, _WIDE).tolist()
+    positive = {*(width * k for k in range(count)), *wide}
+    borders = _within({-half, half, *positive, *(-y for y in positive)} | changed, half)
+    return surface_strips(profile, profile.surface, borders, _within(changed, half), reach)
 
 
 def _within(borders: set[float], half: float) -> list[float]:

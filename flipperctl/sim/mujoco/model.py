@@ -13,7 +13,7 @@ edges, where MuJoCo gives them a horizontal normal.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import mujoco
@@ -60,15 +60,8 @@ class Model(NamedTuple):
     sides: FloatArray  # (G,) 1 for parts on the left, -1 for those on the right, 0 for the ground
 
 
-def build(
-    ground: Sequence[Box],
-    robot: Robot,
-    sim: MujocoSettings,
-    scenery: Callable[[Any], None] = lambda spec: None,
-) -> Model:
-    """Compile the scene; the robot's pose is set in its data, ``scenery`` adds to the model."""
-    spec = specify(ground, robot, sim)
-    scenery(spec)
+def build(spec: Any) -> Model:
+    """Compile the scene; the robot's pose is set in its data."""
     model = spec.compile()
     names = [model.geom(i).name for i in range(model.ngeom)]
     sides = [1.0 if n.endswith("left") else -1.0 if n.endswith("right") else 0.0 for n in names]

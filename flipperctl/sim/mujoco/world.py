@@ -8,8 +8,6 @@ in the ground's frame; both agree unless ``lateral_slope`` is set.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import mujoco
@@ -32,7 +30,7 @@ from flipperctl.api import (
 from flipperctl.errors import NonFiniteError
 from flipperctl.sim.ground import OVERLAP, height_at
 from flipperctl.sim.mujoco.ground import GROUND_WIDTH, ROUGH_MARGIN, add_scenery, boxes
-from flipperctl.sim.mujoco.model import ROBOT_GROUP, Model, build
+from flipperctl.sim.mujoco.model import ROBOT_GROUP, Model, build, specify
 from flipperctl.sim.mujoco.settings import MujocoSettings
 
 if TYPE_CHECKING:
@@ -55,35 +53,6 @@ def _quaternion(pitch: float, yaw: float) -> tuple[float, float, float, float]:
     cos, sin = math.cos(pitch / 2), math.sin(pitch / 2)
     w, z = math.cos(yaw / 2), math.sin(yaw / 2)
     return cos * w, 0.0 - sin * z, 0.0 - sin * w, cos * z  # 0.0 minus: no -0.0 on level ground
-
-
-def farther(profile: Profile, robot: Robot, sim: MujocoSettings, start: Start, yaw: float) -> float:
-    """Return how much farther ahead a level robot may overlap than a straight one on the profile.
-
-    By the corner of a turned robot, and by what reaches onto rough ground before the first edge
-    [m].
-    """
-    corner = (sim.flipper_offset + sim.track_width / 2) * abs(math.sin(yaw))
-    if not sim.roughness:
-        return corner
-    tip = robot.hinge_offset + robot.flipper_axle * math.cos(start.front) + robot.track_radius
-    return corner + max(0.0, start.x + corner + tip - (profile.start - ROUGH_MARGIN))
-
-
-def clear(pose: FloatArray, start: Start, most: float, penetration: Callable[[], float]) -> None:
-    """Move the robot off what it overlaps where a straight one on the profile would not.
-
-    Past the first edge it goes up, off rough patches and turned edges; ahead of it, back, by
-    ``most`` or less [m], see ``farther``. ``pose``: changed, it begins with x, y and z of the
-    chassis [m]; ``penetration`` returns the depth of the overlap at the pose of now [m].
-    """
-    if start.height is not None:
-        while (depth := penetration()) > OVERLAP:
-            pose[2] += depth
-        return
-    nearest = start.x - most
-    while (depth := penetration()) > OVERLAP and pose[0] > nearest:
-        pose[0] = max(nearest, pose[0] - depth)
 
 
 _SIDES = 1.0, -1.0  # left and right, as in ``Model.sides``
@@ -196,9 +165,10 @@ class MujocoWorld:
         side = sim.offset * rng.uniform(-1.0, 1.0)
         self._half_width = GROUND_WIDTH / 2
         (placing,) = rng.spawn(1)  # so that the scenery changes no other random number
-        scenery = partial(add_scenery, profile=profile, sim=sim, rng=placing)
         self.ground = boxes(profile, sim, rng)
-        built = build(self.ground, robot, sim, scenery)
+        spec = specify(self.ground, robot, sim)
+        add_scenery(spec, profile, sim, placing)
+        built = build(spec)
         self.model, self._tracks = built.model, Tracks(built, robot, sim)
         self.data = mujoco.MjData(self.model)
         self._substeps = round(SAMPLE_PERIOD / sim.substep)
@@ -212,7 +182,27 @@ class MujocoWorld:
         pose[:3] = start.x, side, height_at(start, profile, robot)
         pose[3:7] = _quaternion(start.pitch, yaw)
         pose[_HINGES] = self._targets
-        clear(pose, start, farther(profile, robot, sim, start, yaw), self.penetration)
+        self._clear(start, yaw)
+
+    def _clear(self, start: Start, yaw: float) -> None:
+        """Move the robot off what it overlaps where a straight one on the profile would not.
+
+        Past the first edge it goes up, off rough patches and turned edges. Ahead of it, back, by no
+        more than the corner of a turned robot and what reaches onto rough ground are farther ahead.
+        """
+        pose, robot, sim = self.data.qpos, self.robot, self.sim
+        if start.height is not None:
+            while (depth := self.penetration()) > OVERLAP:
+                pose[2] += depth
+            return
+        farther = corner = (sim.flipper_offset + sim.track_width / 2) * abs(math.sin(yaw))
+        if sim.roughness:
+            tip = robot.hinge_offset + robot.flipper_axle * math.cos(start.front)
+            rough = self.profile.start - ROUGH_MARGIN
+            farther += max(0.0, start.x + corner + (tip + robot.track_radius) - rough)
+        nearest = start.x - farther
+        while (depth := self.penetration()) > OVERLAP and pose[0] > nearest:
+            pose[0] = max(nearest, pose[0] - depth)
 
     def command(self, front: float, rear: float) -> None:
         """Set the target angles of the flippers in frame R, left and right alike [rad]."""
@@ -286,10 +276,7 @@ class MujocoWorld:
     @property
     def pitch(self) -> float:
         """Angle of the chassis' x axis above the horizontal, past ±π/2 if it points back [rad]."""
-        return self._pitch(self._axis(0))
-
-    def _pitch(self, ahead: tuple[float, float, float]) -> float:
-        x, y, z = ahead
+        x, y, z = self._axis(0)
         _, up_y, up_z = self._up.tolist()
         rise = y * up_y + z * up_z
         return math.atan2(rise, math.copysign(math.sqrt(max(0.0, 1.0 - rise * rise)), x))
@@ -297,10 +284,7 @@ class MujocoWorld:
     @property
     def roll(self) -> float:
         """Angle of the chassis' y axis, to the left, above the horizontal [rad]."""
-        return self._roll(self._axis(1))
-
-    def _roll(self, left: tuple[float, float, float]) -> float:
-        _, y, z = left
+        _, y, z = self._axis(1)
         _, up_y, up_z = self._up.tolist()
         return math.asin(min(1.0, max(-1.0, y * up_y + z * up_z)))
 
@@ -310,7 +294,7 @@ class MujocoWorld:
         x, y, _ = self._axis(0)
         return math.atan2(y, x)
 
-    def _axis(self, index: int) -> tuple[float, float, float]:
+    def _axis(self, index: int) -> Axis:
         """Return the chassis' x (0) or y (1) axis in world; after ``mj_step``, ``xmat`` is old."""
         w, x, y, z = self.data.qpos[3:7].tolist()
         if index == 0:
@@ -329,13 +313,13 @@ class MujocoWorld:
         yaw, side = math.atan2(ahead[1], ahead[0]), float(data.qpos[1])
         return RobotState(
             position=np.array(self.position),
-            pitch=self._pitch(ahead),
+            pitch=self.pitch,
             front=front,
             rear=rear,
             velocity=data.qvel[[0, 2]],
             pitch_rate=-float(data.qvel[4]),
             time=self.time,
-            roll=self._roll(left),
+            roll=self.roll,
             yaw=yaw,
             side=side,
             side_velocity=float(data.qvel[1]),

@@ -11,7 +11,6 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.sim.lidar.instruments import (
     Accelerometer,
     BeltEncoders,
-    InertialErrors,
     InertialUnit,
     RangeErrors,
     Scanner,
@@ -44,7 +43,7 @@ def leaning() -> object:
 
 def test_the_inertial_unit_errs_by_its_settings_and_its_bias_stays() -> None:
     rng = np.random.default_rng(1)
-    unit = InertialUnit(InertialErrors(0.01, 0.001, 0.0, 0.02), rng)
+    unit = InertialUnit(0.01, 0.001, 0.0, 0.02, rng)
     found = [unit.measure(state(0.0, 0.0, pitch=0.3), rng) for _ in range(30_000)]
     pitches = np.array([measured.pitch for measured in found]) - 0.3
     assert pitches.std() == pytest.approx(0.01, rel=0.5)
@@ -105,11 +104,10 @@ def test_on_a_sideways_slope_gravity_leans_and_the_scan_rolls_with_the_robot(
 
 def test_on_a_sideways_slope_the_unit_turns_with_the_level_heading() -> None:
     """A robot that pitches turns its heading then, about the vertical and not about world's z."""
-    perfect = InertialErrors(0.0, 0.0, 0.0, 0.0)
     world = Mujoco(lateral_slope=0.3).place(
         Profile([(0.2, 0.0), (1.2, 0.6)]), Robot(), Start(-0.6), np.random.default_rng(0)
     )
-    unit = InertialUnit(perfect, np.random.default_rng(0))
+    unit = InertialUnit(0.0, 0.0, 0.0, 0.0, np.random.default_rng(0))
     first, turned = Tracking(None).measure(world.state(), RNG), 0.0
     for _ in range(400):
         turned += 0.01 * unit.measure(world.state(), RNG).yaw_rate
