@@ -120,12 +120,7 @@ def _rms(values: FloatArray) -> float:
 
 
 def compare_engines(config: EvalConfig, source: PolicySource) -> list[Pair]:
-    """Play the evaluation's episodes in the default engine and repeat them in ``config``'s.
-
-    Raises:
-        ConfigError: ``config`` samples what the default engine does not have.
-        FlipperctlError: the policy cannot be built or failed.
-    """
+    """Play the evaluation's episodes in the default engine and repeat them in ``config``'s."""
     first, second = FlipperEnv(config=in_default_engine(config)), FlipperEnv(config=config)
     policy, found = source.build(config), []
     for seed in EvaluationSeeds.of(config.eval.seed, config.terrain).first(config.eval.episodes):

@@ -51,9 +51,6 @@ def measure(bench: Benchmark, rivals: Rivals = lambda *_: {}) -> dict[str, Any]:
     """Measure updates and transitions per second [1/s] for each batch size.
 
     ``rivals`` take turns with flipperctl's learner.
-
-    Raises:
-        RequestError: the configuration learns by a policy gradient, whose updates are not these.
     """
     s, config = bench.settings, bench.config
     if config.agent.is_policy_gradient:

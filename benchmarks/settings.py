@@ -134,11 +134,7 @@ class Benchmark:
 
 
 def sizes(*, small: bool, changes: Mapping[str, Any]) -> BenchmarkSettings:
-    """Return the default sizes, or the small ones, with ``changes`` applied.
-
-    Raises:
-        ConfigError: a key or a value is not allowed, or there is no such controller.
-    """
+    """Return the default sizes, or the small ones, with ``changes`` applied."""
     try:
         found = with_overrides(parse(BenchmarkSettings, SMALL if small else {}), changes)
     except ConfigError as error:
@@ -150,11 +146,7 @@ def sizes(*, small: bool, changes: Mapping[str, Any]) -> BenchmarkSettings:
 def run(
     words: Sequence[str], repeats: str | None, output: Path | None, *, small: bool, as_json: bool
 ) -> None:
-    """Run the measures named by the words; print their tables, or one JSON document.
-
-    Raises:
-        RequestError: a word is wrong, or ``output`` cannot be written.
-    """
+    """Run the measures named by the words; print their tables, or one JSON document."""
     measures, typed = split_arguments(words, MEASURES)
     overrides = with_flags(typed, "bench", repeats=repeats)
     every = Overrides.parse(overrides)
@@ -225,11 +217,7 @@ def milliseconds(work: Callable[[], object]) -> Callable[[], float]:
 
 
 def planar(chosen: Engine) -> Planar:
-    """Return the engine if it is the planar one.
-
-    Raises:
-        ConfigError: another engine was chosen.
-    """
+    """Return the engine if it is the planar one."""
     if not isinstance(chosen, Planar):
         raise ConfigError(f"sim: this is measured with sim=planar only; got {chosen.plugin_name}")
     return chosen

@@ -95,12 +95,7 @@ def legend_above(axes: Axes, lines: Sequence[Line2D] | None = None) -> None:
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write the figure completely or not at all; equal figures give equal files.
-
-    Raises:
-        OutputError: see ``check_output``.
-        WriteError: writing failed half way; an existing file is left unchanged.
-    """
+    """Write the figure completely or not at all; equal figures give equal files."""
     check_output(path, PICTURE)
     suffix, buffer = path.suffix.lower(), io.BytesIO()
     undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}.get(suffix, {})

@@ -69,11 +69,7 @@ def learning_figure(rows_episode: Rows, rows_validation: Rows, title: str) -> Fi
 
 
 def column(rows: Rows, key: str) -> FloatArray:
-    """Return one column as numbers, (T,), with NaN for an empty or missing cell.
-
-    Raises:
-        ValueError: a cell is neither empty nor a number; the text names the cell.
-    """
+    """Return one column as numbers, (T,), with NaN for an empty or missing cell."""
     values = []
     for i, row in enumerate(rows):
         text = row.get(key) or "nan"

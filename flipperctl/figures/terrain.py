@@ -22,11 +22,7 @@ from flipperctl.figures.render import FAINT, INK, RobotArtist
 
 
 def sample(config: EnvConfig, seeds: Iterable[int]) -> list[tuple[Profile, dict[str, Any]]]:
-    """Return the profile of the episode with each seed, and its description as plain data.
-
-    Raises:
-        TerrainError: a profile is one that no robot can start on.
-    """
+    """Return the profile of the episode with each seed, and its description as plain data."""
     env = FlipperEnv(config=config)
     sampled = []
     for seed in seeds:
@@ -74,12 +70,7 @@ def terrain_figure(
     x and z have equal scales, but the heights of very long ground are scaled up, which the axis
     label states. The small pictures share one scale; the figure states how many profiles are left
     out. ``labels`` replace the numbers of the profiles.
-
-    Raises:
-        ValueError: there is no profile.
     """
-    if not profiles:
-        raise ValueError("a terrain figure needs at least one profile")
     others = profiles[1 : SMALL + 1]
     large = _window(profiles[0], robot)
     extent = np.max([_extent(p) for p in others], axis=0) if others else np.ones(2)

@@ -98,12 +98,7 @@ class _Decided:
 
 
 def export_bag(config: EvalConfig, source: PolicySource, folder: Path) -> dict[str, Any]:
-    """Play the first episode of an evaluation into a new bag; return what it holds.
-
-    Raises:
-        MissingExtraError: rosbags is not installed.
-        OutputError: the folder exists or cannot be written.
-    """
+    """Play the first episode of an evaluation into a new bag; return what it holds."""
     require_rosbags("export mcap")
     if folder.exists():
         raise OutputError(f"{folder} cannot be written: a bag is a new folder, and this one exists")
@@ -132,12 +127,7 @@ def export_bag(config: EvalConfig, source: PolicySource, folder: Path) -> dict[s
 
 
 def write_bag(folder: Path, messages: Sequence[Stamped]) -> None:
-    """Write messages of the topics in ``TYPES`` to a new bag, in the order of their times.
-
-    Raises:
-        MissingExtraError: rosbags is not installed.
-        OutputError: the folder cannot be written.
-    """
+    """Write messages of the topics in ``TYPES`` to a new bag, in the order of their times."""
     ros = require_rosbags("a bag")
     types, bag = typestore(), ros.rosbag2
     with (

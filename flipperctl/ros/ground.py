@@ -68,11 +68,6 @@ def convert(
 
     ``reach``: largest distance of a point from the chassis [m]; ``cell``: edge of a cube of which
     the mean of the points is kept [m].
-
-    Raises:
-        MissingExtraError: rosbags, or a package for the clouds' format, is not installed.
-        RequestError: the source cannot be read, or the robot hardly moved.
-        OutputError: the file cannot be written, see ``check_output``.
     """
     check_output(output, GROUND)
     if source.is_dir() and (source / POSES).exists():

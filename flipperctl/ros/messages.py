@@ -37,11 +37,7 @@ _NOT_MEASURED = -1.0
 
 
 def require_rosbags(what: str) -> ModuleType:
-    """Return the package ``rosbags``; ``what`` needs it.
-
-    Raises:
-        MissingExtraError: it is not installed.
-    """
+    """Return the package ``rosbags``; ``what`` needs it."""
     try:
         import rosbags
         import rosbags.rosbag2

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -32,7 +32,7 @@ from flipperctl.ros.reading import (
     seconds,
     times_of,
 )
-from flipperctl.ros.topics import Devices, Names, found_devices
+from flipperctl.ros.topics import Names, Orientations, found_devices
 from flipperctl.runtime.messages import (
     CONVENTIONS,
     REP_103,
@@ -68,7 +68,14 @@ class Recording:
     names: Names
     clouds: str
     """Topic of the clouds."""
-    devices: Devices
+    attitude: str | None
+    """Topic of the inertial unit, as far as it tells orientations."""
+    imu: Orientations | None
+    """Which of its messages hold one."""
+    belts: str | None
+    """Topic of the belts' speed."""
+    joints: Mapping[str, Collection[str]]
+    """Topic → the joints whose angles come from it."""
     transforms: Transforms
     times: PointTimes
     """Unit and zero of the times of the points."""
@@ -80,9 +87,8 @@ class Recording:
     @property
     def topics(self) -> dict[str, str]:
         """Device → topic, for the devices that the bag has."""
-        devices = self.devices
-        topics = {"cloud": self.clouds, "attitude": devices.attitude, "joints": None}
-        topics |= {"joints": ", ".join(devices.joints), "odometry": devices.belts}
+        topics = {"cloud": self.clouds, "attitude": self.attitude}
+        topics |= {"joints": ", ".join(self.joints), "odometry": self.belts}
         return {device: topic for device, topic in topics.items() if topic}
 
     @property
@@ -116,9 +122,9 @@ class Recording:
         The points of clouds come as a ``Mount`` at the place of the sensor ahead of and above the
         chassis centre, (x, 0, z), with its ``axis`` would measure them, so that rings stay rings.
         """
-        devices = {self.clouds: "cloud", **dict.fromkeys(self.devices.joints, "joints")}
-        others = {"attitude": self.devices.attitude, "odometry": self.devices.belts}
-        devices |= {topic: device for device, topic in others.items() if topic}
+        devices = {self.clouds: "cloud", **dict.fromkeys(self.joints, "joints")}
+        others = ("attitude", self.attitude), ("odometry", self.belts)
+        devices |= {topic: device for device, topic in others if topic}
         joints = NewestJoints(self.names.front, self.names.rear)
         waiting: Step | None = None
         with opened(self.path) as reader:
@@ -147,7 +153,7 @@ class Recording:
 
     def _joints(self, joints: NewestJoints, topic: str, message: Any) -> JointAngles | None:
         """Return the newest angles; None as long as one is unknown, or of other joints."""
-        ours = self.devices.joints[topic]
+        ours = self.joints[topic]
         pairs = zip(message.name, message.position, strict=False)
         angles = {name: angle for name, angle in pairs if name in ours}
         return joints.take(_stamp(message), angles.keys(), angles.values())
@@ -166,7 +172,7 @@ class Recording:
         return Cloud(time, self.names.base, points @ mounting(self.axis), ages)
 
     def _attitude(self, message: Any) -> Attitude | None:
-        if self.devices.imu is not None and not self.devices.imu.told(message):
+        if self.imu is not None and not self.imu.told(message):
             return None
         frame, time = message.header.frame_id.lstrip("/"), _stamp(message)
         q, rates = message.orientation, message.angular_velocity
@@ -198,7 +204,7 @@ def read_recording(path: Path, names: Names) -> Recording:
         )  # transforms may begin later than the clouds
         mount = next((one for one in places if one is not None), Pose.none())
     remarks += transforms.remarks(names.fixed, names.base)
-    return Recording(path, names, clouds, devices, transforms, times, mount, remarks)
+    return Recording(path, names, clouds, *devices, transforms, times, mount, remarks)
 
 
 def _stamp(message: Any) -> float:

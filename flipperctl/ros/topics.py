@@ -8,8 +8,8 @@ and speeds of 0. The poses of the recording, rates and gravity contradict them.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -93,22 +93,14 @@ class Orientations:
         return not (_blank(message) or (self.level and _level(message)))
 
 
-@dataclass(frozen=True)
-class Devices:
-    """The topics of the devices other than the LiDAR that can be used."""
-
-    attitude: str | None = None
-    belts: str | None = None
-    joints: Mapping[str, Collection[str]] = field(default_factory=dict)
-    """Topic → the joints whose angles come from it."""
-    imu: Orientations | None = None
-    """Which messages of ``attitude`` hold one."""
-
-
 def found_devices(
     path: Path, reader: Any, names: Names, transforms: Transforms, remarks: list[str]
-) -> Devices:
-    """Return the topics of the devices other than the LiDAR that can be used."""
+) -> tuple[str | None, Orientations | None, str | None, dict[str, list[str]]]:
+    """Return the topics of the devices other than the LiDAR that can be used.
+
+    That of attitudes, and which of its messages hold one; that of the belts; and those of joints,
+    with the joints whose angles come from each.
+    """
 
     def pose(frame: str, of: str, time: float) -> Pose | None:
         try:
@@ -134,7 +126,7 @@ def found_devices(
     if belts is not None and (reason := speed_unset(_speeds(reader, belts), chassis)):
         remarks.append(f"{belts} is not used for the belts: {reason}")
         belts = None
-    return Devices(attitude, belts, joints, imu)
+    return attitude, imu, belts, joints
 
 
 def _unused(topic: str, imu: Orientations) -> list[str]:

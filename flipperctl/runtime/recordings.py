@@ -37,9 +37,6 @@ def read_lines(lines: Iterable[str], where: str) -> Iterator[tuple[float, dict[s
     """Yield time and messages of lines of JSON, as ``{"time": 1.2, "joints": {"front": 0, …}}``.
 
     A message without a time has that of its line.
-
-    Raises:
-        PolicyError: a line is something else; the text names it.
     """
     for number, line in enumerate(lines, 1):
         if not line.strip():

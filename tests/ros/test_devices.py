@@ -117,7 +117,7 @@ def test_joints_may_come_in_parts_after_an_arm_and_on_several_topics(
     recording = recorded(tmp_path, change)
     assert recording.remarks == []
     topics = [f"/{name}" for name in JOINTS] if several else ["/joint_states"]
-    assert list(recording.devices.joints) == topics
+    assert list(recording.joints) == topics
     told = [s.messages["joints"] for s in recording.steps() if "joints" in s.messages]
     assert [told[-1].front, told[-1].rear] == pytest.approx([-FRONT, REAR])
     assert told[-1].time == pytest.approx(_EPOCH + SECONDS)
