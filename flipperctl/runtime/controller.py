@@ -25,7 +25,7 @@ from flipperctl.core.lidar.messages import Belts
 from flipperctl.core.lidar.outline import accuracy_of
 from flipperctl.core.sensing import Measured
 from flipperctl.errors import MissingExtraError, PolicyError
-from flipperctl.runtime.intake import Accepted, Fault, Intake
+from flipperctl.runtime.intake import Fault, Intake
 from flipperctl.runtime.interface import Interface
 from flipperctl.runtime.messages import (
     Attitude,
@@ -81,10 +81,6 @@ class _StallDetector:
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget the past."""
         # Of the last approach: the smallest error since [rad], and its time [s].
         self._pairs: dict[str, tuple[float, float]] = {}
 
@@ -115,11 +111,7 @@ class _Standby:
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
-        self.reset()
-
-    def reset(self) -> None:
-        """Know no speed, as on a robot without encoders of its belts."""
-        self._speed = math.nan
+        self._speed = math.nan  # as on a robot without encoders of its belts
         self._driven, self._since = True, 0.0  # what the last speed says, and since when [s]
         self._stands = False
 
@@ -193,9 +185,6 @@ class FlipperController:
         self._period, self._limit = interface.decision_period, interface.targets.limit
         self._turning = float(interface.robot.get("flipper_speed", math.inf))
         self._driving_speed = float(interface.robot.get("track_speed", 0.0))
-        self._intake = Intake(self._setup, self._limits)
-        self._stalls = _StallDetector(self._limits)
-        self._standby = _Standby(self._limits)
         self._last: float | None = None
         self.reset()
 
@@ -206,9 +195,9 @@ class FlipperController:
     def _begin(self, *, level: bool) -> None:
         self._estimator = new_estimator(self.policy.interface, self._setup, level=level)
         self.policy.reset()
-        self._intake.forget()
-        self._stalls.reset()
-        self._standby.reset()
+        self._intake = Intake(self._setup, self._limits)
+        self._stalls = _StallDetector(self._limits)
+        self._standby = _Standby(self._limits)
         self._standing = False  # whether the flippers stand by
         self._targets: Pair | None = None
         self._setpoints: Pair | None = None
@@ -245,7 +234,10 @@ class FlipperController:
         action = None
         try:
             for device, stamp, message in self._intake.receive(now, **messages):
-                self._perceive(device, stamp, message)
+                if device == "attitude" and "odometry" not in self._intake.known:
+                    speed = self._driving_speed if self._answer.drive else 0.0
+                    self._estimator.update(Measured("odometry", stamp, Belts(speed)))
+                self._estimator.update(Measured(device, stamp, message))
                 if isinstance(message, Belts):
                     self._standby.update(now, message.speed)
             fault = self._intake.fault(now) or self._speed_fault(now) or self._stall_fault(now)
@@ -298,7 +290,7 @@ class FlipperController:
             self._stalled = " and ".join(stalled)
             self._held_until = now + self._limits.stall_hold
             self._targets = self._setpoints = self._within(angles)  # do not push
-            self._stalls.reset()
+            self._stalls = _StallDetector(self._limits)
         if now < self._held_until:
             return Fault(
                 "stall",
@@ -306,12 +298,6 @@ class FlipperController:
                 f"{self._limits.stall_hold:g} s",
             )
         return None
-
-    def _perceive(self, device: str, time: float, message: Accepted) -> None:
-        if device == "attitude" and "odometry" not in self._intake.known:
-            speed = self._driving_speed if self._answer.drive else 0.0
-            self._estimator.update(Measured("odometry", time, Belts(speed)))
-        self._estimator.update(Measured(device, time, message))
 
     def _stand_by_or_begin(self, now: float) -> None:
         """Hold the flippers once the belts do not drive ahead; begin an episode once they do."""
@@ -410,7 +396,7 @@ class FlipperController:
         joints = self._intake.joints
         if joints is not None:
             self._targets = self._setpoints = self._within((joints.front, joints.rear))
-            self._stalls.reset()
+            self._stalls = _StallDetector(self._limits)
         self.policy.reset()
 
     def _theirs(self, pair: Pair | None) -> Pair | None:

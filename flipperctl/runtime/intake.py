@@ -62,10 +62,6 @@ class Intake:
     ) -> None:
         """``cloud_needs``: devices that tell the posture with which a cloud enters the map."""
         self._setup, self._limits, self._cloud_needs = setup, limits, cloud_needs
-        self.forget()
-
-    def forget(self) -> None:
-        """Know nothing, as at the start."""
         self._times: dict[str, float] = {}
         self._refused: dict[str, Fault] = {}
         self._levels = Levels()
