@@ -32,7 +32,7 @@ from flipperctl.lookahead.model import Model
 from flipperctl.lookahead.mpc import MpcPolicy
 from flipperctl.policies.source import load_policy
 from flipperctl.policies.trained import value_of
-from flipperctl.rollout.episode import Decision, EvaluationSeeds, decisions
+from flipperctl.rollout.episode import EvaluationSeeds, decisions
 from flipperctl.testing.policies import one_thread
 
 ABOUT = (
@@ -139,14 +139,6 @@ def measure(bench: Benchmark) -> dict[str, Any]:
                 for name, values in searches.play(terrain, seed).items():
                     found[name] += values
             rounds.append(found)
-    summary = rates(rounds)
-    summary["quantities"]["first_decision"] = quantity([first], "s")
-    summary["quantities"] |= _predictions(bench, list(terrains.values()))
-    return {"about": ABOUT, **summary, "decisions": sum(len(r["plain"]) for r in rounds)}
-
-
-def rates(rounds: Sequence[Times]) -> dict[str, Any]:
-    """Return quantities and ratios from the times of the rounds."""
 
     def of_all(name: str) -> list[float]:
         return [value for r in rounds for value in r[name]]
@@ -158,6 +150,7 @@ def rates(rounds: Sequence[Times]) -> dict[str, Any]:
     plain, valued, graphs = (rate(name, name) for name in ("plain", "valued", "graphs"))
     environment = rate("plain", "environment")
     return {
+        "about": ABOUT,
         "quantities": {
             "decision": quantity(of_all("plain"), "s"),
             "decision_p99": quantity([quantile(of_all("plain"), 0.99)], "s"),
@@ -170,12 +163,15 @@ def rates(rounds: Sequence[Times]) -> dict[str, Any]:
             "decisions": quantity(plain, "1/s"),
             "decisions_with_value": quantity(valued, "1/s"),
             "graphs": quantity(graphs, "1/s"),
+            "first_decision": quantity([first], "s"),
+            **_predictions(bench, list(terrains.values())),
         },
         "ratios": {
             "simulated_decisions / environment_decisions": ratio(simulated, environment),
             "decisions / decisions_with_value": ratio(plain, valued),
             "decisions / graphs": ratio(plain, graphs),
         },
+        "decisions": sum(len(r["plain"]) for r in rounds),
     }
 
 
@@ -223,22 +219,14 @@ def prediction_errors(
                 iterations=s.iterations,
                 overturn=s.overturn,
             )
-            for name, error in _errors(env, model, decision).items():
-                errors[name].append(error)
+            t, before = decision.transition, decision.transition.before
+            (x, z), (vx, vz) = map(float, before.position), map(float, before.velocity)
+            rates = vx, vz, before.pitch_rate
+            state = model.state((x, z, before.pitch), (before.front, before.rear), rates)
+            targets = np.array([env.drive.targets])
+            branch = model.expand(state[None], targets, env.config.robot.decision_period)
+            variation = np.abs(np.diff(t.path[:, 2])).sum()
+            errors["position"].append(math.dist(branch.places[0], t.after.position))
+            errors["pitch"].append(abs(float(branch.states[0, 2]) - t.after.pitch))
+            errors["swing"].append(abs(float(branch.pitch_variation[0] - variation)))
     return errors
-
-
-def _errors(env: FlipperEnv, model: Model, decision: Decision) -> dict[str, float]:
-    """Return the error of each measure after the environment's latest decision."""
-    t, before = decision.transition, decision.transition.before
-    (x, z), (vx, vz) = map(float, before.position), map(float, before.velocity)
-    rates = vx, vz, before.pitch_rate
-    state = model.state((x, z, before.pitch), (before.front, before.rear), rates)
-    targets = np.array([env.drive.targets])
-    branch = model.expand(state[None], targets, env.config.robot.decision_period)
-    variation = np.abs(np.diff(t.path[:, 2])).sum()
-    return {
-        "position": math.dist(branch.places[0], t.after.position),
-        "pitch": abs(float(branch.states[0, 2]) - t.after.pitch),
-        "swing": abs(float(branch.pitch_variation[0] - variation)),
-    }
