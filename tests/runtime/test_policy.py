@@ -162,7 +162,7 @@ ANGLES = {"front": 0.3, "rear": -0.2, "pitch": 0.1}
 
 
 def test_it_is_the_environment_s_own(policy: OnnxPolicy) -> None:
-    env = FlipperEnv("stair", perception={"occlusion": True, "dropout": 0.2})
+    env = FlipperEnv("stair", perception={"dropout": 0.2})
     env.reset(seed=3)
     rng = np.random.default_rng(0)
     for _ in range(8):
