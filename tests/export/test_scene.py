@@ -32,7 +32,7 @@ def files(tmp_path_factory):
     return folder
 
 
-def test_mjcf_has_the_masses_lengths_and_limits_of_the_robot(files):
+def test_mjcf_has_the_masses_lengths_limits_and_speed_of_the_robot(files):
     model = mujoco.MjModel.from_xml_path(str(files / "scene.xml"))
     assert model.body("chassis").mass[0] == pytest.approx(ROBOT.chassis_mass)
     for name in (*FRONT, *REAR):
@@ -47,10 +47,6 @@ def test_mjcf_has_the_masses_lengths_and_limits_of_the_robot(files):
         assert joint.range == pytest.approx([-ROBOT.angle_limit, ROBOT.angle_limit], abs=1.1e-3)
         assert model.actuator(name).forcerange[1] == pytest.approx(ROBOT.flipper_torque / 2)
     assert model.key("start").qpos[7:] == pytest.approx(0.3)
-
-
-def test_the_robot_of_the_mjcf_drives_at_its_speed(files):
-    model = mujoco.MjModel.from_xml_path(str(files / "scene.xml"))
     data = mujoco.MjData(model)
     mujoco.mj_resetDataKeyframe(model, data, model.key("start").id)
     mujoco.mj_step(model, data, nstep=100)
