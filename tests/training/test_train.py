@@ -142,21 +142,13 @@ def no_space(*given: object) -> None:
     raise WriteError("no space")
 
 
-def test_a_listener_that_cannot_be_made_closes_those_before(
-    flat: Trainer, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made: list[training.MetricsCsv] = []
-
-    class Kept(training.MetricsCsv):
-        def __init__(self, *given: Any) -> None:
-            super().__init__(*given)
-            made.append(self)
-
-    monkeypatch.setattr(training, "MetricsCsv", Kept)
-    monkeypatch.setattr(training, "openers", lambda *given: [no_space])
+def test_a_listener_that_cannot_be_made_closes_those_before(flat: Trainer) -> None:
+    reports: Any = training.Reports([no_space])
     with pytest.raises(WriteError, match="no space"):
-        training._train(flat, None, training.Reports(), lambda: False)
-    assert made[0]._file.closed
+        training._train(flat, None, reports, lambda: False)
+    metrics = flat.listeners[0]
+    assert isinstance(metrics, MetricsCsv)
+    assert metrics._file.closed
 
 
 class Broken(Logger):
@@ -177,7 +169,7 @@ def guarded(listener: Any, folder: Path) -> GuardedLogger:
     return GuardedLogger(Broken(listener=listener), RunInfo(folder, folder / "broken", {}, None))
 
 
-@pytest.mark.parametrize("method", ["open", "episode", "validation", "note", "close"])
+@pytest.mark.parametrize("method", ["open", "validation", "note", "close"])
 def test_a_logger_that_fails_is_dropped_with_one_warning(
     method: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
