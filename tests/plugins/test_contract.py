@@ -15,7 +15,7 @@ KINDS = ("terrain", "reward", "network", "controller", "sim", "perception", "mea
 
 
 AT_NIGHT = re.compile(
-    r"perception-lidar-(episodes|returns)|controller-mpc-(actions|repeats)"
+    r"perception-lidar-(episodes|returns)|controller-mpc-(actions|repeats|in time)"
     r"|network-(?!conv|stacked).*-onnx|terrain-(?!midway).*-picture"
 )
 """They take long, and tests of these rooms and one of their kind prove the same in short."""
