@@ -80,32 +80,28 @@ def document(result: Result, by: Sequence[Names] = ()) -> Document:
         for scene, one in zip(scenes, result.rows, strict=True):
             beside = result.baselines(one)
             scene["by"] = {"+".join(names): list(_groups(one, beside, names)) for names in by}
-        correct([group for scene in scenes for found in scene["by"].values() for group in found])
+        correct([group for scene in scenes for part in scene["by"].values() for group in part])
     methods = summary.pooled(result)
     correct(methods)
-    controllers = dict.fromkeys(one.entry.label for one in result.rows)
-    stopped = result.interruption
-    failed = [
-        {"controller": one.controller, "terrain": one.terrain, "error": str(one.error)}
-        for one in result.failures
-    ]
-    return {
-        "controller": ", ".join(controllers),
-        **(
-            {}
-            if stopped is None
-            else {
-                "interrupted": True,
-                "finished_episodes": stopped.finished,
-                "planned_episodes": stopped.planned,
-                "not_begun": list(stopped.not_begun),
-            }
-        ),
-        **({"failed": failed} if failed else {}),
-        "scenes": scenes,
-        **({"methods": methods} if methods else {}),
-        **({"engines": engines.document(result)} if result.plan.engines else {}),
-    }
+    found: Document = {"controller": ", ".join(dict.fromkeys(o.entry.label for o in result.rows))}
+    if (stopped := result.interruption) is not None:
+        found |= {
+            "interrupted": True,
+            "finished_episodes": stopped.finished,
+            "planned_episodes": stopped.planned,
+            "not_begun": list(stopped.not_begun),
+        }
+    if result.failures:
+        found["failed"] = [
+            {"controller": one.controller, "terrain": one.terrain, "error": str(one.error)}
+            for one in result.failures
+        ]
+    found["scenes"] = scenes
+    if methods:
+        found["methods"] = methods
+    if result.plan.engines:
+        found["engines"] = engines.document(result)
+    return found
 
 
 def parse_groups(text: str | None, option: str, configs: Sequence[EvalConfig]) -> list[Names]:
@@ -121,9 +117,9 @@ def parse_groups(text: str | None, option: str, configs: Sequence[EvalConfig]) -
         for config in configs:
             rng = np.random.default_rng(0)
             known |= dict.fromkeys([*_STARTS, *config.sample(rng)])
-            drawn = (generate_profile(config.terrain, rng, 1.0).drawn for _ in range(_TRIES))
-            while name not in known and (found_here := next(drawn, None)) is not None:
-                known |= dict.fromkeys(found_here)
+            for _ in range(_TRIES):
+                if name not in known:
+                    known |= dict.fromkeys(generate_profile(config.terrain, rng, 1.0).drawn)
             if name in known:
                 break
         else:
@@ -379,23 +375,24 @@ def published(found: Document) -> Table | None:
         if not known or known.conditions != conditions["name"] or conditions["terrain"] != own:
             continue
         variation = scene["pitch_variation"] or {}
-        ours = {
-            "terrain": scene["terrain"],
-            "policy": short(scene.get("method") or scene["controller"]),
-            "success": rate_text(scene["success"]),
-            "time": (scene["t_cost"] or {}).get("mean"),
-            "variation": variation.get("mean"),
-            "range": variation.get("range"),
-        }
-        theirs = {
-            "terrain": "",
-            "policy": known.source,
-            "success": "",
-            "time": known.t_cost,
-            "variation": known.pitch_variation,
-            "range": known.pitch_variation_range,
-        }
-        rows += [ours, theirs]
+        rows += [
+            {
+                "terrain": scene["terrain"],
+                "policy": short(scene.get("method") or scene["controller"]),
+                "success": rate_text(scene["success"]),
+                "time": (scene["t_cost"] or {}).get("mean"),
+                "variation": variation.get("mean"),
+                "range": variation.get("range"),
+            },
+            {
+                "terrain": "",
+                "policy": known.source,
+                "success": "",
+                "time": known.t_cost,
+                "variation": known.pitch_variation,
+                "range": known.pitch_variation_range,
+            },
+        ]
     return Table(_PUBLISHED, rows, "Beside published results, where reached") if rows else None
 
 
