@@ -10,7 +10,7 @@ import hashlib
 import itertools
 import logging
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from dataclasses import dataclass
@@ -240,7 +240,7 @@ class Player:
         report_search: Callable[[float], None] = lambda fraction: None,
         *,
         record: bool = False,
-    ) -> Iterator[Iterator[Row]]:
+    ) -> Generator[Iterator[Row], None, None]:
         """Yield the rows of each request, which must be taken before those of the next one.
 
         Several processes share all requests at once. After a stop, there are fewer rows.
