@@ -119,11 +119,8 @@ class Beam:
                 if not len(children.cost):
                     break
                 row = int(np.argmax(children.places[:, 0]))
-                if children.places[row, 0] > farthest[0]:
-                    farthest = (
-                        float(children.places[row, 0]),
-                        *(int(children.parent[row]), int(children.action[row])),
-                    )
+                if (x := float(children.places[row, 0])) > farthest[0]:
+                    farthest = x, int(children.parent[row]), int(children.action[row])
                 at = ((children.places[:, 0] - begin) / self.bin_length).astype(np.int64)
                 at = np.maximum(at, index)
                 for found in np.unique(at[at > index]).tolist():
@@ -301,11 +298,10 @@ class PlannerPolicy:
     def __init__(self, settings: PlannerSettings, trained: Policy | None) -> None:
         """``trained``: a policy whose trajectory the search starts from."""
         self._settings = settings
+        references = {name: resolver.reference(name, "planner") for name in _STARTS}
         self._starts = {
-            name: resolver.create(
-                "controller", resolver.reference(name, "planner"), "planner"
-            ).build()
-            for name in _STARTS
+            name: resolver.create("controller", reference, "planner").build()
+            for name, reference in references.items()
         }
         if trained is not None:
             self._starts["policy"] = trained
@@ -368,22 +364,13 @@ class _Search:
         before = self._cost
         self._pursue("doubled", 2 * width)
         self._gain = before - self._cost if math.isfinite(before) else 0.0
-        self._pursue(
-            "short", width, patience=_SHORT_PATIENCE, distance=_SHORT_DISTANCE, pitch=_PITCH
-        )
+        self._pursue("short", width, _SHORT_PATIENCE, _SHORT_DISTANCE, _PITCH)
         while self._left > 0:
             before = self._cost
-            for patience, distance, pitch in _IMPROVEMENTS:
+            for kind in _IMPROVEMENTS:
                 for cut in _CUTS:
                     kept = self.best.actions[: int(cut * len(self.best.actions))]
-                    self._pursue(
-                        "improved",
-                        width,
-                        patience=patience,
-                        prefix=kept,
-                        distance=distance,
-                        pitch=pitch,
-                    )
+                    self._pursue("improved", width, *kind, prefix=kept)
             if self._cost > before - _LEAST:
                 break
             if math.isinf(self._cost):
@@ -391,14 +378,9 @@ class _Search:
 
     def result(self) -> dict[str, float | str]:
         """Return how the best trajectory was found."""
-        settings = self._settings
-        return {
-            "source": self._source,
-            "width": settings.width,
-            "budget": settings.budget,
-            "decisions": self._spent,
-            "doubled_gain": self._gain,
-        }
+        width, budget = self._settings.width, self._settings.budget
+        sizes = {"width": width, "budget": budget, "decisions": self._spent}
+        return {"source": self._source, **sizes, "doubled_gain": self._gain}
 
     @property
     def _left(self) -> int:
@@ -408,11 +390,10 @@ class _Search:
         self,
         source: str,
         width: int,
-        *,
         patience: int = 1000,
-        prefix: Sequence[int] = (),
         distance: float = math.inf,
         pitch: float = 0.0,
+        prefix: Sequence[int] = (),
     ) -> None:
         """Add a trajectory by searches of one kind, unless it costs more than the best."""
         if self._left <= 0:
@@ -470,12 +451,11 @@ class _Search:
     def _add(self, source: str, played: Trajectory) -> None:
         """Keep a trajectory that has just been played, if it is the best."""
         if played.reached:
-            better = played.cost < self._cost and played.variation <= self._roughest
-            if better:
-                self._cost = played.cost
+            if not (played.cost < self._cost and played.variation <= self._roughest):
+                return
+            self._cost = played.cost
+        elif math.isinf(self._cost) and played.x > self._farthest:
+            self._farthest = played.x
         else:
-            better = math.isinf(self._cost) and played.x > self._farthest
-            if better:
-                self._farthest = played.x
-        if better:
-            self.best, self._source = played, source
+            return
+        self.best, self._source = played, source

@@ -399,12 +399,8 @@ class ValueIterationPolicy:
             contacts=MOST_EXACT,
         )
         self._patience = _EPISODE.stuck_decisions(robot.decision_period)
-        course = Course(
-            profile,
-            start=float(state.position[0]),
-            finish=simulator.finish,
-            patience=self._patience,
-        )
+        start = float(state.position[0])
+        course = Course(profile, start, simulator.finish, self._patience)
         self._graph = Graph(course, self._model, robot, self._rewards, settings.gamma)
         simulator.report_result(unexplored=self._graph.unexplored)
         self._targets = state.front, state.rear

@@ -63,16 +63,14 @@ def code_digest(folders: Iterable[Path], libraries: Iterable[Path]) -> str:
     found = hashlib.sha256()
     versions = (sys.version, numba.__version__, llvmlite.__version__, np.__version__)
     found.update(repr(versions).encode())
-    sources = [(path, path.relative_to(folder)) for folder in folders for path in _python(folder)]
+    sources = [
+        (p, p.relative_to(folder)) for folder in folders for p in sorted(folder.rglob("*.py"))
+    ]
     for path, name in (*sources, *((path, Path(path.name)) for path in libraries)):
         content = path.read_bytes()
         found.update(f"{name.as_posix()} {len(content)}\n".encode())
         found.update(content)
     return found.hexdigest()[:16]
-
-
-def _python(folder: Path) -> list[Path]:
-    return sorted(folder.rglob("*.py"))
 
 
 def _libraries() -> list[Path]:
@@ -136,30 +134,17 @@ def cached(decorator: Callable[..., Any], *arguments: Any) -> Callable[[Callable
     """Return numba's ``njit`` or ``cfunc``, with a cache if there is a folder for it."""
 
     def decorate(function: Callable[..., Any]) -> Any:
-        folder = machine_code_folder()
-        if folder is None:
-            _LOG.debug("no folder for machine code is writable: each process compiles anew")
-            return decorator(*arguments)(function)
-        try:
-            with _cache_in(folder):
+        folder, settings = machine_code_folder(), vars(numba.config)
+        reason = "no folder for machine code is writable"
+        if folder is not None:
+            before, settings["CACHE_DIR"] = settings["CACHE_DIR"], str(folder)
+            try:
                 return decorator(*arguments, cache=True)(function)
-        except RuntimeError as error:  # the folder was deleted, or its file system is full
-            _LOG.debug("%s; no cache: each process compiles anew", error)
-            return decorator(*arguments)(function)
+            except RuntimeError as error:  # the folder was deleted, or its file system is full
+                reason = f"{error}; no cache"
+            finally:  # functions that other packages decorate are cached in numba's own folder
+                settings["CACHE_DIR"] = before
+        _LOG.debug("%s: each process compiles anew", reason)
+        return decorator(*arguments)(function)
 
     return decorate
-
-
-@contextlib.contextmanager
-def _cache_in(folder: Path) -> Iterator[None]:
-    """Make numba cache the functions that are decorated in this block in ``folder``.
-
-    Functions that other packages decorate later are cached in numba's default folder.
-    """
-    settings = vars(numba.config)
-    before = settings["CACHE_DIR"]
-    settings["CACHE_DIR"] = str(folder)
-    try:
-        yield
-    finally:
-        settings["CACHE_DIR"] = before

@@ -116,7 +116,11 @@ class ScanMatcher:
         ``slip``: deviation of the guess per way since the last scan [-].
         """
         if self._target is None:
-            self._target = self._searchable()
+            known = [
+                np.concatenate([getattr(frame, part) for frame in self._keyframes])
+                for part in ("points", "normals")
+            ]
+            self._target = Keyframe(*known), self._library.KdTree(known[0])
         target, tree = self._target
         thin = np.asarray(self._library.voxelgrid_sampling(points, _THINNER).points())[:, :3]
         way = 0.0 if self._latest is None else float(np.linalg.norm(guess - self._latest))
@@ -141,12 +145,6 @@ class ScanMatcher:
         if not np.linalg.norm(off[:3]) <= _LARGEST:
             return guess, 0.0
         return guess + off[:3], float(off[3])
-
-    def _searchable(self) -> tuple[Keyframe, Any]:
-        frames = self._keyframes
-        points = np.concatenate([frame.points for frame in frames])
-        normals = np.concatenate([frame.normals for frame in frames])
-        return Keyframe(points, normals), self._library.KdTree(points)
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot, which later scans do not change."""

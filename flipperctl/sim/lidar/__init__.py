@@ -26,7 +26,7 @@ from flipperctl.core.lidar.body import Body, Mount
 from flipperctl.core.lidar.estimator import LidarEstimator
 from flipperctl.core.lidar.ground import MapQuality, MapSettings
 from flipperctl.core.lidar.matching import ScanMatcher
-from flipperctl.core.lidar.outline import Accuracy, accuracy_of
+from flipperctl.core.lidar.outline import accuracy_of
 from flipperctl.errors import MissingExtraError
 from flipperctl.sim.lidar.instruments import (
     Accelerometer,
@@ -289,18 +289,17 @@ class LidarSensor(Sensor):
         Raises:
             MissingExtraError: ``pose`` is ``matched``, and small_gicp is not installed.
         """
-        settings = MapSettings(self.bins, self.bin_width, self.map_quality, self._accuracy)
-        matcher = self._matcher() if self.pose == "matched" else None
-        return LidarEstimator(self._body(robot), self._mount, settings, matcher)
-
-    def _matcher(self) -> ScanMatcher:
+        tilt = math.hypot(self.tilt_wander, self.tilt_noise)
+        accuracy = accuracy_of(self.pose, self.range_bias, tilt)
+        settings = MapSettings(self.bins, self.bin_width, self.map_quality, accuracy)
         try:
-            return ScanMatcher()
+            matcher = ScanMatcher() if self.pose == "matched" else None
         except ImportError as error:
             raise MissingExtraError(
                 "perception.pose=matched needs small_gicp, which is not installed; "
                 "run pip install 'flipperctl[lidar]'"
             ) from error
+        return LidarEstimator(self._body(robot), self._mount, settings, matcher)
 
     def exact(self) -> PlanarSensor:
         """Return the sensor of the true ground."""
@@ -318,11 +317,6 @@ class LidarSensor(Sensor):
             noise=max(_LEAST_NOISE, self.noise),
             deskew=self.deskew,
         )
-
-    @property
-    def _accuracy(self) -> Accuracy:
-        tilt = math.hypot(self.tilt_wander, self.tilt_noise)
-        return accuracy_of(self.pose, self.range_bias, tilt)
 
     @property
     def _mount(self) -> Mount:
