@@ -20,6 +20,7 @@ from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 from flipperctl import entry
@@ -63,22 +64,16 @@ def training(config: TrainConfig, sizes: Sizes, report: Report) -> dict[str, Any
     total = sizes.decisions * sizes.repeats
     begun = [(0, 0.0)]
 
-    class Watch:
-        def episode(self, row: Mapping[str, Any]) -> None:
-            begun.append((row["decision"], time.perf_counter()))
-            report("training", row["decision"] / total)
+    def episode(row: Mapping[str, Any]) -> None:
+        begun.append((row["decision"], time.perf_counter()))
+        report("training", row["decision"] / total)
 
-        def validation(self, row: Mapping[str, Any]) -> None:
-            """Validations come after the last part."""
+    def ignored(*given: object) -> None:
+        """Take what a listener is told besides."""
 
-        def note(self, text: str) -> None:
-            """Notes are of the training's result."""
-
-        def close(self) -> None:
-            """Nothing is open."""
-
+    watch: Any = SimpleNamespace(episode=episode, validation=ignored, note=ignored, close=ignored)
     with TemporaryDirectory(prefix="flipperctl-bench-") as folder:
-        trainer = Trainer(with_overrides(config, _short(total)), Path(folder), [Watch()])
+        trainer = Trainer(with_overrides(config, _short(total)), Path(folder), [watch])
         Path(folder, "checkpoints").mkdir()
         trainer.run()
     import numpy as np

@@ -228,14 +228,24 @@ def run(
 
 def _print(found: dict[str, Any], picture: Path | None) -> None:
     """Print a row for each validation (``training.folder.summarise``), and the picture's name."""
+    from flipperctl import checkpoint, session
     from flipperctl.show import Column, Table, console, print_table
     from flipperctl.terminal.progress import HEADING, PAPERS_HEADING
 
     summary = found["summary"]
     state = "still running" if found["running"] else "finished"
     if not (found["running"] or (summary and summary["finished"])):
-        ended = "interrupted" if summary else "ended by an error, or killed"
-        state = f"{ended}; resume with: {_resume_command(Path(found['run']))}"
+        ended, run = (
+            "interrupted" if summary else "ended by an error, or killed",
+            Path(found["run"]),
+        )
+        state = f"{ended}; resume with: {session.command('train', '--resume', run)}"
+        files: list[str] = []
+        if not session.plugin_paths():  # a run records the names of its plugins' files alone
+            with contextlib.suppress(CheckpointError):  # train --resume says what is damaged
+                named = checkpoint.read(run / checkpoint.LAST).document.plugins
+                files = list(dict.fromkeys(p.file for p in named if p.file))
+        state += f" (and --plugins for {', '.join(files)})" if files else ""
     rows = [
         row
         | {
@@ -256,22 +266,6 @@ def _print(found: dict[str, Any], picture: Path | None) -> None:
     print_table(Table(columns, rows, f"{found['run']}: {state}"), console())
     if picture is not None:
         print(f"picture: {picture}")
-
-
-def _resume_command(run: Path) -> str:
-    """Return the command that resumes the run, and the names of plugin files to be added to it.
-
-    A run records the names of its plugins' files, but not their folders.
-    """
-    from flipperctl import checkpoint, session
-
-    command = session.command("train", "--resume", run)
-    files: list[str] = []
-    if not session.plugin_paths():
-        with contextlib.suppress(CheckpointError):  # train --resume says what is damaged
-            named = checkpoint.read(run / checkpoint.LAST).document.plugins
-            files = list(dict.fromkeys(p.file for p in named if p.file))
-    return f"{command} (and --plugins for {', '.join(files)})" if files else command
 
 
 def config(

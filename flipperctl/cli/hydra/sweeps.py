@@ -12,14 +12,14 @@ from __future__ import annotations
 import contextlib
 import io
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, cast
 
 from hydra.core.plugins import Plugins
 from hydra.core.utils import JobReturn
 from hydra.plugins.launcher import Launcher
-from hydra.types import HydraContext, TaskFunction
 from omegaconf import DictConfig, OmegaConf, read_write
 
 from flipperctl.cli.hydra.compose import compose_train
@@ -126,51 +126,44 @@ def job_result(job: JobReturn) -> JobResult:
             return JobResult(folder, None, error)
 
 
-class ListSweep:
-    """Hydra's basic sweeper, with named folders and a table at the end."""
+def list_sweep(settings: Mapping[str, Any], **given: Any) -> Callable[[list[str]], None]:
+    """Return Hydra's basic sweeper, with named folders and a table at the end.
 
-    def __init__(
-        self,
-        settings: Mapping[str, Any],
-        *,
-        hydra_context: HydraContext,
-        task_function: TaskFunction,
-        config: DictConfig,
-    ) -> None:
-        """``settings`` are those of Hydra's basic sweeper."""
-        # Not at the top of this file: Hydra reloads its own plugins when it discovers them.
-        from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
+    ``settings`` are those of Hydra's sweeper, and ``given`` what its ``setup`` takes. The returned
+    function trains every combination, or continues those of an earlier start in the same folder.
+    """
+    # Not at the top of this file: Hydra reloads its own plugins when it discovers them.
+    from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
 
-        self._params = settings["params"] or {}
-        self._sweeper = cast("Any", BasicSweeper(**settings))
-        self._sweeper.setup(hydra_context=hydra_context, task_function=task_function, config=config)
-        self._jobs = launched_by(self._sweeper.launcher, config)
-        self._config = config
-        self._sweeper.launcher = self
+    config = given["config"]
+    sweeper = cast("Any", BasicSweeper(**settings))
+    sweeper.setup(**given)
+    jobs = launched_by(sweeper.launcher, config)
 
-    def launch(
-        self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int
-    ) -> Sequence[JobReturn]:
-        """Train each job, and raise the first error before Hydra's sweeper rewords it."""
-        self._jobs.launch(job_overrides, initial_job_idx)
-        self._jobs.raise_errors()
+    def launch(job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> list[JobReturn]:
+        jobs.launch(job_overrides, initial_job_idx)
+        jobs.raise_errors()  # before Hydra's sweeper rewords them
         return []
 
-    def run(self, arguments: list[str]) -> None:
-        """Train every combination; continue those of an earlier start in the same folder."""
-        overrides = [*(f"{key}={value}" for key, value in self._params.items()), *arguments]
-        self._jobs.swept = Overrides.parse(overrides, check=False).swept
-        with self._jobs.held():
-            with read_write(self._config.hydra.sweep):  # where Hydra writes multirun.yaml
-                self._config.hydra.sweep.dir = str(self._jobs.folder)
+    sweeper.launcher = SimpleNamespace(launch=launch)
+
+    def run(arguments: list[str]) -> None:
+        params = settings["params"] or {}
+        overrides = [*(f"{key}={value}" for key, value in params.items()), *arguments]
+        jobs.swept = Overrides.parse(overrides, check=False).swept
+        with jobs.held():
+            with read_write(config.hydra.sweep):  # where Hydra writes multirun.yaml
+                config.hydra.sweep.dir = str(jobs.folder)
             try:
-                self._sweeper.sweep(arguments)
+                sweeper.sweep(arguments)
             except (InterruptedRunError, KeyboardInterrupt) as error:
-                done = sum(run.state == "finished" for run in self._jobs.runs)
+                done = sum(run.state == "finished" for run in jobs.runs)
                 raise InterruptedRunError(
-                    f"interrupted; {done} of {self._jobs.jobs} runs are finished. "
-                    f"Continue with: {sweep_command(self._jobs.folder)}"
+                    f"interrupted; {done} of {jobs.jobs} runs are finished. "
+                    f"Continue with: {sweep_command(jobs.folder)}"
                 ) from error
+
+    return run
 
 
 def print_comparison(folder: Path, runs: Sequence[SweepRun]) -> None:
@@ -201,30 +194,17 @@ def print_comparison(folder: Path, runs: Sequence[SweepRun]) -> None:
     out.print(text, highlight=False, markup=False, soft_wrap=True)
 
 
-class SearchSweep:
-    """A search whose trials are jobs of Hydra: ``hydra/sweeper=optuna``.
+def search_sweep(settings: Mapping[str, Any], **given: Any) -> Callable[[list[str]], None]:
+    """Return a search whose trials are jobs of Hydra: ``hydra/sweeper=optuna``.
 
+    ``settings`` are the section ``hydra.sweeper``, and ``given`` what a sweeper's ``setup`` takes.
     Hydra's own plugin, hydra-optuna-sweeper 1.3, needs Optuna 2, whose storage fails with
     SQLAlchemy 2, and repeats every trial after a restart.
     """
+    checked = check_settings(settings)
+    jobs = launched_by(Plugins.instance().instantiate_launcher(**given), given["config"])
 
-    def __init__(
-        self,
-        settings: Mapping[str, Any],
-        *,
-        hydra_context: HydraContext,
-        task_function: TaskFunction,
-        config: DictConfig,
-    ) -> None:
-        """``settings`` are the section ``hydra.sweeper``."""
-        self._settings = check_settings(settings)
-        launcher = Plugins.instance().instantiate_launcher(
-            config=config, hydra_context=hydra_context, task_function=task_function
-        )
-        self._jobs = launched_by(launcher, config)
-
-    def run(self, arguments: Sequence[str]) -> None:
-        """Train trial after trial; ``arguments`` are the user's overrides."""
+    def run(arguments: list[str]) -> None:
         sampled, fixed = Overrides.parse(arguments, check=False).sampled()
         check_objective(sampled, fixed)
         if found := [key for key in sampled if _setting(key).split(".")[0] in _TASK]:
@@ -232,7 +212,9 @@ class SearchSweep:
                 f"note: {', '.join(found)} change what a training is judged on; the best trial may "
                 "be the easiest"
             )
-        search(self._settings, self._jobs, arguments, sampled, fixed, tell=print_note)
+        search(checked, jobs, arguments, sampled, fixed, tell=print_note)
+
+    return run
 
 
 def check_objective(sampled: Mapping[str, Interval | Sequence[str]], fixed: Sequence[str]) -> None:

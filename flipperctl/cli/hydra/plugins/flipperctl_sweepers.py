@@ -18,13 +18,13 @@ from omegaconf import DictConfig
 class ListSweeper(Sweeper):
     """Hydra's basic sweeper, with named folders and a table at the end."""
 
-    kind = "ListSweep"
-    """Class in ``flipperctl.cli.hydra.sweeps``."""
+    kind = "list_sweep"
+    """Function in ``flipperctl.cli.hydra.sweeps``."""
 
     def __init__(self, **settings: Any) -> None:
         """Keep the settings until ``setup``, since Hydra rewords errors raised before it."""
         self._settings = settings
-        self._sweep: Any = None
+        self._run: Any = None
 
     def setup(
         self, *, hydra_context: HydraContext, task_function: TaskFunction, config: DictConfig
@@ -32,16 +32,16 @@ class ListSweeper(Sweeper):
         """Prepare the sweep; Hydra calls this before ``sweep``."""
         from flipperctl.cli.hydra import sweeps
 
-        self._sweep = getattr(sweeps, self.kind)(
+        self._run = getattr(sweeps, self.kind)(
             self._settings, hydra_context=hydra_context, task_function=task_function, config=config
         )
 
     def sweep(self, arguments: list[str]) -> None:
         """Train what ``arguments``, the user's overrides, describe."""
-        self._sweep.run(arguments)
+        self._run(arguments)
 
 
 class OptunaSweeper(ListSweeper):
     """A search by Optuna over intervals and lists."""
 
-    kind = "SearchSweep"
+    kind = "search_sweep"
