@@ -47,7 +47,7 @@ SEARCH = {
 }
 """Smaller searches of the controllers that look ahead."""
 ELSEWHERE = {"robot shadow", "bench"}
-"""Subcommands that tests of their own run (tests/ros, tests/cli/test_bench.py)."""
+"""Subcommands that tests of their own run (tests/ros, tests/cli/test_commands.py)."""
 AT_ONCE = {"compare", "inspect config"}
 """Subcommands of which each command runs in ``make test``, as it takes no time."""
 SPARSE = ["perception.azimuths=60", "episode.run_up=0.8", "episode.run_out=0.5"]

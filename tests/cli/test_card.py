@@ -69,16 +69,6 @@ def test_a_card_from_results_with_the_commands_that_make_them(tmp_path: Path) ->
     done = call("card", "mpc_value", "found", cwd=tmp_path)
     assert done.code == 2
     assert "found: it holds results of generalist, not of" in done.err
-    mixed = call("eval", "generalist", "random", "terrain=flat",
-                 "--episodes", "1", "--output", "mixed", cwd=tmp_path)  # fmt: skip
-    assert mixed.code == 0, mixed.err
-    done = call("card", "generalist", "mixed", cwd=tmp_path)
-    assert done.code == 2
-    assert "mixed: it holds results of random" in done.err
-    assert "evaluate it with --baseline okada,level, alone" in done.err
-    done = call("card", "generalist", ".", cwd=tmp_path)
-    assert done.code == 2
-    assert "summary.json: it cannot be read" in done.err
 
 
 def test_a_training_at_its_defaults_changes_nothing() -> None:

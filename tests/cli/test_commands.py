@@ -3,11 +3,14 @@
 import json
 import re
 import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from flipperctl import checkpoint
+from flipperctl import bench, checkpoint
+from flipperctl.cli.train import split_arguments
 from flipperctl.training.listeners import read_rows
 from flipperctl.training.trainer import Trainer
 from tests.cli.call import EXACT, call
@@ -129,3 +132,61 @@ def test_inspect_shows_plugins_terrains_checkpoints_and_configurations(
     done = call("inspect", "config", "terrain=step", "~rewards.pitch", *again, cwd=tmp_path)
     assert "pitch:" not in done.out
     assert "weight: 0.5" in done.out
+
+
+def test_values_defaults_and_bounds_of_sections_plugins_and_ranges(tmp_path: Path) -> None:
+    changes = ["terrain=mix", "terrain.parts=[{name:ramp,slope_high:20}]", "sim.friction=0.8"]
+    changes += ["rewards.pitch.lambda_2=4", "randomise.noise=[0,0.01]"]
+    done = call("inspect", "config", "--describe", "--json", *changes, cwd=tmp_path)
+    found = {setting["path"]: setting for setting in json.loads(done.out)}
+    assert all(setting["description"] for setting in found.values())
+
+    def shown(path: str) -> tuple[object, ...]:
+        return tuple(found[path][key] for key in ("value", "default", "bounds", "unit"))
+
+    assert shown("sim.friction") == (0.8, 1.0, "> 0, ≤ 10", "-")
+    assert shown("terrain") == ("mix", "stair", "", "")
+    assert shown("terrain.parts[0].slope_high") == (20.0, 35.0, "> 0, ≤ 60", "°")
+    assert shown("rewards.pitch.lambda_2") == (4.0, 8.0, "> 0, ≤ 1000", "1/rad")
+    assert shown("randomise.noise") == ([0.0, 0.01], None, "≥ 0, ≤ 0.2", "m")
+    assert shown("network.terrain")[2] == "length ≥ 1"
+    assert shown("seed") == (1, 1, "≥ 0, ≤ 9.22337e+18", "-")
+    assert found["terrain.parts[0]"]["section"] == "terrain.parts[0]"
+
+
+def test_one_document_with_machine_settings_and_raw_numbers(tmp_path: Path) -> None:
+    words = ("bench", "--small", "--json", "--output", "speed", "terrain=step")
+    done = call(*words, "train.mode=exact", cwd=tmp_path)
+    assert done.code == 0, done.err
+    document = json.loads(done.out)
+    assert json.loads((tmp_path / "speed" / "bench.json").read_text()) == document
+    assert {"date", "versions", "processor", "cores", "load_average"} <= set(document["machine"])
+    found = [q for one in document["measures"].values() for q in one["quantities"].items()]
+    assert {name: q["unit"] for name, q in found if "demo" not in name} == {
+        "training": "1/s",
+        "evaluation.mujoco": "-",
+        "evaluation.planar": "-",
+        "decision.median": "µs",
+        "decision.p99": "µs",
+    }
+    assert all(len(q["values"]) == 2 and min(q["values"]) > 0 for _, q in found)
+
+
+def test_decisions_are_timed_without_torch_and_pymunk() -> None:
+    code = "import sys, flipperctl.bench as b; print([n for n in b.HEAVY if n in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_measures_and_overrides_come_in_any_order() -> None:
+    given = ["c", "seed=2", "a", "~rewards.pitch"]
+    known = ("a", "b", "c")
+    assert split_arguments(given, known) == (["a", "c"], ["seed=2", "~rewards.pitch"])
+    for every in ([], ["all", "c"]):
+        assert split_arguments(every, known) == (["a", "b", "c"], [])
+
+
+def test_an_unsolved_run_is_told_as_such() -> None:
+    unsolved = {"unit": "s", "median": None, "low": None, "high": None, "values": [None]}
+    found = {"about": "a", "quantities": {"sb3": unsolved}, "unfinished": "not within 600 s"}
+    assert bench.table("solve", found).texts() == [["sb3", "not within 600 s", "–", "s"]]
