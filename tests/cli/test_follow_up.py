@@ -8,7 +8,6 @@ from pathlib import Path
 import pytest
 
 from flipperctl import checkpoint
-from flipperctl import session as follow_up
 from flipperctl.results import hold
 from flipperctl.runtime import OnnxPolicy
 from tests.cli.call import EXACT, call
@@ -76,13 +75,6 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_command_without_plugins_carries_none(made: Path) -> None:
-    assert call("inspect", "plugins", *NETWORK, cwd=made).code == 0
-    assert follow_up.plugin_paths() == ["mine.py"]
-    assert call("inspect", "plugins", cwd=made).code == 0
-    assert follow_up.command("train", "--resume", Path("a b")) == "flipperctl train --resume 'a b'"
-
-
 def test_run_and_exported_file_name_the_plugins_files_and_no_folder(made: Path) -> None:
     expected = {("terrain", "ridge"): "ridge.py", ("reward", "calm"): "calm.py"}
     expected["network", "mine"] = "mine.py"
@@ -121,14 +113,11 @@ def test_another_terrain_needs_no_plugin_of_the_training(made: Path, policy: str
     assert with_plugins == without  # calm pays nothing
 
 
-def test_what_trains_or_exports_needs_all_plugins(made: Path) -> None:
-    for command in (
-        ["export", "onnx", "--checkpoint", "run"],
-        ["train", "--resume", "run", "train.decisions=400"],
-    ):
-        done = call(*command, "--plugins", "calm.py", *NETWORK, cwd=made)
-        assert done.code == 2
-        assert "there is no terrain plugin 'ridge'; this run brings ridge.py: add" in done.err
+def test_what_trains_needs_all_plugins(made: Path) -> None:
+    resume = ("train", "--resume", "run", "train.decisions=400")
+    done = call(*resume, "--plugins", "calm.py", *NETWORK, cwd=made)
+    assert done.code == 2
+    assert "there is no terrain plugin 'ridge'; this run brings ridge.py: add" in done.err
     done = call("eval", "--checkpoint", "run", "terrain=step", cwd=made)
     assert done.code == 2
     assert f"there is no network plugin 'mine'; {FROM['run'].format('mine')}" in done.err
