@@ -48,6 +48,8 @@ SEARCH = {
 """Smaller searches of the controllers that look ahead."""
 ELSEWHERE = {"robot shadow", "bench"}
 """Subcommands that tests of their own run (tests/ros, tests/cli/test_commands.py)."""
+NIGHTLY = {"robot check", "export onnx", "export pt2"}
+"""Subcommands that take long, and that other tests run (tests/ros, tests/export); make long."""
 AT_ONCE = {"compare", "inspect config"}
 """Subcommands of which each command runs in ``make test``, as it takes no time."""
 SPARSE = ["perception.azimuths=60", "episode.run_up=0.8", "episode.run_out=0.5"]
@@ -191,7 +193,8 @@ def cases() -> Iterator[Any]:
     seen = set(ELSEWHERE)
     for command in commands():
         name = subcommand(command)
-        long = command not in first and name in seen and name not in AT_ONCE
+        shown = command in first or name not in seen or name in AT_ONCE
+        long = name in NIGHTLY or not shown
         seen.add(name)
         if command not in LAUNCHED:
             yield pytest.param(command, id=" ".join(command), marks=[pytest.mark.long] * long)
@@ -288,7 +291,7 @@ def test_the_conformance_example_keeps_the_contract(
     names: dict[str, object] = {"__name__": "test_ridge"}
     exec(example("Conformance"), names)
     done = {check.name for check in checks(names["TestRidge"].plugin) if check() is None}
-    assert {"extent", "start", "picture"} <= done
+    assert {"profiles", "start", "picture"} <= done
 
 
 def test_the_examples_are_those_shown(tmp_path: Path) -> None:

@@ -117,30 +117,6 @@ def test_engines_stand_side_by_side_and_failures_have_causes_and_records(
     assert json.loads(again.out) == document
 
 
-# A step of 0.9 m that no controller crosses, or one of 0.1 m that the others cross.
-WALL = "terrain.parts=[{name:step,low:0.9,high:0.9},{name:step,low:0.1,high:0.1}]"
-FEW = ["--episodes", "4", "terrain=mix", WALL, "sim.friction=0.8"]
-
-
-def test_a_draw_that_nobody_crosses_counts_against_nobody(tmp_path: Path) -> None:
-    asked = ("eval", "level", "--passable", "okada,random", *FEW)
-    done = call(*asked, "--json", "--output", "evaluated", cwd=tmp_path)
-    assert done.code == 0, done.err
-    (scene,) = json.loads(done.out)["scenes"]
-    text = (tmp_path / "evaluated" / "episodes.csv").read_text()
-    rows = list(csv.DictReader(text.splitlines()))
-    crossed = [row for row in rows if row["crossed_by"]]
-    assert 0 < len(crossed) < 4
-    assert {row["crossed_by"] for row in crossed} <= {"okada", "random"}
-    assert scene["passable"]["episodes"] == len(crossed)
-    assert scene["passable"]["success_rate"] == pytest.approx(
-        sum(row["outcome"] == "reached" for row in crossed) / len(crossed)
-    )
-    others = [row for row in rows if not row["crossed_by"]]
-    beyond = sum(row["outcome"] == "reached" for row in others)
-    assert scene["passable"]["beyond"] == beyond
-
-
 FAILS = """
 from flipperctl.api import Controller, Perception, controller
 

@@ -148,6 +148,8 @@ inspect reward --compare level,okada --controller okada -> --compare names all p
 inspect reward --compare level,okada controller=level -> --compare names the controllers
 inspect reward --compare level,planner controller.widht=3 -> did you mean 'width'
 inspect reward --compare level,okada '~rewards' -> leaves no term
+inspect reward --compare level,value_iteration terrain=step rewards=paper,smooth \
+    -> value_iteration drives otherwise for each of the rewards paper, smooth
 new terian mine -> 'terian' | 'terrain'
 new terrain 'My Own' -> 'My Own' | lower-case letters
 new terrain null -> 'null' | word of YAML

@@ -162,10 +162,3 @@ def test_the_presets_pay_the_smooth_way_and_a_price_of_turning_does_not(tmp_path
     )
     assert (found["paid"], found["calm"]) == ("okada", "mpc")
     assert next(iter(found["terms"])) == "travel"
-
-
-def test_what_drives_for_a_reward_is_compared_by_one_alone(tmp_path: Path) -> None:
-    words = ("--compare", "level,value_iteration", "terrain=step", "rewards=paper,smooth")
-    done = call("inspect", "reward", *words, "--episodes", "1", cwd=tmp_path)
-    assert done.code == 2
-    assert "value_iteration drives otherwise for each of the rewards paper, smooth" in done.err
