@@ -1,1 +1,1 @@
-"""The command line: one small file per subcommand; heavy imports happen inside the command."""
+"""The command line: a function for each subcommand; heavy imports happen inside it."""
