@@ -68,6 +68,7 @@ def test_paths_start_in_the_folder_of_the_command(tmp_path: Path, my: Path) -> N
     assert Path.cwd() == here
 
 
+@pytest.mark.long
 def test_a_default_folder_that_is_taken_gives_way_to_another(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
