@@ -137,7 +137,7 @@ LONG = pytest.mark.long
     [
         ("command", ["inspect", "plugins", "--json"]),
         pytest.param("command", ["--help"], marks=LONG),
-        ("command", ["train", "--cfg", "job"]),
+        pytest.param("command", ["train", "--cfg", "job"], marks=LONG),
         pytest.param("command", [*EVAL[:-1], "1", "--json"], marks=LONG),
         ("runtime", []),
         pytest.param("clock", ["1000", "0"], marks=LONG),

@@ -48,7 +48,9 @@ def test_from_new_to_an_evaluated_policy_in_the_three_commands_it_prints(
     assert (folder / "my_terrain.py").read_bytes() == before
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(k, marks=[pytest.mark.long] * (k == "network")) for k in KINDS]
+)
 def test_what_is_new_passes_the_conformance_suite(
     kind: str, drafts: dict[str, Done], folder: Path
 ) -> None:

@@ -95,6 +95,7 @@ train agent.batch_size=65536 'network.terrain=[50000,100]' -> agent.batch_size |
 eval --controller planner controller.widht=5 -> controller.widht | 'width' | budget
 train sim.substep=0.003 -> sim | substep must divide 0.01
 train -m seed=1,2 agent.gamma=0.9,7 -> agent.gamma | 7
+train -m seed=1,2 terrain=flat hydra/launcher=joblip -> 'joblip' | 'joblib'
 train --resume nowhere -> nowhere | no such run
 train --plugins nowhere.py -> nowhere.py | does not exist
 eval -> name a policy, as in: flipperctl eval generalist terrain=stair

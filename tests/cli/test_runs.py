@@ -156,7 +156,7 @@ def test_a_run_directory_that_is_deleted_is_one_clear_error(
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
 def test_an_output_that_is_full_is_one_clear_error() -> None:
-    command = [sys.executable, "-m", "flipperctl", "inspect", "config", "--json"]
+    command = [sys.executable, "-m", "flipperctl", "--help"]
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, timeout=60)
     assert done.returncode == 1

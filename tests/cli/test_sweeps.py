@@ -160,6 +160,7 @@ def states(folder: Path) -> list[str]:
         return [f"{row['job']} {row['state']}" for row in csv.DictReader(file)]
 
 
+@pytest.mark.long
 def test_a_storage_that_may_only_be_read_is_named(folder: Path) -> None:
     search = "terrain=floor", SEARCH[0], RATE, "hydra.sweeper.n_trials=1"
     assert sweep(folder, *search, SEARCH[1]).code == 0
@@ -179,8 +180,6 @@ def study(folder: Path) -> list[optuna.trial.FrozenTrial]:
         (["hydra.sweeper.n_trials=0"], ["hydra.sweeper.n_trials", "≥ 1"]),
         (["hydra.sweeper.storage=sqlite:///no/x.db"], ["hydra.sweeper.storage", "no/x.db"]),
         (["agent.gamma=interval(0.9,1.5)"], ["agent.gamma", "1.5"]),
-        (["agent.batch_size=interval(32,64)"], ["agent.batch_size", "integer"]),
-        (["hydra/launcher=joblip"], ["'joblip'", "'joblib'"]),
     ],
 )
 def test_a_wrong_search_is_refused_before_it_starts(
