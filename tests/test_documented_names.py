@@ -101,9 +101,7 @@ def words_after(pattern: str) -> list[str]:
 def test_the_words_of_a_benchmark_are_read(words: str, monkeypatch: pytest.MonkeyPatch) -> None:
     called: list[str] = []
     monkeypatch.setattr(
-        benchmark_settings,
-        "run_measures",
-        lambda *_: called.append(words) or {"measures": {}},
+        benchmark_settings, "run_measures", lambda *_: called.append(words) or {"measures": {}}
     )
     run_app(benchmarks.app, [*shlex.split(words), "--json"], "benchmarks")
     assert called == [words]

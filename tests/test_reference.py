@@ -18,14 +18,7 @@ from flipperctl.config import EvalConfig, TrainConfig
 from tests.cli.call import COMMANDS, GROUPS, SUBCOMMANDS
 
 ROOT = Path(__file__).parents[1]
-BASES = {
-    "CommonSettings",
-    "_ShortForms",
-    "RobotGeometry",
-    "EnvConfig",
-    "TrainConfig",
-    "EvalConfig",
-}
+BASES = {"CommonSettings", "_ShortForms", "RobotGeometry", "EnvConfig", "TrainConfig", "EvalConfig"}
 """Classes of settings that others inherit, or that hold the sections."""
 
 
@@ -104,9 +97,7 @@ def test_every_setting_of_a_plugin_has_its_entry(tables: dict[str, dict[str, lis
         assert all(cells[-1] for cells in rows.values())
 
 
-def test_every_setting_of_a_section_has_its_entry(
-    tables: dict[str, dict[str, list[str]]],
-) -> None:
+def test_every_setting_of_a_section_has_its_entry(tables: dict[str, dict[str, list[str]]]) -> None:
     found = {cls: f"`{name}`" for name, cls in generate.SECTIONS.items()}
     for cls in sections():
         assert set(tables[found[cls]]) == set(cls.model_fields) - {"name"}

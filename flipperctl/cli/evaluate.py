@@ -132,8 +132,7 @@ def evaluate(
 
 def map_success(
     words: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="POLICY [SETTING...]", help="A policy; key=value."),
+        list[str] | None, typer.Argument(metavar="POLICY [SETTING...]", help="A policy; key=value.")
     ] = None,
     over: Annotated[
         str | None,
@@ -196,8 +195,7 @@ def map_success(
 def replay(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="A recorded failure.")],
     checkpoint: Annotated[
-        Path | None,
-        typer.Option(metavar="RUN_OR_FILE", help="The policy, if it has moved since."),
+        Path | None, typer.Option(metavar="RUN_OR_FILE", help="The policy, if it has moved since.")
     ] = None,
     output: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for replay.json and replay.png.")

@@ -56,9 +56,7 @@ AngleSigns = Annotated[
 ]
 
 
-def recorded_robot(
-    overrides: Sequence[str] | None,
-) -> tuple[EnvConfig, str | None, frozenset[str]]:
+def recorded_robot(overrides: Sequence[str] | None) -> tuple[EnvConfig, str | None, frozenset[str]]:
     """Return the robot and LiDAR of a recording, ``perception.pose`` and the settings given.
 
     ``perception.pose`` is None if it is not among these.
@@ -181,8 +179,7 @@ def ground(
     fixed_frame: FixedFrame = "odom",
     base_frame: BaseFrame = "base_link",
     reach: Annotated[
-        float,
-        typer.Option(min=0.5, help="Distance in m beyond which points are left out."),
+        float, typer.Option(min=0.5, help="Distance in m beyond which points are left out.")
     ] = 5.0,
     cell: Annotated[
         float,

@@ -28,16 +28,13 @@ class TrainCommand(TrainingCommand):
 def train(
     overrides: options.Overrides = None,
     resume: Annotated[
-        Path | None,
-        typer.Option(metavar="RUN", help="Resume a stopped run."),
+        Path | None, typer.Option(metavar="RUN", help="Resume a stopped run.")
     ] = None,
     multirun: Annotated[
-        bool,
-        typer.Option("--multirun", "-m", help="One run for each combination of a,b lists."),
+        bool, typer.Option("--multirun", "-m", help="One run for each combination of a,b lists.")
     ] = False,
     output: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="Folder of the run, or of the runs with -m."),
+        Path | None, typer.Option(metavar="DIR", help="Folder of the run, or of the runs with -m.")
     ] = None,
     cfg: Annotated[
         str | None,

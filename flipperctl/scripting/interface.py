@@ -97,10 +97,7 @@ class LoadedPolicy:
     """A policy to call; ``flipperctl.load`` returns it."""
 
     def __init__(
-        self,
-        source: PolicySource,
-        own: EnvConfig | None = None,
-        fields: Mapping[str, object] = {},
+        self, source: PolicySource, own: EnvConfig | None = None, fields: Mapping[str, object] = {}
     ) -> None:
         """``own``: the environment that a file describes; ``fields``: those of a controller."""
         self.source = source

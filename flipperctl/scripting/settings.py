@@ -162,9 +162,7 @@ def check_evaluation(config: EnvConfig, jobs: int, controller: str | None) -> No
 
 
 def _check(
-    config: EnvConfig | TrainConfig,
-    others: Sequence[Plugin | type[Plugin] | None],
-    otherwise: str,
+    config: EnvConfig | TrainConfig, others: Sequence[Plugin | type[Plugin] | None], otherwise: str
 ) -> None:
     # Every measure is taken, whether a configuration names it or not.
     classes = [cls for (kind, _), cls in registry.items() if kind == Measure.kind]

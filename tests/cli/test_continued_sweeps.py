@@ -146,8 +146,7 @@ def test_ctrl_c_before_the_first_run_begins_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        "flipperctl.training.run.check_contract",
-        lambda *_: signal.raise_signal(signal.SIGINT),
+        "flipperctl.training.run.check_contract", lambda *_: signal.raise_signal(signal.SIGINT)
     )
     done = sweep(tmp_path, "hydra.sweep.dir=s")
     assert (done.code, done.err.splitlines()[-1]) == (130, "error: interrupted")

@@ -201,11 +201,7 @@ def trained(
 ) -> None:
     """Write the best policy of a run with other settings than those of the shipped one."""
     config = SHIPPED.document.config
-    changed = {
-        "seed": seed,
-        "agent": {**config.agent, **agent},
-        "train": {**config.train, **train},
-    }
+    changed = {"seed": seed, "agent": {**config.agent, **agent}, "train": {**config.train, **train}}
     document = SHIPPED.document.model_copy(update={"config": config.model_copy(update=changed)})
     file = run / checkpoint.BEST
     file.parent.mkdir(parents=True)

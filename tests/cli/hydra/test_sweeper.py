@@ -15,12 +15,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from flipperctl.cli.hydra import sweeps
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.hydra.sweeps import launched_by
-from flipperctl.errors import (
-    ConfigError,
-    FlipperctlError,
-    InterruptedRunError,
-    NonFiniteError,
-)
+from flipperctl.errors import ConfigError, FlipperctlError, InterruptedRunError, NonFiniteError
 from flipperctl.training import search as searching
 from flipperctl.training.search import SearchSettings, distributions, objective
 from tests.cli.call import refused
