@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import keyword
 import shlex
-import shutil
 import sys
 from dataclasses import dataclass
 from importlib.metadata import packages_distributions
@@ -12,11 +11,10 @@ from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
 from string import Template
-from tempfile import mkdtemp
 
 from flipperctl import api, guard
 from flipperctl.errors import OutputError, PluginError, RequestError
-from flipperctl.files import failure, make_folder
+from flipperctl.files import failure, make_folder, new_folder
 from flipperctl.messages import close_match
 
 _REGISTERED = {"engine": "sim", "sensor": "perception"}
@@ -113,26 +111,10 @@ class Draft:
 
     def write_package(self, folder: Path) -> Path:
         """Write a folder with pyproject, source, test and README, completely or not at all."""
-        path = folder / self.package
+        path, source = make_folder(folder) / self.package, f"src/{self.package}"
         if path.exists():
             raise _already_exists(path)
-        part = Path(mkdtemp(prefix=f".{self.package}.", dir=make_folder(folder)))
-        try:
-            for name, text in self.package_files().items():
-                (part / name).parent.mkdir(parents=True, exist_ok=True)
-                (part / name).write_text(text, encoding="utf-8")
-            part.chmod(0o755)
-            part.rename(path)
-        except OSError as error:
-            raise failure(path, error) from error
-        finally:
-            shutil.rmtree(part, ignore_errors=True)
-        return path
-
-    def package_files(self) -> dict[str, str]:
-        """Return the text of each file by its path in the package's folder."""
-        source = f"src/{self.package}"
-        return {
+        texts = {
             "pyproject.toml": self._text("pyproject.toml"),
             "README.md": self._text("README.md"),
             f"{source}/__init__.py": self._text("init.py"),
@@ -140,6 +122,11 @@ class Draft:
             f"{source}/py.typed": "",
             f"tests/test_{self.name}.py": self._text("test.py"),
         }
+        with new_folder(path) as part:
+            for name, text in texts.items():
+                (part / name).parent.mkdir(parents=True, exist_ok=True)
+                (part / name).write_text(text, encoding="utf-8")
+        return path
 
     def _text(self, template: str) -> str:
         text = files(__package__).joinpath("templates", f"{template}.txt").read_text("utf-8")
