@@ -52,6 +52,7 @@ def short_errors() -> Iterator[None]:
         raise
 
 
+_TERM = re.compile(r"rewards\.[^.]+")
 _NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
 _RESERVED = {"null", "true", "false", "nan", "inf"}
 """Words that Hydra does not read as text, in any case."""
@@ -77,7 +78,7 @@ def words(settings: Mapping[str, object], overrides: Sequence[str] = ()) -> list
 
 
 def _words(key: str, value: object) -> Iterator[str]:
-    if (key == "rewards" and value == {}) or (_is_term(key) and value is None):
+    if (key == "rewards" and value == {}) or (_TERM.fullmatch(key) and value is None):
         yield f"~{key}"
     elif isinstance(value, Mapping) and value and not key.endswith(_REWARDS):
         fields = {str(name): _plain(inner) for name, inner in value.items()}
@@ -91,11 +92,6 @@ def _words(key: str, value: object) -> Iterator[str]:
         yield f"{key}={','.join(literal(name, key) for name in value)}"
     else:
         yield f"{key}={literal(value, key)}"
-
-
-def _is_term(key: str) -> bool:
-    section, _, name = key.partition(".")
-    return section == "rewards" and bool(name) and "." not in name
 
 
 def literal(value: object, key: str) -> str:
@@ -133,9 +129,7 @@ def _plain(value: object) -> object:
     """Return the value without the types of numpy, paths, tuples, enumerations and settings."""
     if isinstance(value, Settings):
         return to_dict(value, brief=True)
-    if isinstance(value, np.generic):
-        return value.item()
-    if isinstance(value, np.ndarray):
+    if isinstance(value, np.generic | np.ndarray):
         return value.tolist()
     if isinstance(value, Enum):
         return _plain(value.value)
