@@ -110,8 +110,10 @@ def _code_of(program: Callable[[], int]) -> int:
     except (KeyboardInterrupt, SystemExit):
         raise  # Hydra's options exit this way; a plugin's exit is already a PluginError
     except BaseException as error:
-        if isinstance(error, OSError) and (reason := _failure_reason(error)):
-            return _report_output_failure(reason)
+        if isinstance(error, OSError):  # files are written by flipperctl.files, with its own errors
+            broken = error.filename is None and error.errno in _BROKEN and is_broken(sys.stdout)
+            if broken or error.filename == STDOUT:
+                return _report_output_failure(os.strerror(error.errno or 0))
         if _after_interrupt(error):
             raise KeyboardInterrupt from error
         if debug:
@@ -146,26 +148,12 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
     Libraries report an exception during their import as their own failure.
     """
-    if os.getpid() == _process_id and _importing(frame):
-        _stop(number, frame)
+    inner = frame if os.getpid() == _process_id else None
+    while inner is not None:
+        if inner.f_code.co_filename.startswith(_IMPORT):
+            _stop(number, frame)
+        inner = inner.f_back
     raise KeyboardInterrupt
-
-
-def _importing(frame: FrameType | None) -> bool:
-    while frame is not None:
-        if frame.f_code.co_filename.startswith(_IMPORT):
-            return True
-        frame = frame.f_back
-    return False
-
-
-def _failure_reason(error: OSError) -> str:
-    """Return why standard output could not be written, or an empty text for any other error.
-
-    Files are written by ``flipperctl.files``, which raises flipperctl's own errors.
-    """
-    broken = error.filename is None and error.errno in _BROKEN and is_broken(sys.stdout)
-    return os.strerror(error.errno or 0) if broken or error.filename == STDOUT else ""
 
 
 def is_broken(stream: TextIO) -> bool:
