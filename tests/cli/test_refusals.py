@@ -158,7 +158,7 @@ new reward signal -> 'signal' | standard library | signal_reward is free
 new terrain torch -> 'torch' | the package torch | torch_terrain is free
 new network flipperctl --package -> 'flipperctl' | flipperctl_network is free
 new terrain stair -> 'stair' | already | stairs.py:
-new engine planar -> engine plugin 'planar' | already | engine.py:
+new engine planar -> engine plugin 'planar' | already | planar/__init__.py:
 new terrain mine --output file -> file | cannot be written
 bench --small speed -> 'speed' | evaluation | key=value
 bench --small decisions -> 'decisions' | did you mean 'decision'
