@@ -191,17 +191,6 @@ def ranges(group: dict[str, Any]) -> dict[str, tuple[float, float]]:
     return {name: (ends["low"], ends["high"]) for name, ends in group["drawn"].items()}
 
 
-def test_each_value_has_its_episodes_and_its_differences() -> None:
-    short, long = groups([{"steps": steps} for steps in STEPS], "steps")
-    assert (ranges(short), ranges(long)) == ({"steps": (3, 3)}, {"steps": (12, 12)})
-    assert (short["episodes"], long["episodes"]) == (5, 2)
-    assert long["pitch_variation"]["mean"] == pytest.approx(8.5)  # of 8 and 9
-    level = short["baseline"]
-    assert level["controller"] == "level"
-    gap = {"mean": 0.5, "low": 0.5, "high": 0.5, "episodes": 5}
-    assert level["difference"]["pitch_variation"] == gap
-
-
 def test_many_values_are_split_at_their_quartiles() -> None:
     found = groups([{"slope": 20.0 + i} for i in range(12)], "slope")
     drawn = [ranges(group)["slope"] for group in found]
