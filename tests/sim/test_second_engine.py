@@ -16,6 +16,7 @@ LOADED = ["--plugins", str(KINEMATIC), "--plugins", str(RULER)]
 CHOSEN = ["sim=kinematic", "perception=ruler", *LOADED]
 
 
+@pytest.mark.long
 def test_a_policy_is_trained_and_resumed_in_another_engine(tmp_path: Path) -> None:
     settings = [f"{key}={value}" for key, value in RUN.items()]
     done = call("train", "terrain=step", "hydra.run.dir=run", *settings, *CHOSEN, cwd=tmp_path)

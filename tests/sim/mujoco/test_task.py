@@ -70,7 +70,7 @@ def test_a_turned_robot_starts_behind_the_edge_that_its_corner_would_overlap(
         begin({"yaw": 0.4}, 0.78)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_unknown_drawing_library_is_one_error() -> None:
     # In a process of its own, since MuJoCo reads the variable when it is imported.
     asked = ["eval", "--controller", "okada", "--episodes", "1", "sim=mujoco", "terrain=step"]

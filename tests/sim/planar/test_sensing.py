@@ -190,18 +190,6 @@ def test_filled_points_carry_the_bias_and_noise_of_their_neighbours_and_never_dr
     assert 0 < abs(noisy[0, 1] - exact[0, 1]) < 0.25
 
 
-def test_without_occlusion_the_numbers_are_those_of_the_outline_bit_for_bit() -> None:
-    of = masted(TRENCH, occlusion=False, noise=0.01, dropout=0.2, bias=0.02, mount_z=2.0)
-    found = scan(of, -0.2)
-    rng = np.random.default_rng(0)
-    cloud = TRENCH.sample(0.01, 6.0)
-    points = cloud[(cloud[:, 0] >= -3.2) & (cloud[:, 0] < 2.8)] - (-0.2, 0.1)
-    points[:, 1] += 0.02
-    points[:, 1] += rng.normal(0.0, 0.01, len(points))
-    assert np.array_equal(found.points, points[rng.random(len(points)) >= 0.2])
-    assert found.filled is None
-
-
 # Errors of a map
 
 
@@ -324,12 +312,3 @@ def test_a_ray_ends_at_the_first_ground(
 ) -> None:
     (found,) = distances(LINE, np.array([-1.0, 0.1]), np.array([direction]), reach)
     assert found == pytest.approx(expected)
-
-
-def test_a_ray_passes_over_the_block_into_the_hollow_behind_it() -> None:
-    toward = np.array([[2.0, -0.7]]) / math.hypot(2.0, 0.7)
-    (found,) = distances(LINE, np.array([0.0, 0.5]), toward, 9.0)
-    assert found == pytest.approx(math.hypot(2.0, 0.7) * 0.2 / 0.7)  # the block's top, 0.2 below
-    over = np.array([[2.0, -0.2]]) / math.hypot(2.0, 0.2)
-    (found,) = distances(LINE, np.array([0.0, 0.5]), over, 9.0)
-    assert found == pytest.approx(math.inf)  # it would land at x = 7
