@@ -308,9 +308,6 @@ class ReturnPolicy(MpcPolicy):
 
         The shaping is that of the value's training in any case, since only that cancels out: the
         value of a state is the smaller by its potential.
-
-        Raises:
-            ConfigError: a reward term needs what predictions lack.
         """
         super().__init__(settings)
         self._learned = learned

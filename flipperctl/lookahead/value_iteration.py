@@ -369,11 +369,7 @@ class ValueIterationPolicy:
     """Explores the ground of an episode, then takes the actions of the largest value."""
 
     def __init__(self, settings: ValueIterationSettings, rewards: Mapping[str, RewardTerm]) -> None:
-        """Prepare for any episode.
-
-        Raises:
-            ConfigError: a reward term needs what predictions lack.
-        """
+        """Prepare for any episode."""
         self._settings, self._rewards = settings, RewardSum(rewards)
         self._rewards.require_predictable("rewards")
 

@@ -24,11 +24,7 @@ def simulated(duration: float) -> float:
 
 
 def engine_versions(engine: Engine) -> dict[str, str]:
-    """Return the versions of the libraries that affect the engine's results.
-
-    Raises:
-        PluginFailedError: the engine's code failed, or returned no mapping of text to text.
-    """
+    """Return the versions of the libraries that affect the engine's results."""
     with naming(engine, "versions"):  # the returned object's code may fail too
         found: object = engine.versions()
         versions = dict(found) if isinstance(found, Mapping) else {}

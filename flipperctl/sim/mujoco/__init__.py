@@ -32,6 +32,11 @@ class Mujoco(MujocoSettings, Engine):
         """Return a new world for the episode, so that replays are equal bit for bit.
 
         Yaw, offset and roughness are sampled from ``rng``.
+
+        Raises:
+            MissingExtraError: MuJoCo is not installed.
+            RequestError: the environment names an OpenGL library that is not installed.
+            TerrainError: the ground needs too many pieces, or is unknown where the robot drives.
         """
         try:
             import mujoco  # noqa: F401

@@ -31,12 +31,7 @@ class Camera:
     """A camera that follows the robot from behind, at one side, and those on the robot."""
 
     def __init__(self, model: Any, width: int, height: int) -> None:
-        """Prepare pictures of ``width`` × ``height`` pixels.
-
-        Raises:
-            RequestError: the size is too large, or the machine has neither EGL nor OSMesa.
-            FlipperctlError: the installed library cannot draw.
-        """
+        """Prepare pictures of ``width`` × ``height`` pixels."""
         largest = model.vis.global_.offwidth, model.vis.global_.offheight
         if not (0 < width <= largest[0] and 0 < height <= largest[1]):
             raise RequestError(

@@ -103,10 +103,6 @@ def surface_strips(
 
     Equal neighbours are one, except at the borders ``kept``. ``within``: largest distance of the
     robot's tracks from the line at the start [m].
-
-    Raises:
-        TerrainError: the surface cannot be read, or is unknown where the robot drives.
-        PluginFailedError: the surface returned an array of another shape.
     """
     y = np.array([(low + high) / 2 for low, high in pairwise(borders)])
     try:
@@ -197,12 +193,7 @@ class Box(NamedTuple):
 
 
 def boxes(profile: Profile, sim: MujocoSettings, rng: np.random.Generator) -> list[Box]:
-    """Return the ground's boxes; the roughness is sampled from ``rng``.
-
-    Raises:
-        TerrainError: there would be more than ``MOST``, or the ground is unknown where the robot
-            drives.
-    """
+    """Return the ground's boxes; the roughness is sampled from ``rng``."""
     strips = _strips(profile, sim)
     base = min(float(strip.line[:, 1].min()) for strip in strips) - _BELOW - sim.roughness
     found: list[Box] = []

@@ -153,9 +153,6 @@ class MujocoWorld:
         """Place the robot at ``start``; without a height, it rests level on flippers or chassis.
 
         Yaw, offset and roughness are sampled from ``rng``.
-
-        Raises:
-            TerrainError: the ground needs too many boxes, or is unknown where the robot drives.
         """
         mujoco.set_mju_user_warning(_ignore)
         self.robot, self.sim, self.profile = robot, sim, profile
@@ -212,9 +209,6 @@ class MujocoWorld:
         """Simulate up to ``samples`` sample periods; return the pose at the end of each, (S, 5).
 
         See ``flipperctl.api.World``.
-
-        Raises:
-            NonFiniteError: the simulation diverged.
         """
         poses = np.empty((samples, 5))
         for sample in range(samples):
