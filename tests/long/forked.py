@@ -98,8 +98,11 @@ class Command:
 
     def send(self, number: int, *, everyone: bool = False) -> None:
         """Send a signal to the main process, or to its workers too, unless it has ended."""
-        if not self.ended():
-            (os.killpg if everyone else os.kill)(self.pid, number)
+        while not self.ended():
+            with contextlib.suppress(ProcessLookupError):  # it has no group of its own yet
+                (os.killpg if everyone else os.kill)(self.pid, number)
+                return
+            time.sleep(0.001)
 
     def kill_group(self) -> None:
         """Kill the process and its workers."""

@@ -130,7 +130,8 @@ def _first(word: str, folder: Path) -> str:
 def _done(log: Path, code: int, folder: Path) -> Done:
     texts = (log.with_suffix(suffix).read_text(errors="replace") for suffix in (".out", ".err"))
     texts = (text.replace(str(folder), "FOLDER").replace(str(ROOT), "ROOT") for text in texts)
-    return Done(code, *(re.sub(r"(ROOT/\S+\.py):\d+", r"\1", text) for text in texts))
+    texts = (re.sub(r"(ROOT/\S+\.py):\d+", r"\1", text) for text in texts)
+    return Done(code, *(re.sub(r"(?m)^.* episodes, .* s left.*\n", "", text) for text in texts))
 
 
 def flat(value: object, path: str) -> Iterator[tuple[str, object]]:

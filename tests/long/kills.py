@@ -108,16 +108,19 @@ class Case:
         self.tally.hangs += not command.wait()
         if number == signal.SIGKILL:
             self.tally.hangs += not command.workers_ended()
-        else:  # a forked command leaves without joblib's own end of its processes
+        else:  # see ``end``
             command.kill_group()
         return in_time and command.code != 0
 
-    def end(self, arguments: list[str], expected: int) -> None:
-        """Run a command to its end."""
+    def end(self, arguments: list[str], expected: int, *, joblib: bool = False) -> None:
+        """Run a command to its end, and those of joblib's processes that it leaves."""
         command = self.start(arguments)
         self.tally.hangs += not command.wait()
         self.tally.check(command, expected)
-        self.tally.hangs += not command.workers_ended()
+        if joblib:  # a forked command leaves without joblib's own end of its processes
+            command.kill_group()
+        else:
+            self.tally.hangs += not command.workers_ended()
 
     def compare(self, text: str, *faults: str) -> Tally:
         """Compare the runs with the reference; keep the folder if something is wrong."""
@@ -162,7 +165,7 @@ def sweep(case: Case, stop: str) -> Tally:
         case.tally.check(command, *expected)
         if command.code == 0:
             break
-    case.end(case.model.arguments, 0)
+    case.end(case.model.arguments, 0, joblib=True)
     with (case.folder / "run" / "sweep.csv").open(newline="") as file:
         states = [row["state"] for row in csv.DictReader(file)]
     wrong = states != ["finished"] * len(case.model.found)
