@@ -152,7 +152,7 @@ def test_rests_at_the_height_of_its_tracks(case: Case) -> None:
 
 
 # atan 0.5 = 26.57°
-@pytest.mark.parametrize("degrees", [25.0])
+@pytest.mark.parametrize("degrees", [20.0, 25.0])
 def test_holds_on_a_slope_below_the_angle_of_friction(degrees: float, case: Case) -> None:
     world = case.on_slope(degrees, friction=0.5)
     before = np.array(world.position)
@@ -195,7 +195,7 @@ def test_tips_over_an_edge_where_statics_says(mass: float, ahead: float, case: C
 
 
 # A tilted robot rocks a little when its other end slaps down.
-@pytest.mark.parametrize(("tilt", "rebound"), [(0.3, 0.1)])
+@pytest.mark.parametrize(("tilt", "rebound"), [(0.0, 0.02), (0.3, 0.1)])
 def test_a_drop_loses_energy_and_does_not_bounce(tilt: float, rebound: float, case: Case) -> None:
     world = case.place(FLAT, Robot(track_speed=STILL), 0.0)
     case.turn(world, tilt, 0.5)
@@ -222,6 +222,21 @@ def test_penetration_is_the_depth_in_the_ground(case: Case) -> None:
     world = case.place(FLAT, Robot(), 0.0)
     case.turn(world, 0.0, -0.03)
     assert world.penetration() == pytest.approx(0.03, abs=1e-6)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("name", "terrain"),
+    [("planar", "paper_step"), ("planar", "paper_stair"), ("mujoco", "paper_step")],
+)
+def test_half_the_substep_changes_the_pitch_variation_little(name: str, terrain: str) -> None:
+    coarse, fine = (
+        episode(FlipperEnv(terrain, sim={"name": name, "substep": s}, episode={"start_noise": 0}))
+        for s in (0.005, 0.0025)
+    )
+    assert coarse["outcome"] == fine["outcome"] == "reached"
+    variations = [info["metrics"]["pitch_variation"] for info in (coarse, fine)]
+    assert variations[0] == pytest.approx(variations[1], rel=0.05)
 
 
 def test_stops_at_the_sample_that_reaches_a_limit(case: Case) -> None:
@@ -285,6 +300,12 @@ def test_flippers_lift_the_robot_only_with_enough_torque(
     world.command(-math.pi / 3, -math.pi / 3)
     world.advance(500)
     assert world.position[1] == pytest.approx(height, abs=5e-3)
+
+
+def test_starts_on_lowered_flippers(case: Case) -> None:
+    world = case.place(FLAT, Robot(track_speed=STILL), 0.0, -math.pi / 6, -math.pi / 6)
+    assert world.position[1] == pytest.approx(0.1 + 0.336 / 2)  # sin 30° = 1/2
+    assert world.penetration() == pytest.approx(0.0, abs=1e-9)
 
 
 # Loads on the chassis, and the largest force of the tracks
