@@ -9,6 +9,9 @@ VENV := .venv
 BIN := $(VENV)/bin
 DECISIONS ?= 30000
 
+# Compiled modules are kept, even where the shell says otherwise: the tests start hundreds of processes.
+export PYTHONDONTWRITEBYTECODE :=
+
 .PHONY: setup train check test long static tests quick-tests docs clean
 
 setup: $(VENV)/ready
