@@ -68,12 +68,17 @@ def call(*arguments: str, cwd: Path) -> Done:
 
 def refused(*arguments: str, cwd: Path, code: int = 2) -> str:
     """The error's text, after the checks that hold for every error."""
-    before = sorted(cwd.rglob("*"))
+    before = _files(cwd)
     done = call(*arguments, cwd=cwd)
     assert done.code == code, done.err
     assert done.out == ""
     assert done.err.startswith("error: ")
     assert "Traceback" not in done.err
     assert len(done.err.strip().splitlines()) <= 2, done.err
-    assert sorted(cwd.rglob("*")) == before
+    assert _files(cwd) == before
     return done.err
+
+
+def _files(folder: Path) -> list[Path]:
+    """What lies in the folder; Python keeps compiled plugins unless the shell says otherwise."""
+    return sorted(path for path in folder.rglob("*") if "__pycache__" not in path.parts)

@@ -73,7 +73,7 @@ def test_golden_runs_commands_apart_and_lists_what_differs(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "count"), [("checkpoint", 24), ("onnx", 12), ("ground", 40)])
+@pytest.mark.parametrize(("kind", "count"), [("checkpoint", 12), ("onnx", 6), ("ground", 40)])
 def test_damaged_files_are_refused_or_read_as_the_original(kind: str, count: int) -> None:
     with fuzz(kind, seed=0) as found:
         verdicts = list(found.run(count))
