@@ -29,7 +29,7 @@ CORE = (
 DRAWN = "drawn_"
 """Prefix of the columns of numbers that the terrain drew."""
 
-_RESERVED = frozenset(
+RESERVED = frozenset(
     (
         *("kind", "decision", "episode", "seed", "terrain", "difficulty", "outcome"),
         *("success_rate", "return", "start_shift", "start_front", "start_rear", "epsilon", "loss"),
@@ -139,7 +139,7 @@ class Pitches:
 
 def _make(cls: type[Plugin]) -> Measure:
     name = cls.plugin_name
-    if name in _RESERVED or name.startswith(_PREFIXES) or name in Randomise.model_fields:
+    if name in RESERVED or name.startswith(_PREFIXES) or name in Randomise.model_fields:
         raise PluginError(
             f"{plugin_label(cls)}: files have another column or key {name!r}; choose another name "
             f"({definition(cls)})"

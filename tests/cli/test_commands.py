@@ -11,6 +11,7 @@ import pytest
 
 from flipperctl import bench, checkpoint
 from flipperctl.cli.train import split_arguments
+from flipperctl.env.metrics import RESERVED, measures
 from flipperctl.training.listeners import read_rows
 from flipperctl.training.trainer import Trainer
 from tests.cli.call import EXACT, call
@@ -72,6 +73,7 @@ def test_eval_json_is_one_document_on_stdout(short_run: Path, tmp_path: Path) ->
     document = json.loads(done.out)
     assert [scene["terrain"] for scene in document["scenes"]] == ["step", "paper_step"]
     assert set(document["scenes"][0]["outcomes"]) == {"reached", "overturned", "stuck", "timeout"}
+    assert set(document["scenes"][0]) <= RESERVED | set(measures())  # no plugin may take a key
     assert json.loads((tmp_path / "out" / "summary.json").read_text()) == document
     assert len((tmp_path / "out" / "episodes.csv").read_text().splitlines()) == 1 + 4
     assert (tmp_path / "out" / "paper_step.png").read_bytes().startswith(b"\x89PNG")
