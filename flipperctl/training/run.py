@@ -352,6 +352,8 @@ def _train(
         *openers(config, directory, resume_at),
         *(partial(make, total, done) for make in reports.listeners),
     ]
+    if resume_at is None:  # else a kill leaves a metrics.csv that belongs to no run
+        run_folder.write_config(directory, config)
     with contextlib.ExitStack() as opened:  # the trainer closes them once it runs
         for make in makers:
             trainer.listeners.append(make())

@@ -43,7 +43,7 @@ class Floor(Terrain):
 
     def generate(self, rng: np.random.Generator) -> Profile:
         Floor.drawn += self.broken
-        if Floor.drawn > 4:  # those of the trial before a training pass
+        if Floor.drawn > 3:  # those of the trial before a training pass
             raise NonFiniteError("the floor is broken")
         return Profile([(0, 0), (0.1, 0)])
 '''
