@@ -359,7 +359,8 @@ def _train(
             trainer.listeners.append(make())
             opened.push(closer(trainer.listeners[-1]))
         opened.pop_all()
-    run_folder.write_config(directory, config)  # once the files of a resumed run are read
+    if resume_at is not None:  # once the files of a resumed run are read
+        run_folder.write_config(directory, config)
     stopped_late: list[InterruptedRunError] = []
     try:
         with interrupts("finishing the episode and saving …") as interrupted:

@@ -11,18 +11,15 @@ from flipperctl.evaluation.plan import Entry
 from flipperctl.evaluation.play import EpisodeRunner, Player
 from flipperctl.evaluation.rows import Episodes
 from flipperctl.evaluation.store import EpisodeStore
+from flipperctl.evaluation.views.axes import Axis, Index, grid_config, parse_axes
 from flipperctl.evaluation.views.map import (
-    Axis,
     CapabilityMap,
     GridPoint,
-    Index,
     Play,
     _sample,
     boundary,
     capability_map,
     figure,
-    grid_config,
-    parse_axes,
 )
 from flipperctl.policies.source import load_policy
 from tests.evaluation.samples import episodes, sample
