@@ -1,0 +1,165 @@
+"""A policy to call from Python, whatever file or name it comes from.
+
+Policies of files act on observations alone. Controllers may need points of the ground or a
+simulator, so they act on the perceptions of an environment.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Mapping
+from typing import Any, cast
+
+import gymnasium
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from flipperctl.api import MAX_HISTORY, ObservationLayout, Perception, Policy, Robot, registry
+from flipperctl.cli.hydra.compose import with_preset
+from flipperctl.config import EnvConfig
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import NonFiniteError, PolicyError, RequestError
+from flipperctl.evaluation.conditions import read_config
+from flipperctl.policies.source import FilePolicy, PolicySource, load_policy
+from flipperctl.scripting.settings import Paths, begin, short_errors
+from flipperctl.terminal.streams import print_note
+
+
+@short_errors()
+def load(policy: str | os.PathLike[str], *, plugins: Paths = (), **fields: object) -> LoadedPolicy:
+    """Load a policy to call.
+
+    ``policy``: a run, a checkpoint, an exported ``.onnx`` file, or the name of a shipped policy or
+    of a controller, whose settings are the ``fields``. ``plugins``: files or folders of plugins.
+
+    Raises:
+        CheckpointError: the run or checkpoint is missing or damaged, or lacks a plugin.
+        ConfigError: there is no such policy, or a field of the controller is wrong.
+        PluginError: a plugin cannot be loaded.
+        PolicyError: the exported file is damaged.
+        RequestError: fields are given for a file, whose settings are fixed.
+    """
+    begin(plugins)
+    if ("controller", str(policy)) in registry:
+        own = with_preset({"name": str(policy), **fields}, "controller")
+        return LoadedPolicy(load_policy(policy, "controller", fields=own), None, fields)
+    source = load_policy(policy, "policy", tell=print_note)
+    if fields:
+        raise RequestError(
+            f"{policy}: {', '.join(fields)}: settings are those of a controller; a file has its own"
+        )
+    return LoadedPolicy(source, read_config(source, (), print_note))
+
+
+class LoadedPolicy:
+    """A policy to call; ``flipperctl.load`` returns it."""
+
+    def __init__(
+        self, source: PolicySource, own: EnvConfig | None = None, fields: Mapping[str, object] = {}
+    ) -> None:
+        """``own``: the environment that a file describes; ``fields``: those of a controller."""
+        self.source = source
+        self.fields = dict(fields)
+        self._policy: Policy | None = None
+        self._config: EnvConfig | None = None
+        self._recent: deque[NDArray[np.float32]] = deque(maxlen=MAX_HISTORY)
+        if own is not None:
+            self._build(own)
+
+    def __repr__(self) -> str:
+        return f"LoadedPolicy({self.name!r})"
+
+    @property
+    def name(self) -> str:
+        """Name of the shipped policy or controller, else the path of the file."""
+        return self.source.label()
+
+    @property
+    def layout(self) -> ObservationLayout | None:
+        """Layout of the observations; None of a controller before its first ``reset``."""
+        return None if self._config is None else self._config.perception.layout
+
+    @property
+    def robot(self) -> Robot | None:
+        """Robot that the policy drives; None of a controller before its first ``reset``."""
+        return None if self._config is None else self._config.robot
+
+    def reset(self, env: gymnasium.Env[Any, Any] | None = None) -> None:
+        """Begin an episode.
+
+        ``env``: the environment, after its own ``reset``. A policy of a file needs none; with one,
+        its layout and its robot are checked. A controller needs one.
+
+        Raises:
+            CheckpointError: the environment has another observation layout.
+            ConfigError: its robot contradicts what an exported file applies itself.
+            RequestError: it is no environment of flipperctl, or no episode of it runs.
+        """
+        self._recent.clear()
+        if env is None:
+            self._observing("reset()").reset()
+            return
+        task = env.unwrapped
+        if not isinstance(task, FlipperEnv):
+            raise RequestError(f"{env}: an environment of flipperctl is allowed (Flipper-v0)")
+        if not task.running:
+            raise RequestError("reset(env) begins the policy's episode after env.reset()")
+        if task.config is not self._config or self._policy is None:
+            self._build(task.config)
+        assert self._policy is not None
+        self._policy.reset(task.simulator())
+
+    def __call__(self, observation: ArrayLike) -> int:
+        """Return the action, an index into ``flipperctl.api.ACTIONS``, for an observation.
+
+        ``observation``: (N + 3,) in SI units, in the order of ``layout``. Earlier observations
+        since ``reset`` are remembered for networks that take several.
+
+        Raises:
+            NonFiniteError: a number of the observation is NaN or infinite.
+            PolicyError: the observation has another shape.
+            RequestError: the policy is a controller, which acts on perceptions.
+        """
+        policy = self._observing("an observation")
+        try:
+            array = np.array(observation, dtype=np.float32)
+        except (TypeError, ValueError) as error:
+            raise PolicyError(f"{self.name}: the observation is not numbers: {error}") from error
+        assert self.layout is not None  # as of every policy that acts on observations
+        if array.shape != (self.layout.size,):
+            raise PolicyError(
+                f"{self.name}: the observation has shape {array.shape}; ({self.layout.size},) is "
+                f"allowed: {self.layout.bins} terrain heights and 3 angles"
+            )
+        if not np.isfinite(array).all():
+            raise NonFiniteError(f"{self.name}: the observation is not finite: {array}")
+        self._recent.append(array)
+        return policy.act_on(tuple(self._recent))
+
+    def act(self, perception: Perception) -> int:
+        """Return the action, an index into ``flipperctl.api.ACTIONS``, for a perception.
+
+        ``perception``: ``env.unwrapped.perception``, which holds the earlier observations as well.
+
+        Raises:
+            PluginFailedError: the controller's code failed.
+            RequestError: a controller's episode was not begun by ``reset(env)``.
+        """
+        if self._policy is None:
+            raise RequestError(f"{self.name}: reset(env) must begin the episode of a controller")
+        return self._policy.act(perception)
+
+    def _build(self, config: EnvConfig) -> None:
+        for note in self.source.notes(config):
+            print_note(note)
+        self._policy, self._config = self.source.build(config), config
+
+    def _observing(self, given: str) -> FilePolicy:
+        if self.source.checkpoint is not None:
+            return cast("FilePolicy", self._policy)
+        raise RequestError(
+            f"{self.name} is a controller, which may need more than {given}: points of the ground "
+            "or a simulator. Begin its episodes with reset(env), and call "
+            "act(env.unwrapped.perception)"
+        )
