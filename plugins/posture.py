@@ -4,6 +4,7 @@ A robot that is geometry alone carries no load and has nubot's masses and speed.
 """
 
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,7 +65,7 @@ def contacts(
     x, z = profile.around_each(position[:, 0], reach, far=True)
     x, z = x - position[:, :1], z - position[:, 1:]
     axles = ((-ahead, ahead), (ahead, front), (rear, -ahead))
-    gap = np.min([_distances(a, b, x, z) for a, b in axles], axis=0) - robot.track_radius
+    gap = reduce(np.minimum, (_distances(a, b, x, z) for a, b in axles)) - robot.track_radius
     return Contacts(front, rear, x, z, gap <= touch)  # never for NaN
 
 
@@ -74,5 +75,6 @@ def _distances(begin: FloatArray, end: FloatArray, x: FloatArray, z: FloatArray)
     x, z = x - begin[:, :1], z - begin[:, 1:]
     unit = along / (along * along).sum(axis=1, keepdims=True)
     fraction = np.clip(x * unit[:, :1] + z * unit[:, 1:], 0.0, 1.0)
-    distances: FloatArray = np.hypot(x - fraction * along[:, :1], z - fraction * along[:, 1:])
+    x, z = x - fraction * along[:, :1], z - fraction * along[:, 1:]
+    distances: FloatArray = np.sqrt(x * x + z * z)  # a fifth of hypot's time
     return distances

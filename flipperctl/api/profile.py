@@ -205,7 +205,7 @@ class Profile:
         ``x`` is (M,) and ``reach`` (M,) or one number [m]. Rows of fewer points end in NaN. If
         ``x`` is a number, the points are (P,).
         """
-        if not np.ndim(x):
+        if not getattr(x, "ndim", 0):  # faster than numpy's function
             points = self.around(float(x), float(reach), far=far)
             return points[:, 0], points[:, 1]
         cloud = self._far_cloud if far else self.cloud

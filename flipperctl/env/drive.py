@@ -66,6 +66,7 @@ class Drive:
         z [m], pitch, front and rear flipper angle [rad]."""
         self.flipper_work: float | None = None
         """Work of the flippers' motors in the last decision [J]; None: not measured."""
+        self._work = self.world.flipper_work()
         self._rule = TargetRule(window=self.robot.angle_step, limit=self.robot.angle_limit)
         self._turns = turns(self.robot.angle_step).tolist()
         self.targets = (start.front, start.rear)
@@ -97,11 +98,11 @@ class Drive:
 
     def decide(self, action: int) -> Outcome | None:
         """Turn the flippers by one action and simulate one decision; return the outcome, if any."""
-        state, begun = self.state, self.world.flipper_work()
+        state, begun = self.state, self._work
         turned = self._turns[action]
         self.targets = self._rule.next_targets(self.targets, (state.front, state.rear), turned)
         outcome = self._run()
-        ended = self.world.flipper_work()
+        self._work = ended = self.world.flipper_work()
         self.flipper_work = None if begun is None or ended is None else ended - begun
         self.state = self.world.state()
         if self._undelayed or outcome is not None:
@@ -118,7 +119,8 @@ class Drive:
                 self.poses = np.concatenate([self.poses, poses])
                 done += len(poses)
                 self._moved(poses)
-                if (outcome := world.ended() or termination.after_sample(world)) is not None:
+                last = poses[-1, :3].tolist()
+                if (outcome := world.ended() or termination.after_sample(*last)) is not None:
                     self._take_samples()
                     return outcome
             if event == _TURN:
@@ -167,4 +169,5 @@ class Drive:
         self.poses, self.flipper_work = last
         self._samples, self._samplings = sampling
         self.world.load(world)
+        self._work = self.world.flipper_work()
         self.termination.load(termination)

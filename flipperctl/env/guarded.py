@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -50,8 +51,10 @@ from flipperctl.guard import Guarded, naming, refusal, short_repr
 _METHODS = ("command", "advance", "state", "penetration", "save", "load")
 _VECTORS = ("position", "velocity")
 _SCALARS = ("pitch", "front", "rear", "pitch_rate", "time", "roll", "yaw", "side", "side_velocity")
+_scalars, _vectors = attrgetter(*_SCALARS), attrgetter(*_VECTORS)
 _ARRAYS = (("orientation", (3, 3)), ("belts", (2,)))
 """Names and shapes of the arrays that may be None."""
+_ground = attrgetter("points", "heights", "position", "filled", "seen", "deviation")
 _STATE = "a RobotState of numbers, with two in each vector and 3 × 3 in the orientation"
 _NUMBERS = "fiu"
 """Kinds of numpy's types that are real numbers."""
@@ -118,7 +121,7 @@ class GuardedWorld(Guarded):
         if poses.ndim != 2 or poses.shape[1] != 5 or not 0 < len(poses) <= samples:
             allowed = f"1 to {samples} rows of 5 numbers"
             raise self.refusal("advance", f"an array of the shape {poses.shape}", allowed)
-        if not np.isfinite(poses).all():
+        if not _are_finite(poses):
             for pose in poses.tolist():
                 self._require_finite("advance", pose, ("x", "z", "pitch", "front", "rear"))
         return poses
@@ -127,9 +130,9 @@ class GuardedWorld(Guarded):
         """Return the current state."""
         state = self.call("state")
         try:
-            numbers = [getattr(state, name) for name in _SCALARS]
-            for name in _VECTORS:
-                x, z = getattr(state, name).tolist()
+            numbers = [*_scalars(state)]
+            for vector in _vectors(state):
+                x, z = vector.tolist()
                 numbers += x, z
             for name, shape in _ARRAYS:
                 if (array := getattr(state, name)) is not None:
@@ -307,18 +310,23 @@ class _Sensing(Guarded):
                 ground, angles = found
         if not isinstance(ground, SensedGround):
             raise self.refusal(method, short_repr(ground), "a SensedGround")
-        self._check_array(method, ground, "points", _NUMBERS, None)
-        self._check_array(method, ground, "heights", _NUMBERS, self._bins)
-        self._check_array(method, ground, "filled", "b", (len(ground.points),), optional=True)
-        self._check_array(method, ground, "seen", "b", self._bins, optional=True)
-        self._check_array(method, ground, "position", _NUMBERS, (2,), optional=True)
-        self._check_array(method, ground, "deviation", _NUMBERS, self._bins, optional=True)
-        if ground.deviation is not None and not (ground.deviation >= 0).all():  # nor NaN
+        points, heights, position, filled, seen, deviation = _ground(ground)
+        bins = self._bins
+        self._check(method, "points", points, _NUMBERS, None)
+        self._check(method, "heights", heights, _NUMBERS, bins)
+        if filled is not None:
+            self._check(method, "filled", filled, "b", (len(points),), optional=True)
+        if seen is not None:
+            self._check(method, "seen", seen, "b", bins, optional=True)
+        if position is not None:
+            self._check(method, "position", position, _NUMBERS, (2,), optional=True)
+        if deviation is not None:
+            self._check(method, "deviation", deviation, _NUMBERS, bins, optional=True)
+        if deviation is not None and not (deviation >= 0).all():  # nor NaN
             found, allowed = "a deviation that is negative or NaN", "0 or more, or infinity"
             raise self.refusal(method, found, allowed)
-        for name in ("points", "heights", "position"):
-            numbers = getattr(ground, name)
-            if numbers is not None and not np.isfinite(numbers).all():
+        for name, numbers in (("points", points), ("heights", heights), ("position", position)):
+            if numbers is not None and not _are_finite(numbers):
                 found = f"{name} that are not finite"
                 raise self.refusal(method, found, "finite numbers", NonFiniteError)
         if not isinstance(angles, SensedAngles):
@@ -332,20 +340,17 @@ class _Sensing(Guarded):
             raise self.refusal(method, found, "three finite numbers", NonFiniteError)
         return ground, angles
 
-    def _check_array(
+    def _check(
         self,
         method: str,
-        ground: SensedGround,
         name: str,
+        value: Any,
         kinds: str,
         shape: tuple[int, ...] | None,
         *,
         optional: bool = False,
     ) -> None:
         """Refuse an array of another kind or ``shape``; None: (P, 2)."""
-        value = getattr(ground, name)
-        if value is None and optional:
-            return
         if is_array := isinstance(value, np.ndarray):
             fits = value.shape[1:] == (2,) if shape is None else value.shape == shape
             if fits and value.dtype.kind in kinds:
@@ -434,6 +439,11 @@ class LatestMeasurement:
     def load(self, saved: Any) -> None:
         """Restore a snapshot."""
         self._latest = saved
+
+
+def _are_finite(numbers: FloatArray) -> bool:
+    """Return whether all numbers are finite, sooner than numpy's own ``all``."""
+    return bool(np.logical_and.reduce(np.isfinite(numbers), axis=None))
 
 
 def _has(value: object, method: str) -> bool:

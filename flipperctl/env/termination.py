@@ -11,7 +11,7 @@ import operator
 from collections import deque
 from typing import Any
 
-from flipperctl.api import ACTIONS, Limits, Outcome, Profile, Robot, World
+from flipperctl.api import ACTIONS, Limits, Outcome, Profile, Robot
 from flipperctl.config import Episode
 from flipperctl.env.start import finish_of
 from flipperctl.errors import ConfigError, TerrainError
@@ -65,12 +65,11 @@ class Termination:
         self._trail: deque[float] = deque([start], maxlen=episode.stuck_decisions(period) + 1)
         self._decisions = 0
 
-    def after_sample(self, world: World) -> Outcome | None:
+    def after_sample(self, x: float, z: float, pitch: float) -> Outcome | None:
         """Return OVERTURNED, or REACHED past the finish with both ends close to the ground."""
-        x, z = world.position
-        if not self.limits.reached(x, z, world.pitch):
+        if not self.limits.reached(x, z, pitch):
             return None
-        over = abs(world.pitch) >= self.limits.angle
+        over = abs(pitch) >= self.limits.angle
         return Outcome.OVERTURNED if over else Outcome.REACHED
 
     def after_decision(self, x: float) -> Outcome | None:
