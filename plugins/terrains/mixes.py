@@ -5,7 +5,7 @@ from flipperctl.api import AnyTerrain, terrain
 from .combinators import Course, Midway, Mix, parts_field, weights_field
 from .obstacles import Gap, Ramp, Step, Uplift
 from .rough import Rough
-from .rows import Pallet, Plum, Rubble, Wave
+from .rows import Pallet, Plates, Plum, Rubble, Wave
 from .stairs import BuildingStair, PaperStair, Stair, Stairwell
 
 _STAIR = Stair(fewest=3, most=6, tread=0.3, tread_down=0.25, tread_spread=0.05)
@@ -24,12 +24,14 @@ _MIX: tuple[tuple[AnyTerrain, float], ...] = (
     (Rubble(), 1.0),
     (Pallet(), 1.0),
     (Plum(), 2.0),
+    (Plates(), 1.5),
+    (Rough(longest=8.0, length_low=4.0, length_high=8.0), 1.5),
 )
 
 
 @terrain("all_kinds")
 class AllKinds(Mix):
-    """Draw one of ten kinds of ground each episode, from steps to boards of random height.
+    """Draw one of twelve kinds of ground each episode, from steps to natural ground.
 
     Stairs are the most frequent: flights of 3 to 16 steps, with and without landings. One policy
     for all of it is trained with this terrain.
@@ -51,6 +53,7 @@ _OBSTACLES: tuple[tuple[AnyTerrain, float], ...] = (
     (Pallet(most=3), 1.0),
     (Plum(most=3), 1.0),
     (Rough(length_low=1.5, length_high=3.0), 0.5),
+    (Plates(most=2), 1.0),
 )
 _SLOPES: tuple[tuple[AnyTerrain, float], ...] = (
     (BuildingStair(fewest=8, most=16), 2.0),
@@ -79,6 +82,7 @@ MIX: tuple[tuple[AnyTerrain, float], ...] = (
     (Rough(), 1.0),
     (Course(**_mix(_OBSTACLES)), 3.0),
     (Midway(terrain=Mix(**_mix(_SLOPES))), 1.5),
+    (Plates(height_low=0.2, height_high=0.35, tilt_low=-20, tilt_high=20), 0.8),
 )
 
 
@@ -87,14 +91,14 @@ class AllCourses(Mix):
     """The mix of ``all_kinds`` with what a policy meets in a real building or in rubble.
 
     That is flights of up to 16 steps with landings and turns, drops, courses of two to five
-    obstacles, rough ground, and starts and finishes on slopes and stairs.
+    obstacles, rough ground, high thin plates, and starts and finishes on slopes and stairs.
     """
 
     parts: tuple[AnyTerrain, ...] = parts_field(tuple(part for part, _ in MIX))
     weights: tuple[float, ...] = weights_field(tuple(weight for _, weight in MIX))
 
 
-_SHARES = (20.0, 3.0, 1.2, 0.7, 1.0, 2.0, 4.0, 0.7, 18.0, 2.0, 1.0, 4.0, 2.5)
+_SHARES = (20.0, 3.0, 1.2, 0.7, 1.0, 2.0, 4.0, 0.7, 18.0, 2.0, 1.0, 4.0, 2.5, 4.0)
 """Frequencies of the parts of ``all_courses``: many drops and deep trenches."""
 
 _HARD: tuple[tuple[AnyTerrain, float], ...] = (

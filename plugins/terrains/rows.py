@@ -27,8 +27,6 @@ class Pallet(DrawnRow):
     clearance_high: float = Field(
         1.0, gt=0, le=5, description="longest ground between two hurdles [m]"
     )
-    fewest: int = Field(2, ge=1, le=50, description="smallest number of hurdles [-]")
-    most: int = Field(4, ge=1, le=50, description="largest number of hurdles [-]")
 
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return four points per hurdle."""
@@ -39,6 +37,45 @@ class Pallet(DrawnRow):
             points += [(x, 0.0), (x, height), (x + width, height), (x + width, 0.0)]
             x += width + self.draw(rng, "clearance")
         return Profile(points, drawn={"hurdles": hurdles, "height": height, "width": width})
+
+
+@terrain("plates")
+class Plates(DrawnRow):
+    """Thin upright plates across the track, such as boards on edge, curbstones or low walls.
+
+    All plates of an episode are alike; each clearance is drawn anew. A tilted plate leans ahead,
+    or with a negative tilt towards the robot; the ground below its overhang is filled.
+    """
+
+    thickness_low: float = Field(0.01, gt=0, le=0.3, description="thinnest plates [m]")
+    thickness_high: float = Field(0.1, gt=0, le=0.3, description="thickest plates [m]")
+    height_low: float = Field(0.1, gt=0, le=0.8, description="lowest plates [m]")
+    height_high: float = Field(0.3, gt=0, le=0.8, description="highest plates [m]")
+    tilt_low: float = Field(-10.0, ge=-30, le=30, description="smallest tilt from upright [°]")
+    tilt_high: float = Field(10.0, ge=-30, le=30, description="largest tilt from upright [°]")
+    clearance_low: float = Field(
+        0.15, gt=0, le=5, description="shortest ground between two plates [m]"
+    )
+    clearance_high: float = Field(
+        1.0, gt=0, le=5, description="longest ground between two plates [m]"
+    )
+    fewest: int = Field(1, ge=1, le=50, description="smallest number of plates [-]")
+    most: int = Field(3, ge=1, le=50, description="largest number of plates [-]")
+
+    def generate(self, rng: np.random.Generator) -> Profile:
+        """Return four points per plate."""
+        thickness, height = self.draw(rng, "thickness"), self.draw(rng, "height")
+        tilt = self.draw(rng, "tilt")
+        lean = height * math.tan(math.radians(tilt))
+        ahead, back = max(lean, 0.0), max(-lean, 0.0)
+        x, points = 0.0, list[tuple[float, float]]()
+        plates = self.draw_count(rng)
+        for _ in range(plates):
+            top, end = x + ahead, x + ahead + thickness
+            points += [(x, 0.0), (top, height), (end, height), (end + back, 0.0)]
+            x = end + back + self.draw(rng, "clearance")
+        drawn = {"plates": plates, "height": height, "thickness": thickness, "tilt": tilt}
+        return Profile(points, drawn=drawn)
 
 
 @terrain("plum")
@@ -144,8 +181,6 @@ class Wave(DrawnRow):
     length_high: float = Field(1.0, gt=0.05, le=10, description="longest wave [m]")
     height_low: float = Field(0.1, gt=0, le=1, description="lowest wave, trough to crest [m]")
     height_high: float = Field(0.4, gt=0, le=1, description="highest wave, trough to crest [m]")
-    fewest: int = Field(2, ge=1, le=50, description="smallest number of waves [-]")
-    most: int = Field(4, ge=1, le=50, description="largest number of waves [-]")
 
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return sixteen chords per wave."""

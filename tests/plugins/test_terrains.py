@@ -10,7 +10,7 @@ from flipperctl_plugins.terrains.rough import Rough
 from flipperctl.api import Profile
 from flipperctl.config import resolver
 
-FAMILIES = "building_stair curb_and_ramp gap pallet plum rail ramp rubble uplift wave"
+FAMILIES = "building_stair curb_and_ramp gap pallet plates plum rail ramp rubble uplift wave"
 
 
 def drawn(name: str, seed: int = 0, **fields: object) -> Profile:
@@ -63,6 +63,20 @@ def test_hurdles_are_equal_and_piles_are_not() -> None:
     assert len(set(piles[1::4, 1])) == 3
     for points in (hurdles, piles):
         assert set(points[0::4, 1]) == set(points[3::4, 1]) == {0.0}
+
+
+@pytest.mark.parametrize(
+    ("tangent", "x"),
+    [(0, [0, 0, 0.02, 0.02]), (0.5, [0, 0.1, 0.12, 0.12]), (-0.5, [0, 0, 0.02, 0.12])],
+)
+def test_a_plate_leans_by_its_tilt_over_filled_ground(tangent: float, x: list[float]) -> None:
+    tilt = math.degrees(math.atan(tangent))
+    fields = {"thickness": 0.02, "height": 0.2, "clearance": 0.3, "fewest": 2, "most": 2}
+    profile = drawn("plates", tilt=tilt, **fields)
+    second = [x[-1] + 0.3 + at for at in x]
+    assert profile.points[:, 0] == pytest.approx([*x, *second])
+    assert profile.points[:, 1].tolist() == [0, 0.2, 0.2, 0] * 2
+    assert profile.drawn == {"plates": 2, "height": 0.2, "thickness": 0.02, "tilt": tilt}
 
 
 def test_a_pavement_has_its_curb_at_either_end() -> None:
@@ -265,7 +279,8 @@ def test_the_mix_of_all_courses_has_everything() -> None:
     mix, rng = resolver.create("terrain", "all_courses", "terrain"), np.random.default_rng(1)
     found = [mix.labelled(rng) for _ in range(400)]
     labels = {profile.label for profile in found}
-    assert {"course", "stairwell", "rough", "step", "gap", "pallet", "plum", "ramp"} <= labels
+    wanted = "course stairwell rough step gap pallet plates plum ramp"
+    assert labels.issuperset(wanted.split())
     assert max(p.drawn["steps"] for p in found if p.label == "building_stair") == 16
     assert min(p.drawn["height"] for p in found if p.label == "step") < -0.6
     assert any(p.run_up is not None for p in found)

@@ -2,8 +2,9 @@
 
 import re
 import shlex
-from itertools import islice
+from itertools import compress, islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -167,6 +168,17 @@ def command(path: Path, config: TrainConfig) -> list[str]:
     return shlex.split(found[-1].replace("=RUN", f"={config.agent.start_from}"))
 
 
+def without_newer(terrain: Any) -> Any:
+    """Return a terrain without what its mixes have had since the shipped policies were trained."""
+    if isinstance(terrain, list):
+        return [without_newer(part) for part in terrain]
+    if not isinstance(terrain, dict):
+        return terrain
+    kept = [p["name"] != "plates" and p.get("longest") != 8.0 for p in terrain.get("parts", [])]
+    older = {key: list(compress(terrain[key], kept)) for key in ("parts", "weights") if kept}
+    return {key: without_newer(value) for key, value in {**terrain, **older}.items()}
+
+
 @pytest.mark.parametrize(("name", "path"), SHIPPED)
 def test_a_shipped_policy_has_the_configuration_of_its_command_and_reaches_the_finish(
     name: str, path: Path
@@ -180,6 +192,7 @@ def test_a_shipped_policy_has_the_configuration_of_its_command_and_reaches_the_f
     compose.register_defaults()
     (experiment,) = compose.compose_train(Overrides.parse(command(path, saved.config())))
     trained, wanted = to_dict(saved.config()), to_dict(experiment)
+    wanted["terrain"] = without_newer(wanted["terrain"])
     for terrain in (trained["terrain"], wanted["terrain"]):
         del terrain["name"]  # all_kinds was a mix with these parts when mpc_value was trained
     for train in (trained["train"], wanted["train"]):
