@@ -124,7 +124,7 @@ class Sensor(ObservationLayout, Plugin):
     @property
     def layout(self) -> ObservationLayout:
         """Layout of the observation, without the sensor's own settings."""
-        return ObservationLayout(bins=self.bins, bin_width=self.bin_width)
+        return ObservationLayout(**{n: getattr(self, n) for n in ObservationLayout.model_fields})
 
 
 SensorT = TypeVar("SensorT", bound=Sensor)

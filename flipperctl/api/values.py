@@ -199,10 +199,10 @@ class RobotState:
 
 
 class ObservationLayout(Settings):
-    """Layout of the N + 3 numbers of an observation (paper Eqs. 1 and 2).
+    """Layout of the numbers of an observation (paper Eqs. 1 and 2).
 
-    They are N mean heights of the ground in frame L [m], then front and rear flipper angle and
-    pitch [rad].
+    They are N mean heights of the ground in frame L [m], then the N ``highest`` ones, then front
+    and rear flipper angle and pitch [rad].
     """
 
     bins: int = Field(15, ge=3, le=101, description="N, terrain heights in an observation [-]")
@@ -210,10 +210,27 @@ class ObservationLayout(Settings):
         0.15, gt=0.01, le=1, description="d, width of a bin; the paper gives no number [m]"
     )
 
+    highest: bool = Field(
+        True,
+        description="whether the height of each bin's highest point stands in the observation, "
+        "too, which shows obstacles thinner than a bin; false: the paper's observation [-]",
+    )
+
+    @property
+    def heights(self) -> int:
+        """Number of heights in an observation, N or 2 N [-]."""
+        return observation.heights(self.bins, self.highest)
+
     @property
     def size(self) -> int:
-        """Length of an observation, N + 3 [-]."""
-        return observation.size(self.bins)
+        """Length of an observation, ``heights`` + 3 [-]."""
+        return self.heights + len(observation.ANGLES)
+
+    @property
+    def words(self) -> str:
+        """The layout in words that name its settings, for errors."""
+        kind = "true" if self.highest else "false"
+        return f"bins={self.bins}, bin_width={self.bin_width:g} m, highest={kind}"
 
     @property
     def reach(self) -> float:
@@ -222,8 +239,8 @@ class ObservationLayout(Settings):
 
     @property
     def scale(self) -> FloatArray:
-        """Typical magnitude of each number, by which networks divide, (N + 3,) in SI units."""
-        return observation.scale(self.bins)
+        """Typical magnitude of each number, by which networks divide, (n,) in SI units."""
+        return observation.scale(self.heights)
 
 
 @dataclass(frozen=True)

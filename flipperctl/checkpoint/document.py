@@ -35,7 +35,7 @@ from flipperctl.messages import explain
 if TYPE_CHECKING:
     import torch
 
-FORMAT: Final = 2
+FORMAT: Final = 3
 """Format number of version 0.3. Version 0.1 had 1; the documents of 0.2 lack ``actions``."""
 EPISODES: Final = "episodes"
 """Document kind of recorded episodes, which are sealed like checkpoints."""
@@ -235,7 +235,7 @@ class State(Record):
 class Document(Record):
     """The document of a checkpoint of kind ``best`` (a policy) or ``last`` (a whole run)."""
 
-    format: Literal[2]
+    format: Literal[3]
     kind: Literal["best", "last"]
     config: PartialConfig
     versions: dict[Label, Label]
@@ -298,10 +298,9 @@ def parse(text: str) -> Document:
     if raw.get("kind") == EPISODES:
         raise ValueError("it describes recorded episodes, which hold no policy")
     number = raw.get("format")
-    if type(number) is int and "config" in raw and number in (1, FORMAT):
-        version = "0.1" if number == 1 else "0.2"
-        if number == 1 or "actions" not in raw:
-            raise OldVersionError(version, f"train again, or use it with flipperctl {version}")
+    if type(number) is int and "config" in raw and number in (1, 2):
+        version = f"0.{number}"
+        raise OldVersionError(version, f"train again, or use it with flipperctl {version}")
     return validated(Document, raw, FORMAT)
 
 

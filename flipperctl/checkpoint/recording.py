@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from flipperctl import __version__
-from flipperctl.api import ACTIONS, Outcome, Robot
+from flipperctl.api import ACTIONS, ObservationLayout, Outcome, Robot
 from flipperctl.checkpoint import document as sealed
 from flipperctl.checkpoint.document import (
     EPISODES,
@@ -41,7 +41,6 @@ from flipperctl.checkpoint.document import (
     validated,
 )
 from flipperctl.config import EnvConfig, to_dict
-from flipperctl.core import observation
 from flipperctl.errors import CheckpointError, ConfigError, OldVersionError
 from flipperctl.files import OutputKind, write_bytes
 from flipperctl.sim.versions import engine_versions
@@ -49,7 +48,7 @@ from flipperctl.sim.versions import engine_versions
 if TYPE_CHECKING:
     import torch
 
-FORMAT: Final = 1
+FORMAT: Final = 2
 """Format number of these files."""
 NOUN = "file of recorded episodes"
 KIND = OutputKind(f"a {NOUN}", (".safetensors",), re.compile(rb'\\"kind\\": ?\\"episodes\\"'))
@@ -82,6 +81,12 @@ class PartialPerception(Partial):
 
     bins: Annotated[int, Field(ge=3, le=101)]
     bin_width: Annotated[float, Field(gt=0, le=1)]
+    highest: bool
+
+    @property
+    def layout(self) -> ObservationLayout:
+        """The layout alone."""
+        return ObservationLayout(bins=self.bins, bin_width=self.bin_width, highest=self.highest)
 
 
 class PartialEnvironment(Partial):
@@ -107,7 +112,7 @@ class EpisodeEntry(Record):
 class RecordingDocument(Record):
     """The document of a file of recorded episodes."""
 
-    format: Literal[1]
+    format: Literal[2]
     kind: Literal["episodes"]
     driver: str
     """Source of the actions: a controller's name, a policy's file, or a training's terrain."""
@@ -169,10 +174,10 @@ def write(
             for at, episode in placed
         ),
     )
-    bins = parts[0][0].perception.bins if parts else 0
+    size = parts[0][0].perception.layout.size if parts else 0
     tensors = {
         name: _joined([getattr(episode, f"{name}s") for _, episode in placed], shape, kind)
-        for name, (shape, kind) in _rows(bins).items()
+        for name, (shape, kind) in _rows(size).items()
     }
     text = json.dumps(document.model_dump(mode="json"), allow_nan=False)
     write_bytes(path, sealed.serialize(text, tensors))
@@ -180,17 +185,18 @@ def write(
 
 def require_one_layout(path: Path, configs: Sequence[EnvConfig]) -> None:
     """Check that episodes in these environments fit into one file."""
-    if len({(config.perception.bins, config.perception.bin_width) for config in configs}) > 1:
+    found = {config.perception.layout.words for config in configs}
+    if len(found) > 1:
         raise ConfigError(
-            f"{path}: a {NOUN} has one observation layout; perception.bins or "
-            "perception.bin_width differs between the environments"
+            f"{path}: a {NOUN} has one observation layout; the environments have {len(found)}: "
+            f"{'; '.join(sorted(found))}"
         )
 
 
-def _rows(bins: int) -> dict[str, tuple[tuple[int, ...], type[np.generic]]]:
+def _rows(size: int) -> dict[str, tuple[tuple[int, ...], type[np.generic]]]:
     """Return shape and type of a row of each tensor."""
     return {
-        "observation": ((observation.size(bins),), np.float32),
+        "observation": ((size,), np.float32),
         "action": ((), np.int64),
         "reward": ((), np.float64),
         "label": ((len(ACTIONS),), np.float32),
@@ -234,11 +240,11 @@ def _check(document: RecordingDocument, tensors: Mapping[str, torch.Tensor]) -> 
 
     count = sum(episode.decisions for episode in document.episodes)
     counts = {"observation": count + len(document.episodes)}
-    bins = document.environments[0].perception.bins if document.environments else 0
+    size = document.environments[0].perception.layout.size if document.environments else 0
     # Views of one number: the document may be of any origin, and its shapes of any size.
     expected = {
         name: torch.from_numpy(np.zeros((), kind)).expand(counts.get(name, count), *shape)
-        for name, (shape, kind) in _rows(bins).items()
+        for name, (shape, kind) in _rows(size).items()
     }
     require_equal_layout(tensors, expected)
     action, label = tensors["action"], tensors["label"]

@@ -1,9 +1,11 @@
-"""Layout of the N + 3 numbers of an observation (paper Eqs. 1 and 2), and its mean heights.
+"""Layout of the numbers of an observation (paper Eqs. 1 and 2), and the heights of its bins.
 
-They are N mean heights of the ground in frame L [m], from rear to front, then front and rear
-flipper angle in frame R and pitch [rad]. Frame L is level with its origin at the chassis centre,
+They are the mean heights of the ground in N bins of frame L [m], from rear to front, then, unless
+the layout is the paper's, the heights of each bin's highest point, then front and rear flipper
+angle in frame R and pitch [rad]. A mean hides what is thinner than its bin: of a plate 2 cm thick
+and 0.25 m high it shows a seventh. Frame L is level with its origin at the chassis centre,
 frame R is fixed to the chassis. Unseen ground is filled with points on straight lines between the
-seen points. ``sim.planar.rays`` compiles ``sum_heights`` and the filling; they call no other
+seen points. ``sim.planar.rays`` compiles ``add_heights`` and the filling; they call no other
 function, so that they can be compiled as they are.
 """
 
@@ -21,9 +23,9 @@ ANGLES = ("theta_f1", "theta_f2", "theta_R")
 """Names of the angles after the heights: front flippers, rear flippers, pitch."""
 
 
-def size(bins: int) -> int:
-    """Return the length of an observation, N + 3 [-]."""
-    return bins + len(ANGLES)
+def heights(bins: int, highest: bool) -> int:
+    """Return the number of heights in an observation: N, or 2 N with the ``highest`` points [-]."""
+    return 2 * bins if highest else bins
 
 
 def reach(bins: int, bin_width: float) -> float:
@@ -36,20 +38,20 @@ def edges(bins: int, bin_width: float) -> FloatArray:
     return np.arange(bins + 1, dtype=np.float64) * bin_width - reach(bins, bin_width)
 
 
-def scale(bins: int) -> FloatArray:
-    """Return the typical magnitude of each number of an observation, (N + 3,) in SI units."""
-    return np.concatenate([np.full(bins, 0.5), np.full(len(ANGLES), math.pi / 3)])
+def scale(heights: int) -> FloatArray:
+    """Return the typical magnitudes of ``heights`` heights and the angles, in SI units."""
+    return np.concatenate([np.full(heights, 0.5), np.full(len(ANGLES), math.pi / 3)])
 
 
 def assemble(
     heights: FloatArray, *, front: float, rear: float, pitch: float
 ) -> NDArray[np.float32]:
-    """Return an observation, (N + 3,) in SI units.
+    """Return an observation, (n,) in SI units.
 
-    ``heights``: mean height of each bin in frame L, (N,) [m]; ``front``, ``rear``: angles of the
+    ``heights``: those of ``bin_heights``; ``front``, ``rear``: angles of the
     flippers in frame R, above the chassis positive [rad]; ``pitch``: nose up positive [rad].
     """
-    found = np.empty(size(len(heights)), dtype=np.float32)
+    found = np.empty(len(heights) + len(ANGLES), dtype=np.float32)
     found[: len(heights)] = heights
     found[len(heights) :] = front, rear, pitch
     return found
@@ -62,13 +64,19 @@ def to_level(points: FloatArray, pitch: float) -> FloatArray:
     return np.column_stack([cos * x - sin * z, sin * x + cos * z])
 
 
-def sum_heights(
-    points: FloatArray, behind: float, width: float, total: FloatArray, count: FloatArray
+def add_heights(
+    points: FloatArray,
+    behind: float,
+    width: float,
+    total: FloatArray,
+    count: FloatArray,
+    top: FloatArray,
 ) -> int:
-    """Sum up the heights of each bin's points and count them; return the number of bins with any.
+    """Add up the heights of each bin's points and count them; return the number of bins with any.
 
     ``points`` are (P, 2) in frame L; the first bin begins ``behind`` the chassis centre, and a bin
-    is ``width`` long [m]. ``total`` and ``count`` are (N,) zeros.
+    is ``width`` long [m]. ``total`` and ``count`` are (N,) zeros; ``top``, the heights of the
+    highest points, are (N,) negative infinities.
     """
     seen = 0
     for i in range(len(points)):
@@ -77,35 +85,45 @@ def sum_heights(
             seen += 1
         total[index] += points[i, 1]
         count[index] += 1
+        top[index] = max(top[index], points[i, 1])
     return seen
 
 
-Sum = Callable[[FloatArray, float, float, FloatArray, FloatArray], int]
-"""A function like ``sum_heights``."""
+Add = Callable[[FloatArray, float, float, FloatArray, FloatArray, FloatArray], int]
+"""A function like ``add_heights``."""
 
 
-def mean_heights(
-    points: FloatArray, bins: int, bin_width: float, sum_heights: Sum = sum_heights
+def bin_heights(
+    points: FloatArray,
+    bins: int,
+    bin_width: float,
+    *,
+    highest: bool,
+    add_heights: Add = add_heights,
 ) -> FloatArray:
-    """Return the mean height of the points of each bin, (N,) in frame L, rear to front [m].
+    """Return the mean height of each bin's points, rear to front, then those ``highest``, too.
 
-    ``points``: (P, 2) in frame L within ``reach`` [m], in any order. The height of an
-    empty bin is interpolated linearly between its neighbours; beyond the outermost bins with
-    points it equals theirs. Without any points, every height is 0. ``sum_heights``
+    The heights are (N,), or (2 N,) with the highest points, in frame L [m].
+    ``points``: (P, 2) in frame L within ``reach`` [m], in any order. Heights of an
+    empty bin are interpolated linearly between its neighbours; beyond the outermost bins with
+    points they equal theirs. Without any points, every height is 0. ``add_heights``
     may be a compiled one.
     """
-    total, count = np.zeros(bins), np.zeros(bins)
-    seen = sum_heights(points, reach(bins, bin_width), bin_width, total, count)
-    if seen == bins:
-        return total / count
+    total, count, top = np.zeros(bins), np.zeros(bins), np.full(bins, -math.inf)
+    seen = add_heights(points, reach(bins, bin_width), bin_width, total, count, top)
     if not seen:
-        return total
-    where = np.flatnonzero(count)
-    return np.interp(np.arange(bins), where, total[where] / count[where])
+        return np.zeros(heights(bins, highest))
+    if seen == bins:
+        mean = total / count
+    else:
+        where, every = np.flatnonzero(count), np.arange(bins)
+        mean = np.interp(every, where, total[where] / count[where])
+        top = np.interp(every, where, top[where])
+    return np.concatenate([mean, top]) if highest else mean
 
 
 def occupied(points: FloatArray, bins: int, bin_width: float) -> NDArray[np.bool_]:
-    """Return which bins have points, (N,); ``points`` are (P, 2) as for ``mean_heights`` [m]."""
+    """Return which bins have points, (N,); ``points`` are (P, 2) as for ``bin_heights`` [m]."""
     index = (points[:, 0] + reach(bins, bin_width)) / bin_width
     found = np.zeros(bins, np.bool_)
     found[np.clip(index.astype(np.int64), 0, bins - 1)] = True

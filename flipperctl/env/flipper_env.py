@@ -108,7 +108,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         """Plugins of the episodes that are not part of flipperctl."""
         self.observers: tuple[Observer, ...] = ()
         """Observers of the episodes that begin from now on."""
-        high = np.concatenate([np.full(self.layout.bins, 100.0), np.full(3, math.pi)])
+        high = np.concatenate([np.full(self.layout.heights, 100.0), np.full(3, math.pi)])
         self.observation_space = gymnasium.spaces.Box(
             -high.astype(np.float32), high.astype(np.float32)
         )

@@ -299,7 +299,7 @@ class _Sensing(Guarded):
 
     def __init__(self, sensor: Sensor, built: object) -> None:
         super().__init__(sensor, built)
-        self._bins = (sensor.layout.bins,)
+        self._bins, self._heights = (sensor.layout.bins,), (sensor.layout.heights,)
 
     def _sensed(self, method: str, *given: Any) -> tuple[SensedGround, SensedAngles]:
         found = self.call(method, *given)
@@ -313,7 +313,7 @@ class _Sensing(Guarded):
         points, heights, position, filled, seen, deviation = _ground(ground)
         bins = self._bins
         self._check(method, "points", points, _NUMBERS, None)
-        self._check(method, "heights", heights, _NUMBERS, bins)
+        self._check(method, "heights", heights, _NUMBERS, self._heights)
         if filled is not None:
             self._check(method, "filled", filled, "b", (len(points),), optional=True)
         if seen is not None:

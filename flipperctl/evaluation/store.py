@@ -154,7 +154,7 @@ def _scoring(config: EvalConfig) -> dict[str, Any]:
     return {
         **({"files": [content_digest(file) for file in read]} if read else {}),
         "rewards": whole["rewards"],
-        "layout": {name: whole["perception"][name] for name in ("bins", "bin_width")},
+        "layout": to_dict(config.perception.layout),
         "measures": {name: to_dict(measure) for name, measure in found.items()},
         "sources": foreign_sources([*config.rewards.values(), *found.values()]),
     }

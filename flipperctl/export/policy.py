@@ -208,6 +208,7 @@ def policy_metadata(config: TrainConfig, risk: RiskSign | None = None) -> dict[s
         "observation": describe_observation(layout),
         "bins": layout.bins,
         "bin_width": layout.bin_width,
+        "highest": layout.highest,
         "frames": config.network.frames,
         "joints": JOINTS,
         "actions": turns(robot.angle_step).tolist(),
@@ -235,12 +236,16 @@ def policy_metadata(config: TrainConfig, risk: RiskSign | None = None) -> dict[s
 
 
 def describe_observation(layout: ObservationLayout) -> list[dict[str, str]]:
-    """Return the name, unit, frame and meaning of each of an observation's N + 3 numbers."""
-    edges = pairwise(observation.edges(layout.bins, layout.bin_width))
-    height = "mean terrain height, up positive, for x in [{:.3f}, {:.3f}) m"
+    """Return the name, unit, frame and meaning of each of an observation's numbers."""
+    edges = list(pairwise(observation.edges(layout.bins, layout.bin_width)))
     front, rear, pitch = observation.ANGLES
+    kinds = {"h": "mean terrain height", **({"top": "highest point"} if layout.highest else {})}
     rows = [
-        *((f"h_{i}", "m", "L", height.format(*ends)) for i, ends in enumerate(edges, 1)),
+        *(
+            (f"{name}_{i}", "m", "L", f"{what}, up positive, for x in [{low:.3f}, {high:.3f}) m")
+            for name, what in kinds.items()
+            for i, (low, high) in enumerate(edges, 1)
+        ),
         (front, "rad", "R", "front flippers, above chassis positive"),
         (rear, "rad", "R", "rear flippers, above chassis positive"),
         (pitch, "rad", "L", "pitch, nose up positive"),

@@ -327,7 +327,9 @@ class Ground:
         along = np.concatenate([[0.0], np.cumsum(length)])
         at = np.arange(0.0, along[-1] + _SPACING / 2, _SPACING)
         self._x = np.interp(at, along, line[:, 0])
-        self._sums = np.concatenate([[0.0], np.cumsum(np.interp(at, along, line[:, 1]))])
+        z = np.interp(at, along, line[:, 1])
+        self._sums = np.concatenate([[0.0], np.cumsum(z)])
+        self._z, self._highest = np.append(z, -np.inf), layout.highest
         self._line = line
         self._edges = np.arange(layout.bins + 1) * layout.bin_width - layout.reach
 
@@ -342,9 +344,19 @@ class Ground:
         count = np.diff(index, axis=1)
         total = self._sums[index[:, 1:]] - self._sums[index[:, :-1]]
         heights = total / np.maximum(count, 1)
+        found = [heights, self._tops(index)] if self._highest else [heights]
         if not count.all():
             middle = (edges[:, 1:] + edges[:, :-1]) / 2
             level = np.interp(middle, self._line[:, 0], self._line[:, 1])
-            heights = np.where(count == 0, level, heights)
+            found = [np.where(count == 0, level, one) for one in found]
         angles = states[:, [FLIPPERS, FLIPPERS + 1, 2]]
-        return np.column_stack([heights - places[:, 1:], angles]).astype(np.float32)
+        below = places[:, 1:]
+        return np.column_stack([*(one - below for one in found), angles]).astype(np.float32)
+
+    def _tops(self, index: NDArray[np.int64]) -> FloatArray:
+        """Return the height of the highest point from each index to the next, (M, N) [m].
+
+        It is any number where there is none.
+        """
+        parts = np.maximum.reduceat(self._z, index.ravel()).reshape(index.shape)
+        return parts[:, :-1]

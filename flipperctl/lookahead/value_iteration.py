@@ -315,11 +315,11 @@ def _levelled(
     seen: NDArray[np.float32], first: NDArray[np.int64], layout: ObservationLayout
 ) -> NDArray[np.float32]:
     """Return observations (M, N + 3) whose heights from the bin ``first`` (M,) on are level."""
-    bins = np.arange(layout.bins)
+    bins = np.arange(layout.heights) % layout.bins
     last = seen[np.arange(len(seen)), first - 1]
     found = seen.copy()
-    found[:, : layout.bins] = np.where(
-        bins >= first[:, None], last[:, None], seen[:, : layout.bins]
+    found[:, : layout.heights] = np.where(
+        bins >= first[:, None], last[:, None], seen[:, : layout.heights]
     )
     return found
 

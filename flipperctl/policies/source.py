@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.agent.frames import stacked
-from flipperctl.api import Controller, Perception, Policy, Robot, Simulator
+from flipperctl.api import Controller, ObservationLayout, Perception, Policy, Robot, Simulator
 from flipperctl.api.plugin import registered_names
 from flipperctl.checkpoint import LAST, find, read_policy, shipped_policies
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, parse, resolver
@@ -170,7 +170,7 @@ class PolicySource:
         if self.is_exported:
             exported = ExportedPolicy(self.file)
             interface = exported.interface
-            check_layout(self.file, interface.bins, interface.bin_width, config)
+            check_layout(self.file, layout_of(interface), config)
             check_robot(interface, config.robot, self.file)
             return exported
         from flipperctl.policies.trained import TrainedPolicy, policy_module, policy_risk
@@ -179,7 +179,7 @@ class PolicySource:
         own = checkpoint.policy_config()
         module, risk = policy_module(checkpoint), policy_risk(checkpoint)
         policy = TrainedPolicy(module, own.network.frames, risk, own.agent.escape)
-        check_layout(self.file, own.perception.bins, own.perception.bin_width, config)
+        check_layout(self.file, own.perception.layout, config)
         return policy
 
     @property
@@ -251,15 +251,18 @@ def controller_notes(
             )
 
 
-def check_layout(file: Path, bins: int, bin_width: float, config: EnvConfig) -> None:
-    """Check that an environment has the observation layout of a policy; ``bin_width`` [m]."""
-    layout = config.perception
-    if (bins, bin_width) != (layout.bins, layout.bin_width):
+def check_layout(file: Path, theirs: ObservationLayout, config: EnvConfig) -> None:
+    """Check that an environment has the observation layout of a policy."""
+    if theirs != (ours := config.perception.layout):
         raise CheckpointError(
-            f"{file}: the policy was trained on {bins} bins of {bin_width:g} m; "
-            "perception.bins and perception.bin_width ask for "
-            f"{layout.bins} of {layout.bin_width:g} m"
+            f"{file}: the policy was trained on {theirs.words}; perception asks for {ours.words}"
         )
+
+
+def layout_of(interface: Interface) -> ObservationLayout:
+    """Return the observation layout of an exported policy."""
+    fields = ObservationLayout.model_fields
+    return ObservationLayout(**{name: getattr(interface, name) for name in fields})
 
 
 class ExportedPolicy:
@@ -304,7 +307,7 @@ def exported_config(file: Path) -> EvalConfig:
     settings = {
         "terrain": dict(interface.terrain_config),
         "robot": dict(interface.robot),
-        "perception": {"bins": interface.bins, "bin_width": interface.bin_width},
+        "perception": layout_of(interface).model_dump(),
     }
     files = {(plugin.kind, plugin.name): plugin.file for plugin in interface.plugins}
     try:

@@ -424,6 +424,7 @@ def new_estimator(interface: Interface, setup: RobotSetup, *, level: bool = True
     settings = MapSettings(
         interface.bins,
         interface.bin_width,
+        interface.highest,
         interface.map_quality or MapQuality(),
         accuracy_of(setup.pose, setup.range_bias, setup.tilt_error),
     )

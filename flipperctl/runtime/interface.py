@@ -31,8 +31,8 @@ from flipperctl.errors import MissingExtraError, OldVersionError, PolicyError
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
-FORMAT_VERSION = 2
-"""Format of the metadata under ``flipperctl.*``; version 0.1 had 1, without a checksum."""
+FORMAT_VERSION = 3
+"""Format of the metadata under ``flipperctl.*``; versions 0.1 and 0.2 had 1 and 2."""
 PREFIX = "flipperctl."
 CHECKSUM = f"{PREFIX}sha256"
 PLACEHOLDER = "0" * 64
@@ -77,11 +77,13 @@ class Interface:
     """The inputs and outputs of an exported policy, read from its metadata."""
 
     observation: tuple[Quantity, ...]
-    """The N + 3 numbers of one observation, in their order."""
+    """The numbers of one observation, in their order."""
     bins: int
-    """N, the number of terrain heights in an observation."""
+    """N, the number of bins of the ground."""
     bin_width: float
     """Width of a bin [m]."""
+    highest: bool
+    """Whether N heights of highest points follow the N mean heights."""
     frames: int
     """Number of consecutive observations that form one input of the network, oldest first."""
     actions: NDArray[np.float64]
@@ -115,14 +117,19 @@ class Interface:
         return len(self.observation)
 
     @property
+    def heights(self) -> int:
+        """Number of terrain heights in an observation, N or 2 N."""
+        return layout.heights(self.bins, self.highest)
+
+    @property
     def limits(self) -> NDArray[np.float64]:
-        """Largest plausible magnitudes of the numbers of one observation, (N + 3,) [m, rad]."""
-        highest = LARGEST_HEIGHT + layout.reach(self.bins, self.bin_width)
-        return np.array([highest] * self.bins + [LARGEST_ANGLE] * len(ANGLES))
+        """Largest plausible magnitudes of the numbers of one observation, (n,) [m, rad]."""
+        largest = LARGEST_HEIGHT + layout.reach(self.bins, self.bin_width)
+        return np.array([largest] * self.heights + [LARGEST_ANGLE] * len(ANGLES))
 
     @property
     def inputs(self) -> int:
-        """Length of one input of the network: frames · (N + 3)."""
+        """Length of one input of the network: frames · ``size``."""
         return self.frames * self.size
 
 
@@ -305,8 +312,6 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
             f"{where} has format version {version!r}; "
             f"this version of flipperctl reads {FORMAT_VERSION}"
         )
-    if f"{PREFIX}joints" not in metadata:
-        raise PolicyError(f"{where} {OldVersionError('0.2', _EXPORT_AGAIN)}")
 
     def entry(name: str, allowed: str, check: Check, absent: str = "") -> Any:
         """Return an entry's value after ``check``; ``absent`` is the text of a missing one."""
@@ -329,7 +334,8 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
         return {key: value[key] for key in checks}
 
     bins = entry("bins", "a whole number above 0", _is_count)
-    size = layout.size(bins)
+    highest = entry("highest", "true or false", lambda v: isinstance(v, bool))
+    size = layout.heights(bins, highest) + len(ANGLES)
     observation = entry(
         "observation",
         f"a list of {size} mappings of frame, meaning, name, unit to text",
@@ -389,6 +395,7 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
         observation=tuple(Quantity(**e) for e in observation),
         bins=bins,
         bin_width=entry("bin_width", "a length above 0", _is_positive),
+        highest=highest,
         frames=entry("frames", "a whole number above 0", _is_count),
         actions=actions,
         targets=TargetRule(window=rule["window"], limit=rule["limit"]),

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from flipperctl.core import observation as layout
-from flipperctl.core.observation import ANGLES, mean_heights
+from flipperctl.core.observation import ANGLES, bin_heights
 from flipperctl.core.risk import LAGS, Escape, Recurrence, with_recurrence
 from flipperctl.core.targets import ACTIONS
 from flipperctl.errors import FlipperctlError, NonFiniteError, PolicyError
@@ -178,7 +178,7 @@ class OnnxPolicy:
                 f"{self.path}: none of the {len(ground)} points lies within ±{reach:g} m of the "
                 "chassis centre"
             )
-        heights = mean_heights(near, bins, bin_width)
+        heights = bin_heights(near, bins, bin_width, highest=self.interface.highest)
         return layout.assemble(heights, front=front, rear=rear, pitch=pitch)
 
     def act(self, observation: ArrayLike) -> int:
@@ -314,7 +314,7 @@ class OnnxPolicy:
         found = f"{self.path}: observation{index.tolist()} ({quantity.name}) is {value:g}"
         if not math.isfinite(value):
             return NonFiniteError(f"{found}; finite numbers are allowed")
-        if at >= self.interface.bins:
+        if at >= self.interface.heights:
             return PolicyError(f"{found} rad; ±π is allowed: {DEGREES}")
         return PolicyError(
             f"{found} m; ±{limit:g} m is allowed: heights are in metres, measured from the chassis "
@@ -324,7 +324,7 @@ class OnnxPolicy:
     def _shape_error(self, array: NDArray[np.float32], allowed: str) -> PolicyError:
         return PolicyError(
             f"{self.path}: the observation has shape {array.shape}; {allowed} is allowed: "
-            f"{self.interface.bins} terrain heights and {len(ANGLES)} angles"
+            f"{self.interface.heights} terrain heights and {len(ANGLES)} angles"
             f"{', of each frame' if self._has_history else ''}"
         )
 

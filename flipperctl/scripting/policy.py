@@ -130,7 +130,7 @@ class LoadedPolicy:
         if array.shape != (self.layout.size,):
             raise PolicyError(
                 f"{self.name}: the observation has shape {array.shape}; ({self.layout.size},) is "
-                f"allowed: {self.layout.bins} terrain heights and 3 angles"
+                f"allowed: {self.layout.heights} terrain heights and 3 angles"
             )
         if not np.isfinite(array).all():
             raise NonFiniteError(f"{self.name}: the observation is not finite: {array}")

@@ -42,11 +42,10 @@ def check_fit(config: TrainConfig, found: Recording) -> None:
         )
     for environment in found.document.environments:
         theirs = environment.perception
-        if (ours.bins, ours.bin_width) != (theirs.bins, theirs.bin_width):
+        if ours.layout != theirs.layout:
             raise ConfigError(
-                f"teacher.episodes: {found.path} holds observations of {theirs.bins} bins of "
-                f"{theirs.bin_width:g} m; perception.bins and perception.bin_width ask for "
-                f"{ours.bins} of {ours.bin_width:g} m"
+                f"teacher.episodes: {found.path} holds observations of {theirs.layout.words}; "
+                f"perception asks for {ours.layout.words}"
             )
         _check_robot(config.robot, found.path, environment)
         rewards = {name: term.model_dump(mode="json") for name, term in environment.rewards.items()}

@@ -48,8 +48,8 @@ def read_start(config: TrainConfig) -> Start | None:
     with naming(_SETTING):
         checkpoint = read(file)
         module = policy_module(checkpoint)
-        theirs = checkpoint.policy_config().perception
-        check_layout(file, theirs.bins, theirs.bin_width, config.environment())
+        theirs = checkpoint.policy_config().perception.layout
+        check_layout(file, theirs, config.environment())
         risk = policy_risk(checkpoint) if config.agent.risk else None
     return _same_network(config, name, module), None if risk is None else risk.network
 

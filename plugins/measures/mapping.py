@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from flipperctl.api import FloatArray, Perception, Transition, measure
-from flipperctl.core.observation import mean_heights
+from flipperctl.core.observation import bin_heights
 
 _SPACING = 0.02
 """Distance between points of the true ground [m]."""
@@ -14,14 +14,15 @@ _MARGIN = 30.0
 
 
 def height_errors(episode: Sequence[Transition]) -> FloatArray:
-    """Return the errors of the heights H at each decision, perceived minus true, (T, N) [m]."""
+    """Return the errors of the mean heights H at each decision, perceived - true, (T, N) [m]."""
     layout = _perceived(episode[0]).layout
     cloud = episode[0].profile.sample(_SPACING, layout.reach + _MARGIN)
     errors = np.empty((len(episode), layout.bins))
     for row, t in zip(errors, episode, strict=True):
         x = t.before.position[0]
         first, last = np.searchsorted(cloud[:, 0], (x - layout.reach, x + layout.reach))
-        true = mean_heights(cloud[first:last] - t.before.position, layout.bins, layout.bin_width)
+        near = cloud[first:last] - t.before.position
+        true = bin_heights(near, layout.bins, layout.bin_width, highest=False)
         row[:] = _perceived(t).observation[: layout.bins] - true
     return errors
 

@@ -41,7 +41,7 @@ class AtD3qn(Network):
         """Return the layers from observations (B, N + 3) to S′ (B, fused)."""
         from .modules import Fusion, Normalise, perceptron
 
-        terrain = perceptron((layout.bins, *self.terrain))
+        terrain = perceptron((layout.heights, *self.terrain))
         return [Normalise(layout), Fusion(layout, terrain, self.terrain[-1], self.fused)]
 
 
@@ -122,7 +122,7 @@ class Stacked(Network):
 
         from .modules import Dueling, Fusion, Motion, Normalise, perceptron
 
-        terrain = perceptron((layout.bins, *self.terrain), dropout=self.dropout)
+        terrain = perceptron((layout.heights, *self.terrain), dropout=self.dropout)
         seen = sorted({*range(self.window), *self.earlier}, reverse=True)
         changes = (len(seen) - 1) * layout.size
         return nn.Sequential(
@@ -152,8 +152,9 @@ class Conv(Network):
 
         from .modules import SLOPE, Dueling, Fusion, Normalise
 
-        layers: list[nn.Module] = [nn.Unflatten(1, (1, layout.bins))]
-        for inputs, outputs in pairwise((1, *self.channels)):
+        kinds = layout.heights // layout.bins
+        layers: list[nn.Module] = [nn.Unflatten(1, (kinds, layout.bins))]
+        for inputs, outputs in pairwise((kinds, *self.channels)):
             # The padding continues the ground level beyond the outermost bins.
             layers += [
                 nn.ReplicationPad1d(self.reach),

@@ -164,15 +164,15 @@ class Fusion(nn.Module):
         more: int = 0,
         dropout: float = 0.0,
     ) -> None:
-        """``terrain`` maps (B, N) to (B, features); ``more`` inputs follow the robot's three."""
+        """``terrain`` maps (B, n - 3) to (B, features); ``more`` follow the robot's three."""
         super().__init__()
-        self.bins = layout.bins
+        self.heights = layout.heights
         self.terrain = terrain
         self.joined = perceptron((features + 3 + more, fused), dropout=dropout)
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         """Map (B, N + 3 + more) to S′ (B, fused)."""
-        heights, robot = observation[:, : self.bins], observation[:, self.bins :]
+        heights, robot = observation[:, : self.heights], observation[:, self.heights :]
         features: torch.Tensor = self.joined(torch.cat([self.terrain(heights), robot], dim=1))
         return features
 

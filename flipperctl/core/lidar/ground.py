@@ -28,7 +28,7 @@ from flipperctl.core.lidar.outline import (
     with_assumed,
     with_drops,
 )
-from flipperctl.core.observation import mean_heights, occupied
+from flipperctl.core.observation import bin_heights, occupied
 from flipperctl.core.sensing import SensedGround
 
 _SECTORS = 256  # sectors around the LiDAR in which the rays are sorted [-]
@@ -179,6 +179,8 @@ class MapSettings:
     """Number of bins [-]."""
     bin_width: float
     """Width of a bin [m]."""
+    highest: bool = True
+    """Whether the highest points of the bins are wanted, too."""
     quality: MapQuality = MapQuality()
     """How the points of scans make up the ground."""
     accuracy: Accuracy = field(default_factory=Accuracy)
@@ -290,7 +292,7 @@ class GroundSeen:
         above = filled & (gaps < 0)  # where the robot is, there is no ground
         points[above, 1] += gaps[above]
         self._correct(points, np.where(above, 0.0, gaps), filled)
-        heights = mean_heights(points, s.bins, s.bin_width)
+        heights = bin_heights(points, s.bins, s.bin_width, highest=s.highest)
         seen = occupied(points[~filled], s.bins, s.bin_width)
         since = self._since(x, y, yaw)
         deviation = deviations(points, filled, since, s.bin_width, s.accuracy, unknown)

@@ -291,7 +291,7 @@ class LidarSensor(Sensor):
         """
         tilt = math.hypot(self.tilt_wander, self.tilt_noise)
         accuracy = accuracy_of(self.pose, self.range_bias, tilt)
-        settings = MapSettings(self.bins, self.bin_width, self.map_quality, accuracy)
+        settings = MapSettings(self.bins, self.bin_width, self.highest, self.map_quality, accuracy)
         try:
             matcher = ScanMatcher() if self.pose == "matched" else None
         except ImportError as error:

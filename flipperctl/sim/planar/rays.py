@@ -17,9 +17,9 @@ from flipperctl.api import FloatArray, RobotState
 from flipperctl.core import observation
 from flipperctl.sim.jit import cached
 
-sum_heights = cached(njit)(observation.sum_heights)
+add_heights = cached(njit)(observation.add_heights)
 fill_gaps = cached(njit)(observation.fill_gaps)
-"""``core.observation.sum_heights`` and ``fill_gaps``, compiled."""
+"""``core.observation.add_heights`` and ``fill_gaps``, compiled."""
 
 
 def distances(

@@ -31,7 +31,7 @@ from flipperctl.api import (
     Sensor,
     sensor,
 )
-from flipperctl.core.observation import mean_heights
+from flipperctl.core.observation import bin_heights
 
 
 @sensor("planar")
@@ -166,7 +166,9 @@ class TerrainSensor:
         if s.angle_noise > 0:
             noise = rng.normal(0.0, s.angle_noise, 3)
             front, rear, pitch = front + noise[0], rear + noise[1], pitch + noise[2]
-        heights = mean_heights(points, s.bins, s.bin_width, self._rays.sum_heights)
+        heights = bin_heights(
+            points, s.bins, s.bin_width, highest=s.highest, add_heights=self._rays.add_heights
+        )
         angles = SensedAngles(front=float(front), rear=float(rear), pitch=float(pitch))
         return SensedGround(points, heights, filled), angles
 
