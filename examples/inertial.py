@@ -89,7 +89,7 @@ class PitchIntegrator:
 
     def estimate(self, time: float) -> tuple[SensedGround, SensedAngles]:
         seen = self._seen
-        ground = SensedGround(seen.points, seen.points[:, 1])
+        ground = SensedGround(seen.points)
         return ground, SensedAngles(front=seen.front, rear=seen.rear, pitch=self._pitch)
 
     def save(self) -> tuple[float, float, float, Seen]:

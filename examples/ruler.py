@@ -35,5 +35,5 @@ class RulerOver:
         x, z = state.position
         heights = np.array([self._profile.height(x + ahead) - z for ahead in self._x])
         heights += self._errors * rng.standard_normal(len(heights))
-        ground = api.SensedGround(np.column_stack([self._x, heights]), heights)
+        ground = api.SensedGround(np.column_stack([self._x, heights]))
         return ground, api.SensedAngles(front=state.front, rear=state.rear, pitch=state.pitch)

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from flipperctl import api
-from flipperctl.core.observation import mean_heights
 from flipperctl.core.sensing import Measured, SensedAngles, SensedGround
 
 MOUNT = 0.25, 0.4  # position of the scanner in frame R: x, z [m]
@@ -126,7 +125,7 @@ class Mapper:
         points = np.column_stack([(cells + 0.5) * self._cell - x, heights - z])
         filled = np.array([cell not in self._map for cell in cells.tolist()])
         pitch, front, rear = self._angles
-        ground = SensedGround(points, mean_heights(points, self._bins, self._width), filled)
+        ground = SensedGround(points, filled=filled)
         return ground, SensedAngles(front=front, rear=rear, pitch=pitch)
 
     def save(self) -> tuple[Any, ...]:

@@ -93,7 +93,7 @@ Values = tuple[torch.Tensor, ...]
 
 
 def observations(network: Network, layout: ObservationLayout, rows: int) -> torch.Tensor:
-    """Return random numbers of the magnitude of observations, (rows, frames · (N + 3))."""
+    """Return random numbers of the magnitude of observations, (rows, frames · n)."""
     scale = torch.tensor(np.tile(layout.scale, network.frames), dtype=torch.float32)
     generator = torch.Generator().manual_seed(0)
     return torch.randn(rows, len(scale), generator=generator) * scale

@@ -11,12 +11,12 @@ from flipperctl.api import Network, ObservationLayout
 
 
 def input_size(network: Network, layout: ObservationLayout) -> int:
-    """Return the length of the network's input row, frames · (N + 3)."""
+    """Return the length of the network's input row, frames · n."""
     return network.frames * layout.size
 
 
 def stacked(recent: Sequence[NDArray[np.float32]], frames: int) -> NDArray[np.float32]:
-    """Return the newest ``frames`` observations in one row, oldest first, (frames · (N + 3),).
+    """Return the newest ``frames`` observations in one row, oldest first, (frames · n,).
 
     ``recent``: observations of one episode, newest last. At its start the first observation is
     repeated for those that are missing.

@@ -239,7 +239,7 @@ def q_values(
 ) -> list[float]:
     """Return the Q-values of one observation, (9,).
 
-    ``module`` is on ``device``. ``observation``: input row of the network, (frames · (N + 3),) in
+    ``module`` is on ``device``. ``observation``: input row of the network, (frames · n,) in
     SI units.
     """
     with naming_network(module, "forward"):

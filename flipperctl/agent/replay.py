@@ -105,13 +105,13 @@ class Batch:
     """A batch of n-step transitions as tensors."""
 
     observation: torch.Tensor
-    """Input rows of the network, (B, frames · (N + 3)) float32 in SI units."""
+    """Input rows of the network, (B, frames · n) float32 in SI units."""
     action: torch.Tensor
     """Indices into ``ACTIONS``, (B,) int64."""
     reward: torch.Tensor
     """Sums of up to n discounted rewards, (B,) float32 [-]."""
     next_observation: torch.Tensor
-    """Input rows up to n decisions later, (B, frames · (N + 3)) float32 in SI units."""
+    """Input rows up to n decisions later, (B, frames · n) float32 in SI units."""
     discount: torch.Tensor
     """Factors of the next value: γⁿ, or 0 without bootstrapping, (B,) float32 [-]."""
     label: torch.Tensor | None = None
@@ -160,7 +160,7 @@ class Replay:
 
         ``privileged``: length of the privileged states, 0 without them. ``risk_horizon``: number of
         decisions before a failure that ``failing`` marks, 0 without it; ``newest``: length of the
-        newest observation in a row, N + 3, which it needs. ``cut_at_random``: whether a sum of
+        newest observation in a row, n, which it needs. ``cut_at_random``: whether a sum of
         rewards ends before the next random action.
         """
         self.capacity, risk = capacity, risk_horizon > 0
@@ -331,7 +331,7 @@ class GroupBatch:
     """B groups of K states as tensors."""
 
     observation: torch.Tensor
-    """(B, K, N + 3) float32 in SI units."""
+    """(B, K, n) float32 in SI units."""
     values: torch.Tensor
     """Discounted return from each action on, (B, K, 9) float32 [-]."""
 

@@ -40,7 +40,7 @@ class RiskNetwork(torch.nn.Module):
     """Maps inputs of the policy to log-odds, and to what each resemblance adds to them."""
 
     def __init__(self, inputs: int) -> None:
-        """``inputs``: length of an input row, frames · (N + 3)."""
+        """``inputs``: length of an input row, frames · n."""
         super().__init__()
         self.layers = torch.nn.Sequential(
             *(torch.nn.Linear(inputs, _WIDTH), torch.nn.ReLU()),
@@ -51,7 +51,7 @@ class RiskNetwork(torch.nn.Module):
     def forward(self, observation: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the log-odds, (B, 1), and the coefficients of the resemblances, (B, lags).
 
-        ``observation``: input rows, (B, frames · (N + 3)) in SI units.
+        ``observation``: input rows, (B, frames · n) in SI units.
         """
         found: torch.Tensor = self.layers(observation)
         return found[:, :1], found[:, 1:]
@@ -77,7 +77,7 @@ class Risk(torch.nn.Module):
         return torch.sigmoid(self.slope * alone + self.shift), self.slope * coefficients
 
     def of_one(self, observation: NDArray[np.float32], resembles: NDArray[np.float32]) -> float:
-        """Return the risk of one input row, (frames · (N + 3),), with its resemblances, (lags,)."""
+        """Return the risk of one input row, (frames · n,), with its resemblances, (lags,)."""
         device = next(self.network.parameters()).device
         row = torch.from_numpy(observation).to(device).unsqueeze(0)
         with torch.inference_mode():

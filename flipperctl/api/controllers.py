@@ -201,7 +201,7 @@ class StateGroups:
     """G groups of K states that lie close to each other on one ground."""
 
     observations: NDArray[np.float32]
-    """(G, K, N + 3) in SI units."""
+    """(G, K, n) in SI units."""
     values: NDArray[np.float32]
     """Discounted return from each action on, (G, K, 9) [-]; every value is finite."""
 
@@ -230,14 +230,14 @@ class Network(Plugin, ABC):
     def frames(self) -> int:
         """Number of the newest observations in one input row, at most ``MAX_HISTORY``.
 
-        A row contains the N + 3 numbers of each observation, the oldest observation first. At the
+        A row contains the n numbers of each observation, the oldest observation first. At the
         start of an episode the first observation is repeated to fill the row.
         """
         return 1
 
     @abstractmethod
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
-        """Return a module from (B, frames · (N + 3)) in SI units to Q-values (B, n_actions)."""
+        """Return a module from (B, frames · n) in SI units to Q-values (B, n_actions)."""
 
 
 NetworkT = TypeVar("NetworkT", bound=Network)

@@ -251,7 +251,7 @@ class Perception:
     """
 
     observation: NDArray[np.float32]
-    """The observation in the order of ``layout``, (N + 3,) in SI units."""
+    """The observation in the order of ``layout``, (n,) in SI units."""
     points: FloatArray
     """Sensed and ``filled`` terrain points in frame L, x never decreasing, (P, 2) [m]."""
     pitch: float

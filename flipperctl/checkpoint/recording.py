@@ -4,7 +4,7 @@ In: episodes of a controller, a policy or a training. Out: a sealed file (see ``
 document describes the environments; its tensors hold the episodes of T decisions one after the
 other:
 
-- ``observation``, float32: the T + 1 observations of each episode, each (N + 3,) in SI units and of
+- ``observation``, float32: the T + 1 observations of each episode, each (n,) in SI units and of
   one instant, so that any network can stack them; the last one follows the last decision;
 - ``action``, int64: the indices of the T actions;
 - ``reward``, float64: the T sums of the weighted reward terms;
@@ -67,7 +67,7 @@ class RecordedEpisode:
     """Label of the sampled profile."""
     outcome: Outcome
     observations: NDArray[np.float32]
-    """Observations of single instants, (T + 1, N + 3) in SI units."""
+    """Observations of single instants, (T + 1, n) in SI units."""
     actions: NDArray[np.int64]
     """Indices of the actions taken, (T,)."""
     rewards: NDArray[np.float64]

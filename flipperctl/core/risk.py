@@ -43,7 +43,7 @@ _FAR = 50.0
 def resemblances(observations: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return how much each observation of an episode resembles those before it, (T, lags) [-].
 
-    ``observations``: (T, N + 3) in SI units, oldest first. A resemblance is 1 for equal ones, and 0
+    ``observations``: (T, n) in SI units, oldest first. A resemblance is 1 for equal ones, and 0
     for an observation from before the episode.
     """
     found = np.zeros((len(observations), len(LAGS)), np.float32)
@@ -57,7 +57,7 @@ class Recurrence:
     """The resemblances of an episode's newest observation, while the episode lasts."""
 
     def __init__(self, size: int) -> None:
-        """``size``: length of an observation, N + 3."""
+        """``size``: length n of an observation."""
         length, lags = LAGS[-1] + 1, np.array(LAGS)
         self._kept = np.zeros((length, size), np.float32)  # a ring
         # Tables, one product and results in place, since this runs at each decision on the robot.
@@ -71,11 +71,11 @@ class Recurrence:
         self._count = 0
 
     def add(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Add the newest observation, (N + 3,); return its resemblances, (lags,)."""
+        """Add the newest observation, (n,); return its resemblances, (lags,)."""
         count, length = self._count, len(self._kept)
         at = count % length
         self._kept[at] = observation
-        difference = self._kept.take(self._rows[at], axis=0)  # (lags, N + 3)
+        difference = self._kept.take(self._rows[at], axis=0)  # (lags, n)
         difference -= observation
         np.abs(difference, out=difference)
         found: NDArray[np.float32] = difference.dot(self._mean)

@@ -17,8 +17,9 @@ class SensedGround:
 
     points: FloatArray
     """(P, 2) sensed and ``filled`` points, x never decreasing [m]."""
-    heights: FloatArray
-    """(N,) mean height of each bin (paper Eq. 1) [m]."""
+    heights: FloatArray | None = None
+    """(N,) mean height of each bin (paper Eq. 1), or (2 N,) with the highest ones, as the layout
+    says [m]; None: those of ``points``."""
     filled: NDArray[np.bool_] | None = None
     """(P,) whether a point fills unseen ground; None: every point was seen."""
     seen: NDArray[np.bool_] | None = None

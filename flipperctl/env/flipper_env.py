@@ -59,7 +59,7 @@ Observation = NDArray[np.float32]
 class FlipperEnv(gymnasium.Env[Observation, np.int64]):
     """One robot drives across one terrain in each episode; the policy turns its flippers.
 
-    Observations are (N + 3,) float32 in SI units in the order of ``layout``; actions are indices
+    Observations are (n,) float32 in SI units in the order of ``layout``; actions are indices
     into ``flipperctl.api.ACTIONS``. ``info`` holds ``rewards`` (the weighted value of each term)
     and, at the end, ``outcome`` and ``metrics``. A timeout truncates the episode; every other
     outcome terminates it.

@@ -313,7 +313,8 @@ class _Sensing(Guarded):
         points, heights, position, filled, seen, deviation = _ground(ground)
         bins = self._bins
         self._check(method, "points", points, _NUMBERS, None)
-        self._check(method, "heights", heights, _NUMBERS, self._heights)
+        if heights is not None:
+            self._check(method, "heights", heights, _NUMBERS, self._heights, optional=True)
         if filled is not None:
             self._check(method, "filled", filled, "b", (len(points),), optional=True)
         if seen is not None:

@@ -25,7 +25,7 @@ from flipperctl.api import (
     Sensor,
     World,
 )
-from flipperctl.core.observation import assemble
+from flipperctl.core.observation import assemble, bin_heights
 from flipperctl.env.drive import Drive
 from flipperctl.env.guarded import mounted_parts
 
@@ -108,9 +108,11 @@ class Perceiver:
             else:
                 self._pending.append(measured)
         ground, angles = self._estimator.estimate(state.time)
-        observation = assemble(
-            ground.heights, front=angles.front, rear=angles.rear, pitch=angles.pitch
-        )
+        heights, own = ground.heights, self._layout
+        if heights is None:
+            points, highest = ground.points, own.highest
+            heights = bin_heights(points, own.bins, own.bin_width, highest=highest)
+        observation = assemble(heights, front=angles.front, rear=angles.rear, pitch=angles.pitch)
         earlier = tuple(self._recent)[1 - MAX_HISTORY :]
         self._recent.append(observation.copy())
         self._recent[-1].setflags(write=False)  # later perceptions share it

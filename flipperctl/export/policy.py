@@ -64,7 +64,7 @@ TOLERANCE = 1e-4
 OPSET = 18
 
 Outputs = Callable[[NDArray[np.float32]], tuple[NDArray[np.float32], ...]]
-"""Maps inputs of the network (M, F · (N + 3)) to Q-values (M, 9), and if it has a risk, to what the
+"""Maps inputs of the network (M, F · n) to Q-values (M, 9), and if it has a risk, to what the
 network of the risk returns."""
 
 
@@ -167,7 +167,7 @@ def _join(parts: list[nn.Module]) -> nn.Module:
 
 
 class PolicyWithRisk(nn.Module):
-    """Maps inputs (B, F · (N + 3)) to Q-values (B, 9), risks (B, 1), coefficients (B, lags).
+    """Maps inputs (B, F · n) to Q-values (B, 9), risks (B, 1), coefficients (B, lags).
 
     The calibration is folded into the last layer, which becomes two, so that a
     decision computes no product, sum and slices for it.
@@ -351,7 +351,7 @@ class _RecordingPolicy(TrainedPolicy):
 
 
 def rollout_observations(config: TrainConfig, module: nn.Module, count: int) -> NDArray[np.float32]:
-    """Return at least ``count`` network inputs from the policy's own episodes, (M, F · (N + 3))."""
+    """Return at least ``count`` network inputs from the policy's own episodes, (M, F · n)."""
     env = FlipperEnv(config=config.environment())
     policy = _RecordingPolicy(module, config.network.frames)
     seeds, episode = EvaluationSeeds.of(config.seed, config.terrain), 0

@@ -320,7 +320,9 @@ class _PerceivedPicture:
 
     def __init__(self, replay: Replay, robot: RobotGeometry, rate: str) -> None:
         self._robot, self._width, self._strip = robot, replay.bin_width, replay.half_width
-        count = len(replay.instants[0].ground.heights)
+        first = replay.instants[0].ground
+        assert first.deviation is not None  # of a map
+        count = len(first.deviation)
         self._edges = (np.arange(count) - count / 2) * replay.bin_width
         reach = count * replay.bin_width / 2
         tip = robot.hinge_offset + robot.flipper_axle + robot.track_radius
@@ -401,7 +403,9 @@ class _PerceivedPicture:
         self._seen.set_data(*ground.points[~filled].T)
         self._filled.set_data(*ground.points[filled].T)
         self._faces.set_segments(faces(ground.points, filled))
-        self._show_bins(ground.heights, ground.seen, ground.deviation)
+        assert ground.heights is not None  # of a map
+        means = ground.heights[: len(self._edges)]
+        self._show_bins(means, ground.seen, ground.deviation)
         held = f", held: {instant.held}" if instant.held else ""
         self._clock.set_text(f"{instant.time:5.1f} s{held}")
         self._canvas.draw()

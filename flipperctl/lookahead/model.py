@@ -334,7 +334,7 @@ class Ground:
         self._edges = np.arange(layout.bins + 1) * layout.bin_width - layout.reach
 
     def observations(self, places: FloatArray, states: FloatArray) -> NDArray[np.float32]:
-        """Return the observations at ``places`` (M, 2) in ``states`` (M, ``STATE``), (M, N + 3).
+        """Return the observations at ``places`` (M, 2) in ``states`` (M, ``STATE``), (M, n).
 
         The height of a bin is the mean of its points; a bin without points has the height of the
         line in its middle.

@@ -23,7 +23,7 @@ class LearnedValue:
     """The value of a trained policy."""
 
     value: Callable[[NDArray[np.float32]], FloatArray]
-    """Returns the expected discounted return from observations (M, N + 3), (M,) [-]."""
+    """Returns the expected discounted return from observations (M, n), (M,) [-]."""
     rewards: Mapping[str, RewardTerm]
     """Reward terms that it was trained with."""
     gamma: float

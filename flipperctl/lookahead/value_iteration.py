@@ -314,7 +314,7 @@ def sample_groups(
 def _levelled(
     seen: NDArray[np.float32], first: NDArray[np.int64], layout: ObservationLayout
 ) -> NDArray[np.float32]:
-    """Return observations (M, N + 3) whose heights from the bin ``first`` (M,) on are level."""
+    """Return observations (M, n) whose heights from the bin ``first`` (M,) on are level."""
     bins = np.arange(layout.heights) % layout.bins
     last = seen[np.arange(len(seen)), first - 1]
     found = seen.copy()

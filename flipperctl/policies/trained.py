@@ -82,7 +82,7 @@ class TrainedPolicy(_NetworkPolicy):
         return self.act_on(p.recent)
 
     def act_on(self, recent: Sequence[NDArray[np.float32]]) -> int:
-        """Return the action for the newest observations, each (N + 3,) in SI units."""
+        """Return the action for the newest observations, each (n,) in SI units."""
         observation = stacked(recent, self.frames)
         if self._risk is not None:
             if self._recurrence is None:
@@ -174,7 +174,7 @@ class SamplingPolicy(_NetworkPolicy):
 def policy_module(checkpoint: Checkpoint) -> torch.nn.Module:
     """Return the network of a checkpoint with its trained weights, on the CPU, in ``eval()`` mode.
 
-    It maps observations (B, F · (N + 3)) of F frames in SI units to Q-values (B, 9).
+    It maps observations (B, F · n) of F frames in SI units to Q-values (B, 9).
     """
     config = checkpoint.policy_config()
     try:
@@ -196,7 +196,7 @@ def policy_module(checkpoint: Checkpoint) -> torch.nn.Module:
 def policy_risk(checkpoint: Checkpoint) -> Risk | None:
     """Return the network of a policy's risk with its calibration; None if it learnt none.
 
-    It maps observations (B, F · (N + 3)) of F frames in SI units to probabilities (B, 1).
+    It maps observations (B, F · n) of F frames in SI units to probabilities (B, 1).
     """
     config, document = checkpoint.policy_config(), checkpoint.document
     if not config.agent.risk:

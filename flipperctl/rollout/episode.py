@@ -54,7 +54,7 @@ class EpisodeRecorder:
         next_observation: NDArray[np.float32],
         label: NDArray[np.float32] | None,
     ) -> None:
-        """Add a decision; the observations are of single instants, (N + 3,) in SI units."""
+        """Add a decision; the observations are of single instants, (n,) in SI units."""
         if not self._decisions:
             self._observations.append(observation)
         self._observations.append(next_observation)
@@ -237,7 +237,7 @@ Weights = Mapping[str, NDArray[Any]]
 
 @dataclass(frozen=True)
 class Step:
-    """One step of an episode; observations are the network's inputs, (frames · (N + 3),)."""
+    """One step of an episode; observations are the network's inputs, (frames · n,)."""
 
     observation: NDArray[np.float32]
     action: int

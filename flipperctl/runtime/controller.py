@@ -327,6 +327,7 @@ class FlipperController:
         if self._faulty_since is not None:  # the flippers may have been moved since
             self._hold()
         measured = front, rear = angles.front, angles.rear
+        assert ground.heights is not None  # of a map
         action = self.policy.act(
             layout.assemble(ground.heights, front=front, rear=rear, pitch=angles.pitch)
         )

@@ -42,7 +42,7 @@ class _BoundRisk:
     """The risk of a session with bound outputs, which overwrites them at each decision."""
 
     def __init__(self, bound: Any, size: int) -> None:
-        """``bound``: the session's binding of inputs and outputs; ``size``: N + 3."""
+        """``bound``: the session's binding of inputs and outputs; ``size``: n."""
         self._alone = np.zeros((1, 1), np.float32)
         self._coefficients = np.zeros((1, len(LAGS)), np.float32)
         for name, array in ((RISK, self._alone), (RECURRENCE, self._coefficients)):
@@ -57,7 +57,7 @@ class _BoundRisk:
         self.value = None
 
     def update(self, observation: NDArray[np.float32], path: Path) -> None:
-        """Compute the risk after a run of the session on ``observation``, (N + 3,)."""
+        """Compute the risk after a run of the session on ``observation``, (n,)."""
         resembles = self._recurrence.add(observation)
         self.value = with_recurrence(self._alone.item(), self._coefficients[0], resembles)
         if math.isnan(self.value):
@@ -134,7 +134,7 @@ class OnnxPolicy:
     def observation(
         self, points: ArrayLike, *, front: float, rear: float, pitch: float, frame: Frame = "L"
     ) -> NDArray[np.float32]:
-        """Return the observation for ``act`` from the robot's measurements, (N + 3,) in SI units.
+        """Return the observation for ``act`` from the robot's measurements, (n,) in SI units.
 
         It is computed as in the simulator. ``points``: ground below and around the robot in its
         side plane, (P, 2) of x (forward) and z (up) [m] from the chassis centre, in any order;
@@ -188,7 +188,7 @@ class OnnxPolicy:
         while the belts drive ahead, as in training: a parked robot looks like a stuck one. After a
         stop, call ``reset`` first.
 
-        ``observation``: (N + 3,) in SI units, in the order of ``interface.observation``.
+        ``observation``: (n,) in SI units, in the order of ``interface.observation``.
 
         Raises:
             PolicyError: the observation has another shape, is not numeric, or exceeds
@@ -258,7 +258,7 @@ class OnnxPolicy:
         return numbers
 
     def q_values(self, observation: ArrayLike) -> NDArray[np.float32]:
-        """Return the Q-values (9,) of one input (frames · (N + 3),), or (B, 9) of a batch of B.
+        """Return the Q-values (9,) of one input (frames · n,), or (B, 9) of a batch of B.
 
         An input is ``interface.frames`` observations, oldest first; the observations stored by
         ``act`` are neither read nor changed.

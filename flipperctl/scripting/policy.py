@@ -113,7 +113,7 @@ class LoadedPolicy:
     def __call__(self, observation: ArrayLike) -> int:
         """Return the action, an index into ``flipperctl.api.ACTIONS``, for an observation.
 
-        ``observation``: (N + 3,) in SI units, in the order of ``layout``. Earlier observations
+        ``observation``: (n,) in SI units, in the order of ``layout``. Earlier observations
         since ``reset`` are remembered for networks that take several.
 
         Raises:

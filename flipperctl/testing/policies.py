@@ -50,7 +50,7 @@ def one_thread() -> Iterator[None]:
 @of("network", "shape")
 @one_thread()
 def shape(network: Network) -> None:
-    """Check that observations (B, N + 3) give finite float32 Q-values (B, 9), for any N."""
+    """Check that observations (B, n) give finite float32 Q-values (B, 9), for any N."""
     for layout in LAYOUTS:
         try:
             module = _built(network, layout)
@@ -147,7 +147,7 @@ def _built(network: Network, layout: ObservationLayout = LAYOUTS[-1]) -> torch.n
 
 
 def _observations(network: Network, layout: ObservationLayout = LAYOUTS[-1]) -> torch.Tensor:
-    """Return random numbers of the magnitude of observations, (B, frames · (N + 3))."""
+    """Return random numbers of the magnitude of observations, (B, frames · n)."""
     from flipperctl.agent.contract import observations
 
     return observations(network, layout, _BATCH)

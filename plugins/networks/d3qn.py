@@ -29,7 +29,7 @@ class AtD3qn(Network):
     )
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
-        """Return a module that maps observations (B, N + 3) to Q-values (B, n_actions)."""
+        """Return a module that maps observations (B, n) to Q-values (B, n_actions)."""
         from torch import nn
 
         from .modules import Dueling
@@ -38,7 +38,7 @@ class AtD3qn(Network):
         return nn.Sequential(*front, Dueling(self.fused, self.head, n_actions))
 
     def _front(self, layout: ObservationLayout) -> list[torch.nn.Module]:
-        """Return the layers from observations (B, N + 3) to S′ (B, fused)."""
+        """Return the layers from observations (B, n) to S′ (B, fused)."""
         from .modules import Fusion, Normalise, perceptron
 
         terrain = perceptron((layout.heights, *self.terrain))
@@ -57,7 +57,7 @@ class Noisy(AtD3qn):
     )
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
-        """Return a module that maps observations (B, N + 3) to Q-values (B, n_actions)."""
+        """Return a module that maps observations (B, n) to Q-values (B, n_actions)."""
         from torch import nn
 
         from .modules import Dueling, NoisyLinear
@@ -74,7 +74,7 @@ class Quantile(AtD3qn):
     quantiles: int = Field(32, ge=1, le=512, description="K, number of quantiles per action [-]")
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
-        """Return a module that maps observations (B, N + 3) to Q-values (B, n_actions)."""
+        """Return a module that maps observations (B, n) to Q-values (B, n_actions)."""
         from torch import nn
 
         from .modules import DuelingQuantiles
@@ -117,7 +117,7 @@ class Stacked(Network):
         return max([self.window, *(lag + 1 for lag in self.earlier)])
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
-        """Return a module that maps (B, frames · (N + 3)), oldest first, to Q (B, n_actions)."""
+        """Return a module that maps (B, frames · n), oldest first, to Q (B, n_actions)."""
         from torch import nn
 
         from .modules import Dueling, Fusion, Motion, Normalise, perceptron
@@ -147,7 +147,7 @@ class Conv(Network):
     head: int = Field(128, ge=1, le=4096, description="width of each head's layer [-]")
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
-        """Return a module that maps observations (B, N + 3) to Q-values (B, n_actions)."""
+        """Return a module that maps observations (B, n) to Q-values (B, n_actions)."""
         from torch import nn
 
         from .modules import SLOPE, Dueling, Fusion, Normalise
@@ -171,14 +171,14 @@ class Conv(Network):
 
 @network("mlp")
 class Mlp(Network):
-    """One perceptron from all N + 3 observations to Q, as in the first DQN (Mnih et al. 2015)."""
+    """One perceptron from all n numbers to Q, as in the first DQN (Mnih et al. 2015)."""
 
     hidden: tuple[PositiveInt, ...] = Field(
         (128, 128), min_length=1, description="widths of the hidden layers [-]"
     )
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
-        """Return a module that maps observations (B, N + 3) to Q-values (B, n_actions)."""
+        """Return a module that maps observations (B, n) to Q-values (B, n_actions)."""
         from torch import nn
 
         from .modules import Normalise, perceptron
@@ -192,7 +192,7 @@ class Mlp(Network):
 
 @network("dueling_mlp")
 class DuelingMlp(Network):
-    """One perceptron over all N + 3 observations, with dueling heads (Wang et al. 2016)."""
+    """One perceptron over all n numbers, with dueling heads (Wang et al. 2016)."""
 
     hidden: tuple[PositiveInt, ...] = Field(
         (128, 128), min_length=1, description="widths of the hidden layers [-]"
@@ -200,7 +200,7 @@ class DuelingMlp(Network):
     head: int = Field(128, ge=1, le=4096, description="width of each head's layer [-]")
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
-        """Return a module that maps observations (B, N + 3) to Q-values (B, n_actions)."""
+        """Return a module that maps observations (B, n) to Q-values (B, n_actions)."""
         from torch import nn
 
         from .modules import Dueling, Normalise, perceptron

@@ -29,7 +29,7 @@ class Normalise(nn.Module):
         self.register_buffer("scale", scale)
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """Map (B, F·(N + 3)) in SI units to (B, F·(N + 3)) [-]."""
+        """Map (B, F·n) in SI units to (B, F·n) [-]."""
         return observation / self.scale
 
     @torch.no_grad()
@@ -171,7 +171,7 @@ class Fusion(nn.Module):
         self.joined = perceptron((features + 3 + more, fused), dropout=dropout)
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """Map (B, N + 3 + more) to S′ (B, fused)."""
+        """Map (B, n + more) to S′ (B, fused)."""
         heights, robot = observation[:, : self.heights], observation[:, self.heights :]
         features: torch.Tensor = self.joined(torch.cat([self.terrain(heights), robot], dim=1))
         return features

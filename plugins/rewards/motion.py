@@ -111,6 +111,21 @@ class Travel(RewardTerm):
         return -limited((abs(front) + abs(rear)) / (2 * t.robot.angle_step), 0.0, 1.0)
 
 
+@reward("time")
+class Time(RewardTerm):
+    """Charge the time that passes, 1 for each second, so that coming to the ground is not put off.
+
+    Behind an obstacle a robot may drive on with its nose up, which saves the swing of coming down.
+    """
+
+    bounds: ClassVar[tuple[float, float]] = (-100.0, 0.0)
+    elementwise: ClassVar[bool] = True
+
+    def __call__(self, t: Transition) -> float:
+        """Return minus the duration of the decision [s]."""
+        return t.before.time - t.after.time
+
+
 @reward("smoothness")
 class Smoothness(RewardTerm):
     """Penalise the change from the previous action; stopping costs half as much as reversing.

@@ -5,7 +5,7 @@ import pytest
 
 from flipperctl.core import observation
 from flipperctl.core.ground_map import kept_points
-from flipperctl.core.observation import fill_gaps, mean_heights
+from flipperctl.core.observation import bin_heights, fill_gaps
 from flipperctl.sim import ground as thinning
 from flipperctl.sim.planar import rays
 
@@ -18,15 +18,21 @@ def test_heights_equal_a_plain_loop_bit_for_bit() -> None:
         for x, z in points.tolist():
             inside[min(int((x + 1.125) / 0.15), 14)].append(z)
         looped = [sum(heights) / len(heights) for heights in inside]
-        for compiled in (observation.sum_heights, rays.sum_heights):
-            assert mean_heights(points, 15, 0.15, compiled).tolist() == looped
+        highest = [max(heights) for heights in inside]
+        for add in (observation.add_heights, rays.add_heights):
+            found = bin_heights(points, 15, 0.15, highest=True, add_heights=add)
+            assert found.tolist() == looped + highest
+            found = bin_heights(points, 15, 0.15, highest=False, add_heights=add)
+            assert found.tolist() == looped
 
 
 def test_an_empty_bin_takes_its_height_from_its_neighbours() -> None:
     points = np.array([[-2.0, 0.1], [0.0, 0.3], [0.2, 0.5]])  # bins 0 and 2; 1, 3, 4 are empty
     # 0.1, half way between, (0.3 + 0.5) / 2, and the last one known from there on
-    assert mean_heights(points, 5, 1.0) == pytest.approx([0.1, 0.25, 0.4, 0.4, 0.4])
-    assert mean_heights(np.empty((0, 2)), 3, 1.0).tolist() == [0.0, 0.0, 0.0]
+    means, tops = [0.1, 0.25, 0.4, 0.4, 0.4], [0.1, 0.3, 0.5, 0.5, 0.5]
+    assert bin_heights(points, 5, 1.0, highest=False) == pytest.approx(means)
+    assert bin_heights(points, 5, 1.0, highest=True) == pytest.approx(means + tops)
+    assert bin_heights(np.empty((0, 2)), 3, 1.0, highest=True).tolist() == [0.0] * 6
 
 
 def test_bins_and_frames_by_hand() -> None:

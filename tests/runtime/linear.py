@@ -17,11 +17,12 @@ ANGLES = [
 ]
 STEP = math.pi / 12
 METADATA = {
-    "format_version": 2,
+    "format_version": 3,
     "package_version": "0.3.0",
     "observation": HEIGHTS + ANGLES,
     "bins": 15,
     "bin_width": 0.15,
+    "highest": False,
     "frames": 1,
     "joints": ["front", "rear"],
     "targets": {"meaning": "x", "window": STEP, "limit": math.pi / 3},

@@ -23,7 +23,7 @@ class NearFarModule(nn.Module):
         widths: tuple[int, int, int],
         n_actions: int,
     ) -> None:
-        """``near`` and ``far`` are the indices of each view's bins; one of them may be empty.
+        """``near`` and ``far`` are the indices of each view's heights; one of them may be empty.
 
         ``widths`` are those of the near features, the far features and the fused layer.
         """
@@ -35,7 +35,7 @@ class NearFarModule(nn.Module):
             nn.Sequential(nn.Linear(len(view), size), nn.LeakyReLU())
             for view, size in zip(self.views, sizes, strict=True)
         )
-        self.bins = layout.bins
+        self.heights = layout.heights
         self.head = nn.Sequential(
             nn.Linear(sum(sizes) + 3, widths[2]), nn.LeakyReLU(), nn.Linear(widths[2], n_actions)
         )
@@ -47,5 +47,5 @@ class NearFarModule(nn.Module):
             encoder(scaled[:, view])
             for encoder, view in zip(self.encoders, self.views, strict=True)
         ]
-        q: torch.Tensor = self.head(torch.cat([*features, scaled[:, self.bins :]], dim=1))
+        q: torch.Tensor = self.head(torch.cat([*features, scaled[:, self.heights :]], dim=1))
         return q

@@ -28,7 +28,8 @@ class NearFar(Network):
         from flipperctl_near_far.module import NearFarModule
 
         centres = [(i + 0.5) * layout.bin_width - layout.reach for i in range(layout.bins)]
+        centres *= layout.heights // layout.bins  # those of the highest points
         inside = [i for i, x in enumerate(centres) if abs(x) <= self.reach]
-        beyond = [i for i in range(layout.bins) if i not in inside]
+        beyond = [i for i in range(layout.heights) if i not in inside]
         widths = (self.near, self.far, self.joined)
         return NearFarModule(layout, inside, beyond, widths, n_actions)
