@@ -228,10 +228,11 @@ def _parse(text: str) -> RecordingDocument:
     raw = decode(text)
     if (kind := raw.get("kind")) != EPISODES:
         raise ValueError(f"its kind is {kind!r:.40}, not {EPISODES!r}; is it a checkpoint?")
-    found = validated(RecordingDocument, raw, FORMAT)
-    if any(set(Robot.model_fields) - set(one.robot) for one in found.environments):
-        raise OldVersionError("0.2", "record its episodes again")
-    return found
+    if raw.get("format") != 1:
+        found = validated(RecordingDocument, raw, FORMAT)
+        if all(set(Robot.model_fields) <= set(one.robot) for one in found.environments):
+            return found
+    raise OldVersionError("0.2", "record its episodes again")
 
 
 def _check(document: RecordingDocument, tensors: Mapping[str, torch.Tensor]) -> None:

@@ -307,6 +307,8 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
     ``where``: name of the file, for the errors.
     """
     version = metadata.get(f"{PREFIX}format_version")
+    if version == "2":
+        raise PolicyError(f"{where} {OldVersionError('0.2', _EXPORT_AGAIN)}")
     if version != str(FORMAT_VERSION):
         raise PolicyError(
             f"{where} has format version {version!r}; "
