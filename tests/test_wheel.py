@@ -110,7 +110,7 @@ def test_the_wheel_does_the_whole_job_from_an_empty_folder(wheel: Path, tmp_path
     run(flipperctl, *TRAIN, "hydra.run.dir=run")
     shown = run(python, "-c", COMMANDS)
     assert "name: stair" in shown  # the configuration
-    assert "(18,)" in shown  # the shape of an observation
+    assert "(33,)" in shown  # the shape of an observation
     judged = json.loads((empty / "judged" / "summary.json").read_text())
     assert judged["scenes"][0]["episodes"] == 2
     assert (empty / "step.onnx").is_file()

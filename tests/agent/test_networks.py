@@ -22,9 +22,9 @@ class Changed(nn.Module):
 
     def __init__(self, forward: Callable[[Any, torch.Tensor], torch.Tensor]) -> None:
         super().__init__()
-        self.layer, self.change = nn.Linear(18, ACTIONS), forward
-        self.cell, self.kept = nn.GRUCell(18, 18), torch.zeros(1, 18)
-        self.register_buffer("seen", torch.zeros(18))
+        self.layer, self.change = nn.Linear(LAYOUT.size, ACTIONS), forward
+        self.cell, self.kept = nn.GRUCell(LAYOUT.size, LAYOUT.size), torch.zeros(1, LAYOUT.size)
+        self.register_buffer("seen", torch.zeros(LAYOUT.size))
         self.own = np.random.default_rng(0)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
@@ -32,7 +32,7 @@ class Changed(nn.Module):
 
 
 def remembering(m: Any, x: torch.Tensor) -> torch.Tensor:
-    kept = m.kept if len(m.kept) == len(x) else torch.zeros(len(x), 18)
+    kept = m.kept if len(m.kept) == len(x) else torch.zeros(len(x), LAYOUT.size)
     m.kept = m.cell(x, kept).detach()
     return m.layer(m.kept)
 
@@ -46,7 +46,7 @@ class DrawsElsewhere(nn.Linear):
     """Its noise comes from another generator than ``rng``."""
 
     def __init__(self, draw: Callable[[], float]) -> None:
-        super().__init__(18, ACTIONS)
+        super().__init__(LAYOUT.size, ACTIONS)
         self.draw, self.noise = draw, 0.0
 
     def draw_noise(self, rng: np.random.Generator) -> None:
@@ -91,7 +91,7 @@ def test_a_network_that_depends_on_more_than_its_input_is_refused(
 
 
 def layers(*inner: nn.Module) -> nn.Module:
-    return nn.Sequential(nn.Linear(18, 32), *inner, nn.Linear(32, ACTIONS))
+    return nn.Sequential(nn.Linear(LAYOUT.size, 32), *inner, nn.Linear(32, ACTIONS))
 
 
 class Normalised(nn.BatchNorm1d):
@@ -149,16 +149,19 @@ class Odd(nn.Linear):
 @pytest.mark.parametrize(
     ("module", "text"),
     [
-        (nn.Linear(18, 4), r"must give Q-values \(2, 9\); the output is \(2, 4\)"),
-        (nn.Sequential(nn.Linear(18, 9), nn.Flatten(0)), r"output is \(18,\)"),
-        (nn.Linear(5, 9), r"fails on observations of shape \(2, 18\)"),
-        (nn.LSTM(18, 9), "the output is tuple"),
+        (nn.Linear(LAYOUT.size, 4), r"must give Q-values \(2, 9\); the output is \(2, 4\)"),
+        (nn.Sequential(nn.Linear(LAYOUT.size, 9), nn.Flatten(0)), rf"output is \({2 * ACTIONS},\)"),
+        (nn.Linear(5, 9), rf"fails on observations of shape \(2, {LAYOUT.size}\)"),
+        (nn.LSTM(LAYOUT.size, 9), "the output is tuple"),
         (len, "must return a torch module; got builtin_function_or_method"),
         (not_a_number(), "finite"),
-        (Odd(18, 9), r"must give quantiles \(2, 9, K\); they are \(2, 9\)"),
-        (nn.Linear(18, 9).requires_grad_(False), "build built a network without trainable param"),
+        (Odd(LAYOUT.size, 9), r"must give quantiles \(2, 9, K\); they are \(2, 9\)"),
         (
-            nn.Sequential(nn.BatchNorm1d(18), nn.Linear(18, 9)),
+            nn.Linear(LAYOUT.size, 9).requires_grad_(False),
+            "build built a network without trainable param",
+        ),
+        (
+            nn.Sequential(nn.BatchNorm1d(LAYOUT.size), nn.Linear(LAYOUT.size, 9)),
             r"fails on one observation in train\(\) mode, which training episodes use: forward "
             r"raised ValueError: Expected more than 1 value per channel .*learners\.py:\d+\)",
         ),
@@ -175,10 +178,10 @@ class Counted(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.layer = nn.Linear(18, 9)
-        self.register_buffer("mean", torch.zeros(18))
+        self.layer = nn.Linear(LAYOUT.size, 9)
+        self.register_buffer("mean", torch.zeros(LAYOUT.size))
         self.register_buffer("count", torch.zeros((), dtype=torch.int64))
-        self.register_buffer("scratch", torch.zeros(18), persistent=False)
+        self.register_buffer("scratch", torch.zeros(LAYOUT.size), persistent=False)
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         if self.training and torch.is_grad_enabled():

@@ -15,6 +15,7 @@ from safetensors.torch import save_file
 
 from flipperctl import checkpoint
 from flipperctl.api import registry
+from flipperctl.checkpoint.document import FORMAT
 from flipperctl.config.models import AbsentTerrain
 from flipperctl.errors import CheckpointError, WriteError
 from flipperctl.policies.trained import policy_module
@@ -52,7 +53,7 @@ def resign(path: Path, changes: dict[str, object]) -> None:
 
 def test_a_checkpoint_describes_itself(best: Path) -> None:
     saved = checkpoint.read(best)
-    assert saved.document.format == 2
+    assert saved.document.format == FORMAT
     assert saved.document.config.terrain.name == "step"
     assert saved.document.versions["torch"] == torch.__version__
     (network,) = [p for p in saved.document.plugins if p.kind == "network"]
@@ -209,8 +210,8 @@ def test_a_wrong_document_is_named_by_its_path(
         ('{"format": 2, "format": 2}', "the key 'format' twice"),
         ('{"format": true}', "its format is True"),
         ('{"format": 1e999}', "it holds 1e999"),
-        ('{"format": 2, "kind": "\\ud800"}', "document: Invalid JSON"),
-        ('{"format": 2, "kind": ' + "[" * 300 + "]" * 300 + "}", "recursion limit"),
+        (f'{{"format": {FORMAT}, "kind": "\\ud800"}}', "document: Invalid JSON"),
+        (f'{{"format": {FORMAT}, "kind": ' + "[" * 300 + "]" * 300 + "}", "recursion limit"),
     ],
 )
 def test_text_that_is_not_a_document_is_refused(text: str, expected: str, best: Path) -> None:
@@ -277,15 +278,12 @@ def test_weights_that_do_not_fit_are_refused(best: Path) -> None:
         changed(best, "more.x", torch.zeros(1))
 
 
-@pytest.mark.parametrize(
-    ("version", "changes"), [("0.1", {"format": 1}), ("0.2", {"actions": None})]
-)
+@pytest.mark.parametrize(("version", "changes"), [("0.1", {"format": 1}), ("0.2", {"format": 2})])
 def test_a_checkpoint_of_an_earlier_version_is_refused_in_one_line(
     version: str, changes: dict[str, Any], last: Path
 ) -> None:
     saved = checkpoint.read(last)
-    changed = {**saved.document.plain(), **changes}
-    text = json.dumps({k: v for k, v in changed.items() if v is not None})
+    text = json.dumps({**saved.document.plain(), **changes})
     last.write_bytes(checkpoint.serialize(text, saved.tensors))
     done = call("inspect", "checkpoint", str(last), cwd=last.parent)
     refused = f"last.safetensors is of version {version}; this version reads 0.3; train again"

@@ -143,7 +143,7 @@ inspect reward --against level -> add --regret
 inspect reward --regret --compare level,okada -> omit --regret
 inspect reward --regret --controller level --against okda -> did you mean 'okada'
 inspect reward --regret --controller level --against okada,okada -> each once
-inspect reward --regret --controller level --against generalist perception.bins=9 -> 15 bins
+inspect reward --regret --controller level --against generalist perception.bins=9 -> bins=15
 inspect reward --compare level -> at least two different names
 inspect reward --compare level,okada --controller okada -> --compare names all policies
 inspect reward --compare level,okada controller=level -> --compare names the controllers

@@ -18,7 +18,7 @@ from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
 
 HOLD = action_index(0, 0)
-FRONT, REAR = 15, 16  # after the 15 heights of an observation
+FRONT, REAR = -3, -2  # before the pitch, at the end of an observation
 EXACT = {"start_noise": 0.0}
 
 

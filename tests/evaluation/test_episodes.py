@@ -125,7 +125,10 @@ def test_recorded_episodes_are_those_of_the_evaluation() -> None:
         assert (recorded.number, recorded.seed) == (result["episode"], result["seed"])
         assert (recorded.terrain, recorded.outcome) == (result["terrain"], result["outcome"])
         assert len(recorded.actions) == len(recorded.labels) == result["decisions"]
-        assert recorded.observations.shape == (result["decisions"] + 1, 18)
+        assert recorded.observations.shape == (
+            result["decisions"] + 1,
+            config.perception.layout.size,
+        )
         assert recorded.rewards.sum() == pytest.approx(result["return"])
         assert (recorded.labels.argmax(axis=1) == recorded.actions).all()
         assert ((recorded.labels > 0).sum(axis=1) > 1).any()  # by costs, not by the action alone

@@ -202,7 +202,7 @@ class Looking(Controller):
     "perception": """\
 class Eye:
     def sense(self, state, rng):
-        ground = SensedGround(np.array([[0.0, -0.1], [0.5, -0.1]]), np.full(15, -0.1))
+        ground = SensedGround(np.array([[0.0, -0.1], [0.5, -0.1]]), np.full(30, -0.1))
         angles = SensedAngles(state.front, state.rear, state.pitch)
         {sense}
         return ground, angles
@@ -315,9 +315,9 @@ RETURNED = {
         *("(replace(ground, points=np.full((4, 2), np.nan)), angles)", "(ground, (0.0, 0.0, 0.0))"),
         "(replace(ground, heights=np.zeros(1)), angles)",
         "(replace(ground, heights=[0.0]), angles)",
-        "(replace(ground, heights=np.full(15, np.inf)), angles)",
+        "(replace(ground, heights=np.full(30, np.inf)), angles)",
         "(ground, replace(angles, rear=1j))",
-        *("(replace(ground, heights=np.array(['a'] * 15)), angles)", "(g for g in ())"),
+        *("(replace(ground, heights=np.array(['a'] * 30)), angles)", "(g for g in ())"),
         "(replace(ground, filled=np.zeros(3, bool)), angles)",
         "(replace(ground, filled=3), angles)",
         *("(ground, replace(angles, front=None))", "(ground, replace(angles, pitch=float('nan')))"),

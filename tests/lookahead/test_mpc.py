@@ -224,7 +224,7 @@ def saved_run(folder: Path, **settings: object) -> str:
 def test_the_value_of_a_run_is_that_of_its_best_action_in_the_rewards_unit(tmp_path: Path) -> None:
     run = saved_run(tmp_path, **{"agent.reward_scale": 0.25, "agent.gamma": 0.9})
     found = learned_value(run, "controller.value")
-    observations = np.random.default_rng(0).normal(size=(5, 18)).astype(np.float32)
+    observations = np.random.default_rng(0).normal(size=(5, found.layout.size)).astype(np.float32)
     last = checkpoint.read(tmp_path / checkpoint.LAST)
     import torch
 

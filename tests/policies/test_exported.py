@@ -25,7 +25,9 @@ def test_the_file_holds_its_terrain_robot_and_layout(tmp_path: Path) -> None:
     assert config.terrain.plugin_name == "flat"
     assert config.robot.chassis_length == 0.9
     assert config.perception.bin_width == 0.1
-    with pytest.raises(CheckpointError, match=r"15 bins of 0\.1 m.*ask for 11"):
+    with pytest.raises(
+        CheckpointError, match=r"on bins=15, bin_width=0\.1 m, .* asks for bins=11,"
+    ):
         PolicySource(checkpoint=path).build(EnvConfig(terrain="flat", perception={"bins": 11}))
     stair = {"name": "stair", "rise": -1}
     linear.write(path, terrain="stair", terrain_config=stair)

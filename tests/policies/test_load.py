@@ -32,7 +32,7 @@ from flipperctl.rollout.episode import decisions
 from tests.played import play_episodes
 from tests.short import short_config
 
-CONFIG = EnvConfig(terrain="step")
+CONFIG = EnvConfig(terrain="step", perception={"highest": False})  # as the shipped values have it
 VALUE = "controller.value"
 SHIPPED = sorted(checkpoint.shipped_policies().items())
 
@@ -122,8 +122,8 @@ def policy(*names: str) -> PluginPolicy:
 
 
 def test_several_policies_drive_by_the_mean_of_their_values() -> None:
-    first, second = policy("generalist"), policy("mpc_value")
-    both, same = policy("generalist", "mpc_value"), policy("generalist", "generalist")
+    first, second = policy("mpc_value"), policy("mpc_value_large")
+    both, same = policy("mpc_value", "mpc_value_large"), policy("mpc_value", "mpc_value")
     for decision in islice(decisions(FlipperEnv(config=CONFIG), both, seed=2), 20):
         p = decision.perception
         mean = (first.costs(p) + second.costs(p)) / 2

@@ -11,6 +11,7 @@ from flipperctl.api import (
     ACTIONS,
     Controller,
     FloatArray,
+    ObservationLayout,
     Perception,
     Policy,
     RewardTerm,
@@ -97,7 +98,8 @@ def test_mpc_plans_on_from_an_action_that_was_not_its_own() -> None:
     assert costs.min() < NO_PLAN
 
 
-SEEN, VALUES = np.zeros((2, 3, 18), np.float32), np.zeros((2, 3, len(ACTIONS)), np.float32)
+SIZE = ObservationLayout().size
+SEEN, VALUES = np.zeros((2, 3, SIZE), np.float32), np.zeros((2, 3, len(ACTIONS)), np.float32)
 
 
 class Rating:

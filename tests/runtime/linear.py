@@ -9,20 +9,24 @@ from onnx import TensorProto, helper, numpy_helper
 
 from flipperctl.runtime.interface import CHECKSUM, PLACEHOLDER, add_checksum
 
-HEIGHTS = [{"name": f"h_{i + 1}", "unit": "m", "frame": "L", "meaning": "x"} for i in range(15)]
+HEIGHTS = [
+    {"name": f"{kind}_{i + 1}", "unit": "m", "frame": "L", "meaning": "x"}
+    for kind in ("h", "top")
+    for i in range(15)
+]
 ANGLES = [
     {"name": "theta_f1", "unit": "rad", "frame": "R", "meaning": "front"},
     {"name": "theta_f2", "unit": "rad", "frame": "R", "meaning": "rear"},
     {"name": "theta_R", "unit": "rad", "frame": "L", "meaning": "pitch"},
 ]
-STEP = math.pi / 12
+STEP, SIZE = math.pi / 12, len(HEIGHTS + ANGLES)
 METADATA = {
     "format_version": 3,
     "package_version": "0.3.0",
     "observation": HEIGHTS + ANGLES,
     "bins": 15,
     "bin_width": 0.15,
-    "highest": False,
+    "highest": True,
     "frames": 1,
     "joints": ["front", "rear"],
     "targets": {"meaning": "x", "window": STEP, "limit": math.pi / 3},
@@ -38,8 +42,10 @@ ROBOT = {**METADATA["robot"], "track_radius": 0.1, "track_speed": 0.2, "flipper_
 RULE = {"window": STEP, "limit": math.pi / 3}
 """What a file for the controller also has: all of the robot, and the rule of its targets."""
 VERSION_0_1 = {"format_version": 1, "terrain_config": None, "checksum": False}
-VERSION_0_2 = {"joints": None}
+VERSION_0_2 = {"format_version": 2, "highest": None}
 """Arguments of ``write`` for files of earlier versions."""
+PAPER = {"highest": False, "observation": HEIGHTS[:15] + ANGLES, "size": 18}
+"""Arguments of ``write`` for the paper's layout."""
 RISK = {"horizon": 10, "threshold": 0.7, "lags": [1, 2, 4, 8, 16], "scale": 0.03}
 """Metadata of a file with a risk."""
 
@@ -53,7 +59,7 @@ MAP = {
 def write(
     path: Path,
     *,
-    size: int = 18,
+    size: int = SIZE,
     output: str = "q_values",
     scale: float = 1.0,
     checksum: bool = True,

@@ -15,7 +15,7 @@ from flipperctl.runtime import JointAngles
 from flipperctl.runtime.__main__ import _main, main
 from flipperctl.runtime.recordings import Shadow
 from tests.cli.call import call
-from tests.runtime.linear import MAP, RISK, ROBOT, RULE, write
+from tests.runtime.linear import MAP, RISK, ROBOT, RULE, SIZE, write
 from tests.runtime.messages import IN_CHASSIS, good
 
 
@@ -30,14 +30,14 @@ def _handler() -> Iterator[None]:
 def test_the_interface_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     escape = {"temperature": 0.1, "decisions": 4}
     more = {"targets": RULE, "risky": True, "risk": RISK, "escape": escape, "map": MAP}
-    assert _main([str(write(tmp_path / "p.onnx", size=54, frames=3, **more))]) == 0
+    assert _main([str(write(tmp_path / "p.onnx", size=3 * SIZE, frames=3, **more))]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[1].split() == ["name", "unit", "frame", "within", "meaning"]
     assert {
         "  0   h_1       m     L      ±6.125  x",
-        "  17  theta_R   rad   L      ±3.142  pitch",
-        "input: observation, float32 [batch, 54], the last 3 observations of 18 numbers, oldest "
-        "first; at the start of an episode the first one also fills the frames before it",
+        f"  {SIZE - 1}  theta_R   rad   L      ±3.142  pitch",
+        f"input: observation, float32 [batch, {3 * SIZE}], the last 3 observations of {SIZE} "
+        "numbers, oldest first; at the start of an episode the first one also fills the frames before it",
         "output: q_values, float32 [batch, 9]",
         "output: risk, float32 [batch, 1], of the input alone",
         "output: risk_recurrence, float32 [batch, 5], what resembling the observations 1, 2, 4, 8, "
@@ -53,7 +53,7 @@ def test_the_interface_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[
     } <= set(lines)
     assert _main([str(write(tmp_path / "plain.onnx"))]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert "input: observation, float32 [batch, 18], one observation" in lines
+    assert f"input: observation, float32 [batch, {SIZE}], one observation" in lines
     assert not {"risk:", "escape:", "map:"} & {line.partition(" ")[0] for line in lines}
 
 

@@ -78,7 +78,7 @@ def test_an_episode_by_its_messages_has_the_actions_of_the_simulator(
 
 
 def heights(file: Path) -> np.ndarray:
-    """What a controller of the file sees of kerbs ahead that leave its line free, (15,)."""
+    """What a controller of the file sees of kerbs ahead that leave its line free, (30,)."""
     controller = FlipperController(file, IN_CHASSIS, RELAXED)
     x, y = (a.ravel() for a in np.meshgrid(np.linspace(-1, 2, 241), np.linspace(-0.6, 0.6, 49)))
     kerb = np.column_stack([x, y, np.where((np.abs(y) > 0.2) & (x > 0.8), 0.0, -0.1)])

@@ -8,17 +8,21 @@ import pytest
 from flipperctl.core.lidar.ground import MapQuality
 from flipperctl.errors import PolicyError
 from flipperctl.runtime import OnnxPolicy
-from flipperctl.runtime.interface import add_checksum, verify
-from tests.runtime.linear import MAP, METADATA, RISK, VERSION_0_1, VERSION_0_2, write
+from flipperctl.runtime.interface import FORMAT_VERSION, add_checksum, verify
+from tests.runtime.linear import MAP, METADATA, RISK, SIZE, VERSION_0_1, VERSION_0_2, write
+
+NEWER = FORMAT_VERSION + 1
 
 
 def test_the_metadata_describe_inputs_and_outputs(tmp_path: Path) -> None:
     interface = OnnxPolicy(write(tmp_path / "p.onnx")).interface
-    assert (interface.size, interface.bins, interface.bin_width) == (18, 15, 0.15)
-    assert (interface.frames, interface.inputs) == (1, 18)
-    names = [q.name for q in interface.observation[14:]]
-    assert names == ["h_15", "theta_f1", "theta_f2", "theta_R"]
-    assert interface.observation[15].unit == "rad"
+    assert (interface.size, interface.bins, interface.bin_width) == (SIZE, 15, 0.15)
+    assert (interface.highest, interface.heights) == (True, 30)
+    assert (interface.frames, interface.inputs) == (1, SIZE)
+    names = [q.name for q in interface.observation]
+    assert names[14:16] == ["h_15", "top_1"]
+    assert names[-4:] == ["top_15", "theta_f1", "theta_f2", "theta_R"]
+    assert interface.observation[30].unit == "rad"
     # action = 3·(i + 1) + (j + 1): index 2 is front −1, rear +1
     assert interface.actions.shape == (9, 2)
     assert interface.actions[2].tolist() == pytest.approx([-math.pi / 12, math.pi / 12])
@@ -58,18 +62,23 @@ def test_a_wrong_map_is_refused(change: dict, tmp_path: Path) -> None:
             {**dict.fromkeys(METADATA), "checksum": False},
             r"not a file of flipperctl export onnx.*no flipperctl\.format_version",
         ),
-        ({"format_version": 3}, r"format version '3'; this version of flipperctl reads 2"),
-        ({"format_version": 3, "checksum": False}, r"format version '3', or is damaged"),
-        ({"format_version": None}, r"format version None; this version of flipperctl reads 2"),
+        (
+            {"format_version": NEWER},
+            f"version '{NEWER}'; this version of flipperctl reads {FORMAT_VERSION}",
+        ),
+        ({"format_version": NEWER, "checksum": False}, f"format version '{NEWER}', or is damaged"),
+        ({"format_version": None}, "format version None; this version of flipperctl reads"),
         (VERSION_0_1, r"is of version 0\.1; this version reads 0\.3; train .*and export it"),
         (VERSION_0_2, r"is of version 0\.2; this version reads 0\.3; train .*and export it"),
         ({"frames": None}, r"flipperctl\.frames is ''"),
         ({"targets": None}, r"flipperctl\.targets is ''"),
         ({"bins": None}, r"flipperctl\.bins is ''.*a whole number above 0 is allowed"),
-        ({"bins": 12}, r"flipperctl\.observation is .* a list of 15 mappings"),
+        ({"bins": 12}, r"flipperctl\.observation is .* a list of 27 mappings"),
+        ({"highest": False}, r"flipperctl\.observation is .* a list of 18 mappings"),
+        ({"highest": 1}, r"flipperctl\.highest is '1'.*true or false is allowed"),
         ({"bin_width": -0.15}, r"flipperctl\.bin_width is '-0\.15'.*above 0"),
         ({"frames": 0}, r"flipperctl\.frames is '0'.*a whole number above 0"),
-        ({"frames": 2}, r"observation tensor\(float\) \['batch', 18\].*\[batch, 36\]"),
+        ({"frames": 2}, rf"tensor\(float\) \['batch', {SIZE}\].*\[batch, {2 * SIZE}\]"),
         ({"decision_period": "soon"}, r"flipperctl\.decision_period is 'soon'"),
         ({"decision_period": math.nan}, r"flipperctl\.decision_period is 'NaN'"),
         ({"joints": ["left", "right"]}, r'flipperctl\.joints is .*\["front", "rear"\]'),
@@ -80,7 +89,7 @@ def test_a_wrong_map_is_refused(change: dict, tmp_path: Path) -> None:
         ({"seed": True}, r"flipperctl\.seed is 'true'.*a whole number"),
         ({"terrain_config": None}, r"flipperctl\.terrain_config is ''.*the name 'stair'"),
         ({"terrain_config": {"name": "step"}}, r"flipperctl\.terrain_config is .*'stair'"),
-        ({"size": 20}, r"observation tensor\(float\) \['batch', 20\].*\[batch, 18\]"),
+        ({"size": 20}, rf"observation tensor\(float\) \['batch', 20\].*\[batch, {SIZE}\]"),
         *(
             ({"targets": stated}, r"flipperctl\.targets is .*window and limit")
             for stated in ({"window": 0.25}, {"window": 0, "limit": 1.0}, [1, 2])

@@ -13,7 +13,7 @@ from flipperctl.core.observation import to_level
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError, MissingExtraError, NonFiniteError, PolicyError
 from flipperctl.runtime import OnnxPolicy, TargetRule
-from tests.runtime.linear import METADATA, RISK, STEP, write
+from tests.runtime.linear import METADATA, PAPER, RISK, SIZE, STEP, write
 
 
 @pytest.fixture
@@ -23,7 +23,7 @@ def policy(tmp_path: Path) -> OnnxPolicy:
 
 def observation(highest: int) -> np.ndarray:
     """Return an observation of zeros but one height."""
-    return np.eye(18)[highest] * 0.3
+    return np.eye(SIZE)[highest] * 0.3
 
 
 def test_the_action_of_the_largest_q_value_is_taken(policy: OnnxPolicy) -> None:
@@ -36,8 +36,8 @@ def test_the_action_of_the_largest_q_value_is_taken(policy: OnnxPolicy) -> None:
     assert first.tolist() == pytest.approx([0, 0, 0, 0, 0.3, 0, 0, 0, 0])
     many = policy.q_values(np.stack([observation(a) for a in (1, 5, 6)]))
     assert many.argmax(1).tolist() == [1, 5, 6]
-    assert policy.q_values(np.zeros((0, 18))).shape == (0, 9)
-    largest = np.array([6.125] * 15 + [math.pi] * 3)
+    assert policy.q_values(np.zeros((0, SIZE))).shape == (0, 9)
+    largest = np.array([6.125] * 30 + [math.pi] * 3)
     assert policy.interface.limits == pytest.approx(largest)
     for sign in (-1, 1):
         policy.act(sign * largest)
@@ -46,11 +46,22 @@ def test_the_action_of_the_largest_q_value_is_taken(policy: OnnxPolicy) -> None:
 @pytest.mark.parametrize(
     ("at", "value", "error", "text"),
     [
-        (16, math.nan, NonFiniteError, r"16\] \(theta_f2\) is nan; finite numbers are allowed"),
+        (
+            SIZE - 2,
+            math.nan,
+            NonFiniteError,
+            rf"{SIZE - 2}\] \(theta_f2\) is nan; finite numbers are allowed",
+        ),
         (3, -math.inf, NonFiniteError, r"3\] \(h_4\) is -inf; finite numbers are allowed"),
-        (17, 20.0, PolicyError, r"17\] \(theta_R\) is 20 rad; ±π is allowed: angles are in rad"),
-        (15, -3.2, PolicyError, r"15\] \(theta_f1\) is -3\.2 rad"),
+        (
+            SIZE - 1,
+            20.0,
+            PolicyError,
+            rf"{SIZE - 1}\] \(theta_R\) is 20 rad; ±π is allowed: angles are in rad",
+        ),
+        (SIZE - 3, -3.2, PolicyError, rf"{SIZE - 3}\] \(theta_f1\) is -3\.2 rad"),
         # 5 m and half of 15 bins of 0.15 m
+        (18, -100.0, PolicyError, r"18\] \(top_4\) is -100 m; ±6\.125 m is allowed"),
         (3, -100.0, PolicyError, r"3\] \(h_4\) is -100 m; ±6\.125 m is allowed: .* in metres"),
     ],
 )
@@ -67,17 +78,19 @@ def test_a_number_that_cannot_be_is_refused(
 
 
 def test_what_is_no_observation_is_refused(policy: OnnxPolicy) -> None:
-    for shape in ((17,), (1, 18), ()):
-        with pytest.raises(PolicyError, match=r"shape .*\(18,\) is allowed: 15 terrain heights"):
+    for shape in ((SIZE - 1,), (1, SIZE), ()):
+        with pytest.raises(
+            PolicyError, match=rf"shape .*\({SIZE},\) is allowed: 30 terrain heights"
+        ):
             policy.act(np.zeros(shape))
-    for shape in ((17,), (2, 17), (2, 1, 18)):
-        with pytest.raises(PolicyError, match=r"\(18,\) or \(B, 18\) is allowed"):
+    for shape in ((SIZE - 1,), (2, SIZE - 1), (2, 1, SIZE)):
+        with pytest.raises(PolicyError, match=rf"\({SIZE},\) or \(B, {SIZE}\) is allowed"):
             policy.q_values(np.zeros(shape))
-    for odd in (["0.1"] * 18, np.full(18, 1j), [10**400] * 18):
+    for odd in (["0.1"] * SIZE, np.full(SIZE, 1j), [10**400] * SIZE):
         for call in (policy.act, policy.q_values):
             with pytest.raises(PolicyError, match="the observation is not numbers"):
                 call(odd)
-    with pytest.raises(PolicyError, match=r"no observation \(None\); 18 numbers are needed"):
+    with pytest.raises(PolicyError, match=rf"no observation \(None\); {SIZE} numbers are needed"):
         policy.act(None)
 
 
@@ -93,7 +106,7 @@ def test_a_q_value_that_is_not_finite_is_no_action(tmp_path: Path) -> None:
 def test_a_policy_of_several_frames_keeps_the_observations_before(tmp_path: Path) -> None:
     # 9 heights and angles of 3 frames; its Q-values are the first 9 numbers: the oldest frame
     entries = METADATA["observation"][:6] + METADATA["observation"][-3:]
-    path = write(tmp_path / "p.onnx", size=27, bins=6, observation=entries, frames=3)
+    path = write(tmp_path / "p.onnx", size=27, bins=3, observation=entries, frames=3)
     policy = OnnxPolicy(path)
     assert (policy.interface.size, policy.interface.frames, policy.interface.inputs) == (9, 3, 27)
 
@@ -145,7 +158,7 @@ def test_a_robot_needs_only_numpy_and_onnxruntime(tmp_path: Path) -> None:
         f"import sys; sys.modules.update(dict.fromkeys({absent!r}))\n"
         "from flipperctl.runtime import OnnxPolicy\n"
         f"policy = OnnxPolicy({str(path)!r})\n"
-        "observation = [0.0] * 18; observation[6] = 0.2\n"
+        f"observation = [0.0] * {SIZE}; observation[6] = 0.2\n"
         "print(policy.act(observation), policy.q_values(observation)[6])\n"
         f"assert not any(sys.modules[name] for name in {absent!r})"
     )
@@ -161,8 +174,10 @@ GROUND = np.column_stack([np.linspace(-2.0, 2.0, 81), np.full(81, -0.1)])
 ANGLES = {"front": 0.3, "rear": -0.2, "pitch": 0.1}
 
 
-def test_it_is_the_environment_s_own(policy: OnnxPolicy) -> None:
-    env = FlipperEnv("stair", perception={"dropout": 0.2})
+@pytest.mark.parametrize("highest", [True, False])
+def test_it_is_the_environment_s_own(highest: bool, tmp_path: Path) -> None:
+    policy = OnnxPolicy(write(tmp_path / "p.onnx", **({} if highest else PAPER)))
+    env = FlipperEnv("stair", perception={"dropout": 0.2, "highest": highest})
     env.reset(seed=3)
     rng = np.random.default_rng(0)
     for _ in range(8):
@@ -177,7 +192,7 @@ def test_it_is_the_environment_s_own(policy: OnnxPolicy) -> None:
 def test_points_of_the_chassis_frame_are_levelled(policy: OnnxPolicy) -> None:
     fixed = to_level(GROUND, -ANGLES["pitch"])
     found = policy.observation(fixed, **ANGLES, frame="R")
-    assert found == pytest.approx(np.array([-0.1] * 15 + [0.3, -0.2, 0.1]), abs=1e-6)
+    assert found == pytest.approx(np.array([-0.1] * 30 + [0.3, -0.2, 0.1]), abs=1e-6)
     assert policy.act(found) == 0
 
 
@@ -277,7 +292,7 @@ def test_wrong_arguments_are_refused(
 
 def seen(height: float) -> np.ndarray:
     """An observation with this first height."""
-    return np.array([height] + [0.0] * 17)
+    return np.array([height] + [0.0] * (SIZE - 1))
 
 
 def sigmoid(score: float) -> float:
@@ -299,8 +314,9 @@ def test_the_risk_is_that_of_the_observation_and_of_its_recurrence(risky: OnnxPo
     policy.act(seen(0.5))
     assert policy.risk == pytest.approx(sigmoid(1.0), abs=1e-6)  # 0.73, it repeats
     assert policy.warning
-    policy.act(seen(1.04))  # a mean difference of 0.54 / 18, which is the scale
-    assert policy.risk == pytest.approx(sigmoid(1.04 + 1.04 / math.e), abs=1e-6)
+    other = 0.5 + SIZE * RISK["scale"]  # a mean difference of the scale
+    policy.act(seen(other))
+    assert policy.risk == pytest.approx(sigmoid(other + other / math.e), abs=1e-6)
     policy.reset()
     assert policy.risk is None
     policy.act(seen(0.5))
@@ -310,7 +326,7 @@ def test_the_risk_is_that_of_the_observation_and_of_its_recurrence(risky: OnnxPo
 def test_q_values_and_actions_are_those_of_the_file_without_a_risk(
     risky: OnnxPolicy, policy: OnnxPolicy
 ) -> None:
-    heights = np.linspace(-1, 1, 18)
+    heights = np.linspace(-1, 1, SIZE)
     assert risky.q_values(heights).tolist() == policy.q_values(heights).tolist()
     assert risky.act(heights) == policy.act(heights)
     assert policy.risk is policy.interface.risk is None

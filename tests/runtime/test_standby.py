@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from flipperctl.runtime import Answer, FlipperController, JointAngles, Odometry, OnnxPolicy
-from tests.runtime.linear import RISK, ROBOT, RULE, write
+from tests.runtime.linear import RISK, ROBOT, RULE, SIZE, write
 from tests.runtime.messages import IN_CHASSIS, RELAXED, good
 
 STEP = 0.05
@@ -142,7 +142,7 @@ def test_a_fault_in_standby_stops_the_belts_and_ends(robot: Robot) -> None:
 
 
 def test_without_escapes_each_action_is_the_best(file: Path) -> None:
-    seen = np.linspace(-1, 1, 18)  # of which the last of the nine heights is largest
+    seen = np.linspace(-1, 1, SIZE)  # of which the last of the nine heights is largest
     drawing, best = OnnxPolicy(file), OnnxPolicy(file, escape=False)
     drawn = [drawing.act(seen) for _ in range(20)]
     assert len(set(drawn)) > 4

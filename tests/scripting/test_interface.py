@@ -34,6 +34,7 @@ from flipperctl.scripting import progress as notebook
 from tests.cli.call import call
 from tests.test_documentation import example
 
+FLIPPER = "flipperctl.env:flipperctl/Flipper-v0"
 BUDGET = (
     '{"decisions": 150, "validation_episodes": 1, "mode": "exact", "regret_episodes": 1},\n'
     '    agent={"learning_starts": 100}'
@@ -53,7 +54,7 @@ def shown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any
 
 @pytest.fixture
 def env() -> gymnasium.Env:
-    return gymnasium.make("flipperctl.env:flipperctl/Flipper-v0", terrain="stair")
+    return gymnasium.make(FLIPPER, terrain="stair")
 
 
 def test_an_evaluation_is_that_of_the_command(shown: tuple[Path, dict[str, Any]]) -> None:
@@ -119,10 +120,11 @@ def test_the_example_of_a_policy_runs(capsys: pytest.CaptureFixture[str]) -> Non
 
 @pytest.mark.parametrize("name", ["generalist", "run"])
 def test_a_policy_acts_on_observations_as_in_an_evaluation(
-    name: str, shown: tuple[Path, dict[str, Any]], env: gymnasium.Env
+    name: str, shown: tuple[Path, dict[str, Any]]
 ) -> None:
     policy = shown[1]["run"].policy() if name == "run" else flipperctl.load(name)
     assert policy.layout is not None
+    env = gymnasium.make(FLIPPER, terrain="stair", perception=policy.layout.model_dump())
     assert policy.robot is not None
     source, task = PolicySource(checkpoint=policy.source.checkpoint), env.unwrapped
     made = [d.action for d in decisions(task, source.build(task.config), 3)]
@@ -162,15 +164,13 @@ def test_a_wrong_policy_observation_or_environment_is_refused(env: gymnasium.Env
     with pytest.raises(RequestError, match="settings are those of a controller"):
         flipperctl.load("generalist", far=1)
     policy = flipperctl.load("generalist")
-    with pytest.raises(PolicyError, match=r"shape \(2,\); \(18,\) is allowed"):
+    with pytest.raises(PolicyError, match=rf"shape \(2,\); \({policy.layout.size},\) is allowed"):
         policy([1, 2])
     with pytest.raises(NonFiniteError):
-        policy(np.full(18, np.nan))
-    other = gymnasium.make(
-        "flipperctl.env:flipperctl/Flipper-v0", terrain="flat", perception={"bin_width": 0.1}
-    )
+        policy(np.full(policy.layout.size, np.nan))
+    other = gymnasium.make(FLIPPER, terrain="flat", perception={"bin_width": 0.1})
     other.reset(seed=1)
-    with pytest.raises(CheckpointError, match=r"bins of 0\.15 m"):
+    with pytest.raises(CheckpointError, match=r"bin_width=0\.15 m"):
         policy.reset(other)
     with pytest.raises(RequestError, match=r"Flipper-v0"):
         policy.reset(gymnasium.make("CartPole-v1"))

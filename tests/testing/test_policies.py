@@ -11,12 +11,14 @@ from flipperctl.api import Controller, Network
 from flipperctl.testing import policies
 from tests.testing.failing import failure
 
+SIZE = api.ObservationLayout().size
+
 
 class Linear(torch.nn.Linear):
-    """A linear layer from 18 observations to 9 Q-values."""
+    """A linear layer from the numbers of an observation to 9 Q-values."""
 
     def __init__(self, change: Callable[["Linear", torch.Tensor], torch.Tensor]) -> None:
-        super().__init__(18, 9)
+        super().__init__(SIZE, 9)
         self.change = change
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
@@ -40,9 +42,9 @@ def plain(module: torch.nn.Linear, x: torch.Tensor) -> torch.Tensor:
 @pytest.mark.parametrize(
     ("check", "change", "words"),
     [
-        ("shape", plain, ["bins=3", "(2, 6)"]),
+        ("shape", plain, ["bins=3", "(2, 9)"]),
         ("gradient", lambda m, x: plain(m, x) - m.bias, ["'bias'", "0 everywhere"]),
-        ("gradient", lambda m, x: plain(m, x * (torch.arange(18) > 1)), ["'", "[0, 1]"]),
+        ("gradient", lambda m, x: plain(m, x * (torch.arange(SIZE) > 1)), ["'", "[0, 1]"]),
         ("repeats", lambda m, x: plain(m, x) + torch.rand(9), ["in eval mode"]),
         ("repeats", lambda m, x: plain(m, x) - plain(m, x).mean(), ["alone than in a batch"]),
         ("onnx", lambda m, x: plain(m, x) if x.sum() > 0 else x[:, :9], ["cannot export"]),

@@ -38,7 +38,7 @@ class Level:
         self.pitch = float(getattr(measured.value, "number", 0.0))
 
     def estimate(self, time: float) -> tuple[api.SensedGround, api.SensedAngles]:
-        ground = SensedGround(np.zeros((2, 2)), np.zeros(15))
+        ground = SensedGround(np.zeros((2, 2)))
         return ground, SensedAngles(front=0.0, rear=0.0, pitch=self.pitch)
 
     def save(self) -> float:

@@ -37,7 +37,7 @@ def test_the_exported_policy_acts_as_the_trained_one(
     frames = saved.config().network.frames
     assert OnnxPolicy(path).interface.frames == frames
     (entry,) = onnxruntime.InferenceSession(path).get_inputs()[:1]
-    assert entry.shape[1] == 18 * frames
+    assert entry.shape[1] == saved.config().perception.layout.size * frames
     scene = EnvConfig(terrain="step")
     ours, theirs = (
         [{k: v for k, v in row.items() if k != "risks"} for row in played]

@@ -110,7 +110,7 @@ def test_a_replay_that_learns_from_a_run_is_that_of_the_run(runs: Callable[[str]
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"perception.bins": 21}, "15 bins of 0.15 m; .* ask for 21 of 0.15 m"),
+        ({"perception.bins": 21}, "bins=15, .*; perception asks for bins=21, "),
         ({"rewards.pitch.lambda_2": 3.0}, "was recorded with other rewards .*td_weight=0"),
         ({"agent.replay_size": 100}, "agent.replay_size: 100 transitions leave no room"),
         ({"agent.privileged_value": True}, "privileged_value: .* hold no privileged states"),

@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 
 from flipperctl import checkpoint
-from flipperctl.api import Controller, FloatArray, Perception, Policy, Simulator, StateGroups
+from flipperctl.api import (
+    Controller,
+    FloatArray,
+    ObservationLayout,
+    Perception,
+    Policy,
+    Simulator,
+    StateGroups,
+)
 from flipperctl.cli.hydra import compose
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import TrainConfig
@@ -15,6 +23,8 @@ from flipperctl.errors import CheckpointError, ConfigError, PluginFailedError
 from flipperctl.lookahead.value_iteration import SIZE
 from tests.short import short_config, trainer
 from tests.training.conftest import require_resumes
+
+LENGTH = ObservationLayout().size
 
 pytestmark = pytest.mark.slow
 
@@ -103,7 +113,7 @@ class Rater(Controller):
     """Values states at random."""
 
     plugin_name: ClassVar[str] = "rater"
-    shapes: list[tuple[int, int]] = [(3, 18)]  # noqa: RUF012  # pydantic copies it
+    shapes: list[tuple[int, int]] = [(3, LENGTH)]  # noqa: RUF012  # pydantic copies it
 
     def build(self) -> Policy:
         return _Rating(self.shapes)
@@ -132,8 +142,11 @@ def test_a_plugin_s_groups_are_learned_from(registry: dict[Any, Any], tmp_path: 
 @pytest.mark.parametrize(
     ("shapes", "text"),
     [
-        ([(3, 7)], "returned groups of 3 observations of 7 numbers; observations of 18 numbers"),
-        ([(3, 18), (4, 18)], "returned groups of 4 observations of 18 numbers"),
+        (
+            [(3, 7)],
+            f"returned groups of 3 observations of 7 numbers; observations of {LENGTH} numbers",
+        ),
+        ([(3, LENGTH), (4, LENGTH)], f"returned groups of 4 observations of {LENGTH} numbers"),
     ],
 )
 def test_groups_of_another_size_name_their_plugin(

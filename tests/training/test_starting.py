@@ -73,7 +73,7 @@ def test_the_values_of_a_policy_gradient_go_on_if_asked_for(tmp_path: Path) -> N
     ("settings", "text"),
     [
         ({"network": {"name": "mlp"}}, "has another network than this training"),
-        ({"perception.bins": 12}, "the policy was trained on 15 bins of"),
+        ({"perception.bins": 12}, "the policy was trained on bins=15, "),
         ({"agent.start_from": "nothing"}, r"^agent\.start_from: .*nothing: there is no such run"),
         (
             {**GRADIENT, VALUES: True},
@@ -93,7 +93,8 @@ def test_the_same_weights_in_another_arrangement_are_refused() -> None:
     """The network has the same shapes if one of the earlier observations is another one."""
     trained = checkpoint.read(checkpoint.find(Path("generalist"))).policy_config()
     network: dict[str, Any] = dict(to_dict(trained.network))
-    config = {"agent.start_from": "generalist", "network": network}
+    layout = trained.perception.layout.model_dump()
+    config = {"agent.start_from": "generalist", "network": network, "perception": layout}
     training_run.check(short_config(**config))
     network["earlier"] = [4, *network["earlier"][1:]]
     with pytest.raises(ConfigError, match=r"network and settings of the network$"):

@@ -8,6 +8,7 @@ from flipperctl.core.lidar.body import Body, Mount
 from flipperctl.core.lidar.estimator import LidarEstimator
 from flipperctl.core.lidar.ground import MapSettings
 from flipperctl.core.lidar.messages import Joints, Pose, Scan
+from flipperctl.core.observation import FloatArray
 from flipperctl.core.sensing import Measured, SensedGround
 
 BODY = Body(0.76, 0.536, 0.1, 0.352, 0.712)
@@ -36,6 +37,13 @@ def started(*values: object) -> LidarEstimator:
 
 def ground_of(robot: LidarEstimator, time: float = 0.0) -> SensedGround:
     return robot.estimate(time)[0]
+
+
+def heights_of(robot: LidarEstimator, time: float = 0.0) -> FloatArray:
+    """Return mean and highest point of each bin, (2, 15) [m]."""
+    found = ground_of(robot, time).heights
+    assert found is not None
+    return found.reshape(2, -1)
 
 
 def ahead(error: float = 0.0) -> Scan:

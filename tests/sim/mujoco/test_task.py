@@ -176,15 +176,15 @@ class FrontCamera(api.Instrument):
 class Heights:
     """An estimator that knows no ground and remembers the distance as its pitch."""
 
-    def __init__(self, bins: int) -> None:
-        self._heights, self._distance = np.zeros(bins), 0.0
+    def __init__(self) -> None:
+        self._distance = 0.0
 
     def update(self, measured: Measured) -> None:
         assert isinstance(measured.value, Nearest)
         self._distance = measured.value.distance
 
     def estimate(self, time: float) -> tuple[SensedGround, SensedAngles]:
-        ground = SensedGround(np.zeros((0, 2)), self._heights)
+        ground = SensedGround(np.zeros((0, 2)))
         return ground, SensedAngles(front=0.0, rear=0.0, pitch=self._distance)
 
     def save(self) -> float:
@@ -207,7 +207,7 @@ def camera(registry: dict) -> None:
             return {"front": FrontCamera(mounting.cameras)}
 
         def estimator(self, robot: api.RobotGeometry) -> Heights:
-            return Heights(self.bins)
+            return Heights()
 
 
 @draws
