@@ -78,7 +78,7 @@ def _sequence(seed: int, count: int) -> Iterator[str]:
         try:
             estimator.update(Measured("device", time, _message(rng, odd)))
             ground, angles = estimator.estimate(_value(rng, odd / 4, partial(float, clock)))
-            _check(ground, angles, bins)
+            _check(ground, angles, sensor.layout.heights)
             yield "estimate" if ground.seen.any() else "estimate of unseen ground"
         except PerceptionError as error:
             yield "reason: " + "".join(c for c in str(error).split(";")[0] if not c.isdigit())
@@ -129,13 +129,14 @@ def _cloud(rng: np.random.Generator) -> FloatArray:
     return points.astype(rng.choice(["float64", "float32"]))
 
 
-def _check(ground: SensedGround, angles: SensedAngles, bins: int) -> None:
+def _check(ground: SensedGround, angles: SensedAngles, heights: int) -> None:
     """Raise an ``AssertionError`` if something of the estimate is missing or not a number."""
     points, deviation, seen = ground.points, ground.deviation, ground.seen
     assert points.ndim == 2, "points"
     assert np.isfinite(points).all(), "points"
     assert (np.diff(points[:, 0]) >= 0).all(), "order of the points"
-    assert ground.heights.shape == (bins,), "heights"
+    assert ground.heights is not None, "heights"
+    assert ground.heights.shape == (heights,), "heights"
     assert np.isfinite(ground.heights).all(), "heights"
     assert ground.filled is not None, "filled"
     assert ground.filled.shape == (len(points),), "filled"

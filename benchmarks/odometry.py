@@ -32,9 +32,9 @@ from flipperctl.api import (
     RobotGeometry,
     Transition,
 )
-from flipperctl.checkpoint import shipped_policies
+from flipperctl.checkpoint import read_policy, shipped_policies
 from flipperctl.core.lidar.messages import Belts, Inertial, Scan
-from flipperctl.core.observation import mean_heights
+from flipperctl.core.observation import bin_heights
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.pictures import Observer
 from flipperctl.policies.source import PolicySource
@@ -123,15 +123,18 @@ class Recorder(Observer):
         pose = np.array([s.position[0], s.side, s.position[1], s.yaw])
         cloud = t.profile.sample(_SPACING, p.layout.reach + _ROOM) - s.position
         inside = (cloud[:, 0] >= -p.layout.reach) & (cloud[:, 0] < p.layout.reach)
-        heights = mean_heights(cloud[inside], p.layout.bins, p.layout.bin_width)
+        heights = bin_heights(cloud[inside], p.layout.bins, p.layout.bin_width, highest=False)
         self.decisions.append(Decided(s.time, received, pose, heights))
 
 
 def record(family: str, seed: int, sensor: Mapping[str, Any], sim: Mapping[str, Any]) -> Recorder:
     """Drive over one ground of a family; ``sensor`` are settings of ``perception=lidar``."""
     terrain = {"name": family, **FAMILIES[family]}
-    env = FlipperEnv(terrain, sim={"name": "mujoco", **sim}, perception=_Recording(**sensor))
-    driver = PolicySource(checkpoint=shipped_policies()["generalist"]).build(env.config)
+    file = shipped_policies()["generalist"]
+    layout = read_policy(file).policy_config().perception.layout.model_dump()
+    sensing = _Recording(**layout, **sensor)
+    env = FlipperEnv(terrain, sim={"name": "mujoco", **sim}, perception=sensing)
+    driver = PolicySource(checkpoint=file).build(env.config)
     recorder = Recorder()
     for _ in decisions(env, driver, seed, observers=[recorder]):
         pass
@@ -179,7 +182,8 @@ def errors(drive: Recorder, sensor: LidarSensor) -> Errors:
         assert place is not None
         assert seen is not None
         assert deviation is not None
-        off = ground.heights - truth.heights
+        assert ground.heights is not None
+        off = ground.heights[: sensor.bins] - truth.heights
         places.append(place)
         below.append(off[seen & under])
         heights.append(off[seen])

@@ -1,7 +1,7 @@
 """Stable-Baselines3's DQN, configured for this task; only this module imports it.
 
 In: a training configuration. Out: a model on ``flipperctl/Flipper-v0`` whose ``q_net`` maps
-observations (B, N + 3) in SI units to Q-values (B, 9), as flipperctl's networks do.
+observations (B, n) in SI units to Q-values (B, 9), as flipperctl's networks do.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class Scaled(BaseFeaturesExtractor):
         self.register_buffer("scale", torch.tensor(scale, dtype=torch.float32))
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """Map (B, N + 3) in SI units to (B, N + 3) [-]."""
+        """Map (B, n) in SI units to (B, n) [-]."""
         return observation / self.scale
 
 
