@@ -49,9 +49,10 @@ def evaluate(
 
 
 def config(episodes: int = 5, terrain: str = "flat", **more: object) -> EvalConfig:
-    """A scene whose cells have two episodes."""
+    """A scene whose cells have two episodes, with the observation layout of ``mpc_value``."""
     numbers = {"episodes": episodes, "seed": 4, "cell": 2, **more}
-    return EvalConfig(terrain={"name": terrain, "length": 0.2}, eval=numbers)
+    ground, layout = {"name": terrain, "length": 0.2}, {"highest": False}
+    return EvalConfig(terrain=ground, perception=layout, eval=numbers)
 
 
 @pytest.fixture
@@ -110,7 +111,7 @@ def test_another_policy_or_other_conditions_are_other_cells(
 
 
 def test_a_file_is_its_content_wherever_it_lies(tmp_path: Path) -> None:
-    shipped = PolicySource(checkpoint=shipped_policies()["generalist"])
+    shipped = PolicySource(checkpoint=shipped_policies()["mpc_value"])
     assert shipped.checkpoint is not None
     copy = tmp_path / "mine.safetensors"
     copy.write_bytes(shipped.checkpoint.read_bytes())
@@ -121,7 +122,7 @@ def test_a_file_is_its_content_wherever_it_lies(tmp_path: Path) -> None:
     (played,) = (p for found in played_policies(tmp_path / "cells").values() for p in found)
     assert one.training is not None
     assert played.training == one.training
-    assert one.training["network"]["name"] == "stacked"
+    assert one.training["network"]["name"] == "at_d3qn"
     assert not {"seed", "device"} & set(one.training)
 
 
@@ -302,7 +303,7 @@ def test_a_policy_that_is_replaced_meanwhile_is_refused(
 
     def replaced(self: EpisodeRunner, index: int) -> Row:
         if index == 3:
-            file.write_bytes(shipped["generalist"].read_bytes())
+            file.write_bytes(shipped["mpc_value_large"].read_bytes())
         return play(self, index)
 
     monkeypatch.setattr(EpisodeRunner, "play", replaced)

@@ -89,11 +89,11 @@ def test_a_given_policy_is_one_of_the_first_drives(monkeypatch: pytest.MonkeyPat
 
 
 def test_the_policy_is_found_by_its_name() -> None:
-    config = EnvConfig(terrain="flat")
-    settings = {**QUICK, "budget": 1, "policy": "generalist"}
-    row = play(FlipperEnv("flat"), PolicySource(settings=settings).build(config), seed=3)
+    config = EnvConfig(terrain="flat", perception={"highest": False})
+    settings = {**QUICK, "budget": 1, "policy": "mpc_value"}
+    row = play(FlipperEnv(config=config), PolicySource(settings=settings).build(config), seed=3)
     assert row["outcome"] == Outcome.REACHED
-    with pytest.raises(CheckpointError, match="did you mean 'generalist'"):
-        PolicySource(settings={**settings, "policy": "generalis"}).build(config)
+    with pytest.raises(CheckpointError, match="did you mean 'mpc_value'"):
+        PolicySource(settings={**settings, "policy": "mpc_valu"}).build(config)
     with pytest.raises(ConfigError, match="reads no policy"):
         built(settings)

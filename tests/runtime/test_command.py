@@ -37,7 +37,8 @@ def test_the_interface_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[
         "  0   h_1       m     L      ±6.125  x",
         f"  {SIZE - 1}  theta_R   rad   L      ±3.142  pitch",
         f"input: observation, float32 [batch, {3 * SIZE}], the last 3 observations of {SIZE} "
-        "numbers, oldest first; at the start of an episode the first one also fills the frames before it",
+        "numbers, oldest first; at the start of an episode the first one also fills the frames "
+        "before it",
         "output: q_values, float32 [batch, 9]",
         "output: risk, float32 [batch, 1], of the input alone",
         "output: risk_recurrence, float32 [batch, 5], what resembling the observations 1, 2, 4, 8, "

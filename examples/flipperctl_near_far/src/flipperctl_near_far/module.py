@@ -41,7 +41,7 @@ class NearFarModule(nn.Module):
         )
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """Map observations (B, N + 3) in SI units to Q-values (B, n_actions)."""
+        """Map observations (B, n) in SI units to Q-values (B, n_actions)."""
         scaled = observation / self.scale
         features = [
             encoder(scaled[:, view])

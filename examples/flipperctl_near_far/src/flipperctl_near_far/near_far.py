@@ -24,7 +24,7 @@ class NearFar(Network):
     joined: int = Field(128, ge=2, le=4096, description="units of the fused layer [-]")
 
     def build(self, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
-        """Return a module that maps observations (B, N + 3) in SI units to Q (B, n_actions)."""
+        """Return a module that maps observations (B, n) in SI units to Q (B, n_actions)."""
         from flipperctl_near_far.module import NearFarModule
 
         centres = [(i + 0.5) * layout.bin_width - layout.reach for i in range(layout.bins)]
