@@ -125,11 +125,11 @@ def test_lengths_of_the_robot_are_overall_lengths_of_capsules() -> None:
 
 
 def test_a_layout_knows_its_extent() -> None:
-    layout = ObservationLayout(bins=5, bin_width=0.2)
-    assert layout.size == 8
-    assert layout.reach == pytest.approx(0.5)  # 5 · 0.2 / 2
-    assert layout.scale.shape == (8,)
-    assert (layout.scale > 0).all()
+    for highest, heights in ((True, 10), (False, 5)):
+        layout = ObservationLayout(bins=5, bin_width=0.2, highest=highest)
+        assert (layout.heights, layout.size) == (heights, heights + 3)
+        assert layout.reach == pytest.approx(0.5)  # 5 · 0.2 / 2
+        assert layout.scale == pytest.approx([0.5] * heights + [math.pi / 3] * 3)
 
 
 def test_ground_that_folds_back_is_refused() -> None:

@@ -201,4 +201,4 @@ def test_the_size_of_a_network_s_input_row() -> None:
     layout = ObservationLayout(bins=5)
     network = resolver.create("network", {"name": "stacked", "window": 3}, "network")
     assert isinstance(network, Network)
-    assert input_size(network, layout) == 3 * 8
+    assert input_size(network, layout) == 3 * 13
