@@ -215,16 +215,20 @@ def test_off_path_states_are_worse_than_those_of_the_best_way(step: Graph) -> No
 
 def test_what_is_unseen_is_level_ground_ahead_alone(step: Graph) -> None:
     seen, hidden = sampled(step), sampled(step, unseen=1.0)
-    middle, bins = LAYOUT.bins // 2, LAYOUT.bins
+    bins, count = LAYOUT.bins, LAYOUT.heights
     assert np.array_equal(hidden.values, seen.values)
-    here = slice(0, middle + 1)
-    assert np.array_equal(hidden.observations[:, :, here], seen.observations[:, :, here])
-    assert np.array_equal(hidden.observations[:, :, bins:], seen.observations[:, :, bins:])
-    changed = hidden.observations[:, :, :bins] != seen.observations[:, :, :bins]
+    assert np.array_equal(hidden.observations[:, :, count:], seen.observations[:, :, count:])
+    level, true = (  # mean and highest point of each bin, (G, K, 2, N)
+        found.observations[:, :, :count].reshape(*found.observations.shape[:2], 2, bins)
+        for found in (hidden, seen)
+    )
+    here = slice(0, bins // 2 + 1)
+    assert np.array_equal(level[..., here], true[..., here])
+    changed = (level != true).any(axis=2)
     assert 0.1 < changed.any(axis=(1, 2)).mean() < 1.0
-    for group, same in zip(hidden.observations, ~changed.any(axis=1), strict=True):
+    for group, same in zip(level, ~changed.any(axis=1), strict=True):
         first = int(np.flatnonzero(~same)[0]) if not same.all() else bins
-        assert (group[:, first:bins] == group[:, first - 1 : first]).all()
+        assert (group[..., first:] == group[:, :1, first - 1 : first]).all()
     part = sampled(step, unseen=0.5).observations
     untouched = (part == seen.observations).all(axis=(1, 2)).mean()
     assert untouched > (hidden.observations == seen.observations).all(axis=(1, 2)).mean()

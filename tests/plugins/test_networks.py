@@ -90,8 +90,8 @@ def test_quantiles_differ_and_their_mean_is_the_q_value() -> None:
 def test_the_convolution_continues_the_ground_beyond_its_ends() -> None:
     module = build("conv", channels=(3, 2), reach=2)
     flat = torch.zeros(1, LAYOUT.size)
-    flat[:, : LAYOUT.bins] = 0.3  # level ground gives equal features in every bin
-    features = module[1].terrain(flat[:, : LAYOUT.bins]).reshape(2, LAYOUT.bins)
+    flat[:, : LAYOUT.heights] = 0.3  # level ground gives equal features in every bin
+    features = module[1].terrain(flat[:, : LAYOUT.heights]).reshape(2, LAYOUT.bins)
     assert torch.allclose(features, features[:, :1].expand(-1, LAYOUT.bins), atol=1e-6)
 
 
