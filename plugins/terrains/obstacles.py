@@ -59,10 +59,7 @@ class Step(Terrain):
     low: float = Field(-0.4, ge=-1, le=1, description="smallest height; negative leads down [m]")
     high: float = Field(0.4, ge=-1, le=1, description="largest height [m]")
     platform: float = Field(
-        0.0,
-        ge=0,
-        le=20,
-        description="length of the platform after the first step [m]",
+        0.0, ge=0, le=20, description="length of the platform after the first step [m]"
     )
     back: bool = Field(False, description="whether a second step leads back to ground level [-]")
 
@@ -177,9 +174,6 @@ class PaperStep(Step):
 
     low: float = Field(0.4, ge=-1, le=1, description="smallest height; negative leads down [m]")
     platform: float = Field(
-        3.0,
-        ge=0,
-        le=20,
-        description="length of the platform after the first step [m]",
+        3.0, ge=0, le=20, description="length of the platform after the first step [m]"
     )
     back: bool = Field(True, description="whether a second step leads back to ground level [-]")

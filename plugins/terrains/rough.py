@@ -62,11 +62,7 @@ class Rough(Drawn):
         waves, amplitudes = self.spectrum(roughness, exponent)
         phases = rng.uniform(0.0, 2 * math.pi, len(waves))
         z = np.cos(2 * math.pi * np.outer(x, waves) + phases) @ amplitudes
-        drawn = {
-            "roughness": roughness,
-            "exponent": exponent,
-            "deviation": float(z.std()),
-        }
+        drawn = {"roughness": roughness, "exponent": exponent, "deviation": float(z.std())}
         return Profile(np.column_stack([x, z - z[0]]), drawn=drawn)
 
     def spectrum(self, roughness: float, exponent: float) -> tuple[FloatArray, FloatArray]:
