@@ -25,7 +25,13 @@ SHORT = {
     "agent.learning_starts": 50,
     "agent.batch_size": 32,
 }
-WORDS = ["terrain=step", *(f"{key}={value}" for key, value in SHORT.items()), "seed=1,2,3"]
+WORDS = [
+    "terrain=step",
+    "terrain.low=0.9",
+    "terrain.high=0.9",
+    *(f"{key}={value}" for key, value in SHORT.items()),
+    "seed=1,2,3",
+]
 
 
 def sweep(folder: Path, *more: str) -> Done:

@@ -33,21 +33,26 @@ def look(of: TerrainSensor, x: float = 0.05, z: float = 0.3) -> SensedGround:
 
 def test_heights_lie_below_the_chassis_centre_in_frame_l_which_stays_level() -> None:
     of = sensor(STEP)
-    assert look(sensor(FLAT)).heights == pytest.approx([-0.3, -0.3, -0.3])
+    assert look(sensor(FLAT)).heights == pytest.approx([-0.3] * 6)
     # Middle bin, world x in [-0.45, 0.55): -0.4 … 0.0 are five points at 0 m; the face adds one
     # at 0.1 m and the corner at 0.2 m; 0.1 … 0.5 are five more at 0.2 m.
     # (0.1 + 0.2 + 5 · 0.2) / 12 = 0.10833 m, seen from 0.3 m.
-    assert look(of).heights == pytest.approx([-0.3, 0.10833 - 0.3, 0.2 - 0.3], abs=1e-5)
+    means, highest = look(of).heights.reshape(2, 3)
+    assert means == pytest.approx([-0.3, 0.10833 - 0.3, 0.2 - 0.3], abs=1e-5)
+    assert highest == pytest.approx([-0.3, 0.2 - 0.3, 0.2 - 0.3])
+    assert look(sensor(STEP, highest=False)).heights.tolist() == means.tolist()
     # 1 m ahead and 0.2 m up on the step: the face is now in the rear bin.
     ahead = look(of, 1.05, 0.5)
-    assert ahead.heights == pytest.approx([0.10833 - 0.5, -0.3, -0.3], abs=1e-5)
+    means, highest = ahead.heights.reshape(2, 3)
+    assert means == pytest.approx([0.10833 - 0.5, -0.3, -0.3], abs=1e-5)
+    assert highest == pytest.approx([-0.3] * 3)
     assert np.diff(ahead.points[:, 0]).min() >= 0
 
 
 @pytest.mark.parametrize(("bins", "width"), [(3, 1.0), (15, 0.15), (7, 0.4)])
 def test_points_and_heights_follow_the_number_and_width_of_bins(bins: int, width: float) -> None:
     ground, reach = look(sensor(FLAT, bins=bins, bin_width=width, density=100.0)), bins * width / 2
-    assert ground.heights.shape == (bins,)
+    assert ground.heights.shape == (2 * bins,)
     ends = ground.points[[0, -1], 0]
     assert ends == pytest.approx([-reach, reach], abs=0.011)
     assert len(ground.points) == pytest.approx(200 * reach, abs=1)
@@ -60,7 +65,7 @@ def test_terrain_beyond_the_horizon_is_not_seen_yet() -> None:
     assert near.points[0, 0] == far.points[0, 0]  # behind the robot, every point stays in view
     assert near.points[:, 1].max() == pytest.approx(-0.3)
     assert far.points[:, 1].max() == pytest.approx(0.7)
-    assert near.heights == pytest.approx([-0.3, -0.3, -0.3])
+    assert near.heights == pytest.approx([-0.3] * 6)
 
 
 def test_noise_is_normal_in_height_alone_and_dropout_removes_its_fraction() -> None:
