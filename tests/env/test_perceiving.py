@@ -217,6 +217,7 @@ def test_a_part_that_fails_is_named(registry: dict, methods: dict, text: str) ->
     ("changed", "text"),
     [
         ({"seen": np.ones(3)}, r"seen of the type float64 and the shape \(3,\); allowed: None, or"),
+        ({"heights": np.ones(15)}, r"heights .* \(15,\); allowed: None, or .* \(30,\)"),
         ({"position": np.ones(3)}, r"position .* the shape \(3,\); allowed: None, or numbers of"),
         ({"position": np.array([0.0, np.nan])}, "position that are not finite"),
         ({}, "'broken': estimate returned SensedAngles.* three finite numbers"),

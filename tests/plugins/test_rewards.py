@@ -281,6 +281,11 @@ def test_travel_is_the_angle_that_both_pairs_turned(
     assert paid("travel", turned) == pytest.approx(value)
 
 
+def test_the_price_of_time_is_the_duration_of_a_decision() -> None:
+    later = replace(state(), time=2.1), replace(state(), time=1.5)
+    assert paid("time", transition(*later)) == pytest.approx(-0.6)
+
+
 @pytest.mark.parametrize(
     ("before", "now", "value"),
     [
