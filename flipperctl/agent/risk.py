@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from flipperctl.agent.losses import Adam, flatten_parameters
 from flipperctl.agent.replay import UNKNOWN, Batch
-from flipperctl.core.risk import LAGS, RiskCalibration, RiskSign, with_recurrence
+from flipperctl.core.risk import LAGS, EpisodeRisk, Place, RiskCalibration, RiskSign
 from flipperctl.errors import NonFiniteError
 
 POSITIVES: Final = 5.0
@@ -66,8 +66,12 @@ class RiskNetwork(torch.nn.Module):
 class Risk(torch.nn.Module):
     """Maps inputs of the policy to calibrated probabilities and coefficients."""
 
-    def __init__(self, network: RiskNetwork, calibration: RiskCalibration) -> None:
+    def __init__(
+        self, network: RiskNetwork, calibration: RiskCalibration, stride: float = 0.0
+    ) -> None:
+        """``stride``: way that the belts command in a decision, see ``EpisodeRisk`` [m]."""
         super().__init__()
+        self.stride = stride
         self.network, self.sign = network, calibration.sign
         self.slope, self.shift = calibration.slope, calibration.shift
 
@@ -76,13 +80,22 @@ class Risk(torch.nn.Module):
         alone, coefficients = self.network(observation)
         return torch.sigmoid(self.slope * alone + self.shift), self.slope * coefficients
 
-    def of_one(self, observation: NDArray[np.float32], resembles: NDArray[np.float32]) -> float:
-        """Return the risk of one input row, (frames · n,), with its resemblances, (lags,)."""
+    def begin(self, size: int) -> EpisodeRisk:
+        """Return what remembers a new episode; ``size``: length n of an observation."""
+        return EpisodeRisk(size, self.sign, self.stride)
+
+    def of_one(
+        self, observation: NDArray[np.float32], episode: EpisodeRisk, place: Place | None = None
+    ) -> float:
+        """Return the risk of an episode's next input row, (frames · n,).
+
+        ``place``: where the robot is by odometry, see ``EpisodeRisk.update``.
+        """
         device = next(self.network.parameters()).device
         row = torch.from_numpy(observation).to(device).unsqueeze(0)
         with torch.inference_mode():
             alone, coefficients = self(row)
-        found = with_recurrence(float(alone), coefficients[0].cpu().numpy(), resembles)
+        found = episode.update(float(alone), coefficients[0].cpu().numpy(), observation, place)
         if not math.isfinite(found):
             raise NonFiniteError(f"the risk of an observation is {found}")
         return found

@@ -286,7 +286,7 @@ class ExportedPolicy:
 
     def act(self, p: Perception) -> int:
         """Return the index of the action with the largest Q-value, 0 to 8."""
-        return self._policy.act(p.observation)
+        return self._policy.act(p.observation, p.position)
 
     def q_values(self, p: Perception) -> list[float]:
         """Return the Q-values, (9,)."""

@@ -30,7 +30,7 @@ from flipperctl.api import (
 from flipperctl.checkpoint import Checkpoint, read_policy
 from flipperctl.checkpoint.document import require_equal_layout
 from flipperctl.config import TrainConfig
-from flipperctl.core.risk import Escape, EscapeRule, Recurrence, RiskCalibration, drawn
+from flipperctl.core.risk import EpisodeRisk, Escape, EscapeRule, RiskCalibration, drawn
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.lookahead.settings import TOLERANCE, LearnedValue
 from flipperctl.policies.controllers import from_costs, no_label
@@ -68,26 +68,32 @@ class TrainedPolicy(_NetworkPolicy):
         """When its risk is a warning; None without a risk."""
         self.risk: float | None = None
         """Risk at the last decision; None without one."""
-        self._recurrence: Recurrence | None = None
+        self._episode: EpisodeRisk | None = None
         self._escape = None if escape is None else Escape(escape)
 
     def reset(self, simulator: Simulator | None = None) -> None:
         """Begin an episode; only the risk and the escape have a memory."""
-        self.risk = self._recurrence = None
+        self.risk = self._episode = None
         if self._escape is not None:
             self._escape.reset()
 
     def act(self, p: Perception) -> int:
         """Return the index of an action, 0 to 8."""
-        return self.act_on(p.recent)
+        return self.act_on(p.recent, p.position)
 
-    def act_on(self, recent: Sequence[NDArray[np.float32]]) -> int:
-        """Return the action for the newest observations, each (n,) in SI units."""
+    def act_on(
+        self, recent: Sequence[NDArray[np.float32]], position: FloatArray | None = None
+    ) -> int:
+        """Return the action for the newest observations, each (n,) in SI units.
+
+        ``position``: see ``Perception``.
+        """
         observation = stacked(recent, self.frames)
         if self._risk is not None:
-            if self._recurrence is None:
-                self._recurrence = Recurrence(len(recent[-1]))
-            self.risk = self._risk.of_one(observation, self._recurrence.add(recent[-1]))
+            if self._episode is None:
+                self._episode = self._risk.begin(len(recent[-1]))
+            place = None if position is None else position.tolist()
+            self.risk = self._risk.of_one(observation, self._episode, place)
         values = q_values(self.module, observation, self._device)
         escape, sign = self._escape, self.risk_sign
         if escape is not None and sign is not None and escape.due(warns=sign.warns(self.risk)):
@@ -213,7 +219,8 @@ def policy_risk(checkpoint: Checkpoint) -> Risk | None:
     except ValueError as error:
         raise CheckpointError(f"{checkpoint.path}: its risk is not valid: {error}") from error
     network.load_state_dict(weights)
-    return Risk(network, calibration).eval().requires_grad_(False)
+    stride = config.robot.track_speed * config.robot.decision_period
+    return Risk(network, calibration, stride).eval().requires_grad_(False)
 
 
 @contextmanager

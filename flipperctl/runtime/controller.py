@@ -328,8 +328,10 @@ class FlipperController:
             self._hold()
         measured = front, rear = angles.front, angles.rear
         assert ground.heights is not None  # of a map
+        pose = self._estimator.pose
         action = self.policy.act(
-            layout.assemble(ground.heights, front=front, rear=rear, pitch=angles.pitch)
+            layout.assemble(ground.heights, front=front, rear=rear, pitch=angles.pitch),
+            (pose.x, pose.y, pose.z),
         )
         if self._standing:
             self.policy.reset()

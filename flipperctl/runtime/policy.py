@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from flipperctl.core import observation as layout
 from flipperctl.core.observation import ANGLES, bin_heights
-from flipperctl.core.risk import LAGS, Escape, Recurrence, with_recurrence
+from flipperctl.core.risk import LAGS, EpisodeRisk, Escape, Place, RiskSign
 from flipperctl.core.targets import ACTIONS
 from flipperctl.errors import FlipperctlError, NonFiniteError, PolicyError
 from flipperctl.runtime.interface import (
@@ -41,25 +41,25 @@ _ROUNDING = 1e-9
 class _BoundRisk:
     """The risk of a session with bound outputs, which overwrites them at each decision."""
 
-    def __init__(self, bound: Any, size: int) -> None:
-        """``bound``: the session's binding of inputs and outputs; ``size``: n."""
+    def __init__(self, bound: Any, size: int, sign: RiskSign, stride: float) -> None:
+        """``bound``: the session's binding of inputs and outputs; the others: ``EpisodeRisk``."""
         self._alone = np.zeros((1, 1), np.float32)
         self._coefficients = np.zeros((1, len(LAGS)), np.float32)
         for name, array in ((RISK, self._alone), (RECURRENCE, self._coefficients)):
             bound.bind_output(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
-        self._recurrence = Recurrence(size)
+        self._episode = EpisodeRisk(size, sign, stride)
         self.value: float | None = None
         """Risk at the last decision, 0 to 1; None before one."""
 
     def reset(self) -> None:
         """Begin an episode."""
-        self._recurrence.reset()
+        self._episode.reset()
         self.value = None
 
-    def update(self, observation: NDArray[np.float32], path: Path) -> None:
+    def update(self, observation: NDArray[np.float32], place: Place | None, path: Path) -> None:
         """Compute the risk after a run of the session on ``observation``, (n,)."""
-        resembles = self._recurrence.add(observation)
-        self.value = with_recurrence(self._alone.item(), self._coefficients[0], resembles)
+        alone, coefficients = self._alone.item(), self._coefficients[0]
+        self.value = self._episode.update(alone, coefficients, observation, place)
         if math.isnan(self.value):
             raise NonFiniteError(
                 f"{path}: the risk is not a finite number; the file is damaged, or the observation "
@@ -102,7 +102,9 @@ class OnnxPolicy:
         pointers = self._input.ctypes.data, self._output.ctypes.data
         self._bound.bind_input(INPUT, "cpu", 0, np.float32, (1, size), pointers[0])
         self._bound.bind_output(OUTPUT, "cpu", 0, np.float32, (1, len(ACTIONS)), pointers[1])
-        self._risk = None if self.interface.risk is None else _BoundRisk(self._bound, one)
+        sign, speed = self.interface.risk, float(self.interface.robot.get("track_speed", 0.0))
+        stride = speed * self.interface.decision_period
+        self._risk = None if sign is None else _BoundRisk(self._bound, one, sign, stride)
         rule = self.interface.escape
         self._escape = Escape(rule) if rule is not None and escape else None
         self.act(np.zeros(one))  # the first run allocates
@@ -181,7 +183,7 @@ class OnnxPolicy:
         heights = bin_heights(near, bins, bin_width, highest=self.interface.highest)
         return layout.assemble(heights, front=front, rear=rear, pitch=pitch)
 
-    def act(self, observation: ArrayLike) -> int:
+    def act(self, observation: ArrayLike, position: ArrayLike | None = None) -> int:
         """Return the index of an action, a row of ``interface.actions``.
 
         It is that with the largest Q-value, unless ``interface.escape`` has it drawn. Call it only
@@ -189,12 +191,16 @@ class OnnxPolicy:
         stop, call ``reset`` first.
 
         ``observation``: (n,) in SI units, in the order of ``interface.observation``.
+        ``position``: x and z, or x, y and z, of the chassis centre by odometry that does not take
+        slipping belts for motion, (2,) or (3,) from an origin of its own [m]. With it, a policy
+        with a risk also warns while the robot stands.
 
         Raises:
-            PolicyError: the observation has another shape, is not numeric, or exceeds
-                ``interface.limits``.
-            NonFiniteError: the observation or a Q-value is NaN or infinite.
+            PolicyError: the observation or the position has another shape, is not numeric, or
+                exceeds ``interface.limits``.
+            NonFiniteError: the observation, the position or a Q-value is NaN or infinite.
         """
+        place = None if position is None else self._place(position)
         array = self._numbers(observation, self.interface.size)
         if array.shape != self._row.shape:
             raise self._shape_error(array, f"({self.interface.size},)")
@@ -215,7 +221,7 @@ class OnnxPolicy:
         if not math.isfinite(self._q.item(action)):  # argmax returns a NaN before any number
             raise self._non_finite_error(self._output)
         if self._risk is not None:
-            self._risk.update(self._row, self.path)
+            self._risk.update(self._row, place, self.path)
         if self._escape is not None and self._escape.due(warns=self.warning):
             return self._escape.draw(self._q.tolist())
         return action
@@ -245,6 +251,17 @@ class OnnxPolicy:
         last, measured = self._pair("targets", targets), self._pair("angles", angles)
         turns = self.interface.actions[row].tolist()
         return np.array(self.interface.targets.next_targets(last, measured, turns))
+
+    def _place(self, position: ArrayLike) -> Place:
+        place = self._real(position, np.float64, "coordinates are")
+        if place.shape not in ((2,), (3,)):
+            shape = f"the position has shape {place.shape}"
+            raise PolicyError(f"{self.path}: {shape}; (2,) and (3,) are allowed")
+        if not np.isfinite(place).all():
+            text = f"{self.path}: the position is {place}; finite numbers are allowed"
+            raise NonFiniteError(text)
+        coordinates: Place = place.tolist()
+        return coordinates
 
     def _pair(self, name: str, angles: ArrayLike) -> list[float]:
         pair = self._real(angles, np.float64, f"{name} are")

@@ -15,7 +15,7 @@ from flipperctl.agent.risk import (
     RiskNetwork,
     risk_loss,
 )
-from flipperctl.core.risk import LAGS, RiskCalibration, RiskSign
+from flipperctl.core.risk import LAGS, RiskCalibration, RiskSign, resemblances
 from tests.agent.learners import LAYOUT, fixed_batch, learner
 
 CPU = torch.device("cpu")
@@ -106,7 +106,10 @@ def test_a_calibration_scales_log_odds_and_coefficients() -> None:
     found, scaled = risk(rows)
     assert torch.allclose(found, torch.sigmoid(2 * alone - 1))
     assert torch.allclose(scaled, 2 * coefficients)
-    resembles = np.array([1, 0.5, 0, 0, 0], np.float32)
-    odds = network.log_odds(rows[:1], torch.from_numpy(resembles).unsqueeze(0))
+    observations = rows[:2].numpy()
+    resembles = torch.from_numpy(resemblances(observations)[1:])
+    odds = network.log_odds(rows[1:2], resembles)
     expected = 1 / (1 + math.exp(-(2 * float(odds.detach()) - 1)))
-    assert risk.of_one(rows[0].numpy(), resembles) == pytest.approx(expected, abs=1e-6)
+    episode = risk.begin(2)
+    told = [risk.of_one(row, episode) for row in observations]
+    assert told[1] == pytest.approx(expected, abs=1e-6)

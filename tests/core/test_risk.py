@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from flipperctl.core.risk import (
+    LAGS,
     SCALE,
+    EpisodeRisk,
     Escape,
     EscapeRule,
-    Recurrence,
     RiskCalibration,
     RiskSign,
     resemblances,
@@ -29,11 +30,41 @@ def test_resemblances_compare_with_the_observations_some_decisions_ago() -> None
 
 def test_one_observation_after_the_other_gives_the_same_as_all_at_once() -> None:
     rows = np.random.default_rng(0).normal(0, 0.02, (40, 18)).astype(np.float32)
-    recurrence = Recurrence(18)
+    episode = EpisodeRisk(18, RiskSign(10, 0.5))
     for _ in range(2):  # a second episode forgets the first
-        one_by_one = np.array([recurrence.add(row) for row in rows])
+        one_by_one = np.array([episode.resemblances(row) for row in rows])
         assert one_by_one == pytest.approx(resemblances(rows), abs=1e-6)
-        recurrence.reset()
+        episode.reset()
+
+
+def told(episode: EpisodeRisk, *places: tuple[float, ...] | None, risk: float = 0.2) -> list[float]:
+    """Return the risks of decisions at these places, all with the same observation."""
+    none, seen = np.zeros(len(LAGS), np.float32), np.zeros(18, np.float32)
+    return [episode.update(risk, none, seen, place) for place in places]
+
+
+def test_a_robot_that_has_moved_less_than_a_fifth_of_what_its_belts_command_warns() -> None:
+    episode = EpisodeRisk(18, RiskSign(10, 0.6), 0.1)  # 1 m in ten decisions
+    way = [(0.1 * i, 0.0) for i in range(11)]
+    assert told(episode, *way) == pytest.approx([0.2] * 11)
+    pushes = [(1.0 + 0.01 * (i % 2), 0.1 * (i % 2)) for i in range(20)]  # it rocks in its place
+    risks = told(episode, *pushes)
+    assert risks == pytest.approx([0.2] * 8 + [0.8] * 12)  # until 0.9 m, which is 0.1 m away
+    assert told(episode, (1.0, 0.0), risk=0.9) == pytest.approx([0.9])
+    assert math.isnan(told(episode, (1.0, 0.0), risk=math.nan)[0])
+    turned = [(1.0, 0.1 * i, 0.0) for i in range(11)]  # with a third coordinate it has turned aside
+    assert told(episode, *turned)[-1] == pytest.approx(0.2)
+
+
+def test_a_robot_whose_motion_is_not_known_does_not_stand() -> None:
+    places = [(0.0, 0.0)] * 30
+    assert max(told(EpisodeRisk(18, RiskSign(10, 0.6)), *places)) < 0.3  # of what belts command
+    episode = EpisodeRisk(18, RiskSign(10, 0.6), 0.1)
+    assert max(told(episode, *[None] * 30)) < 0.3
+    assert told(episode, *places)[9:11] == pytest.approx([0.2, 0.8])
+    assert told(episode, None, *places)[:12] == pytest.approx([0.2] * 11 + [0.8])
+    episode.reset()
+    assert told(episode, *places)[9:11] == pytest.approx([0.2, 0.8])
 
 
 def test_recurrence_adds_to_the_log_odds() -> None:

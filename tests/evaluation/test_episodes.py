@@ -4,6 +4,7 @@ import os
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,8 +14,8 @@ from flipperctl.config import EnvConfig, EvalConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.play import Player
 from flipperctl.evaluation.rows import RECORDED, Row, arranged
-from flipperctl.policies.source import PolicySource
-from flipperctl.rollout.episode import EvaluationSeeds, play
+from flipperctl.policies.source import PolicySource, load_policy
+from flipperctl.rollout.episode import EpisodeRisks, EvaluationSeeds, play
 from flipperctl.rollout.pool import WorkerPool
 from tests.rollout.notes import process_ids
 
@@ -37,6 +38,19 @@ def play_episodes(
     chosen = EvalConfig(**sections, eval={"seed": seed, "episodes": episodes, "jobs": jobs})
     with player or Player() as playing:
         return list(playing.play(chosen, source, "", record=record))
+
+
+def test_a_policy_that_stands_at_a_thin_plate_warns_before_it_is_stuck(tmp_path: Path) -> None:
+    plate = tmp_path / "plate.csv"  # too thin for a bin's mean height to show it
+    plate.write_text("x,z\n0,0\n0,0.25\n0.02,0.25\n0.02,0\n")
+    ground = {"name": "profile_file", "path": str(plate)}
+    config = EnvConfig(terrain=ground, sim={"name": "planar", "friction": 0.3})
+    (row,) = play_episodes(config, load_policy("generalist"), episodes=1, seed=5)
+    risks = EpisodeRisks.pop(dict(row))
+    assert row["outcome"] == Outcome.STUCK
+    assert risks is not None
+    assert risks.in_time
+    assert not any(risks.warnings[:10])
 
 
 HIGH = {"name": "step", "low": 0.4, "high": 0.4}

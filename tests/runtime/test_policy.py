@@ -323,6 +323,32 @@ def test_the_risk_is_that_of_the_observation_and_of_its_recurrence(risky: OnnxPo
     assert policy.risk == pytest.approx(sigmoid(0.5), abs=1e-6)
 
 
+def test_a_robot_that_stands_by_its_odometry_warns(tmp_path: Path) -> None:
+    robot = {**METADATA["robot"], "track_speed": 0.2}  # 0.12 m in a decision
+    policy = OnnxPolicy(write(tmp_path / "p.onnx", robot=robot, risky=True, risk=RISK))
+    for i in range(20):
+        policy.act(seen(-1.0), (0.12 * i, 0.0))
+        assert not policy.warning
+    warnings = []
+    for i in range(12):
+        policy.act(seen(-1.0), np.array([2.28, 0.02 * (i % 2)]))
+        warnings.append(policy.warning)
+    assert warnings == [False] * 8 + [True] * 4
+    assert policy.risk == pytest.approx(0.85)
+    policy.act(seen(-1.0))  # without odometry
+    assert not policy.warning
+
+
+def test_a_position_that_is_none_is_refused(policy: OnnxPolicy) -> None:
+    for position, text in (
+        ([0.0], r"the position has shape \(1,\); \(2,\) and \(3,\) are allowed"),
+        ([0.0, math.nan], "the position is .*finite numbers are allowed"),
+        ("ab", "the coordinates are not numbers"),
+    ):
+        with pytest.raises(FlipperctlError, match=text):
+            policy.act(seen(0.5), position)
+
+
 def test_q_values_and_actions_are_those_of_the_file_without_a_risk(
     risky: OnnxPolicy, policy: OnnxPolicy
 ) -> None:

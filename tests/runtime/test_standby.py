@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from flipperctl.core.lidar.estimator import LidarEstimator
+from flipperctl.core.lidar.messages import Pose
 from flipperctl.runtime import Answer, FlipperController, JointAngles, Odometry, OnnxPolicy
 from tests.runtime.linear import RISK, ROBOT, RULE, SIZE, write
 from tests.runtime.messages import IN_CHASSIS, RELAXED, good
@@ -90,6 +92,19 @@ def test_a_robot_that_is_stuck_while_its_belts_drive_goes_on(
     assert len(decided(answers)) == 10
     assert all(answer.warning for answer in decided(answers))
     assert len({answer.action for answer in decided(answers)}) > 3  # drawn
+
+
+def test_a_robot_whose_pose_shows_that_it_stands_warns(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calm = {**RISK, "threshold": 0.99}
+    file = write(tmp_path / "p.onnx", robot=ROBOT, targets=RULE, risky=True, risk=calm)
+    robot = Robot(FlipperController(file, IN_CHASSIS, RELAXED))
+    assert not any(answer.warning for answer in robot.run(9.0, 0.2))  # by its belts it drives
+    monkeypatch.setattr(LidarEstimator, "pose", Pose(1.8, 0.3, 0.0, 0.0, 0.0, 0.0))
+    warnings = [answer.warning for answer in decided(robot.run(9.0, 0.2))]
+    assert warnings == [False] * warnings.index(True) + [True] * warnings.count(True)
+    assert 7 <= warnings.index(True) <= 10
 
 
 def test_flippers_stop_where_they_are_soon_after_the_belts_do(robot: Robot) -> None:

@@ -170,7 +170,10 @@ class TerrainSensor:
             points, s.bins, s.bin_width, highest=s.highest, add_heights=self._rays.add_heights
         )
         angles = SensedAngles(front=float(front), rear=float(rear), pitch=float(pitch))
-        return SensedGround(points, heights, filled), angles
+        odometry = state.position.copy()
+        if self._map_errors is not None:
+            odometry[0] += self._map_errors.error
+        return SensedGround(points, heights, filled, position=odometry), angles
 
     def save(self) -> tuple[Any, Any]:
         """Return a snapshot of the seen points and of the map's errors."""
@@ -247,7 +250,8 @@ class MapErrors:
         self._x, self._size = x, size
         self._height: FloatArray | None = None  # (P,) [m]; sampled at the first decision
         self._seen_at = np.zeros(len(x))  # odometry's error when each point was seen last [m]
-        self._error = 0.0  # of odometry now [m]
+        self.error = 0.0
+        """Error of odometry now [m]."""
         self._jitter = 0.0  # displacement of the whole ground now [m]
         self._at: float | None = None  # the robot's x at the last decision [m]
 
@@ -256,11 +260,11 @@ class MapErrors:
         if self._height is None:
             self._height = self._size.height * correlated(self._x, self._size.length, rng)
         moved = 0.0 if self._at is None else abs(x - self._at)
-        self._error += self._size.drift * math.sqrt(moved) * float(rng.standard_normal())
+        self.error += self._size.drift * math.sqrt(moved) * float(rng.standard_normal())
         if self._size.jitter:  # without it, no other random number changes
             self._jitter = self._size.jitter * float(rng.standard_normal())
         self._at = x
-        self._seen_at[np.searchsorted(self._x, x + NEAREST) :] = self._error
+        self._seen_at[np.searchsorted(self._x, x + NEAREST) :] = self.error
 
     def apply(self, points: FloatArray, index: Any) -> None:
         """Add the errors to ``points`` (P, 2), in place; x stays in order.
@@ -270,17 +274,17 @@ class MapErrors:
         if self._height is None:
             return
         points[:, 1] += self._height[index]
-        displaced = self._seen_at[index] - self._error + self._jitter
+        displaced = self._seen_at[index] - self.error + self._jitter
         points[:, 0] += np.clip(displaced, -LARGEST, LARGEST)
         np.maximum.accumulate(points[:, 0], out=points[:, 0])
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot, which later decisions do not change."""
-        return self._height, self._seen_at.copy(), self._error, self._at, self._jitter
+        return self._height, self._seen_at.copy(), self.error, self._at, self._jitter
 
     def load(self, saved: tuple[Any, ...]) -> None:
         """Restore a snapshot."""
-        self._height, seen_at, self._error, self._at, self._jitter = saved
+        self._height, seen_at, self.error, self._at, self._jitter = saved
         self._seen_at[:] = seen_at
 
 

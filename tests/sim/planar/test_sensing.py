@@ -241,6 +241,20 @@ def test_what_was_passed_is_displaced_by_the_error_of_odometry_since() -> None:
     assert points[:, 0] - x == pytest.approx([-step - last, -step - last, 0.0])
 
 
+def test_the_position_is_the_true_one_with_the_error_of_odometry() -> None:
+    rng = np.random.default_rng(5)
+    exact, drifts = PlanarSensor(noise=0.01), PlanarSensor(map_drift=0.1)
+    true, off = (TerrainSensor(LONG_STEP, one, 3.0) for one in (exact, drifts))
+    for x in (-2.0, -1.0):
+        position = true.sense(state(x), rng)[0].position
+        assert position == pytest.approx(state(x).position)
+        drifted = off.sense(state(x), rng)[0].position
+    errors = off._map_errors
+    assert errors is not None
+    assert errors.error != 0
+    assert drifted == pytest.approx(state(-1.0).position + np.array([errors.error, 0.0]))
+
+
 def test_jitter_displaces_all_of_the_ground_anew_at_each_decision() -> None:
     x = np.array([0.0, 1.0, 2.0])
     errors = MapErrors(x, MapErrorSize(0.0, 1.0, 0.0, 0.01))
