@@ -44,7 +44,8 @@ def test_a_policy_that_stands_at_a_thin_plate_warns_before_it_is_stuck(tmp_path:
     plate = tmp_path / "plate.csv"  # too thin for a bin's mean height to show it
     plate.write_text("x,z\n0,0\n0,0.25\n0.02,0.25\n0.02,0\n")
     ground = {"name": "profile_file", "path": str(plate)}
-    config = EnvConfig(terrain=ground, sim={"name": "planar", "friction": 0.3})
+    sim, perception = {"friction": 0.3}, {"highest": False}  # the layout of its training
+    config = EnvConfig(terrain=ground, sim=sim, perception=perception)
     (row,) = play_episodes(config, load_policy("generalist"), episodes=1, seed=5)
     risks = EpisodeRisks.pop(dict(row))
     assert row["outcome"] == Outcome.STUCK
