@@ -30,7 +30,7 @@ from flipperctl import __version__, entry
 from flipperctl.cli.main import main as flipperctl
 from flipperctl.errors import FlipperctlError, RequestError
 from flipperctl.evaluation.plan import is_best_known
-from flipperctl.evaluation.seeds import PRICE, SeedSamples
+from flipperctl.evaluation.seeds import PRICE, SeedSamples, failure_prices
 from flipperctl.evaluation.statistics import interval
 from flipperctl.evaluation.views.card import rows_of
 from flipperctl.evaluation.views.compare import difference, method_row
@@ -80,6 +80,7 @@ and of ``SEARCHES``."""
 AGAINST = "level"
 """The method whose score is subtracted in the rows over all scenes."""
 _SCORE, _DECISIONS, _TIME = "pitch_variation_100hz", "pitch_variation", "t_cost"
+_ENERGY = "flipper_energy"
 _ROCKED = 5.0
 """θ̂_R above which a failed episode counts as one that rocked [rad]."""
 
@@ -173,8 +174,10 @@ def shipped_rows(folders: Sequence[Path], runs: Path) -> dict[str, list[dict[str
             if scene.method == name and (known is None or scene.episodes > known.episodes):
                 largest[scene.hash] = scene
         whole[name] = list(largest.values())
-    overview = [_overview(name, found, whole.get(AGAINST)) for name, found in whole.items()]
-    return {"overview": overview, "scenes": [scene.row() for scene in scenes]}
+    prices = failure_prices(_method([scene]) for scene in scenes)
+    against = whole.get(AGAINST)
+    overview = [_overview(name, found, against, prices) for name, found in whole.items()]
+    return {"overview": overview, "scenes": [scene.row(prices) for scene in scenes]}
 
 
 @dataclass(frozen=True)
@@ -194,9 +197,12 @@ class _Scene:
         """Number of episodes of a training seed."""
         return int(self.reached.shape[1])
 
-    def row(self) -> dict[str, Any]:
-        """Return plain data; means are over the episodes that were reached."""
-        scores = method_row(_method([self]), PRICE)
+    def row(self, prices: Mapping[str, float]) -> dict[str, Any]:
+        """Return plain data; means are over the episodes that were reached.
+
+        ``prices``: score of an episode that is not reached, by hash.
+        """
+        scores = method_row(_method([self]), prices)
         reached = {name: self.values[name][self.reached] for name in (_SCORE, _DECISIONS, _TIME)}
         return {
             **{name: getattr(self, name) for name in ("case", "terrain", "hash", "engine")},
@@ -262,7 +268,7 @@ def _scenes(folder: Path, runs: Path) -> Iterator[_Scene]:
 def cells(folder: Path) -> list[dict[str, Any]]:
     """Return a row for each scene and engine; the first method of the call is the policy.
 
-    ``passable`` counts the episodes that any method reached.
+    ``passable`` counts the episodes that a method reached, or a reference of ``--passable``.
     """
     scenes, played = _read(folder)
     rows: dict[tuple[str, str], dict[str, Any]] = {}
@@ -286,16 +292,18 @@ def cells(folder: Path) -> list[dict[str, Any]]:
 
 
 def _compared(methods: Mapping[str, Mapping[int, Line]]) -> dict[str, Any]:
-    swings = {
-        name: {i: float(line[_SCORE]) for i, line in lines.items() if line["outcome"] == "reached"}
+    good = {
+        name: {i: line for i, line in lines.items() if line["outcome"] == "reached"}
         for name, lines in methods.items()
     }
+    swings = {name: {i: float(r[_SCORE]) for i, r in rows.items()} for name, rows in good.items()}
     policy, *others = swings
+    crossed = (i for i, line in methods[policy].items() if line.get("crossed_by"))
     ours = swings[policy]
     failed = [line for line in methods[policy].values() if line["outcome"] != "reached"]
     return {
         "episodes": len(methods[policy]),
-        "passable": len(set().union(*swings.values())),
+        "passable": len(set(crossed).union(*swings.values())),
         "reached": {name: len(each) for name, each in swings.items()},
         "swing": {name: _interval(list(each.values())) for name, each in swings.items()},
         "difference": {
@@ -303,6 +311,10 @@ def _compared(methods: Mapping[str, Mapping[int, Line]]) -> dict[str, Any]:
                 [swing - swings[other][i] for i, swing in ours.items() if i in swings[other]]
             )
             for other in others
+        },
+        "energy": {
+            name: _interval([float(line[_ENERGY]) for line in rows.values()])
+            for name, rows in good.items()
         },
         "rocked": sum(float(line[_SCORE]) > _ROCKED for line in failed),
         "overturned": {
@@ -332,10 +344,13 @@ def _method(scenes: Sequence[_Scene], like: Sequence[_Scene] = ()) -> SeedSample
 
 
 def _overview(
-    name: str, scenes: Sequence[_Scene], against: Sequence[_Scene] | None
+    name: str,
+    scenes: Sequence[_Scene],
+    against: Sequence[_Scene] | None,
+    prices: Mapping[str, float],
 ) -> dict[str, Any]:
     """Return the row of a method over all scenes, with its difference on common episodes."""
-    found = method_row(_method(scenes), PRICE)
+    found = method_row(_method(scenes), prices)
     row: dict[str, Any] = {
         "method": name,
         "seeds": found["seeds"],
@@ -349,7 +364,7 @@ def _overview(
     }
     if against is not None and name != AGAINST:
         other, ours = _method(against, scenes), _method(scenes, against)
-        row["difference"] = _ends(difference(ours, other, PRICE)["score"])
+        row["difference"] = _ends(difference(ours, other, prices)["score"])
     return row
 
 

@@ -120,13 +120,16 @@ def _scenes(document: Document) -> list[str]:
 def cells_table(rows: Sequence[Document]) -> list[str]:
     """Return the lines of the table of a policy on each scene of a suite, beside rules.
 
-    Where its rows know who overturned, one column has the numbers of all, in their order.
+    Where its rows know who overturned, or the flippers' energy, one column has those of all, in
+    their order.
     """
     methods = policy, *others = list(rows[0]["reached"])
     overturned = "overturned" in rows[0]
     headings = ["scene", "passable", "reached", *(f"`{name}` reached" for name in others)]
     headings += ["overturned"] if overturned else []
+    energy = "energy" in rows[0]
     headings += ["θ̂_R [rad]", *(f"minus `{name}`'s" for name in others)]
+    headings += ["flipper energy [J]"] if energy else []
     several = len({row["terrain"] for row in rows if row["scene"] == rows[0]["scene"]}) > 1
     cells = [
         [
@@ -136,6 +139,11 @@ def cells_table(rows: Sequence[Document]) -> list[str]:
             *([", ".join(str(row["overturned"][m]) for m in methods)] if overturned else []),
             _ends(row["swing"][policy], interval=False),
             *(_ends(row["difference"][name]) for name in others),
+            *(
+                [", ".join(_ends(row["energy"][m], 0, interval=False) for m in methods)]
+                if energy
+                else []
+            ),
         ]
         for row in rows
     ]
@@ -188,6 +196,7 @@ def _columns() -> dict[str, _Column]:
         ("time", "t_cost", "t_cost [s]", 1),
         ("pitch", "max_pitch", "largest pitch [rad]", 2),
         ("travel", "flipper_travel", "flipper travel [rad]", 1),
+        ("energy", "flipper_energy", "flipper energy [J]", 0),
     ):
         for sign, interval in (("", False), ("+", True)):
 

@@ -111,7 +111,8 @@ def evaluate(
     plan = make_plan(flagged, entrants(names, print_note), baseline, print_note)
     if record is not None and any(entry.config.eval.ray is not None for entry in plan.entries):
         raise RequestError("eval.ray: no meaning beside --record, which plays here; leave it out")
-    references = controllers(passable, "--passable")
+    sources = [entry.source for entry in plan.entries]
+    references = controllers(passable, "--passable", planned=sources)
     groups = evaluation.parse_groups(by, "--by", [entry.config for entry in plan.rows])
     progress = EvaluationProgress()
 
@@ -241,7 +242,7 @@ def compare(
         str, typer.Option(metavar="NAME", help="The measure of the score; less is better.")
     ] = "pitch_variation_100hz",
     price: Annotated[
-        float | None, typer.Option(metavar="X", help="Score of a failed episode [6.283].")
+        float | None, typer.Option(metavar="X", help="Least score of a failed episode [6.283].")
     ] = None,
     output: Annotated[
         Path | None, typer.Option(metavar="FILE", help="A table, .tex, or a picture.")
@@ -251,8 +252,9 @@ def compare(
 ) -> None:
     """Compare methods over their training seeds, from folders that eval --output wrote.
 
-    A failed episode counts with a price. --against all compares every pair; --output writes the
-    table for LaTeX (.tex), or a picture of performance profiles (.png, .svg, .pdf).
+    A failed episode counts as the roughest crossing of its scene, but --price at least. --against
+    all compares every pair; --output writes the table for LaTeX (.tex), or a picture of performance
+    profiles (.png, .svg, .pdf).
 
     [bold]Examples[/]
 
@@ -280,7 +282,6 @@ def compare(
 
     def printed() -> None:
         out = console()
-        print_lines(out, view.price_warnings(document))
         for at, table in enumerate(tables):
             if at:
                 out.print()

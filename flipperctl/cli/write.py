@@ -94,6 +94,8 @@ def _words(primary: str, scene: Mapping[str, Any]) -> tuple[list[str], str]:
     options = ["--episodes", str(scene["episodes"]), "--seed", str(scene["seed"])]
     if names := [other["controller"] for other in compared(scene)]:
         options += ["--baseline", ",".join(names)]
+    if names := scene.get("passable", {}).get("references"):
+        options += ["--passable", ",".join(names)]
     plugins = {kind: stored[kind]["name"] for kind in ("sim", "perception")}
     words = [f"conditions={stored['name']}"]
     words += [f"{kind}={name}" for kind, name in plugins.items() if name != DEFAULT_ENGINE]

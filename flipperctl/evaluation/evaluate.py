@@ -74,6 +74,8 @@ class Result:
     failures: tuple[PolicyError, ...] = ()
     """Policies that failed on a scene; their episodes are left out, since the rest would favour
     them."""
+    references: tuple[str, ...] = ()
+    """Labels of the policies that determine which episodes can be crossed."""
 
     @property
     def rows(self) -> list[Played]:
@@ -116,12 +118,12 @@ def evaluate(
 ) -> Result:
     """Play the episodes of a plan, in as many processes as its scenes ask for.
 
-    ``references`` determine which episodes can be crossed at all: each plays those that no earlier
-    reference crossed. ``record``: whether rows include the decisions. Once ``stop``, called before
-    each episode, returns True, the evaluation ends with the finished episodes. Episodes that the
-    ``store`` has are not played again; new ones are added to it. ``planned`` is called once with
-    the number of episodes that the store lacks. A policy that fails on a scene is listed in
-    ``failures``; if every policy fails, the first error is raised.
+    ``references``, controllers or policies of the plan, determine which episodes can be crossed at
+    all: each plays those that no earlier one crossed. ``record``: whether rows include the
+    decisions. Once ``stop``, called before each episode, returns True, the evaluation ends with the
+    finished episodes. Episodes that the ``store`` has are not played again; new ones are added to
+    it. ``planned`` is called once with the number of episodes that the store lacks. A policy that
+    fails on a scene is listed in ``failures``; if every policy fails, the first error is raised.
     """
     if not plan.entries:
         raise ValueError("an evaluation needs at least one scene")
@@ -140,13 +142,14 @@ def evaluate(
             label = f"{entry.terrain}, {entry.named}" if named else entry.terrain
             rows = scene.play(entry.source, label, record=record and not entry.is_baseline)
             if rows and (plan.has_methods or not entry.is_baseline):
-                rows = scene.with_references(scene.with_causes(rows), references)
+                rows = scene.with_references(scene.with_causes(rows), plan, references)
             if rows:
                 found.append(Played(entry, rows))
     if failures and all(one.entry.is_baseline for one in found):
         raise failures[0].error
     interruption = _interruption(plan, found) if player.interrupted else None
-    return Result(plan, tuple(found), interruption, tuple(failures))
+    labels = tuple(reference.label() for reference in references)
+    return Result(plan, tuple(found), interruption, tuple(failures), labels)
 
 
 def _lacking(player: Player, entries: Iterable[Entry]) -> int:
@@ -217,21 +220,24 @@ class _Scene:
         found = causes(entry.config, episodes.failed, again)
         return _with(episodes, "failed_by", {at: str(cause) for at, cause in found.items()})
 
-    def with_references(self, episodes: Episodes, references: Sequence[PolicySource]) -> Episodes:
+    def with_references(
+        self, episodes: Episodes, plan: Plan, references: Sequence[PolicySource]
+    ) -> Episodes:
         """Return the episodes, each with the first reference that crosses it, or an empty text.
 
-        They stay as they are if a reference was stopped or failed, since untried episodes are then
-        unknown.
+        A reference of the ``plan`` plays as it does there. The episodes stay as they are if a
+        reference was stopped or failed, since untried episodes are then unknown.
         """
-        failed, config = len(self.failures), self.entry.config
-        crossed = dict.fromkeys(range(config.eval.episodes), "")
+        failed = len(self.failures)
+        crossed = dict.fromkeys(range(self.entry.config.eval.episodes), "")
         for reference in references:
             name, indices = reference.label(), [index for index, by in crossed.items() if not by]
+            config = plan.config_of(reference, self.entry)
             with suppress(FlipperctlError):  # which playing raises again, where it is noted
                 if not self.player.missing(config, reference):
                     indices = list(crossed)
             label = f"{self.entry.terrain}, {name} on episodes not crossed yet"
-            for row in self.play(reference, label, indices):
+            for row in self.play(reference, label, indices, config):
                 if reached(row):
                     crossed[row["episode"]] = crossed[row["episode"]] or name
         whole = not self.player.interrupted and len(self.failures) == failed

@@ -133,6 +133,14 @@ class Plan:
                     found.append(beside)
         return cls(tuple(found), title)
 
+    def config_of(self, source: PolicySource, beside: Entry) -> EvalConfig:
+        """Return the settings with which a policy plays the episodes of an entry.
+
+        They are those of its own entry there, if the plan has one.
+        """
+        same = (e.config for e in self.entries if e.source == source and e.ground == beside.ground)
+        return next(same, beside.config)
+
     @property
     def engines(self) -> bool:
         """Whether engines are compared."""
@@ -273,15 +281,23 @@ DEFAULT_CONTROLLERS = ("level", "okada")
 """Controllers that stand in a table of several methods unless others are named."""
 
 
-def controllers(names: str | None, option: str, default: Sequence[str] = ()) -> list[PolicySource]:
+def controllers(
+    names: str | None,
+    option: str,
+    default: Sequence[str] = (),
+    planned: Sequence[PolicySource] = (),
+) -> list[PolicySource]:
     """Return controllers at their ``reference_settings``; ``names`` are separated by commas.
 
     ``default`` is used if ``names`` is None; the name ``none`` stands for no controller.
+    ``planned``: policies of an evaluation, which may be named as well.
     """
-    return list(_controllers(names, option, default).values())
+    return list(_controllers(names, option, default, planned).values())
 
 
-def _controllers(names: str | None, option: str, default: Sequence[str]) -> dict[str, PolicySource]:
+def _controllers(
+    names: str | None, option: str, default: Sequence[str], planned: Sequence[PolicySource] = ()
+) -> dict[str, PolicySource]:
     chosen = default if names is None else [] if names == "none" else names.split(",")
     found = [name.strip() for name in chosen]
     if "none" in found:
@@ -289,7 +305,13 @@ def _controllers(names: str | None, option: str, default: Sequence[str]) -> dict
     if not all(found):
         raise RequestError(f"{option}: names between commas, or none, are allowed; got {names!r}")
     check_different(option, found)
-    return {name: load_policy(name, option, "controller") for name in found}
+
+    def load(name: str) -> PolicySource:
+        if planned and (own := load_policy(name, option)) in planned:
+            return own
+        return load_policy(name, option, "controller")
+
+    return {name: load(name) for name in found}
 
 
 def policies(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,12 +20,9 @@ from flipperctl.evaluation.statistics import (
 )
 
 PRICE = 2 * math.pi
-"""Price of an episode that is not reached [rad]: the pitch variation of one whole turn.
+"""Least price of an episode that is not reached [rad]: the pitch variation of one whole turn.
 
-It is a choice, not a measurement. It lies above θ̂_R of each of 2,255 episodes that were reached in
-earlier evaluations (at most 4.9 rad by rules and shipped policies, 6.1 rad by ``random``), so that
-failing never pays, and not so far above that the score is the success rate in other words: 1 % of
-failures weighs as much as 0.06 rad.
+It is a choice, not a measurement: 1 % of failures weighs as much as 0.06 rad.
 """
 
 
@@ -46,10 +43,10 @@ class SeedSamples:
         """Number of training seeds."""
         return len(next(iter(self.values.values())))
 
-    def scores(self, price: float) -> dict[str, FloatArray]:
-        """Return the scores by scene, (S, E): the measure, or the price if not reached."""
+    def scores(self, prices: Mapping[str, float]) -> dict[str, FloatArray]:
+        """Return the scores by scene, (S, E): the measure, or the scene's price if not reached."""
         return {
-            scene: np.where(self.reached[scene], values, price)
+            scene: np.where(self.reached[scene], values, prices[scene])
             for scene, values in self.values.items()
         }
 
@@ -57,12 +54,19 @@ class SeedSamples:
         """Return 1 for reached and 0 for other episodes, by scene, (S, E)."""
         return {scene: reached.astype(np.float64) for scene, reached in self.reached.items()}
 
-    def above(self, price: float) -> int:
-        """Return the number of reached episodes that cost more than one that is not reached."""
-        return sum(
-            int(np.sum(self.values[scene][reached] > price))
-            for scene, reached in self.reached.items()
-        )
+
+def failure_prices(methods: Iterable[SeedSamples], least: float = PRICE) -> dict[str, float]:
+    """Return the price of an episode that is not reached, by scene.
+
+    It is what the roughest crossing of the scene by any of the methods costs, or ``least`` if that
+    is more, so that failing never pays.
+    """
+    prices: dict[str, float] = {}
+    for method in methods:
+        for scene, reached in method.reached.items():
+            roughest = float(method.values[scene][reached].max(initial=least))
+            prices[scene] = max(roughest, prices.get(scene, least))
+    return prices
 
 
 def means(scores: Mapping[str, FloatArray]) -> FloatArray:

@@ -297,13 +297,13 @@ def evaluate(
     a list are compared on the same episodes. ``episodes`` per scene (100), ``seed`` of the episodes
     (0), processes (``jobs``, 1). ``baselines``: controllers that play the same episodes; None takes
     those of the policy, if it has any, and an empty list none. ``passable``: references that find
-    out which episodes can be crossed. ``by``: drawn numbers to show results by, as in ``["steps",
-    "slope+up"]``. ``output``: folder for tables and pictures; ``record``: file for the episodes, to
-    teach from; ``film``: file for a ``.gif`` of the first episode. ``settings`` and ``overrides``
-    are as in ``train`` and apply to the evaluation; several names are several scenes, as in
-    ``terrain=["stair", "step"]``, and ``suite="robustness"`` chooses those of a suite. ``plugins``:
-    files or folders of plugins. ``progress``: whether progress is shown, on stderr or in the
-    notebook.
+    out which episodes can be crossed, controllers or the policies themselves. ``by``: drawn numbers
+    to show results by, as in ``["steps", "slope+up"]``. ``output``: folder for tables and pictures;
+    ``record``: file for the episodes, to teach from; ``film``: file for a ``.gif`` of the first
+    episode. ``settings`` and ``overrides`` are as in ``train`` and apply to the evaluation; several
+    names are several scenes, as in ``terrain=["stair", "step"]``, and ``suite="robustness"``
+    chooses those of a suite. ``plugins``: files or folders of plugins. ``progress``: whether
+    progress is shown, on stderr or in the notebook.
 
     Raises:
         InterruptedRunError: the evaluation was stopped; ``output``, ``record`` and the error's
@@ -344,7 +344,11 @@ def evaluate(
     try:
         evaluation.run(
             plan,
-            references=controllers(_names("passable", passable or None), "passable"),
+            references=controllers(
+                _names("passable", passable or None),
+                "passable",
+                planned=[entry.source for entry in plan.entries],
+            ),
             by=parse_groups(_names("by", by or None), "by", [e.config for e in plan.rows]),
             outputs={name: None if file is None else Path(file) for name, file in files.items()},
             show=keep,

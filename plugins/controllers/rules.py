@@ -37,7 +37,8 @@ class Okada(Controller):
     """Turn front flippers along the ground ahead and rear flippers along the ground behind.
 
     Okada et al. (Journal of Field Robotics 28(6), 2011) lay the flippers along the scanned
-    terrain. Here each pair takes the largest angle to the inflated terrain.
+    terrain. Here each pair takes the largest angle to the inflated terrain, the rear pair a
+    fraction of it.
     """
 
     near: float = Field(
@@ -53,11 +54,12 @@ class Okada(Controller):
         description="distance from the hinge at which the considered terrain ends [m]",
     )
     rear_gain: float = Field(
-        0.5,
+        0.0,
         ge=-2,
         le=2,
-        description="rear flipper angle as a fraction of the terrain angle behind the robot; "
-        "below 1 the rear flippers press the tail up while the chassis climbs [-]",
+        description="rear flipper angle as a fraction of the terrain angle behind the robot: 1 "
+        "lays the rear pair along the terrain, 0 holds it level with the chassis, which is the "
+        "smoothest [-]",
     )
 
     @model_validator(mode="after")
@@ -73,6 +75,15 @@ class Okada(Controller):
             for behind in (False, True)
         )
         return _towards(p, front, self.rear_gain * rear)
+
+
+@controller("okada_published")
+class OkadaPublished(Okada):
+    """``okada`` with the rear gain of version 0.2, with which its results were published."""
+
+    rear_gain: float = Field(
+        0.5, ge=-2, le=2, description=Okada.model_fields["rear_gain"].description
+    )
 
 
 def _towards(p: Perception, front: float, rear: float) -> int:

@@ -36,7 +36,8 @@ def test_a_card_has_all_results_or_none(
 
 def test_a_card_from_results_with_the_commands_that_make_them(tmp_path: Path) -> None:
     asked = ("perception.noise=0.01", "--episodes", "1", "--output", "found")
-    assert call(*EVAL, *asked, cwd=tmp_path).code == 0
+    passable = ("--passable", "generalist,level")
+    assert call(*EVAL, *passable, *asked, cwd=tmp_path).code == 0
     done = call("card", "generalist", "found", "--output", "card.md", cwd=tmp_path)
     check_output(tmp_path / "card.md", CARD)  # a card of before is replaced
     assert done.code == 0, done.err
@@ -46,10 +47,12 @@ def test_a_card_from_results_with_the_commands_that_make_them(tmp_path: Path) ->
     assert model["results"][0]["metrics"][0]["value"] == 1.0
     command = (
         "flipperctl eval generalist --episodes 1 --seed 0 --baseline level "
-        "conditions=nominal perception.noise=0.01 terrain=flat\n"
+        "--passable generalist,level conditions=nominal perception.noise=0.01 terrain=flat\n"
     )
     assert command in text  # without the note that the hash differs
     assert '| `agent.learner` | "policy_gradient" |' in text
+    assert "| flipper energy [J] | of passable |" in text
+    assert "| 1 of 1 |" in text
     assert "| terrain | conditions | policy |" in text  # of which one table may have several
 
     # The folder remembers which weights they were.

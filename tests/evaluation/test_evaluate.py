@@ -40,7 +40,8 @@ def documents(found: Result) -> list[dict[str, Any]]:
 def passable(episodes: int, crossed: int, beyond: int = 0) -> dict[str, Any]:
     success = proportion(crossed, episodes)
     rates = {"success_rate": success.mean, "success": success.to_dict()}
-    return {"episodes": episodes, **rates, "beyond": beyond}
+    tried = {"references": ["random", "okada"]}
+    return {"episodes": episodes, **rates, "beyond": beyond, **tried}
 
 
 def test_a_baseline_and_references_play_the_episodes_of_each_scene() -> None:
@@ -74,6 +75,13 @@ def test_a_baseline_and_references_play_the_episodes_of_each_scene() -> None:
     assert [gap["p_holm"] for gap in gaps] == holm([gap["p"] for gap in gaps])
     no_ends = {"mean": 0.0, "low": None, "high": None, "episodes": 2}
     assert flat["baselines"][0]["difference"]["t_cost"] == no_ends
+
+
+def test_a_policy_of_the_plan_is_a_reference_with_its_own_settings() -> None:
+    finer = EvalConfig(terrain=STEP.terrain, perception={"bins": 20}, eval=TWO)
+    plan = Plan((Entry(STEP, LEVEL), Entry(finer, OKADA), Entry(FLAT, LEVEL)))
+    assert plan.config_of(OKADA, plan.entries[0]) == finer
+    assert plan.config_of(OKADA, plan.entries[2]) == plan.config_of(RANDOM, plan.entries[2]) == FLAT
 
 
 def test_several_methods_have_rows_of_their_own_and_differences_to_baselines() -> None:

@@ -55,7 +55,7 @@ def _mapper(registry: dict[Any, Any]) -> None:
 
 
 def asked(*words: str) -> list[Any]:
-    return scenes([*HIGH, *words], None, "okada")
+    return scenes([*HIGH, *words], None, "okada_published")
 
 
 def test_a_failure_is_due_to_drift_or_perception_by_what_reaches_instead() -> None:
@@ -99,7 +99,7 @@ def test_eval_tells_failures_apart_by_cause(blind: str, cause: str) -> None:
 
 def test_engines_have_a_third_step_with_the_sensor() -> None:
     words = [*HIGH[:-1], "eval.episodes=1", "perception=mapper", "sim=planar,mujoco"]
-    plan = make_plan(words, [NamedPolicy("okada")], "none", lambda text: None)
+    plan = make_plan(words, [NamedPolicy("okada_published")], "none", lambda text: None)
     (found,) = evaluation.document(engines.explained(evaluate(plan)))["engines"]
     assert found["planar"]["success_rate"] == found["mujoco"]["success_rate"] == 1.0
     sensed = found["sensed"]

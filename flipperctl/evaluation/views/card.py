@@ -30,7 +30,10 @@ from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource
 from flipperctl.show import NONE, Column, Table, markdown
 
-MEASURES = ("pitch_variation_100hz", "pitch_variation", "t_cost", "max_pitch", "flipper_travel")
+MEASURES = (
+    *("pitch_variation_100hz", "pitch_variation", "t_cost", "max_pitch", "flipper_travel"),
+    "flipper_energy",
+)
 """Measures of a row; those over the episodes that reached the finish, but ``max_pitch``."""
 RISK = (
     *("horizon", "threshold", "failures", "announced", "reached"),
@@ -42,7 +45,8 @@ Ends = Sequence[float | None]
 StoredRow = dict[str, Any]
 """One method on one scene: ``terrain``, ``conditions`` and their ``hash``, ``engine``, ``seed``,
 ``method``, ``is_policy``, ``episodes``, ``outcomes``, ``success`` and ``measures`` as ends, the
-policy's ``difference`` from a baseline in θ̂_R at 100 Hz, and counts of its ``risk``."""
+policy's ``difference`` from a baseline in θ̂_R at 100 Hz, counts of its ``risk``, and of its
+``passable`` episodes with the names of the references."""
 _OVERRIDES = Path(".hydra") / "overrides.yaml"  # where a run keeps the words of its command
 CARD = OutputKind("a card", (".md",), re.compile(rb"\A---\nlibrary_name: flipperctl\n"))
 TAGS = ("robotics", "reinforcement-learning", "tracked-robot", "flipper-control")
@@ -62,7 +66,9 @@ _COLUMNS = (
     Column("pitch_variation_100hz", "θ̂_R [rad]"),
     Column("pitch_variation", "θ̂_R at decisions [rad]"),
     Column("t_cost", "t_cost [s]"),
+    Column("flipper_energy", "flipper energy [J]"),
 )
+_PASSABLE = Column("passable", "of passable")
 _DIFFERENCES = (
     Column("terrain", "terrain"),
     Column("conditions", "conditions"),
@@ -84,7 +90,7 @@ def rows_of(document: Mapping[str, Any]) -> Iterator[StoredRow]:
 
 
 def _row(scene: Mapping[str, Any], method: Mapping[str, Any], *, is_policy: bool) -> StoredRow:
-    conditions, told = scene["conditions"], method.get("risk")
+    conditions, told, passable = scene["conditions"], method.get("risk"), _passable(method)
     return {
         "terrain": scene["terrain"],
         "conditions": conditions["name"],
@@ -99,7 +105,17 @@ def _row(scene: Mapping[str, Any], method: Mapping[str, Any], *, is_policy: bool
         "measures": {name: _ends(method[name]) for name in MEASURES},
         "difference": None if is_policy else _ends(method["difference"]["pitch_variation_100hz"]),
         **({} if told is None else {"risk": {name: told[name] for name in RISK}}),
+        **({} if passable is None else {"passable": passable}),
     }
+
+
+def _passable(method: Mapping[str, Any]) -> dict[str, Any] | None:
+    """Return the counts of passable episodes; None if it is not known which references count."""
+    found = method.get("passable", {})
+    if "references" not in found:
+        return None
+    crossed = round((found["success_rate"] or 0.0) * found["episodes"])
+    return {name: found[name] for name in ("episodes", "references")} | {"reached": crossed}
 
 
 def _ends(interval: Mapping[str, Any] | None) -> Ends | None:
@@ -287,16 +303,21 @@ def results(rows: Sequence[StoredRow]) -> Iterator[str]:
     for row in rows:
         label = f"`{row['conditions']}`, engine `{row['engine']}`, seed {row['seed']}"
         together.setdefault(label, []).append(_texts(row))
+    asked = dict.fromkeys(", ".join(r["passable"]["references"]) for r in rows if "passable" in r)
+    for names in asked:
+        yield f"Passable are the episodes that one of these crosses: {names}.\n"
     for label, found in together.items():
         yield f"Conditions {label}:\n"
-        yield from (*markdown(Table(_COLUMNS, found)), "")
+        columns = (*_COLUMNS, _PASSABLE) if asked else _COLUMNS
+        yield from (*markdown(Table(columns, found)), "")
     if gaps := [_texts(row) for row in rows if row["difference"] is not None]:
         yield from (*markdown(Table(_DIFFERENCES, gaps)), "")
 
 
 def _texts(row: StoredRow) -> StoredRow:
     """Return a row with the texts of the card's tables."""
-    digits = {"pitch_variation_100hz": 2, "pitch_variation": 2, "t_cost": 1}
+    digits = {"pitch_variation_100hz": 2, "pitch_variation": 2, "t_cost": 1, "flipper_energy": 0}
+    passable = row.get("passable")
     return {
         **{name: ends_text(row["measures"][name], n) for name, n in digits.items()},
         "terrain": f"`{row['terrain']}`",
@@ -305,6 +326,7 @@ def _texts(row: StoredRow) -> StoredRow:
         "episodes": row["episodes"],
         "reached": row["outcomes"]["reached"],
         "success": ends_text(row["success"], 3),
+        "passable": f"{passable['reached']} of {passable['episodes']}" if passable else NONE,
         "difference": ends_text(row["difference"], 2),
     }
 

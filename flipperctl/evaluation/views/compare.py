@@ -1,15 +1,16 @@
 """Methods over their training seeds: scores that count failures, and their differences.
 
-In: folders of ``eval --output``, a measure and a price. Out: a document, tables and a figure of
-performance profiles (Dolan and Moré 2002; Agarwal et al. 2021), whose curves end at the success
-rate, since an episode that is not reached costs the price.
+In: folders of ``eval --output``, a measure and the least price of a failed episode. Out: a
+document, tables and a figure of performance profiles (Dolan and Moré 2002; Agarwal et al. 2021),
+whose curves end at the success rate.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -22,6 +23,7 @@ from flipperctl.evaluation.seeds import (
     SeedSamples,
     better_interval,
     difference_interval,
+    failure_prices,
     improvement,
     interquartile_mean,
     mean_interval,
@@ -75,8 +77,13 @@ class Comparison:
     measure: str
     unit: str
     price: float
-    """Score of an episode that is not reached, in the unit of the measure."""
+    """Least score of an episode that is not reached, in the unit of the measure."""
     against: str
+
+    @cached_property
+    def prices(self) -> dict[str, float]:
+        """Score of an episode that is not reached, by scene."""
+        return failure_prices(self.stored.methods, self.price)
 
     @property
     def label(self) -> str:
@@ -120,7 +127,7 @@ def compare(
 def document(found: Comparison) -> Document:
     """Return the methods and their differences as plain data."""
     methods = found.stored.methods
-    rows = [method_row(method, found.price) for method in methods]
+    rows = [method_row(method, found.prices) for method in methods]
     by_name = dict(zip([method.name for method in methods], rows, strict=True))
     pairs = [
         (ours, theirs)
@@ -128,7 +135,7 @@ def document(found: Comparison) -> Document:
         for other, theirs in enumerate(methods)
         if (other < at if found.against == ALL else theirs.name == found.against and other != at)
     ]
-    gaps = [difference(*pair, found.price) for pair in pairs]
+    gaps = [difference(*pair, found.prices) for pair in pairs]
     for key in ("p", "p_success"):
         for gap, p in zip(gaps, holm([gap[key] for gap in gaps]), strict=True):
             gap[f"{key}_holm"] = p
@@ -140,24 +147,28 @@ def document(found: Comparison) -> Document:
     return {
         "measure": found.measure,
         "price": found.price,
+        "prices": found.prices,
         "episodes": dict(found.stored.episodes),
         "notices": list(found.stored.notices),
         "methods": rows,
     }
 
 
-def method_row(method: SeedSamples, price: float) -> Document:
-    """Return the success and the scores of a method, not compared with another one."""
-    scores = method.scores(price)
+def method_row(method: SeedSamples, prices: Mapping[str, float]) -> Document:
+    """Return the success and the scores of a method, not compared with another one.
+
+    ``prices``: score of an episode that is not reached, by scene.
+    """
+    scores = method.scores(prices)
     reached = np.concatenate(
         [values[method.reached[scene]] for scene, values in method.values.items()]
     )
     rng = np.random.default_rng(_SEED)
-    every = np.concatenate([values.ravel() for values in scores.values()])
-    ends = min(0.0, float(every.min())), max(price, float(every.max()))
+    least = min(0.0, *(float(values.min()) for values in scores.values()))
+    most = max(prices[scene] for scene in scores)
 
-    def inside(found: Interval) -> Document:
-        return within(found, *ends).to_dict()
+    def inside(found: Interval, most: float = most) -> Document:
+        return within(found, least, most).to_dict()
 
     return {
         "method": method.name,
@@ -167,19 +178,18 @@ def method_row(method: SeedSamples, price: float) -> Document:
         "score": inside(mean_interval(scores)),
         "iqm": inside(statistic_interval(scores, interquartile_mean, rng)),
         "reached_mean": float(reached.mean()) if reached.size else None,
-        "above_price": method.above(price),
-        "by_scene": {k: inside(mean_interval({k: values})) for k, values in scores.items()},
+        "by_scene": {k: inside(mean_interval({k: v}), prices[k]) for k, v in scores.items()},
         "comparison": None,
     }
 
 
-def difference(method: SeedSamples, other: SeedSamples, price: float) -> Document:
+def difference(method: SeedSamples, other: SeedSamples, prices: Mapping[str, float]) -> Document:
     """Return a method minus another one, on the same episodes, without corrected p-values.
 
     ``improvement``: probability that a training seed has a better mean score on a scene than one of
     the other method, averaged over scenes (rliable's); ``better``: the same of single episodes.
     """
-    ours, theirs = method.scores(price), other.scores(price)
+    ours, theirs = method.scores(prices), other.scores(prices)
     score, p = difference_interval(ours, theirs)
     if score.low is not None and score.low == score.high:
         score, p = Interval(score.mean, None, None), 1.0
@@ -212,20 +222,12 @@ def tables(found: Document, label: str) -> Iterator[Table]:
             success = "±0" if mean == 0 else f"{100 * mean:+.3g} (p {p_text(p)})"
             texts = {"p_text": p_text(gap["p_holm"]), "success_text": success}
             gaps.append(gap | {"name": name, "other": short(gap["against"]), **texts})
-    notes = [f"Score: {label}; a failed episode counts {found['price']:.4g}."]
+    rough = [f"{k} {one:.4g}" for k, one in found["prices"].items() if one > found["price"]]
+    more = f", or its scene's roughest crossing: {', '.join(rough)}" if rough else ""
+    notes = [f"Score: {label}; a failed episode counts {found['price']:.4g}{more}."]
     yield Table(_METHODS, rows, f"Episodes of each seed: {episodes}", notes)
     if gaps:
         yield Table(_GAPS, gaps, "Differences on the same episodes; a smaller score is better")
-
-
-def price_warnings(found: Document) -> Iterator[str]:
-    """Yield a line for each method whose score would be better if it failed."""
-    for one in found["methods"]:
-        if one["above_price"]:
-            yield (
-                f"warning: {one['above_price']} episodes that {one['method']} reached cost more "
-                "than a failed one, so that failing pays here; choose a higher --price"
-            )
 
 
 def seed_warnings(found: Document) -> Iterator[str]:
@@ -251,13 +253,14 @@ def figure(found: Comparison) -> Figure:
 
     from flipperctl.figures.figure import WIDTH, legend_above, style_axes
 
-    methods, price = found.stored.methods, found.price
+    methods, most = found.stored.methods, max(found.prices.values())
+    never = dict.fromkeys(found.prices, math.inf)  # reached at no level
     drawn = Figure(figsize=(WIDTH, 4.2), layout="constrained")
     axes = drawn.subplots()
-    levels = np.linspace(0.0, price, _LEVELS, endpoint=False)
+    levels = np.linspace(0.0, most, _LEVELS, endpoint=False)
     colours = matplotlib.colormaps["tab10"].colors  # type: ignore[attr-defined]  # it is listed
     for index, method in enumerate(methods):
-        scores = method.scores(price)
+        scores = method.scores(never)
         curve = np.mean([1.0 - profile(values, levels) for values in scores.values()], axis=0)
         below = {k: (v[:, :, None] <= levels).astype(np.float64) for k, v in scores.items()}
         drawn_means = resampled(below, np.random.default_rng(0), _RESAMPLES).mean(axis=(1, 3))
@@ -266,7 +269,7 @@ def figure(found: Comparison) -> Figure:
         name = f"{method.name}, {method.seeds} seeds" if method.seeds > 1 else method.name
         axes.step(levels, curve, style, where="post", color=colour, linewidth=1.8, label=name)
         axes.fill_between(levels, low, high, step="post", color=colour, alpha=0.15, linewidth=0)
-    axes.set_xlim(0, price)
+    axes.set_xlim(0, most)
     axes.set_ylim(-0.02, 1.02)
     style_axes(axes, "", found.label, "share of episodes at or below")
     legend_above(axes)

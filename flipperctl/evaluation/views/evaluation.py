@@ -63,10 +63,13 @@ def document(result: Result, by: Sequence[Names] = ()) -> Document:
     scenes = []
     for one in result.rows:
         entry, others = one.entry, {o.entry.label: o.episodes for o in result.baselines(one)}
+        told = summary.summary(entry.terrain, one.episodes)
+        if result.references and "passable" in told:
+            told["passable"]["references"] = list(result.references)
         causes = Counter(row["failed_by"] for row in one.episodes if "failed_by" in row)
         scenes.append(
             {
-                **summary.summary(entry.terrain, one.episodes),
+                **told,
                 "controller": entry.label,
                 "seed": entry.config.eval.seed,
                 "conditions": entry.conditions.to_dict(),

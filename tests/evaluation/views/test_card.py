@@ -20,6 +20,7 @@ POLICY: StoredRow = {
 }
 LEVEL = POLICY | {"method": "level", "is_policy": False, "difference": (0.2, 0.1, 0.3)}
 OKADA = POLICY | {"method": "okada", "is_policy": False, "difference": (-0.2, -0.3, -0.1)}
+PASSABLE = {"passable": {"episodes": 98, "reached": 97, "references": ["mine", "planner"]}}
 ROWS = (POLICY | {"risk": {**RISK, "false_alarms": 9, "false_warnings": 0.004}}, LEVEL, OKADA)
 
 
@@ -28,6 +29,11 @@ def test_results_and_limits_are_those_of_the_rows() -> None:
     first = "| `stair` | nominal 01234567 | `mine` | 100 | 97 | 0.970 [0.915, 0.990] | 1.25 [1.00"
     assert first in text
     assert "| `stair` | nominal 01234567 | `okada` | -0.20 [-0.30, -0.10] |" in text
+    assert "of passable" not in text
+    text = "\n".join(results((POLICY | PASSABLE, LEVEL)))
+    assert "the episodes that one of these crosses: mine, planner." in text
+    assert "| 1 [1, 2] | 97 of 98 |" in text
+    assert "| 1 [1, 2] | – |" in text
     assert "None yet:" in "\n".join(results(()))
     text = "\n".join(limits(ROWS))
     assert "- `stair` (01234567): 3 of 100 not reached: 1 overturned, 2 stuck." in text
