@@ -32,12 +32,15 @@ def print_best(run: Finished) -> None:
     """Print the best validation of a newly trained run, its return, and the commands to use it."""
     if not run.trained:
         return
-    best = run.summary["best"]
+    best, found = run.summary["best"], run.summary.get("regret")
+    longer = f"train.decisions={2 * run.summary['decisions']}"
+    again = f"Longer:   {command('train', '--resume', run.directory, longer)}\n"
     print_note(
         f"\nBest validation at decision {best['decision']}: success {best['success_rate']:.0%}, "
         f"{way_text(best)}, return {best['mean_return']:.2f}. "
         f"{run.summary['decisions']} decisions in {run.summary['seconds']:.0f} s.\n"
-        f"{_risk_line(best)}{regret.line(run.summary.get('regret'))}"
+        f"{_risk_line(best)}{regret.line(found)}"
+        f"{again if regret.falls_short(found) else ''}"
         f"Evaluate: {command('eval', '--checkpoint', run.directory)}\n"
         f"Export:   {command('export', 'onnx', '--checkpoint', run.directory)}"
     )

@@ -234,6 +234,15 @@ def line(found: Mapping[str, Any] | None) -> str:
     )
 
 
+def falls_short(found: Mapping[str, Any] | None) -> bool:
+    """Return whether a policy crosses less than holding the flippers still, or pitches more."""
+    if found is None or LEVEL not in found["references"]:
+        return False
+    own, level = found["policy"], found["references"][LEVEL]
+    above = own["pitch_above_level"] or {}
+    return own["success_rate"] < level["success_rate"] or (above.get("low") or 0.0) > 0
+
+
 def _level_line(found: Mapping[str, Any]) -> str:
     """Return a line on success and θ̂_R beside holding still; empty if they were not measured."""
     own, level = found["policy"], found["references"].get(LEVEL)

@@ -12,6 +12,7 @@ from flipperctl.evaluation.rows import Episodes
 from flipperctl.evaluation.views.regret import (
     RegretScene,
     Verdict,
+    falls_short,
     line,
     measure,
     regret,
@@ -151,3 +152,16 @@ def test_a_training_that_earns_more_is_told_where_it_pitches_more(
     first, second = line(regret("mine", rows(own), {"level": rows(level)}, ["end"])).splitlines()
     assert "EARNS LESS" not in first
     assert words in second
+
+
+@pytest.mark.parametrize(
+    ("success", "low", "expected"),
+    [(1.0, -0.1, False), (1.0, None, False), (1.0, 0.01, True), (0.9, -0.4, True)],
+)
+def test_more_training_is_advised_after_less_success_or_more_pitching(
+    success: float, low: float | None, expected: bool
+) -> None:
+    own = {"success_rate": success, "pitch_above_level": {"low": low}}
+    assert falls_short({"policy": own, "references": {"level": {"success_rate": 1.0}}}) is expected
+    assert not falls_short({"policy": own, "references": {}})
+    assert not falls_short(None)
