@@ -70,7 +70,7 @@ def reward(
 
       flipperctl inspect reward terrain=stair
 
-      flipperctl inspect reward --checkpoint runs/first rewards.pitch.lambda_2=8
+      flipperctl inspect reward --checkpoint runs/first rewards.swing.weight=4
 
       flipperctl inspect reward --compare level,okada rewards=paper,tuned
 

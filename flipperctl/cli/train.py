@@ -50,7 +50,7 @@ def train(
 
       flipperctl train terrain=stair
 
-      flipperctl train terrain=step seed=3 rewards.pitch.lambda_2=8
+      flipperctl train terrain=step seed=3 rewards.swing.weight=4
 
       flipperctl train -m terrain=step,stair seed=1,2 --output runs/compared
 

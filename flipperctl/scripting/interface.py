@@ -136,7 +136,7 @@ def train(
 
     ``settings`` are configuration keys: a name chooses (``terrain="stair"``,
     ``experiment="quick"``), a nested mapping (``train={"decisions": 20_000}``) or a dotted key
-    (``**{"rewards.pitch.lambda_2": 8}``) sets fields, the settings of a plugin may be an object
+    (``**{"rewards.swing.weight": 4}``) sets fields, the settings of a plugin may be an object
     (``terrain=Ridge(height=0.3)``). ``overrides``: further ones as on the command line, such as
     ``"+reward@rewards.energy=energy"``. ``directory``: the run directory, which must hold no run;
     by default ``runs/<terrain>/<time>``. ``resume``: a run to resume where it stopped; of the

@@ -131,14 +131,14 @@ def test_inspect_shows_plugins_terrains_checkpoints_and_configurations(
         done = call("inspect", "checkpoint", str(short_run / name), "--json", cwd=tmp_path)
         assert json.loads(done.out)["config"]["terrain"]["name"] == "step"
     again = ("+reward@rewards.again=pitch", "rewards.again.weight=0.5")
-    done = call("inspect", "config", "terrain=step", "~rewards.pitch", *again, cwd=tmp_path)
+    done = call("inspect", "config", "rewards=paper", "~rewards.pitch", *again, cwd=tmp_path)
     assert "pitch:" not in done.out
     assert "weight: 0.5" in done.out
 
 
 def test_values_defaults_and_bounds_of_sections_plugins_and_ranges(tmp_path: Path) -> None:
     changes = ["terrain=mix", "terrain.parts=[{name:ramp,slope_high:20}]", "sim.friction=0.8"]
-    changes += ["rewards.pitch.lambda_2=4", "randomise.noise=[0,0.01]"]
+    changes += ["rewards=paper", "rewards.pitch.lambda_2=4", "randomise.noise=[0,0.01]"]
     done = call("inspect", "config", "--describe", "--json", *changes, cwd=tmp_path)
     found = {setting["path"]: setting for setting in json.loads(done.out)}
     assert all(setting["description"] for setting in found.values())

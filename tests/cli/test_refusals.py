@@ -62,7 +62,7 @@ train terrain=stiar -> terrain | 'stiar' | 'stair'
 train experiment=nope -> experiment | nope
 train +reward@rewards.x=pich -> reward | 'pitch'
 train agent.gama=0.9 -> agent.gama | 'gamma'
-train rewards.pitch.lamda_2=3 -> rewards.pitch.lamda_2 | 'lambda_2'
+train rewards=paper rewards.pitch.lamda_2=3 -> rewards.pitch.lamda_2 | 'lambda_2'
 train '~rewards.pich' -> rewards.pich | 'pitch'
 train rewards=tunde -> rewards | 'tunde' | 'tuned' | paper, smooth, tuned
 train +reward@rewards.way=shaped_progress agent.gamma=0.95 \
@@ -71,9 +71,9 @@ train reward=impact -> rewards.impact: there is no | +reward@rewards.impact=impa
 train rewards.impact=impact -> rewards.impact: there is no | +reward@rewards.impact=impact
 train +reward@rewards.hit=impact rewards.hit.wieght=2 \
     -> rewards.hit.wieght | 'weight' | known in rewards.hit:
-train +reward@rewards.pitch=impact \
+train rewards=paper +reward@rewards.pitch=impact \
     -> rewards.pitch exists already | write reward@rewards.pitch=impact
-train '~rewards.pitch' reward@rewards.pitch=impact \
+train rewards=paper '~rewards.pitch' reward@rewards.pitch=impact \
     -> ~rewards.pitch | write reward@rewards.pitch=im
 train +terrain=step -> terrain exists already | write terrain=step
 train terrain=step terrain.hihg=0.2 -> terrain.hihg | 'high'
@@ -81,10 +81,10 @@ train +agent.gama=0.9 -> agent.gama | 'gamma'
 train agent.gamma=1.5 -> agent.gamma | < 1 | 1.5
 train terrain.fewest=many -> terrain.fewest | integer | 'many'
 train terrain.fewest=6 -> fewest (6) must not exceed most (5)
-train rewards.pitch.lambda_2=inf -> rewards.pitch.lambda_2 | finite
+train rewards=paper rewards.pitch.lambda_2=inf -> rewards.pitch.lambda_2 | finite
 train 'rewards={}' -> rewards={} | ~rewards drops every term
 train '~rewards' -> rewards: | a training needs a term | none
-train '~rewards.flipper' '~rewards.pitch' rewards.end.weight=0 \
+train rewards=paper '~rewards.flipper' '~rewards.pitch' rewards.end.weight=0 \
     -> a training needs a term whose weight is not 0 | end
 train 'network.terrain=[100000,100000]' \
     -> 'at_d3qn' | 10,016,034,826 parameters | 240.4 GB | 6 times 40.1 GB | are free

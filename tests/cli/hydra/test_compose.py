@@ -113,10 +113,12 @@ def test_the_taught_experiment_takes_any_teacher() -> None:
     assert to_dict(config.teacher.controller) == {**MPC, "beam": 6, "horizon": 8, "of_each": 1}
 
 
-def test_the_default_is_the_papers_rewards_everywhere() -> None:
+def test_the_papers_method_is_an_experiment_and_its_rewards_judge() -> None:
     paper = EnvConfig(terrain="stair").rewards
-    (train,) = compose_train([])
+    (train,), (plain,) = compose_train(["experiment=paper"]), compose_train([])
     assert train.rewards == compose.compose_environment(Overrides()).rewards == paper
+    assert (train.perception.layout.size, plain.perception.layout.size) == (18, 33)
+    assert train.agent == TrainConfig(terrain="stair").agent != plain.agent
 
 
 def test_a_presets_terms_are_changed_added_and_dropped() -> None:

@@ -272,16 +272,16 @@ def test_objectives_that_do_not_compare_are_refused(words: list[str], text: str)
 def test_objectives_that_compare_are_searched() -> None:
     for words in (
         ["network=mlp,dueling_mlp", "network.hidden=[16],[32]"],  # they need each other
-        ["rewards=smooth", "rewards.swing.weight=interval(2,16)"],  # by success
+        ["rewards.swing.weight=interval(2,16)", "train.best_by=success"],
     ):
         sweeps.check_objective(*Overrides.parse(words, check=False).sampled())
 
 
 def test_the_command_refuses_them(tmp_path: Path) -> None:
     """Within the application of Hydra, which composes otherwise than a test does."""
-    words = ("rewards.pitch.weight=0.1,1", "train.best_by=return")
+    words = ("rewards.swing.weight=0.1,1", "train.best_by=return")
     error = refused("train", "-m", "hydra/sweeper=optuna", *words, cwd=tmp_path)
-    assert "rewards.pitch.weight: a search by returns" in error
+    assert "rewards.swing.weight: a search by returns" in error
 
 
 def test_values_have_the_types_that_hydra_gives_them() -> None:
