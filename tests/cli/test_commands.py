@@ -38,12 +38,12 @@ def test_train_stops_by_ctrl_c_and_resumes_to_every_promised_file(
     assert stopped is not None
     assert 60 <= stopped.decision < 200
     monkeypatch.undo()
-    for word in ("best_by=return", "validation_seed=5", "validation_episodes=3", "record=true"):
+    for word in ("best_by=success", "validation_seed=5", "validation_episodes=3", "record=true"):
         done = call(*resume, f"train.{word}", cwd=tmp_path)
         assert done.code == 2
         assert f"train.{word}: the run goes on with train.{word.partition('=')[0]}=" in done.err
 
-    done = call(*resume, "train.decisions=200", "train.best_by=success", cwd=tmp_path)
+    done = call(*resume, "train.decisions=200", "train.best_by=return", cwd=tmp_path)
     assert done.code == 0, done.err
     assert f"flipperctl eval --checkpoint {run.relative_to(tmp_path)}" in done.err
     found = {str(p.relative_to(run)) for p in run.rglob("*") if p.is_file()}

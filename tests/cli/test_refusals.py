@@ -46,7 +46,7 @@ new -> 'KIND' | see flipperctl new --help
 export -> Choose from: onnx, pt2 | see flipperctl export --help
 train 'terrain=step seed=3' -> several overrides | out: terrain=step seed=3
 train seed=1,2 -> seed=1,2: several values | add -m
-train gamma=0.9 -> gamma: there is no such key; did you mean agent.gamma?
+train gamma=0.9 -> gamma: there is no such key; did you mean agent.gamma or
 eval --controller level friction=1 -> did you mean  | sim.friction
 train controller=okada -> controller: there is no such key | teacher
 eval runs/x -> runs/x | no such run | generalist
@@ -63,7 +63,7 @@ train experiment=nope -> experiment | nope
 train +reward@rewards.x=pich -> reward | 'pitch'
 train agent.gama=0.9 -> agent.gama | 'gamma'
 train rewards=paper rewards.pitch.lamda_2=3 -> rewards.pitch.lamda_2 | 'lambda_2'
-train '~rewards.pich' -> rewards.pich | 'pitch'
+train rewards=paper '~rewards.pich' -> rewards.pich | 'pitch'
 train rewards=tunde -> rewards | 'tunde' | 'tuned' | paper, smooth, tuned
 train +reward@rewards.way=shaped_progress agent.gamma=0.95 \
     -> rewards.way.gamma: 0.99 | agent.gamma (0.95) | set rewards.way.gamma=0.95
@@ -78,7 +78,7 @@ train rewards=paper '~rewards.pitch' reward@rewards.pitch=impact \
 train +terrain=step -> terrain exists already | write terrain=step
 train terrain=step terrain.hihg=0.2 -> terrain.hihg | 'high'
 train +agent.gama=0.9 -> agent.gama | 'gamma'
-train agent.gamma=1.5 -> agent.gamma | < 1 | 1.5
+train agent.gamma=1.5 -> gamma | < 1 | 1.5
 train terrain.fewest=many -> terrain.fewest | integer | 'many'
 train terrain.fewest=6 -> fewest (6) must not exceed most (5)
 train rewards=paper rewards.pitch.lambda_2=inf -> rewards.pitch.lambda_2 | finite
@@ -94,7 +94,7 @@ train agent.replay_size=10000000 train.decisions=1000000000 perception.bins=101 
 train agent.batch_size=65536 'network.terrain=[50000,100]' -> agent.batch_size | 65,536 | GB
 eval --controller planner controller.widht=5 -> controller.widht | 'width' | budget
 train sim.substep=0.003 -> sim | substep must divide 0.01
-train -m seed=1,2 agent.gamma=0.9,7 -> agent.gamma | 7
+train -m seed=1,2 agent.gamma=0.9,7 -> gamma | 7
 train -m seed=1,2 terrain=flat hydra/launcher=joblip -> 'joblip' | 'joblib'
 train --resume nowhere -> nowhere | no such run
 train --plugins nowhere.py -> nowhere.py | does not exist

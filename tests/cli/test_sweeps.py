@@ -179,7 +179,7 @@ def study(folder: Path) -> list[optuna.trial.FrozenTrial]:
     [
         (["hydra.sweeper.n_trials=0"], ["hydra.sweeper.n_trials", "≥ 1"]),
         (["hydra.sweeper.storage=sqlite:///no/x.db"], ["hydra.sweeper.storage", "no/x.db"]),
-        (["agent.gamma=interval(0.9,1.5)"], ["agent.gamma", "1.5"]),
+        (["rewards=paper", "agent.gamma=interval(0.9,1.5)"], ["agent.gamma", "1.5"]),
     ],
 )
 def test_a_wrong_search_is_refused_before_it_starts(
