@@ -60,9 +60,8 @@ NAMES = (*COMMANDS, SHIPPED)
 SUITES = ("paper", "families", "held_out")
 _SEEDS = "seed=1,2,3 hydra.sweep.dir=runs/shipped"
 TRAININGS: Mapping[str, str] = {
-    "plain": f"flipperctl train -m terrain=all_kinds {_SEEDS}/plain",
-    "precise": "flipperctl train -m experiment=precise terrain=all_kinds rewards=smooth "
-    f"{_SEEDS}/precise",
+    "plain": f"flipperctl train -m experiment=paper terrain=all_kinds {_SEEDS}/plain",
+    "precise": f"flipperctl train -m terrain=all_kinds train.decisions=60000 {_SEEDS}/precise",
     "searched": "flipperctl train -m experiment=mpc_value train.decisions=2500 "
     f"randomise.friction=null randomise.track_speed=null {_SEEDS}/searched",
 }
