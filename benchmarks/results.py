@@ -39,16 +39,16 @@ from flipperctl.files import write_bytes
 _NOISE = "perception.noise=0.01 perception.angle_noise=0.01 episode.start_angle_noise=0.05"
 _TEN = "step,stair,building_stair,ramp,uplift,gap,wave,rubble,pallet,plum"
 COMMANDS: Mapping[str, str] = {
-    "generalist": "flipperctl eval --checkpoint generalist --episodes 100 --seed 61157 "
+    "generalist": "flipperctl eval --checkpoint generalist --episodes 50 --seed 61170 "
     f"--baseline okada,level,random conditions=wide terrain={_TEN}",
-    "paper_scenes": "flipperctl eval --checkpoint generalist --episodes 100 "
+    "paper_scenes": "flipperctl eval --checkpoint generalist --episodes 50 "
     f"--baseline okada,level,random terrain=paper_step,paper_stair {_NOISE}",
     "cells_planar": "flipperctl eval suite=generalist sim=planar --checkpoint generalist "
-    "--episodes 100 --seed 61158 --baseline okada,level",
+    "--episodes 30 --seed 61171 --baseline okada,level --passable generalist,okada,level,planner",
     "cells_mujoco": "flipperctl eval suite=generalist sim=mujoco --checkpoint generalist "
-    "--episodes 100 --seed 61143 --baseline okada,level",
+    "--episodes 30 --seed 61172 --baseline okada,level --passable generalist,okada,level,planner",
     "cells_3d": "flipperctl eval suite=generalist_3d --checkpoint generalist "
-    "--controller okada,level --episodes 100 --seed 61144",
+    "--controller okada,level --episodes 30 --seed 61173",
 }
 """The command of each file; those whose names begin with ``cells_`` are of a suite's scenes."""
 SHIPPED = "shipped"

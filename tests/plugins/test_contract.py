@@ -21,13 +21,8 @@ AT_NIGHT = re.compile(
 """They take long, and tests of these rooms and one of their kind prove the same in short."""
 
 
-OLDER = re.compile(r"controller-greedy-(actions|repeats|in time)")
-"""Its default, the shipped generalist, has the paper's layout until another one replaces it."""
-
-
 def marks(name: str) -> list[pytest.MarkDecorator]:
-    older = pytest.mark.xfail(strict=True, reason="the layout of the shipped generalist")
-    return [pytest.mark.long] * bool(AT_NIGHT.match(name)) + [older] * bool(OLDER.match(name))
+    return [pytest.mark.long] * bool(AT_NIGHT.match(name))
 
 
 @pytest.mark.parametrize(
