@@ -41,11 +41,10 @@ def play_episodes(
 
 
 def test_a_policy_that_stands_at_a_thin_plate_warns_before_it_is_stuck(tmp_path: Path) -> None:
-    plate = tmp_path / "plate.csv"  # too thin for a bin's mean height to show it
-    plate.write_text("x,z\n0,0\n0,0.25\n0.02,0.25\n0.02,0\n")
+    plate = tmp_path / "plate.csv"  # higher than the robot can climb with so little friction
+    plate.write_text("x,z\n0,0\n0,0.4\n0.02,0.4\n0.02,0\n")
     ground = {"name": "profile_file", "path": str(plate)}
-    sim, perception = {"friction": 0.3}, {"highest": False}  # the layout of its training
-    config = EnvConfig(terrain=ground, sim=sim, perception=perception)
+    config = EnvConfig(terrain=ground, sim={"friction": 0.3})
     (row,) = play_episodes(config, load_policy("generalist"), episodes=1, seed=5)
     risks = EpisodeRisks.pop(dict(row))
     assert row["outcome"] == Outcome.STUCK
