@@ -46,9 +46,9 @@ COMMANDS: Mapping[str, str] = {
     "cells_planar": "flipperctl eval suite=generalist sim=planar --checkpoint generalist "
     "--episodes 30 --seed 61171 --baseline okada,level --passable generalist,okada,level,planner",
     "cells_mujoco": "flipperctl eval suite=generalist sim=mujoco --checkpoint generalist "
-    "--episodes 30 --seed 61172 --baseline okada,level --passable generalist,okada,level,planner",
+    "--episodes 8 --seed 61172 --baseline okada,level",
     "cells_3d": "flipperctl eval suite=generalist_3d --checkpoint generalist "
-    "--controller okada,level --episodes 30 --seed 61173",
+    "--controller okada,level --episodes 8 --seed 61173",
 }
 """The command of each file; those whose names begin with ``cells_`` are of a suite's scenes."""
 SHIPPED = "shipped"
