@@ -44,7 +44,7 @@ COMMANDS: Mapping[str, str] = {
     "paper_scenes": "flipperctl eval --checkpoint generalist --episodes 50 "
     f"--baseline okada,level,random terrain=paper_step,paper_stair {_NOISE}",
     "cells_planar": "flipperctl eval suite=generalist sim=planar --checkpoint generalist "
-    "--episodes 30 --seed 61171 --baseline okada,level --passable generalist,okada,level,planner",
+    "--episodes 30 --seed 61171 --baseline okada,level",
     "cells_mujoco": "flipperctl eval suite=generalist sim=mujoco --checkpoint generalist "
     "--episodes 8 --seed 61172 --baseline okada,level",
     "cells_3d": "flipperctl eval suite=generalist_3d --checkpoint generalist "

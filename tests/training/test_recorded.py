@@ -208,6 +208,7 @@ def test_what_eval_records_is_refused_where_it_does_not_fit(tmp_path: Path) -> N
     assert "it describes recorded episodes" in found.err
     (tmp_path / "bad.safetensors").write_bytes((tmp_path / "a.safetensors").read_bytes()[:-1])
     words = [*(f"{key}={value}" for key, value in EXACT.items()), "terrain=step"]
+    words += ["agent.privileged_value=false"]  # of which a recording holds no states
     for name, text in (
         ("a.safetensors robot.angle_step=0.2", f"robot.angle_step={math.pi / 12} (here 0.2)"),
         ("bad.safetensors", "is damaged"),

@@ -152,9 +152,10 @@ def test_a_teacher_that_plans_whole_episodes_labels_only_its_own() -> None:
 
 def test_imitation_alone_learns_what_a_rule_does(tmp_path: Path) -> None:
     alone = {"teacher.td_weight": 0.0, "agent.epsilon_start": 0.1}
-    config = short_config(**OKADA, **alone, **{"train.validation_episodes": 10})
+    rule = {"teacher.controller": {"name": "okada_published"}}  # moves both pairs by one angle
+    config = short_config(**rule, **alone, **{"train.validation_episodes": 10})
     summary = trainer(config, tmp_path).run()
-    assert summary["best"]["success_rate"] >= 0.8  # 0 % to 20 % without a teacher, of 600 decisions
+    assert summary["best"]["success_rate"] >= 0.8  # 0 % to 20 % without a teacher, of 600
     last = checkpoint.read(tmp_path / checkpoint.LAST)
     observations = last.part("replay")["observation"][:200]
     values = policy_module(last)(observations.reshape(len(observations), -1))
