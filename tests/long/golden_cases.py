@@ -46,7 +46,7 @@ _SEARCH = (
     "agent.learning_starts=4 agent.batch_size=8"
 )
 TRAININGS = {
-    "paper": "terrain=stair",
+    "paper": "experiment=paper terrain=stair",
     "precise": "experiment=precise terrain=step rewards=smooth",
     "searched": f"experiment=searched {_SEARCH}",
     "taught": f"experiment=taught {_TEACHER} terrain=ramp agent.batch_size=32",
