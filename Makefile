@@ -1,5 +1,5 @@
 # Two commands do everything on a fresh machine with Python 3.11+ and make:
-#   make train   sets up, trains terrain=stair for about a minute, evaluates, prints the table
+#   make train   sets up, trains terrain=uplift for a minute or two, evaluates, prints the table
 #   make test    sets up and runs the static checks and every test that is not marked as long
 #   make long    runs the tests marked as long, each night; about half an hour
 #   make check runs the static checks and the quick tests, for use while one works
@@ -26,10 +26,10 @@ $(VENV)/ready: pyproject.toml requirements.txt
 	touch $@
 
 train: setup
-	$(BIN)/flipperctl train terrain=stair train.decisions=$(DECISIONS) \
-		hydra.run.dir=runs/stair/make_$$(date +%Y-%m-%d_%H-%M-%S)
-	$(BIN)/flipperctl eval --checkpoint "$$(ls -td runs/stair/make_* | head -n 1)" \
-		--episodes 50 --baseline okada
+	$(BIN)/flipperctl train terrain=uplift train.decisions=$(DECISIONS) \
+		--output runs/uplift/make_$$(date +%Y-%m-%d_%H-%M-%S)
+	$(BIN)/flipperctl eval "$$(ls -td runs/uplift/make_* | head -n 1)" \
+		--episodes 50 --baseline level,okada
 	@echo "To type flipperctl in this shell: . $(VENV)/bin/activate"
 
 # The static checks stand back behind the tests, which run beside them.

@@ -132,10 +132,12 @@ def with_budget(command: list[str]) -> list[str]:
         resumed = "--resume" in command
         trials = ["hydra.sweeper.n_trials=2"] if "hydra/sweeper=optuna" in command else []
         alone = not resumed and "-m" not in command  # two of one second would share a folder
-        if "--output" in command:  # the folder has that run already
+        named = "--output" in command
+        if named and FIRST in command:  # the folder has that run already
             at = command.index("--output")
-            command = [*command[:at], *command[at + 2 :]]
-        own = [f"hydra.run.dir=runs/{uuid4()}"] if alone and not KEPT & {*command} else []
+            command, named = [*command[:at], *command[at + 2 :]], False
+        own = [f"hydra.run.dir=runs/{uuid4()}"]
+        own = own if alone and not named and not KEPT & {*command} else []
         asked = any(word.startswith(("train.workers=", "collector=")) for word in command)
         default = command == ["train", "terrain=stair"]
         quick = ["train.decisions=160"] if resumed else WORKERS if asked or default else QUICK
@@ -178,7 +180,7 @@ MAKERS = {
     for name in [word.removeprefix("hydra.run.dir=")]
     if command[1] in ("train", "export", "robot") or option == "--record"
     if name != FIRST and (option in ("--output", "--record") or name != word)
-}
+} | {f"{command[3]}.py": command for command in commands() if command[1] == "new"}
 """What a command writes → the first that writes it."""
 
 
@@ -261,8 +263,6 @@ def test_every_other_command_is_listed_here_for_a_reason() -> None:
     long = ("python -m tests.long.", "python -m benchmarks ")
     others = {line for line in lines if line and not _LOOP.fullmatch(line)}
     assert {line for line in others if not line.startswith(("flipperctl ", *long))} == {
-        "make train",  # takes minutes
-        "make test",  # runs this test
         "make setup && . .venv/bin/activate",  # the network; tests/test_wheel.py installs
         "pip install numpy onnxruntime",  # the network
         "pip wheel --no-deps .",  # tests/test_wheel.py builds it, and installs it
