@@ -7,7 +7,7 @@ contents are checked.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -25,7 +25,7 @@ from pydantic import (
 )
 
 from flipperctl import __version__, checkpoint
-from flipperctl.api import DrawingWorld, Outcome, Perception, Profile, Transition
+from flipperctl.api import DrawingWorld, Outcome, Profile, Transition
 from flipperctl.checkpoint.document import decode
 from flipperctl.config import EnvConfig, EvalConfig, parse, to_dict
 from flipperctl.config.identity import content_digest
@@ -34,8 +34,6 @@ from flipperctl.env.metrics import CORE
 from flipperctl.errors import (
     CheckpointError,
     ConfigError,
-    FlipperctlError,
-    InterruptedRunError,
     RequestError,
 )
 from flipperctl.evaluation.conditions import Conditions
@@ -48,6 +46,7 @@ from flipperctl.policies.identity import named_files
 from flipperctl.policies.source import PolicySource
 from flipperctl.results import result_folder
 from flipperctl.rollout.episode import Decision, EpisodeRisks, EvaluationSeeds, play
+from flipperctl.rollout.trace import Trace
 from flipperctl.sim.versions import engine_versions
 
 NAMES = ("replay.json", "replay.png")
@@ -328,7 +327,11 @@ def replay_file(
 
             def write(part: Path) -> None:
                 write_json(part / "replay.json", found.to_dict())
-                _draw(part / "replay.png", found.transitions, found.profile, found.title)
+                from flipperctl.figures.episode import episode_figure
+                from flipperctl.figures.figure import save
+
+                trace = Trace.of(found.transitions, found.profile)
+                save(episode_figure(trace, found.title), part / "replay.png")
 
             folder.replace(write)
             tell(f"wrote {' and '.join(NAMES)} to {folder.path}")
@@ -361,51 +364,6 @@ def lines(found: Replay) -> Iterator[str]:
         digest = f"bit-identical to the recorded episode, digest {episode[DIGEST]:.16}…"
         none = "equal to the recorded episode by its measures; it has no digest of the poses"
         yield none if found.record.digest is None else digest
-
-
-def _draw(
-    path: Path,
-    made: Sequence[Transition],
-    profile: Profile,
-    title: str,
-    seen: Sequence[Perception] = (),
-) -> None:
-    from flipperctl.figures.episode import episode_figure
-    from flipperctl.figures.figure import save
-    from flipperctl.figures.film import samples
-
-    states = [made[0].before, *(t.after for t in made)]
-    save(episode_figure(states, profile, made[0].robot, title, seen, samples(made)), path)
-
-
-def draw_scenes(scenes: Mapping[Path, Entry], progress: Progress, stop: Callable[[], bool]) -> None:
-    """Replay the first episode of each scene and write its picture, by the picture's path.
-
-    If a picture fails, the others are still drawn.
-    """
-    from flipperctl.figures.episode import mapped
-
-    names = [file.name for file in scenes]
-    failed: list[tuple[str, FlipperctlError]] = []
-    for index, (file, entry) in enumerate(scenes.items()):
-        if stop():
-            raise InterruptedRunError(f"interrupted: {', '.join(names[index:])} not drawn")
-        config, source = entry.config, entry.source
-        try:
-            with progress(f"{entry.terrain}, picture", 1) as report:
-                runner = EpisodeRunner(config, source, config.eval.seed, report)
-                made, profile = runner.transitions(0)
-            title = (
-                f"{source.label()} on {entry.terrain}: {made[-1].outcome}\n"
-                f"episode 0 of {config.eval.episodes}, conditions {entry.conditions.label}"
-            )
-            _draw(file, made, profile, title, mapped(made))
-        except FlipperctlError as error:
-            failed.append((file.name, error))
-    if failed:
-        others = ", ".join(name for name, _ in failed[1:])
-        first = failed[0][1]
-        raise type(first)(f"{first}; also not drawn: {others}") if others else first
 
 
 def film_scene(path: Path, entry: Entry, progress: Progress) -> None:

@@ -17,7 +17,7 @@ from pathlib import Path
 from flipperctl.checkpoint import recording
 from flipperctl.config.identity import content_digest
 from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
-from flipperctl.evaluation import replay
+from flipperctl.evaluation import replay, traces
 from flipperctl.evaluation.conditions import scene_names
 from flipperctl.evaluation.evaluate import Played, Result, evaluate
 from flipperctl.evaluation.plan import BEST_KNOWN, Entry, Plan
@@ -42,7 +42,7 @@ from flipperctl.session import command, interrupts
 from flipperctl.show import latex
 
 SUMMARY = "summary.json"
-NAMES = ("episodes.csv", SUMMARY, "table.csv", "table.tex")
+NAMES = ("episodes.csv", SUMMARY, "table.csv", "table.tex", traces.FILE)
 MOST_FAILURES = 20  # largest number of failures of a scene that are recorded [-]
 _DIGITS = 4  # decimals of ``table.csv``
 _DIGEST = 8  # digits of a policy's digest in its label
@@ -183,6 +183,7 @@ class _Files:
             check_output(record, recording.KIND)
             recording.require_one_layout(record, [entry.config for entry in entries])
         self._pictures = picture_names([] if several else entries)
+        self._later = [traces.FILE, *self._pictures]
         self._folder = None
         self.store = EpisodeStore()
         """Episodes that are not played again: those below the folder, if there is one."""
@@ -200,6 +201,9 @@ class _Files:
         if self._folder is None:
             return
         path, records = self._folder.path, list(failure_records(result))
+        self._traces = traces.Traces(
+            path / traces.FILE, traces.choose(result, document), self._tell
+        )
 
         def write(part: Path) -> None:
             write_csv(part / "episodes.csv", list(episode_rows(result)))
@@ -209,9 +213,10 @@ class _Files:
             write_bytes(part / "table.tex", latex(table).encode())
             for name, record in records:
                 write_json(part / name, record.model_dump(mode="json"))
+            self._traces.write(part / traces.FILE)
 
         lost = _lost_rows(path, document)
-        self._folder.replace(write, [] if result.interruption else self._pictures)
+        self._folder.replace(write, [] if result.interruption else self._later)
         write_view(path)
         self._tell(f"saved to {path}")
         if lost:
@@ -240,16 +245,23 @@ class _Files:
             self._tell(f"wrote {self._record}")
 
     def draw(self, result: Result, stop: Callable[[], bool], progress: Progress) -> None:
-        """Draw the pictures and the film, unless the evaluation was interrupted or failed."""
+        """Trace chosen episodes, and draw the pictures and the film.
+
+        Nothing of it if the evaluation was interrupted or failed.
+        """
         if result.interruption is not None:
             raise InterruptedRunError(result.interruption.text)
         if (error := result.error()) is not None:
             raise error
 
         def pictures() -> None:
-            if self._folder is not None and self._pictures:
+            if self._folder is not None:
                 files = [self._folder.path / name for name in self._pictures]
-                replay.draw_scenes(dict(zip(files, self._plan.rows, strict=True)), progress, stop)
+                entries = self._plan.rows if files else []
+                _attempt(
+                    lambda: self._traces.record(progress, stop),
+                    lambda: self._traces.draw(dict(zip(files, entries, strict=True))),
+                )
 
         def film() -> None:
             if self._film is not None:

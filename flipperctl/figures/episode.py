@@ -1,7 +1,6 @@
 """A figure of one episode: the robot's poses on the terrain, its pitch and flipper angles.
 
-In: the states of an episode in order, the profile and the robot's geometry; also what a sensor that
-maps the ground perceived, as points of the map in world, and the heights over time. Out: a figure.
+In: the trace of an episode. Out: a figure, with the map of a sensor that maps the ground.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MultipleLocator
 
-from flipperctl.api import FloatArray, Perception, Profile, RobotGeometry, RobotState, Transition
+from flipperctl.api import FloatArray, Profile, RobotGeometry, RobotState
 from flipperctl.figures.figure import (
     WIDTH,
     draw_ground,
@@ -25,41 +24,19 @@ from flipperctl.figures.figure import (
     style_axes,
 )
 from flipperctl.figures.render import CHASSIS, FAINT, FRONT, HEIGHTS, INK, REAR, RobotArtist
+from flipperctl.rollout.trace import Trace
 from flipperctl.sim.outline import outlines
 
 _LEAST = 0.02
 """Smallest range of the colours of heights [m]."""
 
 
-def mapped(transitions: Sequence[Transition]) -> list[Perception]:
-    """Return what was perceived at each decision; nothing unless the sensor maps the ground."""
-    seen = [t.perception for t in transitions]
-    perceived = [p for p in seen if p is not None and p.seen is not None]
-    return perceived if len(perceived) == len(transitions) else []
-
-
-def map_points(perception: Perception, position: FloatArray) -> FloatArray:
-    """Return the points that were seen, without filled ones, in world, (P, 2) [m].
-
-    ``position``: the true chassis centre (x, z) [m], so that only errors of the map itself show,
-    and none of the odometry's drift, which policies do not feel.
-    """
-    points, filled = perception.points, perception.filled
-    return position + (points if filled is None else points[~filled])
-
-
-def _draw_heights(
-    figure: Figure, axes: Axes, perceived: Sequence[Perception], times: Sequence[float]
-) -> None:
-    """Draw the perceived heights H over time; bins that were never seen are left white.
-
-    ``times``: those of the perceptions, and that of the end, (T + 1,) [s].
-    """
-    layout = perceived[0].layout
-    heights = np.array([p.observation[: layout.bins] for p in perceived], np.float64)  # (T, N) [m]
-    heights[~np.array([p.seen for p in perceived], np.bool_)] = np.nan
-    half = layout.bins * layout.bin_width / 2
-    edges = np.linspace(-half, half, layout.bins + 1)
+def _draw_heights(figure: Figure, axes: Axes, trace: Trace) -> None:
+    """Draw the perceived heights H over time; bins that were never seen are left white."""
+    heights = trace.heights  # (D, N) [m]
+    half = heights.shape[1] * trace.bin_width / 2
+    edges = np.linspace(-half, half, heights.shape[1] + 1)
+    times = [*trace.decided, trace.time[-1]]
     limit = max(_LEAST, float(np.nanmax(np.abs(heights), initial=0.0)))
     mesh = axes.pcolormesh(
         times, edges, heights.T, cmap="cividis", vmin=-limit, vmax=limit, rasterized=True
@@ -74,42 +51,33 @@ _POSES = 12
 """Largest number of intervals between poses [-]."""
 
 
-def episode_figure(
-    trace: Sequence[RobotState],
-    profile: Profile,
-    robot: RobotGeometry,
-    title: str = "",
-    perceived: Sequence[Perception] = (),
-    samples: Sequence[RobotState] = (),
-) -> Figure:
+def episode_figure(trace: Trace, title: str = "") -> Figure:
     """Draw poses with their times on the terrain, above pitch and flipper angles over time.
 
     Poses are drawn at the start, at the end and evenly in between. Along the path of the chassis'
     centre they are a little less than the robot's length apart, or a twelfth of the path if that is
-    longer. The heights of very long ground are scaled up, as the axis label states.
-
-    ``perceived``: what a sensor that maps the ground perceived in each state but the last. Then the
-    map's points are drawn as of each pose, and the heights H over time below. ``samples``: states
-    between those of the trace, for the angles.
+    longer. The heights of very long ground are scaled up, as the axis label states. Of a sensor
+    that maps the ground, the map's points are drawn as of each pose, and the heights H over time
+    below.
     """
+    robot, path, profile = trace.robot, trace.position, trace.profile
     reach = robot.hinge_offset + robot.flipper_axle + robot.track_radius
-    path = np.array([state.position for state in trace])  # (T, 2) [m]
     length = float(np.hypot(*np.diff(path, axis=0).T).sum())
     poses = pose_indices(path, max(1.75 * reach, length / _POSES))
-    shown = [trace[i] for i in poses]
+    states = [trace.state(i) for i in range(len(path))]
+    shown = [states[i] for i in poses]
     tops = [outlines(state, robot)[:, :, 1].max() for state in shown]
     low, high = window(path, profile, reach, max(tops))
     scale, height = scaled(low, high, 6.0)
-    heights = [2.4] if perceived else []
+    heights = [2.4] if trace.maps else []
     figure = Figure(figsize=(WIDTH, height + 3.9 + sum(heights)), layout="constrained")
     above, below, *lowest = figure.subplots(
         2 + len(heights), 1, height_ratios=[height, 2.6, *heights]
     )
     draw_ground(above, profile)
     above.plot(path[:, 0], path[:, 1], color=INK, linewidth=0.9, label="chassis centre")
-    if perceived:
-        latest = [min(i, len(perceived) - 1) for i in poses]
-        points = np.concatenate([map_points(perceived[i], path[i]) for i in latest])
+    if trace.maps:
+        points = np.concatenate([trace.maps[trace.latest(state.time)] for state in shown])
         above.plot(*points.T, ".", color=HEIGHTS, markersize=2.4, zorder=4, label="map")
     lines = above.get_lines()[1:]  # without the ground, and before the robots
     for i, (state, top) in enumerate(zip(shown, tops, strict=True)):
@@ -122,11 +90,11 @@ def episode_figure(
     legend_above(above, lines)
     for state in shown:
         below.axvline(state.time, color=FAINT, linewidth=0.8, linestyle=":")
-    limit, _ = draw_angles(below, samples or trace, robot, "time [s]; dotted: the poses above")
+    limit, _ = draw_angles(below, states, robot, "time [s]; dotted: the poses above")
     below.margins(x=0.02)
     below.yaxis.set_major_locator(MultipleLocator(15 if limit < 75 else 30))
     for axes in lowest:
-        _draw_heights(figure, axes, perceived, [state.time for state in trace])
+        _draw_heights(figure, axes, trace)
         axes.set_xlim(below.get_xlim())
     return figure
 

@@ -12,8 +12,7 @@ from __future__ import annotations
 import io
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -39,7 +38,7 @@ from flipperctl.config import EvalConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.pictures import Observer
 from flipperctl.errors import RequestError
-from flipperctl.figures.episode import draw_angles, map_points, mapped, window
+from flipperctl.figures.episode import draw_angles, window
 from flipperctl.figures.figure import (
     PICTURE,
     WIDTH,
@@ -53,39 +52,13 @@ from flipperctl.figures.render import FAINT, HEIGHTS, INK, RobotArtist
 from flipperctl.files import OutputKind, check_output, write_bytes
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import play
+from flipperctl.rollout.trace import instants, map_points, mapped
 from flipperctl.sim.outline import outlines
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
     from flipperctl.ros.perceiving import Instant, Replay
-
-
-def instants(transitions: Sequence[Transition], period: float) -> Iterator[RobotState]:
-    """Yield the robot's state at the start, every ``period`` [s], and at the end.
-
-    Velocities are those at the start of the decision, since poses have none. Of a decision without
-    poses, only its start is known.
-    """
-    due = transitions[0].before.time
-    for t in transitions:
-        if not len(t.path):
-            yield t.before
-            due = t.after.time
-        for index, (x, z, pitch) in enumerate(t.path[:-1].tolist()):
-            time = t.before.time + index * t.sample_period
-            if time < due - t.sample_period / 2:
-                continue
-            front, rear = t.flippers[index].tolist()
-            due += period
-            place = np.array([x, z])
-            yield replace(t.before, position=place, pitch=pitch, front=front, rear=rear, time=time)
-    yield transitions[-1].after
-
-
-def samples(transitions: Sequence[Transition]) -> list[RobotState]:
-    """Return every state whose pose is known, at which θ̂_R at 100 Hz is measured."""
-    return list(instants(transitions, transitions[0].sample_period))
 
 
 _MARK = b"film by flipperctl"

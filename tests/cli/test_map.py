@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from flipperctl.api import Robot
 from flipperctl.errors import WriteError
 from flipperctl.evaluation.play import EpisodeRunner
+from flipperctl.rollout.trace import Trace
 from tests.cli.call import call
 
 AXES = "terrain.height=0.2:0.5:2,sim.friction=0.5:1.0:2"
@@ -68,10 +69,8 @@ def test_a_failure_is_recorded_and_played_again_with_pictures_of_its_robot(
     """The robot is sampled; a nominal one would hover above the ground or lie in it."""
     drawn = []
 
-    def figure(
-        states: object, profile: object, robot: Robot, *rest: object, **more: object
-    ) -> Figure:
-        drawn.append(robot.track_radius)
+    def figure(trace: Trace, title: str) -> Figure:
+        drawn.append(trace.robot.track_radius)
         return Figure()
 
     monkeypatch.setattr("flipperctl.figures.episode.episode_figure", figure)
@@ -99,7 +98,7 @@ HIGH = ("terrain=step", "terrain.low=0.4", "terrain.high=0.4", "sim.friction=0.6
 def test_engines_stand_side_by_side_and_failures_have_causes_and_records(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("flipperctl.evaluation.replay.draw_scenes", lambda *given: None)
+    monkeypatch.setattr("flipperctl.evaluation.traces.Traces.record", lambda *given: None)
     asked = ("eval", "okada", "sim=planar,mujoco", *HIGH, "--episodes", "1", "--output", "out")
     done = call(*asked, cwd=tmp_path)
     assert done.code == 0, done.err

@@ -159,7 +159,7 @@ def test_policies_that_bring_their_own_ground_are_told() -> None:
 def test_tables_of_another_evaluation_are_not_replaced_without_a_word(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("flipperctl.evaluation.replay.draw_scenes", lambda *given: None)
+    monkeypatch.setattr("flipperctl.evaluation.traces.Traces.record", lambda *given: None)
 
     def told(*more: str) -> str:
         count = () if "--episodes" in more else ("--episodes", "1")

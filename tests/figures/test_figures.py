@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
-from flipperctl.api import Profile, RobotGeometry, RobotState
+from flipperctl.api import Profile, RobotGeometry
 from flipperctl.config import EvalConfig, with_overrides
 from flipperctl.errors import OutputError
 from flipperctl.evaluation.conditions import Conditions
@@ -26,6 +26,7 @@ from flipperctl.figures.figure import save
 from flipperctl.figures.render import BELT
 from flipperctl.figures.terrain import terrain_figure
 from flipperctl.policies.source import PolicySource
+from flipperctl.rollout.trace import Trace
 
 ROBOT = RobotGeometry()
 STEP = Profile([(0.0, 0.0), (0.0, 0.3), (2.0, 0.3)])
@@ -36,11 +37,14 @@ def texts(figure: Figure) -> str:
     return "\n".join(text.get_text() for axes in figure.axes for text in axes.texts)
 
 
-def trace(metres: float = 6.0, states: int = 61) -> list[RobotState]:
-    return [
-        RobotState(np.array([x, 0.1]), 0.2, 0.3, -0.1, np.array([0.2, 0.0]), 0.0, 5 * x)
-        for x in np.linspace(0.0, metres, states)
-    ]
+def trace(metres: float = 6.0, states: int = 61, ground: Profile = STEP, **more: Any) -> Trace:
+    x = np.linspace(0.0, metres, states)
+    values = {"pitch": 0.2, "front": 0.3, "rear": -0.1}
+    angles = {name: np.full(states, value) for name, value in values.items()}
+    poses: dict[str, Any] = {"time": 5 * x, "position": np.stack([x, np.full(states, 0.1)], 1)}
+    decided = {"decided": np.zeros(1), "actions": np.zeros((1, 2)), "heights": np.zeros((1, 0))}
+    place: dict[str, Any] = {"robot": ROBOT, "ground": ground.points, "bin_width": 0.15}
+    return Trace(**place | angles | poses | decided | more)
 
 
 def test_marks_of_start_and_finish_are_explained() -> None:
@@ -78,14 +82,14 @@ def test_terrain_shows_twelve_more_draws_and_counts_the_rest(tmp_path: Path) -> 
 def test_the_heights_of_very_long_ground_are_scaled_up_and_labelled() -> None:
     long = Profile([(0.0, 0.0), (100.0, 0.5), (200.0, 0.0)])
     assert terrain_figure([long], "long", ROBOT).axes[0].get_ylabel().startswith("z [m], × ")
-    figure = episode_figure(trace(200.0, 401), long, ROBOT)
+    figure = episode_figure(trace(200.0, 401, long))
     assert figure.axes[0].get_ylabel().startswith("z [m], × ")
     assert len([text for text in figure.axes[0].texts if text.get_text().endswith(" s")]) <= 13
     assert terrain_figure([STEP], "step", ROBOT).axes[0].get_ylabel() == "z [m]"
 
 
 def test_episode_marks_the_same_poses_in_both_panels() -> None:
-    figure = episode_figure(trace(), STEP, ROBOT, "stair")
+    figure = episode_figure(trace(), "stair")
     above, below = figure.axes
     times = [0, 7.5, 15, 22.5, 30]
     assert [text.get_text() for text in above.texts] == [f"{time:.1f} s" for time in times]
@@ -94,25 +98,21 @@ def test_episode_marks_the_same_poses_in_both_panels() -> None:
     assert np.asarray(curves["rear flippers"].get_ydata())[0] == pytest.approx(math.degrees(-0.1))
     upright = [line for line in below.get_lines() if line.get_linestyle() == ":"]
     assert [np.asarray(line.get_xdata())[0] for line in upright] == pytest.approx(times)
-    assert [t.get_text() for t in episode_figure(trace()[:1], LEVEL, ROBOT).axes[0].texts] == [
-        "0.0 s"
-    ]
+    (start,) = episode_figure(trace(0.0, 1, LEVEL)).axes[0].texts
+    assert start.get_text() == "0.0 s"
 
 
 def test_an_overturned_robot_stays_in_the_picture_and_its_swing_shows() -> None:
-    """Pitch may exceed the flippers' limit, and swings between two decisions."""
-    states = trace(1.0, 3)
-    states[-1] = replace(states[-1], pitch=1.0)
-    finer = [replace(states[0], pitch=p, time=t) for p, t in ((0.2, 0.0), (-0.4, 1.0), (1.0, 5.0))]
-    robot = RobotGeometry(angle_limit=0.5)
-    below = episode_figure(states, STEP, robot, samples=finer).axes[1]
+    """Pitch may exceed the flippers' limit, and swings."""
+    swung = {"pitch": np.array([0.2, -0.4, 1.0]), "robot": RobotGeometry(angle_limit=0.5)}
+    below = episode_figure(trace(1.0, 3, **swung)).axes[1]
     pitch = {str(line.get_label()): line for line in below.get_lines()}["pitch"]
     assert np.asarray(pitch.get_ydata()) == pytest.approx(np.degrees([0.2, -0.4, 1.0]))
     assert below.get_ylim()[1] > math.degrees(1.0)
 
 
 def test_a_long_title_keeps_clear_of_the_legend_and_of_the_edge() -> None:
-    figure = episode_figure(trace(), STEP, ROBOT, "a_policy_with_a_long_name " * 6)
+    figure = episode_figure(trace(), "a_policy_with_a_long_name " * 6)
     canvas = FigureCanvasAgg(figure)
     canvas.draw()
     (above, _), renderer = figure.axes, canvas.get_renderer()

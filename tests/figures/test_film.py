@@ -13,11 +13,12 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError, OutputError, RequestError
 from flipperctl.evaluation.play import EpisodeRunner
 from flipperctl.evaluation.replay import EpisodeRecord, replay_file
-from flipperctl.figures.episode import episode_figure, map_points, mapped
-from flipperctl.figures.film import FILM, Shots, film, instants, samples, save_film
+from flipperctl.figures.episode import episode_figure
+from flipperctl.figures.film import FILM, Shots, film, save_film
 from flipperctl.files import check_output, write_json
 from flipperctl.policies.source import load_policy
 from flipperctl.rollout.episode import play
+from flipperctl.rollout.trace import Trace, instants, map_points, mapped
 from flipperctl.sim.mujoco import Mujoco, camera
 from flipperctl.sim.mujoco.world import MujocoWorld
 
@@ -52,7 +53,7 @@ def test_the_instants_are_evenly_spaced_over_decisions_and_include_the_end():
     assert [s.position[0] for s in shown] == pytest.approx([-1, -0.95, -0.9, -0.85, -0.8, -0.76])
     assert [s.front for s in shown] == pytest.approx([0, 0.125, 0.25, 0.375, 0.5, 0.6])
     bare = [replace(t, path=np.empty((0, 3)), flippers=np.empty((0, 2))) for t in drive(3)]
-    assert [s.time for s in samples(bare)] == pytest.approx([0, 0.6, 1.2, 1.8])
+    assert list(Trace.of(bare, STEP).time) == pytest.approx([0, 0.6, 1.2, 1.8])
 
 
 def test_a_film_moves_lasts_as_long_as_it_says_and_is_equal_for_equal_episodes(tmp_path):
@@ -99,8 +100,7 @@ def test_a_picture_has_the_map_without_filled_points_and_the_heights_over_time(d
     assert len(points) == np.count_nonzero(~p.filled) < len(p.points)
     before = points[points[:, 0] < profile.start - 0.1]
     assert np.abs(before[:, 1] - profile.height(profile.start - 1)).max() < 0.06
-    states = [made[0].before, *(t.after for t in made)]
-    figure = episode_figure(states, profile, Robot(), "", mapped(made))
+    figure = episode_figure(Trace.of(made, profile))
     above, below, lowest, _ = figure.axes  # the last one is the bar of colours
     (shown,) = (line for line in above.get_lines() if line.get_label() == "map")
     assert len(np.asarray(shown.get_xdata())) > 100

@@ -1,0 +1,104 @@
+"""Traces of chosen episodes: the file, and what an evaluation plays once more for it."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flipperctl.errors import RequestError
+from flipperctl.evaluation import traces
+from flipperctl.evaluation.play import EpisodeRunner
+from flipperctl.rollout.trace import Trace, read, write
+from tests.cli.call import call
+from tests.figures.test_figures import trace
+
+HIGH = ("terrain=step", "terrain.low=0.4", "terrain.high=0.4", "--episodes", "4")
+
+
+def test_a_trace_is_read_as_it_was_written_and_unseen_heights_stay_unknown(tmp_path: Path) -> None:
+    unseen = np.array([[0.25, np.nan]])
+    maps = (np.array([[0.5, 0.25], [1.0, 0.0]]),)
+    given = [trace(heights=unseen, maps=maps, policy="<b>&", risk=np.array([0.5])), trace(2.0, 3)]
+    write(tmp_path / "one.npz", given)
+    write(tmp_path / "two.npz", given)
+    assert (tmp_path / "one.npz").read_bytes() == (tmp_path / "two.npz").read_bytes()
+    first, second = read(tmp_path / "one.npz")
+    assert (first.policy, first.robot, first.bin_width) == ("<b>&", given[0].robot, 0.15)
+    assert np.array_equal(first.heights, unseen, equal_nan=True)
+    assert np.array_equal(first.maps[0], maps[0])
+    assert (second.time.tolist(), second.maps) == ([0, 5, 10], ())
+    assert second.state(2).position == pytest.approx([2.0, 0.1])
+
+
+def damaged(folder: Path) -> dict[str, bytes]:
+    """Files that are no traces, by name."""
+    write(folder / "good.npz", [trace()])
+    good = (folder / "good.npz").read_bytes()
+    write(folder / "odd.npz", [trace(pitch=np.zeros(3))])
+    np.savez(folder / "object.npz", header=np.array([{}]))
+    header = json.dumps({"format": 2, "traces": []}).encode()
+    np.savez(folder / "later.npz", header=np.frombuffer(header, np.uint8))
+    names = ("odd.npz", "object.npz", "later.npz")
+    return {"cut": good[: len(good) // 2], "text": b"no traces", "empty": b""} | {
+        name: (folder / name).read_bytes() for name in names
+    }
+
+
+def test_damaged_files_are_refused_with_their_name(tmp_path: Path) -> None:
+    for name, content in damaged(tmp_path).items():
+        (tmp_path / "traces.npz").write_bytes(content)
+        with pytest.raises(RequestError, match=r"traces\.npz: it") as error:
+            read(tmp_path / "traces.npz")
+        assert ("its format is 2; this version reads 1" in str(error.value)) == (
+            name[:5] == "later"
+        )
+    with pytest.raises(RequestError, match="there is no such file"):
+        read(tmp_path / "none.npz")
+
+
+@pytest.fixture
+def again(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The indices of the episodes that are played once more."""
+    played: list[int] = []
+    transitions = EpisodeRunner.transitions
+
+    def counted(self: EpisodeRunner, index: int) -> object:
+        played.append(index)
+        return transitions(self, index)
+
+    monkeypatch.setattr(EpisodeRunner, "transitions", counted)
+    return played
+
+
+def test_eval_traces_first_episodes_and_two_failures_and_plays_them_once(
+    tmp_path: Path, again: list[int]
+) -> None:
+    words = ("eval", "level", *HIGH, "--baseline", "okada", "--output", "out")
+    done = call(*words, cwd=tmp_path)
+    assert done.code == 0, done.err
+    found = read(tmp_path / "out" / traces.FILE)
+    named = [(one.policy, one.scene, one.episode) for one in found]
+    # okada crosses all; the first failure of level is its first episode.
+    assert named == [("level", "step", 0), ("okada", "step", 0), ("level", "step", 1)]
+    assert again == [0, 1, 0]
+    rows = json.loads((tmp_path / "out" / "summary.json").read_text())["scenes"][0]
+    assert found[2].outcome == "stuck"
+    assert rows["outcomes"]["stuck"] == 4
+    assert found[0].time[:3] == pytest.approx([0, 0.05, 0.1])
+    assert found[0].heights.shape == (len(found[0].decided), 15)
+    first, picture = found[0], (tmp_path / "out" / "step.png").read_bytes()
+
+    again.clear()
+    call(*words, cwd=tmp_path)
+    assert again == []
+    assert (tmp_path / "out" / "step.png").read_bytes() == picture
+    (tmp_path / "out" / traces.FILE).write_bytes(b"damaged")
+    done = call(*words[:-4], "--baseline", "none", *words[-2:], cwd=tmp_path)
+    assert "traces.npz: it is damaged" in done.err
+    assert again == [0, 1]
+    assert same(read(tmp_path / "out" / traces.FILE)[0], first)
+
+
+def same(one: Trace, other: Trace) -> bool:
+    return np.array_equal(one.position, other.position) and one.digest == other.digest
