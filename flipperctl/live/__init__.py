@@ -1,0 +1,1 @@
+"""Watching policies in a browser or a terminal while they drive."""

@@ -1,0 +1,152 @@
+"""Play one policy on one scene, decision by decision, for a viewer that shows it later.
+
+In: a configuration, a policy and a seed. Out: the states every ``PERIOD`` of each decision, what
+the policy perceived, and its values. The simulation never waits for the viewer within a decision.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from flipperctl.api import SAMPLE_PERIOD, FloatArray, Outcome, Policy, RobotState, World
+from flipperctl.config import EvalConfig
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.pictures import Observer
+from flipperctl.rollout.episode import Decision, decisions
+
+_EVERY = 4
+"""Samples between two states [-]."""
+PERIOD = _EVERY * SAMPLE_PERIOD
+"""Time between two states [s]."""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """What an episode is played from."""
+
+    config: EvalConfig
+    policy: Policy
+    seed: int
+    title: str = ""
+    """Terrain and draw, or where the episode was recorded."""
+
+
+@dataclass(frozen=True)
+class Entrant:
+    """A policy with its episodes."""
+
+    label: str
+    episode: Callable[[int], Episode]
+    """Returns the episode with an index from 0; its policy is built anew, so that a viewer of a
+    running training sees the newest weights."""
+
+
+@dataclass
+class Moment:
+    """One decision as a viewer shows it."""
+
+    states: list[RobotState]
+    """States every ``PERIOD`` since the decision before; at the start, that of the start."""
+    decision: Decision | None
+    """None at the start of an episode."""
+    values: FloatArray | None = None
+    """Q-values of the observation, (9,); None for a policy without them."""
+    risk: float | None = None
+    """Probability of a failure, by the policy [-]; None for a policy without it."""
+
+
+@dataclass
+class History:
+    """What has been shown of an episode, for plots."""
+
+    times: list[float] = field(default_factory=list)
+    """At each decision [s]."""
+    rewards: dict[str, list[float]] = field(default_factory=dict)
+    """Weighted value of each reward term at each decision."""
+    risks: list[float] = field(default_factory=list)
+    angle_times: list[float] = field(default_factory=list)
+    """At each state [s]."""
+    angles: list[tuple[float, float, float, float]] = field(default_factory=list)
+    """Pitch, front, rear and roll at each state [rad]."""
+    variation: float = 0.0
+    """Pitch variation so far, at 100 Hz [rad]."""
+
+    def add(self, moment: Moment) -> None:
+        """Add a moment that is being shown."""
+        self.angle_times += [state.time for state in moment.states]
+        self.angles += [(s.pitch, s.front, s.rear, s.roll) for s in moment.states]
+        if (decision := moment.decision) is not None:
+            self.times.append(decision.transition.after.time)
+            for name, value in decision.rewards.items():
+                self.rewards.setdefault(name, []).append(value)
+            if moment.risk is not None:
+                self.risks.append(moment.risk)
+            self.variation += float(np.abs(np.diff(decision.poses[:, 2])).sum())
+
+
+class _States(Observer):
+    every = _EVERY
+
+    def __init__(self) -> None:
+        self.states: list[RobotState] = []
+
+    def stopped(self, world: World) -> None:
+        self.states.append(world.state())
+
+    def take(self) -> list[RobotState]:
+        taken, self.states = self.states, []
+        return taken
+
+
+class Lane:
+    """The episodes of one policy on one scene, one after the other."""
+
+    def __init__(self, entrant: Entrant) -> None:
+        self.entrant = entrant
+        self.history = History()
+        self.outcome: Outcome | None = None
+        """How the episode ended; None while it runs."""
+        self.env: FlipperEnv
+        """The environment of the episode."""
+        self.title = ""
+        self._moments: Iterator[Moment] = iter(())
+
+    def begin(self, index: int, difficulty: float = 1.0) -> Moment:
+        """Begin the episode with this index; return its start."""
+        self.history, self.outcome = History(), None
+        episode = self.entrant.episode(index)
+        self.env = FlipperEnv(config=episode.config)
+        self._moments = self._played(episode, difficulty)
+        first = next(self._moments)
+        self.title = episode.title or episode.config.terrain.plugin_name
+        self.history.add(first)
+        return first
+
+    def step(self) -> Moment | None:
+        """Simulate one decision; None once the episode has ended."""
+        moment = next(self._moments, None)
+        if moment is not None:
+            self.history.add(moment)
+            assert moment.decision is not None  # only ``begin`` takes the start
+            self.outcome = moment.decision.transition.outcome
+        return moment
+
+    def _played(self, episode: Episode, difficulty: float) -> Iterator[Moment]:
+        seen, policy = _States(), episode.policy
+        values = getattr(policy, "q_values", None)
+        self.env.reset(seed=episode.seed, options={"difficulty": difficulty})
+        yield Moment([self.env.state], None)
+        played = decisions(self.env, policy, episode.seed, difficulty=difficulty, observers=[seen])
+        for decision in played:
+            states = [state for state in seen.take() if state.time > 0]  # the start was shown
+            if decision.ending is not None:
+                states.append(decision.transition.after)
+            yield Moment(
+                states,
+                decision,
+                None if values is None else np.array(values(decision.perception)),
+                getattr(policy, "risk", None),
+            )

@@ -1,0 +1,356 @@
+"""The page of ``flipperctl watch``: policies drive in 3-D, with controls, gauges and plots.
+
+In: entrants. Out: a viser server on this machine. Simulation and drawing run in one thread; a
+decision is simulated whole and then shown at the chosen speed, so that pausing costs nothing.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import time
+from collections.abc import Callable, Sequence
+from contextlib import redirect_stdout
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from flipperctl.api import ACTIONS
+from flipperctl.errors import MissingExtraError, RequestError
+from flipperctl.live.lanes import PERIOD, Entrant, Lane, Moment
+from flipperctl.live.scene import BODY, CHASSIS, FRONT, REAR, WIDTH, LiveScene
+
+_BETWEEN = 0.35
+"""Distance between the grounds of two lanes [m]."""
+_AFTER = 1.5
+"""Pause after an episode before the next one begins [s]."""
+_MOST = 4
+"""Largest number of policies at once [-]."""
+_TERMS = (CHASSIS, FRONT, REAR, (170, 68, 153), (221, 170, 51), (86, 180, 233), BODY)
+Line = tuple[str, tuple[int, int, int]]
+"""Label and colour of a curve."""
+_TURN = {-1: "↓", 0: "·", 1: "↑"}
+
+
+class _NextEpisodeError(Exception):
+    """Ends the running episode."""
+
+
+@dataclass
+class Wish:
+    """What the page asked for; the loop reads it between states."""
+
+    paused: bool = False
+    steps: int = 0
+    """Decisions to show while paused."""
+    episode: int | None = None
+    """Episode to go to now."""
+    changed: bool = False
+    """Whether the policies were changed."""
+
+
+class Gauges:
+    """Numbers, plots and values of one lane in the panel."""
+
+    def __init__(self, gui: Any, label: str) -> None:
+        self._gui = gui
+        self._folder = gui.add_folder(label)
+        with self._folder:
+            self._numbers = gui.add_markdown("")
+            self._angles = self._plot(
+                "angles [°]", (("pitch", CHASSIS), ("front", FRONT), ("rear", REAR), ("roll", BODY))
+            )
+            self._risk = self._plot("risk of a failure", (("risk", FRONT),), visible=False)
+            self._values = gui.add_html("")
+        self._terms: list[str] = []
+        self._rewards: Any = None
+
+    def _plot(self, title: str, lines: Sequence[Line], *, visible: bool = True) -> Any:
+        from viser import uplot
+
+        series = [
+            uplot.Series(label=name, stroke=f"rgb({r},{g},{b})", width=2)
+            for name, (r, g, b) in lines
+        ]
+        return self._gui.add_uplot(
+            (np.zeros(1),) * (len(lines) + 1), (uplot.Series(label="time [s]"), *series),
+            title=title, height=160, visible=visible, scales={"x": uplot.Scale(time=False)},
+        )  # fmt: skip
+
+    def remove(self) -> None:
+        """Remove the panel."""
+        self._folder.remove()
+
+    def show(self, lane: Lane, moment: Moment) -> None:
+        """Show a moment and the history up to it."""
+        state = moment.states[-1]
+        history, decision = lane.history, moment.decision
+        degrees = [math.degrees(a) for a in (state.pitch, state.front, state.rear)]
+        outcome = "" if lane.outcome is None else f" · **{lane.outcome.value}**"
+        action = "start"
+        if decision is not None:
+            front, rear = ACTIONS[decision.action]
+            action = f"front {_TURN[front]} rear {_TURN[rear]}"
+        self._numbers.content = (
+            f"time **{state.time:.1f} s** · x **{state.position[0]:.2f} m** · "
+            f"pitch variation **{history.variation:.2f} rad**{outcome}\n\n"
+            f"pitch {degrees[0]:+.0f}° · front {degrees[1]:+.0f}° · rear {degrees[2]:+.0f}° · "
+            f"action {action}"
+        )
+        if history.angle_times:
+            self._angles.data = (
+                np.array(history.angle_times),
+                *np.degrees(np.array(history.angles)).T.copy(),
+            )
+        if self._terms != list(history.rewards):
+            self._terms = list(history.rewards)
+            if self._rewards is not None:
+                self._rewards.remove()
+            colours = [_TERMS[i % len(_TERMS)] for i in range(len(self._terms))]
+            with self._folder:
+                lines = list(zip(self._terms, colours, strict=True))
+                self._rewards = self._plot("reward of each decision", lines) if lines else None
+        if self._rewards is not None and history.times:
+            columns = [np.array(history.rewards[name]) for name in self._terms]
+            self._rewards.data = (np.array(history.times), *columns)
+        if history.risks:
+            self._risk.visible = True
+            self._risk.data = (
+                np.array(history.times[-len(history.risks) :]),
+                np.array(history.risks),
+            )
+        if moment.values is not None and decision is not None:
+            self._values.content = value_table(moment.values.tolist(), decision.action)
+
+
+def value_table(values: Sequence[float], chosen: int) -> str:
+    """Return the Q-values as an HTML table of front (columns) and rear (rows) turns."""
+    low, high = min(values), max(values)
+    rows = []
+    for rear in (1, 0, -1):
+        cells = []
+        for front in (-1, 0, 1):
+            index = ACTIONS.index((front, rear))
+            share = (values[index] - low) / (high - low) if high > low else 0.0
+            edge = "outline:2px solid #D55E00;" if index == chosen else ""
+            cells.append(
+                f"<td style='padding:2px 8px;text-align:right;{edge}"
+                f"background:rgba(0,114,178,{0.05 + 0.4 * share:.2f})'>{values[index]:.2f}</td>"
+            )
+        rows.append(f"<tr><th>rear {_TURN[rear]}</th>{''.join(cells)}</tr>")
+    heads = "".join(f"<th>front {_TURN[front]}</th>" for front in (-1, 0, 1))
+    return (
+        "<div style='font-size:12px;padding:4px 8px'>Q-values, the chosen action outlined"
+        f"<table><tr><th></th>{heads}</tr>{''.join(rows)}</table></div>"
+    )
+
+
+class WatchPage:
+    """Controls and lanes; ``run`` plays until it is stopped."""
+
+    def __init__(
+        self, server: Any, entrants: Sequence[Entrant], *, speed: float = 1.0, episode: int = 0
+    ) -> None:
+        """``server``: a ``viser.ViserServer``; the first entrants drive at once."""
+        self._server, self._entrants = server, list(entrants)
+        self._wish, self._episode, self._stopped = Wish(), episode, False
+        self._lanes: list[tuple[Lane, LiveScene, Gauges]] = []
+        server.gui.configure_theme(show_logo=False, show_share_button=False)
+        server.gui.main_panel.dock_right()
+        server.scene.set_up_direction("+z")
+        server.scene.world_axes.visible = False
+        server.initial_camera.position = (0.2, -3.4, 1.1)
+        server.initial_camera.look_at = (0.2, 0.2, 0.05)
+        self._world = server.scene.add_frame("/drive", show_axes=False)
+        self._build_controls(server.gui, speed)
+
+    def _build_controls(self, gui: Any, speed: float) -> None:
+        wish = self._wish
+        with gui.add_folder("Episode"):
+            self._title = gui.add_markdown("")
+            self._pause = gui.add_button("Pause", icon="player-pause")
+            buttons = gui.add_button_group("Go", ("Step", "Restart", "Previous", "Next"))
+            self._number = gui.add_number("Episode", self._episode, min=0, step=1)
+            self._speed = gui.add_slider("Speed", 0.1, 10.0, 0.1, speed)
+            self._difficulty = gui.add_slider("Difficulty", 0.0, 1.0, 0.05, 1.0)
+            self._follow = gui.add_checkbox("Follow the robot", initial_value=True)
+            self._seen = gui.add_checkbox("Show what is perceived", initial_value=True)
+        labels = [entrant.label for entrant in self._entrants]
+        with gui.add_folder("Policies"):
+            self._shown = [
+                gui.add_checkbox(label, initial_value=i < _MOST) for i, label in enumerate(labels)
+            ]
+
+        def pause(_: Any = None) -> None:
+            wish.paused = not wish.paused
+            self._pause.label = "Play" if wish.paused else "Pause"
+            self._pause.icon = "player-play" if wish.paused else "player-pause"
+
+        def go(event: Any) -> None:
+            move(event.target.value)
+
+        def move(word: str) -> None:
+            if word == "Step":
+                if not wish.paused:
+                    pause()
+                wish.steps += 1
+            else:
+                wish.episode = max(0, self._episode + {"Next": 1, "Previous": -1}.get(word, 0))
+
+        def jump(_: Any) -> None:
+            if self._number.value != self._episode:
+                wish.episode = int(self._number.value)
+
+        def change(_: Any) -> None:
+            wish.changed, wish.episode = True, self._episode
+
+        self._pause.on_click(pause)
+        buttons.on_click(go)
+        self._number.on_update(jump)
+        self._difficulty.on_update(lambda _: setattr(wish, "episode", self._episode))
+        for box in self._shown:
+            box.on_update(change)
+        for key, label, call in (
+            ("p", "Pause or play", pause),
+            ("s", "Step one decision", lambda _: move("Step")),
+            ("n", "Next episode", lambda _: move("Next")),
+            ("b", "Previous episode", lambda _: move("Previous")),
+            ("r", "Restart the episode", lambda _: move("Restart")),
+        ):
+            gui.add_command(label, hotkey=key).on_trigger(call)
+
+    def stop(self) -> None:
+        """End ``run`` soon; it may be called from any thread."""
+        self._stopped = True
+
+    def run(self, episodes: int | None = None) -> None:
+        """Play one episode after the other until ``stop``; ``episodes``: at most this many."""
+        self._set_lanes()
+        played = 0
+        while not self._stopped and (episodes is None or played < episodes):
+            try:
+                self._play()
+                played += 1
+                self._wait(_AFTER)
+                self._episode += 1
+            except _NextEpisodeError:
+                if self._wish.episode is not None:
+                    self._episode, self._wish.episode = self._wish.episode, None
+                if self._wish.changed:
+                    self._wish.changed = False
+                    self._set_lanes()
+
+    def _set_lanes(self) -> None:
+        for _, scene, gauges in self._lanes:
+            scene.remove()
+            gauges.remove()
+        chosen = [e for e, box in zip(self._entrants, self._shown, strict=True) if box.value]
+        chosen = chosen[:_MOST] or self._entrants[:1]
+        apart = WIDTH + _BETWEEN
+        self._lanes = []
+        for i, entrant in enumerate(chosen):
+            lane = Lane(entrant)
+            scene = LiveScene(self._server.scene, f"/drive/{i}", i * apart)
+            self._lanes.append((lane, scene, Gauges(self._server.gui, entrant.label)))
+
+    def _play(self) -> None:
+        self._number.value = self._episode
+        for lane, scene, gauges in self._lanes:
+            first = lane.begin(self._episode, float(self._difficulty.value))
+            label = lane.entrant.label
+            scene.begin(lane.env.profile, lane.env.robot, lane.env.scene.finish, label)
+            scene.show(first.states[0])
+            gauges.show(lane, first)
+        self._title.content = f"**{self._lanes[0][0].title}**, episode {self._episode}"
+        running = list(self._lanes)
+        while running and not self._stopped:
+            self._wait_while_paused()
+            shown = []
+            for lane, scene, gauges in running:
+                before = lane.env.state
+                if (moment := lane.step()) is not None:
+                    shown.append((scene, moment))
+                    if self._seen.value and moment.decision is not None:
+                        scene.perceive(moment.decision.perception, before)
+                    gauges.show(lane, moment)
+            self._animate(shown)
+            running = [parts for parts in running if parts[0].outcome is None]
+
+    def _animate(self, shown: Sequence[tuple[LiveScene, Moment]]) -> None:
+        longest = max((len(moment.states) for _, moment in shown), default=0)
+        for index in range(longest):
+            begun = time.perf_counter()
+            with self._server.atomic():
+                ahead = []
+                for scene, moment in shown:
+                    state = moment.states[min(index, len(moment.states) - 1)]
+                    scene.show(state)
+                    ahead.append(float(state.position[0]))
+                if self._follow.value:
+                    self._world.position = (-max(ahead), 0.0, 0.0)
+            spent = time.perf_counter() - begun
+            self._wait(PERIOD / max(0.1, float(self._speed.value)) - spent)
+
+    def _wait_while_paused(self) -> None:
+        while self._wish.paused and not self._stopped:
+            if self._wish.steps:
+                self._wish.steps -= 1
+                return
+            self._wait(0.02)
+
+    def _wait(self, seconds: float) -> None:
+        until = time.perf_counter() + seconds
+        while True:
+            if self._wish.episode is not None or self._wish.changed:
+                raise _NextEpisodeError
+            left = until - time.perf_counter()
+            if left <= 0 or self._stopped:
+                return
+            time.sleep(min(left, 0.02))
+
+
+def serve(port: int, host: str = "127.0.0.1") -> Any:
+    """Return a viser server that only this machine reaches.
+
+    Raises:
+        RequestError: viser is not installed, or the port is taken.
+    """
+    import socket
+
+    try:
+        import viser
+    except ImportError as error:
+        raise MissingExtraError(
+            "watching in a browser needs viser: pip install 'flipperctl[live]'; --terminal does not"
+        ) from error
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((host, port))
+        except OSError as error:
+            raise RequestError(
+                f"--port {port}: {error.strerror}; another number is allowed, or 0 for a free one"
+            ) from error
+        port = probe.getsockname()[1]
+    with redirect_stdout(io.StringIO()):  # it prints a banner, whatever ``verbose`` is
+        return viser.ViserServer(host=host, port=port, verbose=False)
+
+
+def watch(
+    entrants: Sequence[Entrant],
+    *,
+    port: int,
+    speed: float,
+    episode: int = 0,
+    ready: Callable[[str], None],
+) -> None:
+    """Serve the page until Ctrl-C; ``ready`` is called with its address."""
+    server = serve(port)
+    page = WatchPage(server, entrants, speed=speed, episode=episode)
+    ready(f"http://{server.get_host()}:{server.get_port()}")
+    try:
+        page.run()
+    finally:
+        with redirect_stdout(io.StringIO()):
+            server.stop()

@@ -1,0 +1,187 @@
+"""What ``flipperctl watch`` shows: states, meshes, text, and the page in a real browser."""
+
+import io
+import math
+import re
+import shutil
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flipperctl.api import ACTIONS, Profile, Robot, RobotState
+from flipperctl.config import EvalConfig
+from flipperctl.live import lanes, page, scene, terminal
+from flipperctl.live.lanes import Entrant, Episode, Lane
+from flipperctl.plugins import load
+from flipperctl.policies.source import load_policy
+from tests.cli.call import call
+
+STEP = Profile([(0.0, 0.0), (0.0, 0.2), (1.0, 0.2), (1.0, 0.0)])
+STILL = RobotState(
+    position=np.array([0.0, 0.1]), pitch=0.0, front=0.0, rear=0.0, velocity=np.zeros(2),
+    pitch_rate=0.0, time=0.0,
+)  # fmt: skip
+
+
+def entrant(name: str = "okada", terrain: str = "step") -> Entrant:
+    load(())
+    config = EvalConfig(terrain=terrain)
+
+    def episode(index: int) -> Episode:
+        return Episode(config, load_policy(name).build(config), 7 + index)
+
+    return Entrant(name, episode)
+
+
+def test_a_prism_is_closed_and_its_faces_look_outward() -> None:
+    vertices, faces = scene.prism(np.array([[0.0, 1], [1, 1], [1, 0], [0, 0]]), -0.5, 0.5)
+    a, b, c = (vertices[faces[:, i]] for i in range(3))
+    volume = float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6
+    assert abs(volume) == pytest.approx(1.0)
+    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
+    assert {*np.unique(edges, axis=0, return_counts=True)[1].tolist()} == {2}
+
+
+def test_a_step_has_two_risers_and_an_edge_at_each_corner() -> None:
+    line = STEP.extended(1.0, 1.0)
+    treads, risers, edges = scene.strip(line)
+    assert len(treads[0]) == 4 * 3  # level, on the step, level
+    assert len(risers[0]) == 4 * (2 + 2 * 3)  # and the cut on both sides
+    across = edges[np.ptp(edges[:, :, 1], axis=1) > 0]
+    assert sorted(map(tuple, across[:, 0, [0, 2]].tolist())) == [(0, 0), (0, 0.2), (1, 0), (1, 0.2)]
+
+
+def test_flippers_turn_up_on_both_ends() -> None:
+    robot = Robot()
+    axle = robot.flipper_axle
+    front, rear = (scene._about_y(-0.5), axle), (scene._about_y(0.5), -axle)
+    for (w, _, y, _), x in (front, rear):
+        raised = -math.sin(2 * math.atan2(y, w)) * x  # of a tip at x that is turned about y
+        assert raised == pytest.approx(robot.flipper_axle * math.sin(0.5))
+
+
+def test_a_lane_shows_the_states_of_its_episode() -> None:
+    lane = Lane(entrant())
+    first = lane.begin(0)
+    assert [s.time for s in first.states] == [0.0]
+    times, variation = [0.0], 0.0
+    while (moment := lane.step()) is not None:
+        assert moment.decision is not None
+        times += [state.time for state in moment.states]
+        variation += float(np.abs(np.diff(moment.decision.poses[:, 2])).sum())
+        assert moment.states[-1].time <= moment.decision.transition.after.time + 1e-9
+        assert moment.decision.transition.after.time - moment.states[-1].time < lanes.PERIOD
+    assert np.diff(times).max() <= lanes.PERIOD + 1e-9
+    assert np.diff(times).min() > 0
+    assert lane.history.variation == pytest.approx(variation)
+    assert lane.outcome is not None
+
+
+def test_the_table_outlines_the_chosen_action() -> None:
+    values = [float(i) for i in range(9)]
+    table = page.value_table(values, 3)
+    (chosen,) = re.findall(r"outline[^>]*>([\d.]+)<", table)
+    assert chosen == "3.00"
+    assert table.index("rear ↑") < table.index("rear ↓")
+    assert len(re.findall(r"<td", table)) == len(ACTIONS)
+
+
+def test_the_picture_has_ground_below_the_robot() -> None:
+    rows = terminal.picture(STEP, Robot(), STILL).splitlines()
+    blank = chr(0x2800)
+    assert len({len(row) for row in rows}) == 1
+    assert all(character == blank for character in rows[0])
+    bottom = max(i for i, row in enumerate(rows) if row.strip(blank))
+    assert rows[bottom][0] != blank  # level ground at the left end
+
+
+def test_the_terminal_prints_a_line_for_each_decision() -> None:
+    out = io.StringIO()
+    terminal.watch(entrant("level"), out, speed=10, episodes=1)
+    lines = out.getvalue().splitlines()
+    assert lines[0] == "level on step, episode 0"
+    assert "reached" in lines[-1]
+    assert max(map(len, lines)) <= 100
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        ([], "name a policy"),
+        (["generalist", "--port", "70000"], "--port"),
+        (["okad"], "did you mean 'okada'"),
+    ],
+)
+def test_a_wrong_request_is_one_error(words: list[str], text: str, tmp_path: Path) -> None:
+    done = call("watch", *words, "--no-open", cwd=tmp_path)
+    assert done.code == 2
+    assert text in done.err
+    assert len(done.err.strip().splitlines()) <= 2
+
+
+CHROMIUM = (
+    shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+)
+
+
+@pytest.fixture
+def served() -> Iterator[page.WatchPage]:
+    server = page.serve(0)
+    shown = page.WatchPage(server, [entrant("generalist"), entrant("level")], speed=10)
+    thread = threading.Thread(target=shown.run, daemon=True)
+    thread.start()
+    yield shown
+    shown.stop()
+    thread.join(20)
+    server.stop()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
+def test_the_page_is_driven_by_keys_and_buttons(served: page.WatchPage) -> None:
+    from playwright.sync_api import expect, sync_playwright
+
+    address = f"http://127.0.0.1:{served._server.get_port()}"
+    arguments = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    arguments += ["--disable-background-networking", "--disable-component-update", "--no-first-run"]
+    problems: list[str] = []
+
+    def check(request: Any) -> None:
+        if not request.url.startswith((address, "data:", "blob:", "ws://127.0.0.1")):
+            problems.append(request.url)
+
+    with sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=CHROMIUM, args=arguments)
+        tab = browser.new_page(viewport={"width": 1200, "height": 800})
+        tab.on("request", check)
+        tab.on("pageerror", lambda error: problems.append(str(error)))
+        tab.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)
+        tab.goto(address)
+        expect(tab.get_by_text("Q-values").first).to_be_visible(timeout=60_000)
+        tab.get_by_role("button", name="Pause").click()
+        expect(tab.get_by_role("button", name="Play")).to_be_visible(timeout=20_000)
+        numbers = tab.get_by_text(re.compile(r"time \d+\.\d s")).first
+        tab.wait_for_timeout(1500)  # the running decision ends
+        before = _time(numbers.inner_text())
+        tab.get_by_text("Step", exact=True).click()
+        expect(numbers).not_to_contain_text(f"time {before:.1f} s", timeout=20_000)
+        lane = served._lanes[0][0]
+        state = lane.env.state
+        tab.wait_for_timeout(500)
+        assert _time(numbers.inner_text()) == pytest.approx(state.time, abs=0.6)
+        after = served._episode + 1
+        tab.get_by_text("Next", exact=True).click()
+        expect(tab.get_by_text(f"episode {after}").first).to_be_visible(timeout=20_000)
+        shot = tab.screenshot()
+        browser.close()
+    assert problems == []
+    assert len(shot) > 20_000
+
+
+def _time(text: str) -> float:
+    (found,) = re.findall(r"time (\d+\.\d) s", text)
+    return float(found)
