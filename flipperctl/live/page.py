@@ -103,7 +103,7 @@ class Gauges:
                 np.array(history.angle_times),
                 *np.degrees(np.array(history.angles)).T.copy(),
             )
-        if self._terms != list(history.rewards):
+        if history.rewards and self._terms != list(history.rewards):
             self._terms = list(history.rewards)
             if self._rewards is not None:
                 self._rewards.remove()
