@@ -22,12 +22,13 @@ from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray, Profile, RobotGeometry, RobotState, candidate_angle
 from flipperctl.env.pictures import HEIGHT, WIDTH, Perceived, Scene
+from flipperctl.sim import outline
 from flipperctl.sim.outline import axles, belt_marks, outlines
 
 # Colours for colour-blind readers (Okabe and Ito's; the purple is Paul Tol's).
 # The reports use the same colour for the same object.
-CHASSIS, FRONT, REAR, HEIGHTS = "#0072B2", "#D55E00", "#009E73", "#AA4499"
-GROUND, EARTH, BELT = "#6E6356", "#E4DED4", "#2B2B2B"
+CHASSIS, FRONT, REAR, HEIGHTS = outline.CHASSIS, outline.FRONT, outline.REAR, "#AA4499"
+GROUND, EARTH, BELT = outline.GROUND, outline.EARTH, outline.BELT
 INK, FAINT = "#222222", "#757575"
 
 _DPI = 100

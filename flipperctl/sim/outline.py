@@ -1,4 +1,4 @@
-"""The robot's outlines from the side: capsules and belts as plain arrays.
+"""The robot's outlines from the side, capsules and belts as plain arrays, and its colours.
 
 In: a state and the geometry. Out: points in the world frame (x forward, z up) [m], for any drawing
 library. A capsule is given by the centres of its rear and its front round end. A belt that drives
@@ -13,6 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from flipperctl.api import FloatArray, RobotGeometry, RobotState
+
+# Colours for colour-blind readers (Okabe and Ito's), the same in every picture.
+CHASSIS, FRONT, REAR = "#0072B2", "#D55E00", "#009E73"
+GROUND, EARTH, BELT = "#6E6356", "#E4DED4", "#2B2B2B"
 
 
 def axles(state: RobotState, robot: RobotGeometry) -> FloatArray:

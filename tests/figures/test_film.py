@@ -196,4 +196,4 @@ def test_a_picture_shows_the_robot_before_the_sky():
     assert picture.shape == (120, 160, 3)
     assert picture[2].mean(axis=0)[2] > 200  # bright and bluish above
     robot = (picture[..., 0] > 150) & (picture[..., 2] < 60)
-    assert robot.sum() > 100  # orange boards of the tracks
+    assert robot.sum() > 100  # the front flippers

@@ -20,6 +20,7 @@ import numpy as np
 from flipperctl.api import FloatArray, Robot
 from flipperctl.sim.mujoco.ground import Box
 from flipperctl.sim.mujoco.model import specify
+from flipperctl.sim.mujoco.shown import set_looks
 from flipperctl.sim.mujoco.world import MujocoWorld
 
 FLIPPERS = ("front_left", "front_right", "rear_left", "rear_right")
@@ -31,6 +32,7 @@ _CHASSIS = "chassis"
 def mjcf(world: MujocoWorld) -> str:
     """Return the scene at its start as MJCF; the keyframe ``start`` has the flippers' angles."""
     spec = specify(world.ground, world.robot, world.sim)
+    set_looks(spec)
     pose = world.data.qpos.tolist()
     chassis = spec.body(_CHASSIS)
     chassis.pos, chassis.quat = pose[:3], pose[3:7]

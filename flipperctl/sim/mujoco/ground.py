@@ -1,10 +1,9 @@
 """The ground in 3-D: a profile extruded sideways, or strips of a surface, as boxes.
 
 In: a profile, the engine's settings and a generator. Out: boxes that fill the ground below the
-profile or its surface, as deep as tracks feel it, and what stands beside the way: walls or posts,
-which sensors see and nothing touches. MuJoCo's boxes give every capsule on them two contacts in a
-line; with convex meshes, tracks stalled at ridges between facets; MuJoCo's height fields took 3 to
-18 times as long and agreed less with the planar engine.
+profile or its surface, as deep as tracks feel it. MuJoCo's boxes give every capsule on them two
+contacts in a line; with convex meshes, tracks stalled at ridges between facets; MuJoCo's height
+fields took 3 to 18 times as long and agreed less with the planar engine.
 """
 
 from __future__ import annotations
@@ -12,9 +11,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import mujoco
 import numpy as np
 
 from flipperctl.api import FloatArray, Profile, Surface
@@ -23,49 +21,6 @@ from flipperctl.sim.mujoco.settings import MujocoSettings
 
 GROUND_WIDTH = 4.0
 """Width of the ground, half to each side [m]."""
-_HEIGHT = 2.5  # of walls and posts above the highest ground [m]
-_WALL = 0.1  # of walls [m]
-_BEFORE = 6.0  # length of the scenery before the first edge and past the last one [m]
-_BETWEEN = 0.8, 2.0  # smallest and largest distance between posts [m]
-_RADIUS = 0.05, 0.15  # smallest and largest radius of posts [m]
-_BEHIND = 0.5  # largest distance of a post behind the line [m]
-_COLOURS = {"walls": [0.8, 0.78, 0.72, 1.0], "posts": [0.45, 0.33, 0.22, 1.0]}
-
-
-def add_scenery(spec: Any, profile: Profile, sim: MujocoSettings, rng: np.random.Generator) -> None:
-    """Add walls or posts to a model; posts are placed at random by ``rng``."""
-    if sim.scenery == "none":
-        return
-    body = spec.worldbody.add_body(name="scenery")
-    ends = profile.start - _BEFORE, profile.end + _BEFORE
-    low, high = (float(f(profile.points[:, 1])) for f in (np.min, np.max))
-    half = (high + _HEIGHT - low) / 2 + 0.1
-    shared = {"contype": 0, "conaffinity": 0, "density": 0.0, "rgba": _COLOURS[sim.scenery]}
-    for side in (1.0, -1.0):
-        if sim.scenery == "walls":
-            # As long as the ground, so that no ray passes by their ends
-            length = (profile.end - profile.start) / 2 + LEVEL_GROUND
-            middle = (profile.start + profile.end) / 2
-            y = side * (sim.scenery_distance + _WALL / 2)
-            body.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_BOX,
-                pos=[middle, y, low - 0.1 + half],
-                size=[length, _WALL / 2, half],
-                **shared,
-            )
-            continue
-        x = ends[0]
-        while (x := x + rng.uniform(*_BETWEEN)) < ends[1]:
-            radius = rng.uniform(*_RADIUS)
-            y = side * (sim.scenery_distance + radius + rng.uniform(0.0, _BEHIND))
-            body.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-                pos=[x, y, low - 0.1 + half],
-                size=[radius, half, 0.0],
-                **shared,
-            )
-
-
 CLOSE = 1e-6
 """Borders closer than this are one, since sums of widths are rounded [m]."""
 LEVEL_GROUND = 20.0
@@ -192,16 +147,24 @@ class Box(NamedTuple):
     tilt: float  # slope of its upper face, up towards +x positive [rad]
 
 
-def boxes(profile: Profile, sim: MujocoSettings, rng: np.random.Generator) -> list[Box]:
-    """Return the ground's boxes; the roughness is sampled from ``rng``."""
+class Ground(NamedTuple):
+    """The ground of one episode."""
+
+    strips: list[Strip]  # from right to left, as they are driven over
+    boxes: list[Box]
+
+
+def lay(profile: Profile, sim: MujocoSettings, rng: np.random.Generator) -> Ground:
+    """Return the ground; the roughness is sampled from ``rng``."""
     strips = _strips(profile, sim)
     base = min(float(strip.line[:, 1].min()) for strip in strips) - _BELOW - sim.roughness
-    found: list[Box] = []
+    found, driven = list[Box](), list[Strip]()
     for low, high, line in strips:
         strip = _lowered(line, sim.one_sided) if high <= 0 else line
         if sim.roughness and max(-low, high) <= _ROUGH_HALF:
             ends = profile.start - ROUGH_MARGIN, profile.end + ROUGH_MARGIN
             strip = _roughened(strip, ends, sim.roughness, rng)
+        driven.append(Strip(low, high, strip))
         found += _extruded(strip, low, high, base)
         if profile.surface is not None and len(strips) > 1:
             found += _columns(_without_repeats(strip), low, high, base)
@@ -210,7 +173,7 @@ def boxes(profile: Profile, sim: MujocoSettings, rng: np.random.Generator) -> li
                 f"sim=mujoco: the ground below {len(profile.points)} points needs more than "
                 f"{MOST} boxes; {_SMALLER if profile.surface else _SIMPLER}"
             )
-    return found
+    return Ground(driven, found)
 
 
 def _strips(profile: Profile, sim: MujocoSettings) -> list[Strip]:

@@ -19,12 +19,10 @@ from typing import Any, NamedTuple
 import mujoco
 import numpy as np
 
-from flipperctl.api import SAMPLE_PERIOD, FloatArray, Robot
-from flipperctl.sim.mujoco.ground import Box
+from flipperctl.api import SAMPLE_PERIOD, FloatArray, Profile, Robot
+from flipperctl.sim.mujoco.ground import LEVEL_GROUND, Box
 from flipperctl.sim.mujoco.settings import MujocoSettings
-
-LARGEST_PICTURE = 1920, 1080
-"""Width and height of the largest picture [pixels]."""
+from flipperctl.sim.outline import BELT, CHASSIS, EARTH, FRONT, REAR
 
 _RECESS = 5e-4
 """The boxes of the tracks lie this far inside the outline [m].
@@ -81,7 +79,6 @@ def specify(ground: Sequence[Box], robot: Robot, sim: MujocoSettings) -> Any:
     slope = sim.lateral_slope
     option.gravity = [0.0, -sim.gravity * math.sin(slope), -sim.gravity * math.cos(slope)]
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # divergence must be seen
-    _set_looks(spec)
     for box in ground:
         spec.worldbody.add_geom(
             type=mujoco.mjtGeom.mjGEOM_BOX,
@@ -90,36 +87,16 @@ def specify(ground: Sequence[Box], robot: Robot, sim: MujocoSettings) -> Any:
             quat=[math.cos(box.tilt / 2), 0.0, -math.sin(box.tilt / 2), 0.0],
             contype=0,
             conaffinity=1,
-            rgba=[0.62, 0.57, 0.5, 1.0],
+            rgba=rgba(EARTH),
             **_surface(sim),
         )
     _add_robot(spec, robot, sim)
     return spec
 
 
-def _set_looks(spec: Any) -> None:
-    """Set sizes, light and sky of pictures."""
-    spec.visual.global_.offwidth, spec.visual.global_.offheight = LARGEST_PICTURE
-    spec.visual.map.znear = 5e-4  # of the scene's extent of some 40 m, for the robot's cameras
-    spec.visual.quality.shadowsize, spec.visual.quality.offsamples = 1024, 0  # drawn in software
-    spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
-    spec.visual.headlight.diffuse = [0.5, 0.5, 0.5]
-    spec.worldbody.add_light(
-        pos=[0.0, 0.0, 6.0],
-        dir=[0.3, 0.4, -1.0],
-        diffuse=[0.5, 0.5, 0.5],
-        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
-        castshadow=True,
-    )
-    spec.add_texture(
-        name="sky",
-        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
-        builtin=mujoco.mjtBuiltin.mjBUILTIN_GRADIENT,
-        rgb1=[0.75, 0.85, 0.95],
-        rgb2=[0.95, 0.95, 0.95],
-        width=64,
-        height=384,
-    )
+def rgba(colour: str) -> list[float]:
+    """Return a colour as in HTML as red, green, blue and opacity, from 0 to 1."""
+    return [*(part / 255 for part in bytes.fromhex(colour[1:])), 1.0]
 
 
 def _surface(sim: MujocoSettings) -> dict[str, Any]:
@@ -138,7 +115,7 @@ def _add_robot(spec: Any, robot: Robot, sim: MujocoSettings) -> None:
     for side, sign in (("left", 1.0), ("right", -1.0)):
         inner = sim.main_track_offset - width / 2
         middle = sign * sim.main_track_offset
-        _add_board(chassis, f"main_{side}", (-half, half), middle, robot, sim)
+        _add_board(chassis, f"main_{side}", (-half, half), middle, robot, sim, CHASSIS)
         for end, x in (("front", half), ("rear", -half)):
             # One drum for the ends of main track and flipper, which turn about the same axle.
             y, half_width = sign * (inner + outer) / 2, (outer - inner) / 2
@@ -146,14 +123,14 @@ def _add_robot(spec: Any, robot: Robot, sim: MujocoSettings) -> None:
     _add_cameras(chassis, robot, sim)
     # In the order that ``Model`` states
     for side, sign in (("left", 1.0), ("right", -1.0)):
-        for end, ahead in (("front", 1.0), ("rear", -1.0)):
+        for end, ahead, colour in (("front", 1.0, FRONT), ("rear", -1.0, REAR)):
             flipper = chassis.add_body(
                 name=f"{end}_{side}", pos=[ahead * half, sign * sim.flipper_offset, 0.0]
             )
             reach = ahead * robot.flipper_axle
             size = robot.flipper_length, width, 2 * robot.track_radius
             _set_inertia(flipper, mass=robot.flipper_mass / 2, size=size, centre=reach / 2)
-            _add_board(flipper, f"{end}_board_{side}", (0.0, reach), 0.0, robot, sim)
+            _add_board(flipper, f"{end}_board_{side}", (0.0, reach), 0.0, robot, sim, colour)
             _add_end(flipper, f"{end}_tip_{side}", (reach, 0.0), width / 2, robot, sim)
             _add_hinge(spec, flipper, f"{end}_{side}", -ahead, robot, sim)
 
@@ -217,13 +194,19 @@ def _add_end(
         contype=1,
         conaffinity=0,
         group=ROBOT_GROUP,
-        rgba=[0.2, 0.24, 0.28, 1.0],
+        rgba=rgba(BELT),
         **_surface(sim),
     )
 
 
 def _add_board(
-    body: Any, name: str, along: tuple[float, float], y: float, robot: Robot, sim: MujocoSettings
+    body: Any,
+    name: str,
+    along: tuple[float, float],
+    y: float,
+    robot: Robot,
+    sim: MujocoSettings,
+    colour: str,
 ) -> None:
     """Add the straight part of a track between two x [m]."""
     height = robot.track_radius - _RECESS
@@ -236,7 +219,7 @@ def _add_board(
         contype=1,
         conaffinity=0,
         group=ROBOT_GROUP,
-        rgba=[0.85, 0.45, 0.1, 1.0],
+        rgba=rgba(colour),
         **_surface(sim),
     )
 
@@ -264,3 +247,48 @@ def _add_hinge(
         forcerange=[-robot.flipper_torque / 2, robot.flipper_torque / 2],
     )
     servo.gainprm[0], servo.biasprm[2] = _SERVO, -_SERVO
+
+
+SCENERY = "scenery"
+"""Name of the body of walls and posts."""
+_HEIGHT = 2.5  # of walls and posts above the highest ground [m]
+_WALL = 0.1  # of walls [m]
+_BEFORE = 6.0  # length of the scenery before the first edge and past the last one [m]
+_BETWEEN = 0.8, 2.0  # smallest and largest distance between posts [m]
+_RADIUS = 0.05, 0.15  # smallest and largest radius of posts [m]
+_BEHIND = 0.5  # largest distance of a post behind the line [m]
+_COLOURS = {"walls": [0.8, 0.78, 0.72, 1.0], "posts": [0.45, 0.33, 0.22, 1.0]}
+
+
+def add_scenery(spec: Any, profile: Profile, sim: MujocoSettings, rng: np.random.Generator) -> None:
+    """Add walls or posts to a model; posts are placed at random by ``rng``."""
+    if sim.scenery == "none":
+        return
+    body = spec.worldbody.add_body(name=SCENERY)
+    ends = profile.start - _BEFORE, profile.end + _BEFORE
+    low, high = (float(f(profile.points[:, 1])) for f in (np.min, np.max))
+    half = (high + _HEIGHT - low) / 2 + 0.1
+    shared = {"contype": 0, "conaffinity": 0, "density": 0.0, "rgba": _COLOURS[sim.scenery]}
+    for side in (1.0, -1.0):
+        if sim.scenery == "walls":
+            # As long as the ground, so that no ray passes by their ends
+            length = (profile.end - profile.start) / 2 + LEVEL_GROUND
+            middle = (profile.start + profile.end) / 2
+            y = side * (sim.scenery_distance + _WALL / 2)
+            body.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                pos=[middle, y, low - 0.1 + half],
+                size=[length, _WALL / 2, half],
+                **shared,
+            )
+            continue
+        x = ends[0]
+        while (x := x + rng.uniform(*_BETWEEN)) < ends[1]:
+            radius = rng.uniform(*_RADIUS)
+            y = side * (sim.scenery_distance + radius + rng.uniform(0.0, _BEHIND))
+            body.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+                pos=[x, y, low - 0.1 + half],
+                size=[radius, half, 0.0],
+                **shared,
+            )

@@ -29,12 +29,13 @@ from flipperctl.api import (
 )
 from flipperctl.errors import NonFiniteError
 from flipperctl.sim.ground import OVERLAP, height_at
-from flipperctl.sim.mujoco.ground import GROUND_WIDTH, ROUGH_MARGIN, add_scenery, boxes
-from flipperctl.sim.mujoco.model import ROBOT_GROUP, Model, build, specify
+from flipperctl.sim.mujoco.ground import GROUND_WIDTH, ROUGH_MARGIN, lay
+from flipperctl.sim.mujoco.model import ROBOT_GROUP, Model, add_scenery, build, specify
 from flipperctl.sim.mujoco.settings import MujocoSettings
 
 if TYPE_CHECKING:
     from flipperctl.sim.mujoco.camera import Camera
+    from flipperctl.sim.mujoco.shown import Shown
 
 Axis = tuple[float, float, float]
 
@@ -162,7 +163,7 @@ class MujocoWorld:
         side = sim.offset * rng.uniform(-1.0, 1.0)
         self._half_width = GROUND_WIDTH / 2
         (placing,) = rng.spawn(1)  # so that the scenery changes no other random number
-        self.ground = boxes(profile, sim, rng)
+        self.strips, self.ground = lay(profile, sim, rng)
         spec = specify(self.ground, robot, sim)
         add_scenery(spec, profile, sim, placing)
         built = build(spec)
@@ -172,6 +173,7 @@ class MujocoWorld:
         self._up = np.array([0.0, math.sin(sim.lateral_slope), math.cos(sim.lateral_slope)])
         self._samples = 0
         self._work = 0.0
+        self._shown: Shown | None = None
         self._cameras: dict[tuple[int, int], Camera] = {}
         self._ground_is_placed = False
         self._targets = np.array([start.front, start.rear, start.front, start.rear])
@@ -358,17 +360,22 @@ class MujocoWorld:
         """
         if self.sim.view != "outside":
             return self.look(self.sim.view, width, height).pixels
-        return self._camera(width, height).draw(self.data)
+        return self._camera(width, height).draw()
 
     def look(self, view: View, width: int, height: int) -> CameraImage:
         """Return what a camera on the robot shows; it raises what ``draw`` raises."""
-        return self._camera(width, height).look(self.data, view)
+        return self._camera(width, height).look(view)
 
     def _camera(self, width: int, height: int) -> Camera:
+        """Return a camera for pictures of this size, which shows the current state."""
         from flipperctl.sim.mujoco.camera import Camera
+        from flipperctl.sim.mujoco.shown import Shown
 
+        if self._shown is None:
+            self._shown = Shown(self.robot, self.sim, self.strips, self.model)
         if (width, height) not in self._cameras:
-            self._cameras[width, height] = Camera(self.model, width, height)
+            self._cameras[width, height] = Camera(self._shown, width, height)
+        self._shown.pose(self.data.qpos, self.robot.track_speed * self.time)
         return self._cameras[width, height]
 
     def save(self) -> tuple[Any, ...]:

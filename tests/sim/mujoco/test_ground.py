@@ -9,7 +9,7 @@ import pytest
 from flipperctl.api import MirroredSurface, Profile, Robot, Start, Surface, registry
 from flipperctl.errors import PluginFailedError, TerrainError
 from flipperctl.sim.mujoco import Mujoco, ground
-from flipperctl.sim.mujoco.ground import Box, boxes
+from flipperctl.sim.mujoco.ground import Box, lay
 from flipperctl.sim.mujoco.world import MujocoWorld
 
 TERRAINS = ["building_stair", "gap", "pallet", "plum", "ramp", "wave"]
@@ -18,7 +18,7 @@ Height = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def made(profile: Profile, **sim: float) -> list[Box]:
-    return boxes(profile, Mujoco(**sim), np.random.default_rng(0))
+    return lay(profile, Mujoco(**sim), np.random.default_rng(0)).boxes
 
 
 def height_at(found: list[Box], x: float, y: float) -> float:
@@ -138,7 +138,7 @@ def place(on: Profile, **sim: float) -> MujocoWorld:
 
 def test_the_boxes_follow_the_surface_at_the_middle_of_each_strip() -> None:
     recorded = profile(lambda x, y: 0.05 * np.sin(3 * x) + 0.1 * y)
-    found = boxes(recorded, Mujoco(), np.random.default_rng(0))
+    found = lay(recorded, Mujoco(), np.random.default_rng(0)).boxes
     for x in (0.313, 1.117, 2.451):
         for y, middle in ((0.03, 0.1), (-0.03, -0.1), (0.42, 0.5), (0.8, 0.85), (-1.5, -1.35)):
             expected = 0.05 * math.sin(3 * x) + 0.1 * middle
@@ -165,7 +165,7 @@ def test_high_ground_beside_the_line_is_not_hollow() -> None:
     def wall(x: np.ndarray, y: np.ndarray) -> np.ndarray:
         return (0.9 + 0.02 * np.sin(40 * x)) * ((x > 0.99) & (y > 0.2))
 
-    found = boxes(profile(wall), Mujoco(), np.random.default_rng(0))
+    found = lay(profile(wall), Mujoco(), np.random.default_rng(0)).boxes
     for x in np.arange(1.02, 2.98, 0.083):
         assert all(is_ground(found, x, 0.3, z) for z in np.arange(-0.25, 0.75, 0.1))
         assert not is_ground(found, x, 0.3, 0.93)
@@ -174,8 +174,8 @@ def test_high_ground_beside_the_line_is_not_hollow() -> None:
 
 def test_a_surface_that_is_the_same_on_both_sides_is_the_extruded_profile() -> None:
     recorded = profile(block)
-    made = boxes(recorded, Mujoco(), np.random.default_rng(0))
-    plain = boxes(Profile(recorded.points), Mujoco(), np.random.default_rng(0))
+    made = lay(recorded, Mujoco(), np.random.default_rng(0)).boxes
+    plain = lay(Profile(recorded.points), Mujoco(), np.random.default_rng(0)).boxes
     assert np.concatenate([[*b.centre, *b.half, b.tilt] for b in made]) == pytest.approx(
         np.concatenate([[*b.centre, *b.half, b.tilt] for b in plain])
     )
@@ -184,7 +184,7 @@ def test_a_surface_that_is_the_same_on_both_sides_is_the_extruded_profile() -> N
 @pytest.mark.parametrize("setting", ["one_sided", "roughness"])
 def test_ground_that_is_the_same_on_both_sides_is_changed_on_one(setting: str) -> None:
     # Equal strips are joined, though not where these settings make them different.
-    found = boxes(profile(block), Mujoco(**{setting: 0.1}), np.random.default_rng(0))
+    found = lay(profile(block), Mujoco(**{setting: 0.1}), np.random.default_rng(0)).boxes
     left, right = (height_at(found, 1.51, y) for y in (0.13, -0.13))
     if setting == "one_sided":
         assert (left, right) == pytest.approx((0.2, 0.18))
@@ -221,11 +221,11 @@ def test_unknown_ground_is_an_error_where_the_robot_drives() -> None:
         place(profile(hole))
     # A robot of 0.17 m to each side passes it; the hole gets the height of the strip up to 0.2 m.
     narrow = Mujoco(flipper_offset=0.12, track_width=0.1)
-    found = boxes(profile(hole), narrow, np.random.default_rng(0))
+    found = lay(profile(hole), narrow, np.random.default_rng(0)).boxes
     for x, y, z in ((1.55, 0.3, 0.01), (1.55, 0.5, 0.01), (1.3, 0.3, 0.03), (1.3, 0.5, 0.065)):
         assert height_at(found, x, y) == pytest.approx(z, abs=1e-6)
     with pytest.raises(TerrainError, match=r"0\.67 m to each side"):
-        boxes(profile(hole), narrow.model_copy(update={"offset": 0.5}), np.random.default_rng(0))
+        lay(profile(hole), narrow.model_copy(update={"offset": 0.5}), np.random.default_rng(0))
 
 
 def test_ground_that_cannot_be_is_refused_with_whose_fault_it_is(

@@ -118,7 +118,7 @@ def test_render_shows_the_world_in_3d_and_leaves_the_episode_alone() -> None:
     assert picture is not None
     assert (picture.shape, picture.dtype) == ((HEIGHT, WIDTH, 3), np.uint8)
     assert np.array_equal(picture, drawn.render())
-    orange = (picture[..., 0] > 150) & (picture[..., 2] < 60)  # boards of the tracks
+    orange = (picture[..., 0] > 150) & (picture[..., 2] < 60)  # the front flippers
     assert orange.sum() > 1000
     assert np.array_equal(*(env.step(8)[0] for env in (drawn, plain)))
     assert plain.render() is None

@@ -1,0 +1,139 @@
+"""The model that pictures show: robot, ground and scenery as they look.
+
+It has the joints and the cameras of the simulated model, and is given its pose, so that what is
+drawn does not affect what is simulated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from flipperctl.api import FloatArray, Robot
+from flipperctl.sim.mujoco.appearance import (
+    GROUSER,
+    Mesh,
+    ground_meshes,
+    grousers,
+    profile_line,
+    robot_meshes,
+    tracks,
+)
+from flipperctl.sim.mujoco.ground import Strip
+from flipperctl.sim.mujoco.model import SCENERY, rgba, specify
+from flipperctl.sim.mujoco.settings import MujocoSettings
+
+NEAR, FAR = 0.02, 8000.0
+"""Distances of the nearest and the farthest plane that is drawn [m].
+
+The distance at which shadows begin is a fraction of the latter; with 400 m, ground is speckled.
+"""
+RIGHT, OUTSIDE, _SIMULATED = 3, 4, 5
+"""Groups of what is at the robot's right, of what only pictures from outside show, and of the
+simulated shapes, which MuJoCo does not draw by default [-]."""
+_ANGLE = 26.0  # vertical angle of view of the camera outside [°]
+_BESIDE = 0.35
+"""Ground to the right of the tracks that pictures from outside show; it is cut there [m]."""
+_WHITE, _SKY = (1.0, 1.0, 1.0), (0.93, 0.95, 0.97)
+
+
+class Shown:
+    """What pictures of one episode show."""
+
+    def __init__(
+        self, robot: Robot, sim: MujocoSettings, strips: Sequence[Strip], simulated: Any
+    ) -> None:
+        """Build the model; the ``simulated`` one has the scenery."""
+        self._robot, self._tracks = robot, list(tracks(robot, sim))
+        spec = specify((), robot, sim)
+        for geom in spec.geoms:
+            geom.group = _SIMULATED
+        set_looks(spec)
+        for body, mesh in robot_meshes(robot, sim):
+            _add(spec, body, mesh)
+        for number, track in enumerate(self._tracks):
+            for at in range(len(grousers(track, robot, 0.0)[0])):
+                spec.body(track.body).add_geom(
+                    name=f"grouser {number} {at}",
+                    type=mujoco.mjtGeom.mjGEOM_BOX,
+                    pos=[1.0, (track.low + track.high) / 2, 1.0],
+                    quat=[0.6, 0.0, 0.8, 0.0],  # with 1, 0, 0, 0, MuJoCo would ignore later ones
+                    size=[GROUSER[0] / 2, 0.49 * (track.high - track.low), GROUSER[1] / 2],
+                    rgba=rgba(GROUSER[2]),
+                )
+        wide = max(abs(y) for strip in strips for y in strip[:2])
+        cut = -min(sim.flipper_offset + sim.track_width / 2 + sim.offset + _BESIDE, wide)
+        for low, high, group in ((cut, wide, 0), (-wide, cut, RIGHT)):
+            for mesh in ground_meshes(strips, low, high):
+                _add(spec, "world", mesh, group)
+        _add(spec, "world", profile_line(strips, cut), OUTSIDE)
+        for index in range(simulated.ngeom):
+            geom = simulated.geom(index)
+            if simulated.body(geom.bodyid[0]).name == SCENERY:
+                looks = {"rgba": geom.rgba, "group": RIGHT if geom.pos[1] < 0 else 0}
+                spec.worldbody.add_geom(type=geom.type[0], pos=geom.pos, size=geom.size, **looks)
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+
+    def pose(self, pose: FloatArray, travel: float) -> None:
+        """Show a ``pose`` (``qpos``), with belts that have run a distance [m]."""
+        model, data = self.model, self.data
+        for number, track in enumerate(self._tracks):
+            places, slopes = grousers(track, self._robot, travel)
+            first = model.geom(f"grouser {number} 0").id
+            bars = slice(first, first + len(places))
+            model.geom_pos[bars, ::2] = places
+            model.geom_quat[bars, ::2] = np.column_stack([np.cos(slopes / 2), -np.sin(slopes / 2)])
+        data.qpos[:] = pose
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_camlight(model, data)
+
+
+def _add(spec: Any, body: str, mesh: Mesh, group: int = 0) -> None:
+    """Add a mesh to a body, with flat faces."""
+    a, b, c = mesh.triangles.transpose(1, 0, 2)
+    normals = np.cross(b - a, c - a)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    added = spec.add_mesh(
+        name=f"mesh {len(spec.meshes)}",
+        uservert=mesh.triangles.ravel(),
+        usernormal=np.repeat(normals, 3, axis=0).ravel(),
+        userface=np.arange(3 * len(normals)),
+        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+    )
+    # MuJoCo computes the convex hull of what may collide, which flat meshes have not.
+    looks = {"rgba": rgba(mesh.colour), "group": group, "contype": 0, "conaffinity": 0}
+    spec.body(body).add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=added.name, **looks)
+
+
+def set_looks(spec: Any) -> None:
+    """Set lights and sky of a scene."""
+    spec.stat.extent = 1.0  # the unit of the following distances [m]
+    spec.visual.map.znear, spec.visual.map.zfar, spec.visual.map.shadowclip = NEAR, FAR, 1.6
+    spec.visual.global_.fovy = _ANGLE
+    spec.visual.quality.shadowsize, spec.visual.quality.offsamples = 2048, 4
+    light = spec.visual.headlight
+    light.ambient, light.diffuse, light.specular = (np.multiply(k, _WHITE) for k in (0.55, 0.15, 0))
+    # Shines on treads and not on the risers ahead
+    spec.body("chassis").add_light(
+        pos=[0.0, 0.0, 3.0],
+        dir=[-0.25, 0.45, -1.0],
+        diffuse=np.multiply(0.45, _WHITE),
+        specular=np.multiply(0.1, _WHITE),
+        mode=mujoco.mjtCamLight.mjCAMLIGHT_TRACK,
+        type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
+        castshadow=True,
+    )
+    spec.add_texture(
+        name="sky",
+        type=mujoco.mjtTexture.mjTEXTURE_SKYBOX,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_FLAT,
+        rgb1=_SKY,
+        rgb2=_SKY,
+        width=64,
+        height=384,
+    )
