@@ -15,6 +15,8 @@ class Plugin(Settings):
 
     kind: ClassVar[str]
     plugin_name: ClassVar[str]
+    revision: ClassVar[str] = ""
+    """What tells two plugins apart whose name, settings and files are equal; empty for none."""
 
     def files_read(self) -> tuple[Path, ...]:
         """Return the files whose content affects the plugin's results; none by default.

@@ -24,7 +24,7 @@ _OWN = ("flipperctl", "flipperctl_plugins")
 
 
 def identity(plugin: Plugin) -> dict[str, Any]:
-    """Return the plugin's registered name, non-default settings and files.
+    """Return the plugin's registered name, revision, non-default settings and files.
 
     A setting that names files that the plugin reads (same last component of the path) is left out;
     the SHA-256 of each file is included instead. Plugins in settings are described in the same way.
@@ -38,6 +38,8 @@ def identity(plugin: Plugin) -> dict[str, Any]:
         if value != default and not _names_files(value, names):
             settings[name] = _describe(value, plain[name])
     found = {"name": plugin.plugin_name, "settings": settings}
+    if plugin.revision:
+        found["revision"] = plugin.revision
     return found | ({"files": [content_digest(file) for file in files]} if files else {})
 
 

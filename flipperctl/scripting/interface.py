@@ -36,7 +36,7 @@ from flipperctl.evaluation.views.evaluation import (
 from flipperctl.evaluation.views.summary import Document, rate_text
 from flipperctl.results import METRICS
 from flipperctl.scripting import progress as shown
-from flipperctl.scripting.policy import LoadedPolicy, load
+from flipperctl.scripting.policy import Function, LoadedPolicy, function_policy, load
 from flipperctl.scripting.settings import (
     Paths,
     begin,
@@ -269,7 +269,7 @@ class Evaluation:
         return data_frame(episode_rows(self.result))
 
 
-Named = str | os.PathLike[str] | LoadedPolicy
+Named = str | os.PathLike[str] | LoadedPolicy | Function
 
 
 @short_errors()
@@ -293,7 +293,8 @@ def evaluate(
     """Evaluate one or several policies on scenes, with 95 % intervals; return the result.
 
     ``policy``: a run (``train`` returns one), a checkpoint, an exported ``.onnx`` file, the folder
-    of a sweep, the name of a shipped policy or a controller, or what ``load`` returned; several in
+    of a sweep, the name of a shipped policy or a controller, what ``load`` returned, or a function
+    from an observation, (n,) in SI units, to an action, which results call by its name; several in
     a list are compared on the same episodes. ``episodes`` per scene (100), ``seed`` of the episodes
     (0), processes (``jobs``, 1). ``baselines``: controllers that play the same episodes; None takes
     those of the policy, if it has any, and an empty list none. ``passable``: references that find
@@ -315,7 +316,8 @@ def evaluate(
     """
     begin(plugins)
     show, tell = shown.episodes(progress), shown.notes(progress)
-    given = [policy] if isinstance(policy, str | os.PathLike | LoadedPolicy) else list(policy)
+    one_alone = isinstance(policy, str | os.PathLike) or callable(policy)
+    given = [policy] if one_alone else list(policy)
     found: dict[NamedPolicy, None] = {}
     own: dict[str, object] = {}
     for one in given:
@@ -323,6 +325,11 @@ def evaluate(
             file = one.source.checkpoint
             found[NamedPolicy(one.name, file)] = None
             own |= {"controller": one.fields} if one.fields else {}
+        elif callable(one):
+            named = NamedPolicy(function_policy(one))
+            if named in found:
+                raise RequestError(f"policy: two functions are called {named.method!r}")
+            found[named] = None
         else:
             found |= dict.fromkeys(entrants([os.fspath(one)], tell))
     suite = settings.pop("suite", None)

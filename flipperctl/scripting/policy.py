@@ -8,14 +8,26 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Mapping
-from typing import Any, cast
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, SupportsIndex, cast
+from uuid import uuid4
 
 import gymnasium
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from flipperctl.api import MAX_HISTORY, ObservationLayout, Perception, Policy, Robot, registry
+from flipperctl.api import (
+    MAX_HISTORY,
+    NAME_RULE,
+    Controller,
+    ObservationLayout,
+    Perception,
+    Policy,
+    Robot,
+    controller,
+    is_plugin_name,
+    registry,
+)
 from flipperctl.cli.hydra.compose import with_preset
 from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
@@ -50,6 +62,46 @@ def load(policy: str | os.PathLike[str], *, plugins: Paths = (), **fields: objec
             f"{policy}: {', '.join(fields)}: settings are those of a controller; a file has its own"
         )
     return LoadedPolicy(source, read_config(source, (), print_note))
+
+
+Function = Callable[[NDArray[np.float32]], SupportsIndex]
+"""From an observation, (n,) in SI units, to an action, an index into ``ACTIONS``."""
+
+
+class _FunctionController(Controller):
+    """Acts by a function of this process."""
+
+    function: ClassVar[Function]
+
+    def act(self, p: Perception) -> int:
+        """Return what the function returns for the observation."""
+        return type(self).function(p.observation).__index__()
+
+
+def function_policy(function: Function) -> str:
+    """Register a function from an observation to an action as a controller; return its name.
+
+    The controller has the name of the function. It replaces one of an earlier function, whose
+    stored episodes are not taken for its own: what a function computes may have changed.
+
+    Raises:
+        RequestError: the function has no name, or one that a controller cannot have or has.
+    """
+    name = getattr(function, "__name__", type(function).__name__).strip("<>").lower()
+    if not is_plugin_name(name):
+        raise RequestError(f"policy: a function cannot be called {name!r} here: {NAME_RULE}")
+    earlier = registry.get((Controller.kind, name))
+    if earlier is not None:
+        if not issubclass(earlier, _FunctionController):
+            raise RequestError(
+                f"policy: there is a controller {name!r}; give the function another name"
+            )
+        del registry[Controller.kind, name]
+    # Worker processes do not have it, as they lack what a notebook defines.
+    members = {"__module__": "__main__", "__doc__": function.__doc__ or "A function."}
+    members |= {"function": staticmethod(function), "revision": uuid4().hex}
+    controller(name)(type(name, (_FunctionController,), members))
+    return name
 
 
 class LoadedPolicy:

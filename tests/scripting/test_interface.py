@@ -1,7 +1,9 @@
 """The Python interface: what it trains, evaluates, loads and refuses is what the commands do."""
 
 import contextlib
+import functools
 import json
+import math
 import os
 import signal
 import sys
@@ -27,6 +29,8 @@ from flipperctl.errors import (
     PolicyError,
     RequestError,
 )
+from flipperctl.evaluation import stored
+from flipperctl.evaluation.run import episode_rows
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import decisions
 from flipperctl.scripting import interface
@@ -39,6 +43,9 @@ BUDGET = (
     '{"decisions": 150, "validation_episodes": 1, "mode": "exact", "regret_episodes": 1},\n'
     '    agent={"learning_starts": 100}'
 )
+
+
+FLAT = {"terrain": "flat", "episodes": 1, "progress": False}
 
 
 @pytest.fixture(scope="module")
@@ -174,6 +181,40 @@ def test_a_wrong_policy_observation_or_environment_is_refused(env: gymnasium.Env
         policy.reset(other)
     with pytest.raises(RequestError, match=r"Flipper-v0"):
         policy.reset(gymnasium.make("CartPole-v1"))
+
+
+@pytest.mark.usefixtures("registry")
+def test_a_function_of_the_observation_is_a_policy_of_its_name(tmp_path: Path) -> None:
+    action = api.action_index(0, 0)
+
+    def mine(observation: np.ndarray) -> np.int64:
+        assert (observation.shape, observation.dtype) == ((33,), np.float32)
+        return np.int64(action)
+
+    def travel() -> list[tuple[object, object]]:
+        found = flipperctl.evaluate([mine, "level"], baselines=[], output=tmp_path, **FLAT)
+        rows = episode_rows(found.result)
+        return [(row["controller"], pytest.approx(row["flipper_travel"], abs=0.01)) for row in rows]
+
+    assert travel() == [("mine", 0), ("level", 0)]
+    action = api.action_index(1, 0)
+    assert travel() == [("mine", math.pi / 3), ("level", 0)]  # not what it did before
+    methods = stored.read([str(tmp_path)], "flipper_travel").methods
+    assert [method.name for method in methods] == ["mine", "level"]
+
+    def okada(observation: np.ndarray) -> int:
+        return 4
+
+    for given, text in (
+        ([lambda o: 4, lambda o: 5], "two functions are called 'lambda'"),
+        (okada, "there is a controller 'okada'; give the function another name"),
+        (functools.partial(int), "jobs at 1"),
+    ):
+        with pytest.raises(RequestError, match=text):
+            flipperctl.evaluate(given, jobs=2, **FLAT)
+    with pytest.raises(FlipperctlError, match="mine.*returned 9; an integer from 0 to 8"):
+        action = 9
+        flipperctl.evaluate(mine, **FLAT)
 
 
 @pytest.mark.usefixtures("registry")
