@@ -30,9 +30,9 @@ from torch import nn
 from flipperctl import __version__
 from flipperctl.agent.frames import input_size, stacked
 from flipperctl.agent.risk import Risk
-from flipperctl.api import ObservationLayout, Perception, Robot
+from flipperctl.api import ACTIONS, ObservationLayout, Perception, Robot
 from flipperctl.checkpoint import Checkpoint, plugin_references
-from flipperctl.config import TrainConfig, to_dict, with_overrides
+from flipperctl.config import EnvConfig, TrainConfig, to_dict, with_overrides
 from flipperctl.config.identity import differences
 from flipperctl.config.resolver import named_robot
 from flipperctl.core import observation
@@ -42,7 +42,13 @@ from flipperctl.core.risk import LAGS, SCALE, RiskSign
 from flipperctl.core.risk import MEANING as MEANING_OF_RISK
 from flipperctl.core.targets import JOINTS, MEANING, turns
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.errors import ConfigError, ExportError, FlipperctlError, MissingExtraError
+from flipperctl.errors import (
+    ConfigError,
+    ExportError,
+    FlipperctlError,
+    MissingExtraError,
+    RequestError,
+)
 from flipperctl.files import OutputKind, check_output, write_bytes
 from flipperctl.guard import naming
 from flipperctl.policies.trained import TrainedPolicy, policy_module, policy_risk
@@ -110,6 +116,40 @@ def export(
         **found,
         "robot_changes": _changes(config.robot, trained.robot),
     }
+
+
+def save_network(network: nn.Module, env: EnvConfig, output: Path, seed: int) -> dict[str, Any]:
+    """Write a module of any origin as an ONNX policy; return the result of the comparison.
+
+    ``network``: observations (B, n) in SI units → (B, 9), whose largest number is the action;
+    ``env``: the environment in which it was trained; ``seed``: that of the training.
+
+    Raises:
+        RequestError: the module takes or returns other numbers.
+        ExportError: torch cannot export it, or the file disagrees with torch; nothing is written.
+        OutputError: the file cannot be written, see ``check_output``.
+    """
+    check_output(output, KINDS["onnx"])
+    sections = {name: getattr(env, name) for name in EnvConfig.model_fields if name != "rewards"}
+    config = TrainConfig(network={"name": "mlp"}, seed=seed, **sections)
+    module = copy.deepcopy(network).cpu().eval()
+    size = config.perception.layout.size
+    try:
+        with torch.inference_mode():
+            shape = tuple(module(torch.zeros(2, size)).shape)
+    except (RuntimeError, TypeError, AttributeError, ValueError) as error:
+        raise RequestError(
+            f"network: it does not take observations (B, {size}): {error}"
+        ) from error
+    if shape != (2, len(ACTIONS)):
+        raise RequestError(
+            f"network: it returns the shape {shape} for (2, {size}); (2, {len(ACTIONS)}) is allowed"
+        )
+    metadata = policy_metadata(config) | {f"{PREFIX}network": type(network).__name__}
+    data, outputs = _as_onnx(module, config, {**metadata, CHECKSUM: PLACEHOLDER})
+    found = compare(module, outputs, rollout_observations(config, module, OBSERVATIONS))
+    write_bytes(output, add_checksum(data))
+    return found
 
 
 def robot_fields(changes: Mapping[str, Any], command: str = "export") -> dict[str, Any]:
@@ -431,11 +471,17 @@ def compare_onnx(
 
     Returns the result of ``compare``.
     """
+    return compare(module, _as_onnx(module, config, {})[1], observations)
+
+
+def _as_onnx(
+    module: nn.Module, config: TrainConfig, metadata: dict[str, str]
+) -> tuple[bytes, Outputs]:
+    """Return what ``export_onnx`` returns; ExportError if torch cannot export the module."""
     try:
-        _, outputs = export_onnx(folded(module), config, {})
+        return export_onnx(folded(module), config, metadata)
     except FlipperctlError:
         raise
     except Exception as error:  # the exporter's errors have no common type
         line, *_ = (*filter(None, map(str.strip, str(error).splitlines())), repr(error))
         raise ExportError(f"torch cannot export it as ONNX: {line}") from error
-    return compare(module, outputs, observations)

@@ -1,6 +1,6 @@
 """The Python interface, whose names are imported from ``flipperctl``."""
 
 from flipperctl.scripting.interface import Evaluation, Run, evaluate, train
-from flipperctl.scripting.policy import LoadedPolicy, load
+from flipperctl.scripting.policy import LoadedPolicy, load, save
 
-__all__ = ["Evaluation", "LoadedPolicy", "Run", "evaluate", "load", "train"]
+__all__ = ["Evaluation", "LoadedPolicy", "Run", "evaluate", "load", "save", "train"]

@@ -316,11 +316,11 @@ def evaluate(
     """
     begin(plugins)
     show, tell = shown.episodes(progress), shown.notes(progress)
-    one_alone = isinstance(policy, str | os.PathLike) or callable(policy)
-    given = [policy] if one_alone else list(policy)
+    if isinstance(policy, str) or not isinstance(policy, Sequence):
+        policy = [policy]
     found: dict[NamedPolicy, None] = {}
     own: dict[str, object] = {}
-    for one in given:
+    for one in policy:
         if isinstance(one, LoadedPolicy):
             file = one.source.checkpoint
             found[NamedPolicy(one.name, file)] = None

@@ -9,7 +9,8 @@ from __future__ import annotations
 import os
 from collections import deque
 from collections.abc import Callable, Mapping
-from typing import Any, ClassVar, SupportsIndex, cast
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, SupportsIndex, cast
 from uuid import uuid4
 
 import gymnasium
@@ -36,6 +37,9 @@ from flipperctl.evaluation.conditions import read_config
 from flipperctl.policies.source import FilePolicy, PolicySource, load_policy
 from flipperctl.scripting.settings import Paths, begin, short_errors
 from flipperctl.terminal.streams import print_note
+
+if TYPE_CHECKING:
+    from torch import nn
 
 
 @short_errors()
@@ -98,10 +102,43 @@ def function_policy(function: Function) -> str:
             )
         del registry[Controller.kind, name]
     # Worker processes do not have it, as they lack what a notebook defines.
-    members = {"__module__": "__main__", "__doc__": function.__doc__ or "A function."}
-    members |= {"function": staticmethod(function), "revision": uuid4().hex}
+    members: dict[str, object] = {"__module__": "__main__", "function": staticmethod(function)}
+    members |= {"__doc__": function.__doc__ or "A function.", "revision": uuid4().hex}
     controller(name)(type(name, (_FunctionController,), members))
     return name
+
+
+@short_errors()
+def save(
+    network: nn.Module,
+    env: gymnasium.Env[Any, Any],
+    output: str | os.PathLike[str],
+    *,
+    seed: int = 0,
+) -> LoadedPolicy:
+    """Write a network of any origin as an exported policy, an ``.onnx`` file; load the policy.
+
+    The file is evaluated, compared and run on a robot like that of a run. ``network``: a module of
+    torch from observations (B, n) in SI units to (B, 9), whose largest number is the action, such
+    as Q-values or logits. ``env``: the environment of its training, which names layout and robot.
+    ``seed``: that of the training, which tells the training seeds of one method apart.
+
+    Raises:
+        ExportError: torch cannot export the network; nothing is written.
+        OutputError: the file cannot be written, or is no exported policy.
+        RequestError: the network takes or returns other numbers, or ``env`` is none of flipperctl.
+    """
+    from flipperctl.export.policy import save_network
+
+    save_network(network, _task(env).config, Path(output), seed)
+    return load(output)
+
+
+def _task(env: gymnasium.Env[Any, Any]) -> FlipperEnv:
+    task = getattr(env, "unwrapped", None)
+    if not isinstance(task, FlipperEnv):
+        raise RequestError(f"{env}: an environment of flipperctl is allowed (Flipper-v0)")
+    return task
 
 
 class LoadedPolicy:
@@ -152,9 +189,7 @@ class LoadedPolicy:
         if env is None:
             self._observing("reset()").reset()
             return
-        task = env.unwrapped
-        if not isinstance(task, FlipperEnv):
-            raise RequestError(f"{env}: an environment of flipperctl is allowed (Flipper-v0)")
+        task = _task(env)
         if not task.running:
             raise RequestError("reset(env) begins the policy's episode after env.reset()")
         if task.config is not self._config or self._policy is None:

@@ -14,6 +14,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+import torch
 
 import flipperctl
 from flipperctl import api
@@ -33,6 +34,7 @@ from flipperctl.evaluation import stored
 from flipperctl.evaluation.run import episode_rows
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import decisions
+from flipperctl.runtime import OnnxPolicy
 from flipperctl.scripting import interface
 from flipperctl.scripting import progress as notebook
 from tests.cli.call import call
@@ -212,9 +214,46 @@ def test_a_function_of_the_observation_is_a_policy_of_its_name(tmp_path: Path) -
     ):
         with pytest.raises(RequestError, match=text):
             flipperctl.evaluate(given, jobs=2, **FLAT)
-    with pytest.raises(FlipperctlError, match="mine.*returned 9; an integer from 0 to 8"):
-        action = 9
+    action = 9
+    with pytest.raises(FlipperctlError, match=r"mine.*returned 9; an integer from 0 to 8"):
         flipperctl.evaluate(mine, **FLAT)
+
+
+@pytest.mark.usefixtures("registry")
+def test_a_saved_network_drives_as_the_network(tmp_path: Path, env: gymnasium.Env) -> None:
+    torch.manual_seed(2)
+    network = torch.nn.Sequential(torch.nn.Linear(33, 8), torch.nn.Dropout(), torch.nn.Linear(8, 9))
+    policy = flipperctl.save(network, env, tmp_path / "mine.onnx", seed=7)
+    network.eval()
+
+    def same(observation: np.ndarray) -> int:
+        return int(network(torch.from_numpy(observation)).argmax())
+
+    found = flipperctl.evaluate([policy, same], baselines=[], **FLAT)
+    file, function = episode_rows(found.result)
+    assert (file["return"], file["flipper_travel"]) == (
+        function["return"],
+        function["flipper_travel"],
+    )
+    interface = OnnxPolicy(tmp_path / "mine.onnx").interface
+    assert (interface.seed, interface.terrain, interface.highest) == (7, "stair", True)
+
+
+@pytest.mark.parametrize(
+    ("sizes", "of", "name", "text"),
+    [
+        ((33, 8), FLIPPER, "mine.onnx", r"shape \(2, 8\) for \(2, 33\); \(2, 9\) is allowed"),
+        ((18, 9), FLIPPER, "mine.onnx", r"does not take observations \(B, 33\)"),
+        ((33, 9), "CartPole-v1", "mine.onnx", r"of flipperctl is allowed \(Flipper-v0\)"),
+        ((33, 9), FLIPPER, "mine.pt", r"\.onnx"),
+    ],
+)
+def test_a_network_that_does_not_fit_is_refused(
+    sizes: tuple[int, int], of: str, name: str, text: str, tmp_path: Path
+) -> None:
+    with pytest.raises(RequestError, match=text):
+        flipperctl.save(torch.nn.Linear(*sizes), gymnasium.make(of), tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.usefixtures("registry")
