@@ -19,6 +19,8 @@ NAMES = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md")
 PAGES = [*(ROOT / name for name in NAMES), *sorted((ROOT / "docs").rglob("*.md"))]
 MEAN, MOST = 18, 35
 """Words of a sentence: largest mean of a page, and largest number of one [-]."""
+CHANGELOG_LINES = 150
+"""Largest number of lines of a version in the changelog [-]."""
 _CODE = re.compile(r"^(```|~~~).*?^\1", re.MULTILINE | re.DOTALL)
 _LINK = re.compile(r"!?\[([^\]]*)\]\([^)]*\)")
 _NO_PROSE = re.compile(r"^(#|<!--|\(.*\)=$|:?-+:?\||\|[ :|-]+\|$)")
@@ -88,6 +90,11 @@ def test_sentences_are_short(name: str) -> None:
     assert long == []
     counted = [n for n in map(length, found) if n > 3]  # cells of tables have fewer
     assert not counted or mean(counted) <= MEAN
+
+
+def test_a_version_of_the_changelog_is_what_a_user_notices() -> None:
+    _, *versions = re.split(r"^(?=## )", (ROOT / "CHANGELOG.md").read_text(), flags=re.MULTILINE)
+    assert [text for text in versions if text.count("\n") > CHANGELOG_LINES] == []
 
 
 if __name__ == "__main__":
