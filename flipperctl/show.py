@@ -24,6 +24,7 @@ _GAP = "  "
 _NARROWEST = 14  # smallest width to which a column of names is folded [columns]
 _LATEX_HEAD = r"% needs \usepackage{booktabs}"
 TABLE = OutputKind("a table", (".tex",), re.compile(rb"\A" + re.escape(_LATEX_HEAD.encode())))
+_NEGATIVE = re.compile(r"(?<![\w-])-(?=\d)")
 _ESCAPES = str.maketrans(
     {
         **{char: f"\\{char}" for char in "&%$#_{}"},
@@ -240,13 +241,17 @@ def folded(text: str, width: int) -> list[str]:
 
 
 def latex(table: Table) -> str:
-    """Return a table for LaTeX with booktabs; its title and its notes are comments."""
+    """Return a table for LaTeX with booktabs; its title and its notes are comments.
+
+    It is as small as tables of journals are, so that five columns fit into one of a page's two.
+    """
     names = sum(column.named for column in table.columns)
-    head = [column.latex or latex_text(column.heading) for column in table.columns]
+    head = [column.latex or latex_text(_capital(column.heading)) for column in table.columns]
     found = [
         _LATEX_HEAD,
         *(f"% {' '.join(text.split())}" for text in (table.title, *table.notes) if text),
-        r"\begin{tabular}{" + "l" * names + "r" * (len(head) - names) + "}",
+        r"{\footnotesize\setlength{\tabcolsep}{3pt}%",
+        r"\begin{tabular}{@{}" + "l" * names + "r" * (len(head) - names) + "@{}}",
         r"\toprule",
         " & ".join(head) + r" \\",
         r"\midrule",
@@ -256,11 +261,17 @@ def latex(table: Table) -> str:
             found.append(r"\addlinespace")
         # LaTeX's own dash, which every font has; names keep theirs.
         cells = [
-            latex_text(text) if column.named else latex_text(text.replace(NONE, "--"))
+            (r"\quad " if text.startswith(" ") else "") + latex_text(text)
+            if column.named
+            else latex_text(_NEGATIVE.sub("−", text.replace(NONE, "--")))
             for text, column in zip(texts, table.columns, strict=True)
         ]
         found.append(" & ".join(cells) + r" \\")
-    return "\n".join([*found, r"\bottomrule", r"\end{tabular}", ""])
+    return "\n".join([*found, r"\bottomrule", r"\end{tabular}}", ""])
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def latex_text(text: str) -> str:

@@ -244,8 +244,12 @@ def compare(
     price: Annotated[
         float | None, typer.Option(metavar="X", help="Least score of a failed episode [6.283].")
     ] = None,
+    name: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME=METHOD", help="Name of a method; may be repeated."),
+    ] = None,
     output: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="A table, .tex, or a picture.")
+        Path | None, typer.Option(metavar="FILE.tex", help="The table of methods for LaTeX.")
     ] = None,
     as_json: options.AsJson = False,
     plugins: options.PluginPaths = None,
@@ -253,32 +257,33 @@ def compare(
     """Compare methods over their training seeds, from folders that eval --output wrote.
 
     A failed episode counts as the roughest crossing of its scene, but --price at least. --against
-    all compares every pair; --output writes the table for LaTeX (.tex), or a picture of performance
-    profiles (.png, .svg, .pdf).
+    all compares every pair; --output writes the table of methods for LaTeX. flipperctl plot draws
+    figures of the same folders.
 
     [bold]Examples[/]
 
-      flipperctl compare judged --against level --output profile.png
+      flipperctl compare judged --against level --name AT-D3QN=network=at_d3qn
 
-      flipperctl compare plain=a searched=b --against all --output table.tex
+      flipperctl compare plain=a searched=b --against plain --output table.tex
     """
     from flipperctl.evaluation.views import compare as view
-    from flipperctl.figures.figure import PICTURE, save
     from flipperctl.files import check_output, write_bytes
     from flipperctl.show import TABLE, console, latex, print_lines, print_table
 
-    kind = TABLE if output is not None and output.suffix in TABLE.suffixes else PICTURE
+    if output is not None and output.suffix.lower() in (".png", ".svg", ".pdf"):
+        from flipperctl.session import command
+
+        again = command("plot", *folders, "--kind", "profiles", "--output", output)
+        raise RequestError(f"--output {output}: figures are drawn by: {again}")
     if output is not None:
-        check_output(output, kind)
-    found = view.compare(folders, measure=measure, price=price, against=against)
+        check_output(output, TABLE)
+    found = view.compare(folders, measure=measure, price=price, against=against, called=name or ())
     document = view.document(found)
     for notice in found.stored.notices:
         print_note(f"warning: {notice}")
     tables = list(view.tables(document, found.label))
-    if output is not None and kind is TABLE:
-        write_bytes(output, "\n".join(map(latex, tables)).encode())
-    elif output is not None:
-        save(view.figure(found), output)
+    if output is not None:
+        write_bytes(output, latex(view.paper_table(document, found.label)).encode())
 
     def printed() -> None:
         out = console()

@@ -106,7 +106,8 @@ def terrain(
         from flipperctl.figures.terrain import terrain_figure
 
         profiles, labels = [p for p, _ in sampled], [f"seed {row['seed']}" for row in rows]
-        save(terrain_figure(profiles, f"{name}, {labels[0]}", config.robot, labels), output)
+        about = " ".join(words)
+        save(terrain_figure(profiles, config.robot, labels), output, about)
     document = {"terrain": resolver.to_dict(config.terrain), "draws": rows}
     show(document, lambda: print_terrain(name, rows, output), as_json=as_json)
 
@@ -218,10 +219,12 @@ def run(
 
     episodes, validations = read_run(run)
     if output is not None:
-        from flipperctl.figures.figure import save
-        from flipperctl.figures.learning import learning_figure
+        from flipperctl.figures.curves import METRICS, curves_figure
+        from flipperctl.figures.figure import WIDTH, save
 
-        save(learning_figure(episodes, validations, str(run)), output)
+        metrics = (*METRICS, "loss")
+        drawn = curves_figure({str(run): [[*episodes, *validations]]}, metrics, width=WIDTH)
+        save(drawn, output, str(run))
     found = summarise(run, episodes, validations)
     show(found, lambda: _print(found, output), as_json=as_json)
 

@@ -11,7 +11,7 @@ import typer
 from typer.exceptions import TyperException
 
 from flipperctl import entry
-from flipperctl.cli import evaluate, inspect, live, reward, robot, train, write
+from flipperctl.cli import evaluate, inspect, live, plot, reward, robot, train, write
 from flipperctl.cli.command import App, TrainingCommand
 from flipperctl.errors import InterruptedRunError, RequestError
 from flipperctl.terminal.streams import log_to_stderr, plain_streams, reserved_stdout
@@ -42,6 +42,7 @@ app.add("eval", evaluate.evaluate)
 app.add("map", evaluate.map_success)
 app.add("replay", evaluate.replay)
 app.add("compare", evaluate.compare)
+app.add("plot", plot.plot)
 app.add("watch", live.watch)
 app.add("demo", live.demo)
 app.add("card", write.card)

@@ -19,6 +19,7 @@ from flipperctl.figures.figure import (
     WIDTH,
     draw_ground,
     frame,
+    in_style,
     legend_above,
     scaled,
     style_axes,
@@ -51,6 +52,7 @@ _POSES = 12
 """Largest number of intervals between poses [-]."""
 
 
+@in_style
 def episode_figure(trace: Trace, title: str = "") -> Figure:
     """Draw poses with their times on the terrain, above pitch and flipper angles over time.
 

@@ -1,47 +1,148 @@
-"""Parts of all figures: the ground, axes, legends, and writing a figure to a file.
+"""The style of every figure, its parts (ground, axes, legends), and writing it to a file.
 
+Sizes are those on paper: a figure as wide as a column of a journal has text of 7 to 8 pt there.
 Figures are made without pyplot and its global state.
 """
 
 from __future__ import annotations
 
+import functools
 import io
 import math
 import re
-import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
+from typing import Any, Literal, ParamSpec
 
 import matplotlib
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from flipperctl import __version__
 from flipperctl.api import FloatArray, Profile
-from flipperctl.figures.render import EARTH, GROUND, INK
+from flipperctl.figures.render import EARTH, FAINT, GROUND, INK
 from flipperctl.files import OutputKind, check_output, write_bytes
 
 _MARKS = rb"tEXtSoftware\0flipperctl|<dc:title>flipperctl</dc:title>|/Creator \(flipperctl\)"
 PICTURE = OutputKind("a picture", (".pdf", ".png", ".svg"), re.compile(_MARKS))
 """Suffixes of the file types that ``save`` writes."""
 
-WIDTH = 9.6
-"""Width of every figure [in]."""
-_TITLE = 88
-"""Largest number of characters of a line of a title [-]."""
-_LEGEND = 18.0
-"""Height of a legend of one line, with its margins [pt]."""
+COLUMN, WIDTH = 3.5, 7.16
+"""Width of a column and of the text of a two-column page [in]."""
+SLIDE, SCREEN = 10.0, 9.6
+"""Width of a figure on a slide, and in a film [in]."""
+_SIDE_BY_SIDE = 5.0
+"""Width from which panels stand side by side [in]."""
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#56B4E9", "#E69F00", "#222222")
+"""Colours of methods, for colour-blind readers (Okabe and Ito's; the purple is Paul Tol's)."""
+LINES = ("-", "--", "-.", ":")
+MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+"""Lines and markers of methods: with 7 colours and markers and 4 lines, 28 methods differ."""
 _LEVEL = 60.0
 """Length of the level ground before and past a profile, and depth of the ground [m]."""
 _LEAST = 0.9
 """Smallest height of a picture of ground [in]."""
+
+Style = Literal["paper", "slides", "screen"]
+STYLES: dict[Style, dict[str, Any]] = {
+    "paper": {"font.size": 8, "xtick.labelsize": 7, "ytick.labelsize": 7, "legend.fontsize": 7},
+    "slides": {"font.size": 17, "xtick.labelsize": 15, "ytick.labelsize": 15, "legend.fontsize": 15}
+    | {"lines.linewidth": 3.0, "lines.markersize": 8.0, "axes.linewidth": 1.2},
+    "screen": {"font.size": 10, "xtick.labelsize": 8, "ytick.labelsize": 8, "legend.fontsize": 8}
+    | {"lines.linewidth": 1.6, "lines.markersize": 5.0, "axes.titlesize": 11, "axes.labelsize": 9},
+}
+_COMMON: dict[str, Any] = {
+    "axes.labelsize": "medium",
+    "axes.titlesize": "medium",
+    "axes.linewidth": 0.6,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": "#606060",
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "grid.color": "#E6E6E6",
+    "grid.linewidth": 0.5,
+    "lines.linewidth": 1.2,
+    "lines.markersize": 3.5,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "text.color": INK,
+    "legend.frameon": False,
+    "legend.handlelength": 1.8,
+    "legend.columnspacing": 1.2,
+    "legend.handletextpad": 0.5,
+    "legend.borderaxespad": 0.2,
+}
+_settings: Any = matplotlib.rcParams  # whose stubs list every name
+_style: ContextVar[Style | None] = ContextVar("style", default=None)
+
+
+@contextmanager
+def styled(style: Style) -> Iterator[None]:
+    """Draw in a style, whatever the user's own settings of matplotlib are."""
+    before = _style.set(style)
+    try:
+        with matplotlib.rc_context():
+            matplotlib.rcdefaults()
+            _settings.update({**_COMMON, **STYLES[style]})
+            yield
+    finally:
+        _style.reset(before)
+
+
+P = ParamSpec("P")
+
+
+def in_style(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    """Make a function draw its figure in the ``styled`` style, else in that of papers."""
+
+    @functools.wraps(draw)
+    def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        with styled(_style.get() or "paper"):
+            return draw(*args, **kwargs)
+
+    return drawn
+
+
+def points(size: float) -> float:
+    """Return a length in pt that grows with the text of the style; ``size`` is that on paper."""
+    return float(size * _settings["font.size"] / STYLES["paper"]["font.size"])
+
+
+def panels(width: float, count: int, height: float) -> tuple[Figure, list[Axes]]:
+    """Return a figure with panels, each ``height`` [in]; side by side if there is room for two."""
+    beside = width >= points(_SIDE_BY_SIDE)
+    columns = min(count, 2 if count in (2, 4) else 3) if beside else 1
+    rows = -(-count // columns)
+    figure = Figure(figsize=(width, rows * height + points(0.3)), layout="constrained")
+    every = figure.subplots(rows, columns, squeeze=False, sharex=not beside).flat
+    for spare in every[count:]:
+        spare.set_visible(False)
+    return figure, list(every[:count])
+
+
+def look(index: int) -> dict[str, Any]:
+    """Return colour, line and marker of the method of this index."""
+    return {
+        "color": COLOURS[index % len(COLOURS)],
+        "linestyle": LINES[index % len(LINES)],
+        "marker": MARKERS[index % len(MARKERS)],
+    }
 
 
 def draw_ground(axes: Axes, profile: Profile) -> None:
     """Fill the ground, with level ground before and past the profile."""
     line = profile.extended(_LEVEL, _LEVEL)
     axes.fill_between(line[:, 0], line[:, 1], line[:, 1].min() - _LEVEL, color=EARTH, linewidth=0)
-    axes.plot(line[:, 0], line[:, 1], color=GROUND, linewidth=1.4)
+    axes.plot(line[:, 0], line[:, 1], color=GROUND, linewidth=points(1.0))
 
 
 def z_scale(extent: FloatArray, width: float) -> int:
@@ -53,12 +154,17 @@ def z_scale(extent: FloatArray, width: float) -> int:
     return max(1, math.ceil(_LEAST * float(extent[0]) / (width * float(extent[1]))))
 
 
-def scaled(low: FloatArray, high: FloatArray, most: float) -> tuple[int, float]:
-    """Return the scale of z, and the height [in] of a picture of the box, from 1 to ``most``."""
-    width, extent = WIDTH - 1.0, high - low
-    scale = z_scale(extent, width)
-    natural = scale * width * float(extent[1] / extent[0])
-    return scale, min(max(natural, 1.0), most)
+def scaled(
+    low: FloatArray, high: FloatArray, most: float, width: float = WIDTH
+) -> tuple[int, float]:
+    """Return the scale of z, and the height [in] of a picture of the box, from 1 to ``most``.
+
+    ``width``: that of the figure, in which axes labels take a part [in].
+    """
+    inner, extent = width - points(0.6), high - low
+    scale = z_scale(extent, inner)
+    natural = scale * inner * float(extent[1] / extent[0])
+    return scale, min(max(natural, 0.6), most)
 
 
 def frame(axes: Axes, low: FloatArray, high: FloatArray, scale: int, title: str = "") -> None:
@@ -66,40 +172,75 @@ def frame(axes: Axes, low: FloatArray, high: FloatArray, scale: int, title: str 
     axes.set_xlim(low[0], high[0])
     axes.set_ylim(low[1], high[1])
     axes.set_aspect(scale, adjustable="box")
-    style_axes(axes, title, "x [m]", "z [m]" if scale == 1 else f"z [m], × {scale}")
+    height = "Height [m]" if scale == 1 else f"Height [m], × {scale}"
+    style_axes(axes, title, "Distance [m]", height)
 
 
 def style_axes(axes: Axes, title: str, x_label: str, y_label: str) -> None:
     """Set title and labels, draw a light grid and remove the upper and the right spine."""
-    lines = "\n".join(textwrap.fill(line, _TITLE) for line in title.splitlines())
-    axes.set_title(lines, loc="left", fontsize=11, color=INK, pad=6.0)
-    axes.set_xlabel(x_label, fontsize=9, color=INK)
-    axes.set_ylabel(y_label, fontsize=9, color=INK)
-    axes.tick_params(labelsize=8, colors=INK)
-    axes.grid(True, color="#E6E6E6", linewidth=0.6)
-    axes.set_axisbelow(True)
+    axes.set_title(title, loc="left", wrap=True)
+    sizes = _settings
+    # By its baseline, so that labels with and without a hat stand on one line.
+    axes.set_xlabel(x_label, labelpad=1.25 * sizes["font.size"], va="baseline")
+    axes.set_ylabel(y_label)
+    # Ticks are made when they are drawn, and would have the sizes of that time.
+    for axis in ("x", "y"):
+        axes.tick_params(
+            axis, labelsize=sizes[f"{axis}tick.labelsize"], colors=INK,
+            length=sizes[f"{axis}tick.major.size"], width=sizes[f"{axis}tick.major.width"],
+        )  # fmt: skip
+    axes.grid(visible=True)
     axes.spines[["top", "right"]].set_visible(False)
 
 
 def legend_above(axes: Axes, lines: Sequence[Line2D] | None = None) -> None:
-    """Place the legend above the right end of the axes, below their title.
-
-    It covers no curve; the title has its final text.
-    """
-    if title := axes.get_title("left"):
-        axes.set_title(title, loc="left", fontsize=11, color=INK, pad=_LEGEND)
+    """Place the legend above the right end of the axes, where it covers no curve."""
     axes.legend(
-        handles=lines or axes.get_lines(), loc="lower right", bbox_to_anchor=(1.0, 1.0),
-        fontsize=8, frameon=False, ncols=4, borderaxespad=0.0,
-    )  # fmt: skip
+        handles=lines or axes.get_lines(), loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4
+    )
 
 
-def save(figure: Figure, path: Path) -> None:
-    """Write the figure completely or not at all; equal figures give equal files."""
+def legend(figure: Figure, handles: Sequence[Artist]) -> None:
+    """Place the legend above all panels, in as few rows as fit into the figure's width."""
+    if not handles:
+        return
+    canvas: Any = FigureCanvasAgg(figure)
+    for columns in range(len(handles), 0, -1):
+        placed = figure.legend(handles=handles, loc="outside upper center", ncols=columns)
+        if (
+            columns == 1
+            or placed.get_window_extent(canvas.get_renderer()).width < figure.bbox.width
+        ):
+            return
+        placed.remove()
+
+
+def note(axes: Axes, text: str) -> None:
+    """Write what the reader must know into the middle of an empty panel."""
+    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color=FAINT)
+
+
+def render(figure: Figure, suffix: str, about: str = "") -> bytes:
+    """Return the file of a figure; ``suffix``: .pdf, .svg or .png.
+
+    ``about``: command, paths and hashes, which stand in the file's metadata with the version of
+    flipperctl, and nowhere in the picture. Equal figures give equal files.
+    """
+    text = "; ".join(part for part in (about, f"flipperctl {__version__}") if part)
+    described: dict[str, dict[str, Any]] = {
+        ".pdf": {"Creator": "flipperctl", "CreationDate": None, "Subject": text},
+        ".svg": {"Creator": "flipperctl", "Date": None, "Description": text},
+        ".png": {"Software": "flipperctl", "Description": text},
+    }
+    # Without a salt, ids of SVG are random; publishers refuse Type 3 fonts, which are the default.
+    wanted: Any = {"svg.hashsalt": "flipperctl", "pdf.fonttype": 42}
+    buffer = io.BytesIO()
+    with matplotlib.rc_context(wanted):
+        figure.savefig(buffer, format=suffix[1:], dpi=200, metadata=described[suffix])
+    return buffer.getvalue()
+
+
+def save(figure: Figure, path: Path, about: str = "") -> None:
+    """Write the figure completely or not at all; ``about``: see ``render``."""
     check_output(path, PICTURE)
-    suffix, buffer = path.suffix.lower(), io.BytesIO()
-    undated = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}.get(suffix, {})
-    described = {"Software" if suffix == ".png" else "Creator": "flipperctl", **undated}
-    with matplotlib.rc_context({"svg.hashsalt": "flipperctl"}):  # otherwise SVG ids are random
-        figure.savefig(buffer, format=suffix[1:], dpi=150, metadata=described)
-    write_bytes(path, buffer.getvalue())
+    write_bytes(path, render(figure, path.suffix.lower(), about))

@@ -41,12 +41,13 @@ from flipperctl.errors import RequestError
 from flipperctl.figures.episode import draw_angles, window
 from flipperctl.figures.figure import (
     PICTURE,
-    WIDTH,
+    SCREEN,
     draw_ground,
     frame,
     save,
     scaled,
     style_axes,
+    styled,
 )
 from flipperctl.figures.render import FAINT, HEIGHTS, INK, RobotArtist
 from flipperctl.files import OutputKind, check_output, write_bytes
@@ -98,7 +99,8 @@ def save_film(
     """
     check_output(path, FILM)
     states = list(instants(transitions, _PERIOD))
-    picture = _Picture(states, profile, robot, title, speed, _maps(transitions, states))
+    with styled("screen"):
+        picture = _Picture(states, profile, robot, title, speed, _maps(transitions, states))
     frames = _drawn(picture, enumerate(states), len(states), report_progress)
     _write_frames(path, frames, [_PERIOD / _RATE] * (len(frames) - 1) + [_LAST])
 
@@ -160,8 +162,8 @@ class _Picture:
         top = max(float(outlines(state, robot)[:, :, 1].max()) for state in states)
         path = np.array([state.position for state in states])  # (T, 2) [m]
         low, high = window(path, profile, reach, top)
-        scale, height = scaled(low, high, 5.0)
-        figure = Figure(figsize=(WIDTH, height + 2.6), dpi=_DPI, layout="constrained")
+        scale, height = scaled(low, high, 5.0, SCREEN)
+        figure = Figure(figsize=(SCREEN, height + 2.6), dpi=_DPI, layout="constrained")
         above, below = figure.subplots(2, 1, height_ratios=[height, 1.3])
         draw_ground(above, profile)
         self._artist = RobotArtist(above)
@@ -268,7 +270,8 @@ def draw_perceived(
     if at is not None and not times[0] - apart <= at <= times[-1] + apart:
         allowed = f"{times[0]:g} to {times[-1]:g} s of the recording are allowed"
         raise RequestError(f"--at {at:g}: {allowed}")
-    picture = _PerceivedPicture(replay, robot, f", {_RATE} × real time" if at is None else "")
+    with styled("screen"):
+        picture = _PerceivedPicture(replay, robot, f", {_RATE} × real time" if at is None else "")
     if at is not None:
         picture.show(min(replay.instants, key=lambda one: abs(one.time - at)))
         save(picture.figure, path)
@@ -303,10 +306,10 @@ class _PerceivedPicture:
         low = min(_DEEP, max(float(points.min()), -1.5)) - 0.05
         high = max(_HIGH, min(float(points.max()), 1.5)) + 0.05
         half = max(reach, tip) + 0.15
-        tall = (WIDTH - 1.0) * (high - low) / (2 * half)
+        tall = (SCREEN - 1.0) * (high - low) / (2 * half)
         whole = 2 * tall + 3.0  # [in]
-        self.figure = Figure(figsize=(WIDTH, whole), dpi=80)
-        left, wide = 0.7 / WIDTH, (WIDTH - 0.9) / WIDTH
+        self.figure = Figure(figsize=(SCREEN, whole), dpi=80)
+        left, wide = 0.7 / SCREEN, (SCREEN - 0.9) / SCREEN
 
         def place(bottom: float, height: float) -> Axes:
             box = (left, bottom / whole, wide, height / whole)

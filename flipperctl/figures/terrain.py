@@ -17,7 +17,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from flipperctl.api import FloatArray, Profile, RobotGeometry, RobotState
 from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.figures.figure import WIDTH, draw_ground, frame, legend_above, z_scale
+from flipperctl.figures.figure import WIDTH, draw_ground, frame, in_style, legend_above, z_scale
 from flipperctl.figures.render import FAINT, INK, RobotArtist
 
 
@@ -59,11 +59,9 @@ _COLUMNS = 4
 """Largest number of small pictures in a row [-]."""
 
 
+@in_style
 def terrain_figure(
-    profiles: Sequence[Profile],
-    title: str,
-    robot: RobotGeometry,
-    labels: Sequence[str] | None = None,
+    profiles: Sequence[Profile], robot: RobotGeometry, labels: Sequence[str] | None = None
 ) -> Figure:
     """Draw the first profile large with the robot in front of it, and up to twelve others small.
 
@@ -76,13 +74,14 @@ def terrain_figure(
     extent = np.max([_extent(p) for p in others], axis=0) if others else np.ones(2)
     rows = -(-len(others) // _COLUMNS)
     columns = -(-len(others) // rows) if rows else 1  # fill the rows evenly
-    scale = z_scale(large[1] - large[0], WIDTH - 1.0)
-    heights = [_height(large[1] - large[0], WIDTH - 1.0, scale)]
+    scale = z_scale(large[1] - large[0], WIDTH - 0.6)
+    heights = [_height(large[1] - large[0], WIDTH - 0.6, scale)]
     small = _height(extent, WIDTH / columns - 0.2, scale)
     heights += rows * [min(small, 0.6 * heights[0]) + 0.2]
     layout = ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.08)
-    figure = Figure(figsize=(WIDTH, sum(heights) + 1.0), layout=layout)
+    figure = Figure(figsize=(WIDTH, sum(heights) + 0.75), layout=layout)
     grid = figure.add_gridspec(1 + rows, columns, height_ratios=heights)
+    title = labels[0] if labels and others else ""
     _draw_large(figure.add_subplot(grid[0, :]), profiles[0], robot, title, scale)
     for i, profile in enumerate(others):
         axes = figure.add_subplot(grid[1 + i // columns, i % columns])
@@ -90,7 +89,7 @@ def terrain_figure(
         _draw_small(axes, profile, extent, name, scale)
     left_out = len(profiles) - 1 - len(others)
     if left_out:
-        figure.supxlabel(f"{left_out} more samples are not shown", fontsize=8, color=FAINT)
+        figure.supxlabel(f"{left_out} more samples are not shown", fontsize="small", color=FAINT)
     return figure
 
 
@@ -120,12 +119,11 @@ def _draw_small(axes: Axes, profile: Profile, extent: FloatArray, name: str, sca
     points = profile.points
     middle = (points.min(axis=0) + points.max(axis=0)) / 2
     frame(axes, middle - extent / 2, middle + extent / 2, scale)
-    axes.set_xticks([])
-    axes.set_yticks([])
+    axes.set(xticks=[], yticks=[], xlabel="", ylabel="")
     axes.spines[:].set_color("#C8C8CC")
     length, height = np.ptp(points, axis=0)
     size = f"{length:.2f} × {height:.2f} m" if length > 0 else f"{height:.2f} m high"
-    axes.set_title(f"{name}: {size}", fontsize=8, color=INK)
+    axes.set_title(f"{name}: {size}", fontsize="small")
 
 
 def _mark_ends(axes: Axes, profile: Profile) -> None:
@@ -147,7 +145,7 @@ def _dimension(axes: Axes, start: tuple[float, float], end: tuple[float, float],
     axes.annotate("", start, end, arrowprops=bar)
     axes.annotate(
         text, ((start[0] + end[0]) / 2, end[1]), xytext=(0, 4), textcoords="offset points",
-        ha="center", va="bottom", fontsize=9, color=INK,
+        ha="center", va="bottom", color=INK,
     )  # fmt: skip
 
 

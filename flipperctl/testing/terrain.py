@@ -125,8 +125,8 @@ def write_pictures(variants: Sequence[Variant], folder: Path) -> None:
         shown = variants[first : first + SMALL + 1]
         profiles = [_draw(v.plugin, 0) for v in shown if isinstance(v.plugin, Terrain)]
         labels = [v.label for v in shown]
-        figure = terrain_figure(profiles, f"{name}: {labels[0]}", Robot(), labels=labels)
-        save(figure, make_folder(folder) / f"{name}{f'_{page + 1}' if page else ''}.png")
+        figure = terrain_figure(profiles, Robot(), labels)
+        save(figure, make_folder(folder) / f"{name}{f'_{page + 1}' if page else ''}.png", name)
 
 
 def _draw(terrain: Terrain, seed: int) -> Profile:

@@ -2,6 +2,8 @@
 
 import csv
 import json
+import shutil
+import subprocess
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -62,10 +64,10 @@ def test_a_folder_of_folders_is_a_method_with_a_training_seed_in_each(seeds: Pat
     assert rows["level"]["comparison"] is None
 
 
-def test_tables_on_the_terminal_in_latex_and_a_picture(seeds: Path) -> None:
+def test_tables_on_the_terminal_and_in_latex(seeds: Path) -> None:
     write(seeds / "other", {"runs/9/best": 1.5, "level": 2.0}, failed=0, count=9)
     arguments = ("plain", "searched=other", "--against", "all")
-    done = call("compare", *arguments, "--output", "profile.png", cwd=seeds)
+    done = call("compare", *arguments, "--output", "table.tex", cwd=seeds)
     assert done.code == 0, done.err
     assert "8 of up to 9 episodes were played by all; plain/0 has 8" in done.err
     pairs = [line.split()[:2] for line in done.out.split("against")[1].splitlines()[1:4]]
@@ -74,11 +76,38 @@ def test_tables_on_the_terminal_in_latex_and_a_picture(seeds: Path) -> None:
     assert "Few training seeds: plain 3; report 5 or more." in done.out
     cheap = call("compare", *arguments, "--price", "1", cwd=seeds).out
     assert "a failed episode counts 1, or its scene's roughest crossing: stair 2.7." in cheap
-    assert (seeds / "profile.png").stat().st_size > 0
-    assert call("compare", *arguments, "--output", "table.tex", cwd=seeds).code == 0
-    latex = (seeds / "table.tex").read_text()
-    assert r"level & plain & +0.900 [+0.652, +1.148] &" in latex
-    assert r"& $\Delta$ score & p (Holm) & $\Delta$ success [\%] (p) &" in latex
+    assert "Method & $n$ & Success [\\%] & Score [rad] & IQM [rad]" in latex_of(seeds)
+    named = ("plain", "searched=other", "--name", "AT-D3QN=plain", "--against", "AT-D3QN")
+    assert call("compare", *named, "--output", "table.tex", cwd=seeds).code == 0
+    assert r"& $\Delta$ to AT-D3QN [rad] \\" in latex_of(seeds)
+    assert r"AT-D3QN & 3 & 100 & 1.45 [1.13, 1.77] &  \\" in latex_of(seeds)
+    assert r"level & 1 & 100 & 2.35 [2.15, 2.55] & 0.90 [0.65, 1.15] \\" in latex_of(seeds)
+
+
+def latex_of(folder: Path) -> str:
+    return (folder / "table.tex").read_text()
+
+
+DOCUMENT = r"""
+\documentclass[twocolumn]{article}
+\usepackage{booktabs}
+\setlength{\columnsep}{12pt}\setlength{\textwidth}{516pt}
+\begin{document}
+\begin{table}[h]\centering\input{table.tex}\end{table}
+\end{document}
+"""
+
+
+@pytest.mark.skipif(shutil.which("pdflatex") is None, reason="there is no LaTeX")
+def test_the_table_fits_into_a_column_of_an_article(seeds: Path) -> None:
+    write(seeds / "other", {"runs/9/best_of": 1.5, "level": 2.0}, failed=0)
+    words = ("plain", "other", "--against", "level", "--output", "table.tex")
+    assert call("compare", *words, cwd=seeds).code == 0
+    (seeds / "article.tex").write_text(DOCUMENT)
+    run = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "article.tex"]
+    done = subprocess.run(run, cwd=seeds, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+    assert "Overfull" not in done.stdout
 
 
 @pytest.mark.parametrize(
@@ -86,6 +115,9 @@ def test_tables_on_the_terminal_in_latex_and_a_picture(seeds: Path) -> None:
     [
         (("missing",), "missing: there is no episodes.csv"),
         (("plain", "--against", "leve"), "did you mean 'level'?"),
+        (("plain", "--output", "a.png"), "plot plain --kind profiles --output a.png"),
+        (("plain", "--name", "B=plan"), "did you mean 'plain'?"),
+        (("plain", "--name", "plain"), "NAME=METHOD is allowed"),
         (("plain", "--price", "0"), "--price: 0; a number above 0 is allowed"),
         (("plain", "--measure", "t_cost"), "--price: t_cost has no default"),
         (("plain", "--measure", "t_cost", "--price", "60"), "there is no column 't_cost'"),

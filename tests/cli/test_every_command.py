@@ -77,7 +77,7 @@ EVAL = ("eval", "--controller", "okada", "terrain=flat", "--episodes", "1")
         (("card", "generalist", "--output"), ".md"),
         (("inspect", "terrain", "flat", "--output"), ".png"),
         (("inspect", "run", "run", "--output"), ".svg"),
-        (("compare", "results", "--output"), ".pdf"),
+        (("plot", "results", "--output"), ".pdf"),
         (("compare", "results", "--output"), ".tex"),
         (("robot", "check", "bag", "--output"), ".gif"),
     ],

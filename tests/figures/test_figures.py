@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
@@ -18,9 +17,6 @@ from flipperctl.errors import OutputError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.plan import Entry
 from flipperctl.evaluation.run import picture_names
-from flipperctl.evaluation.seeds import SeedSamples
-from flipperctl.evaluation.stored import Stored
-from flipperctl.evaluation.views.compare import Comparison, figure
 from flipperctl.figures.episode import episode_figure
 from flipperctl.figures.figure import save
 from flipperctl.figures.render import BELT
@@ -49,14 +45,14 @@ def trace(metres: float = 6.0, states: int = 61, ground: Profile = STEP, **more:
 
 def test_marks_of_start_and_finish_are_explained() -> None:
     within = Profile(STEP.points, run_up=-0.2, run_out=-0.5)
-    legend = terrain_figure([within], "step", ROBOT).axes[0].get_legend()
+    legend = terrain_figure([within], ROBOT).axes[0].get_legend()
     assert legend is not None
     assert [text.get_text() for text in legend.get_texts()] == ["start", "finish"]
-    assert terrain_figure([STEP], "step", ROBOT).axes[0].get_legend() is None
+    assert terrain_figure([STEP], ROBOT).axes[0].get_legend() is None
 
 
 def test_terrain_draws_the_robot_to_scale_before_the_first_edge() -> None:
-    axes = terrain_figure([STEP], "step", ROBOT).axes[0]
+    axes = terrain_figure([STEP], ROBOT).axes[0]
     belts = [c for c in axes.collections if np.array_equal(c.get_facecolor(), [to_rgba(BELT)])]
     robot = np.vstack([path.vertices for belt in belts for path in belt.get_paths()])
     assert robot[:, 0].min() == pytest.approx(-1.0 - 0.716)
@@ -65,27 +61,27 @@ def test_terrain_draws_the_robot_to_scale_before_the_first_edge() -> None:
     words = texts(axes.figure)
     assert "length 2.00 m" in words
     assert "height 0.30 m" in words
-    assert axes.get_title(loc="left") == "step"
+    assert axes.get_title(loc="left") == ""
 
 
 def test_terrain_shows_twelve_more_draws_and_counts_the_rest(tmp_path: Path) -> None:
-    figure = terrain_figure([STEP] * 20, "step", ROBOT)
+    figure = terrain_figure([STEP] * 20, ROBOT)
     assert len(figure.axes) == 13
     assert figure.axes[1].get_title() == "sample 2: 2.00 × 0.30 m"
     assert figure.get_supxlabel() == "7 more samples are not shown"
-    few = terrain_figure([STEP] * 6, "step", ROBOT)  # five small ones, which fill two rows
+    few = terrain_figure([STEP] * 6, ROBOT)  # five small ones, which fill two rows
     assert few.axes[1].get_subplotspec().get_gridspec().ncols == 3
     point, drop = Profile([(0, 0)]), Profile([(0, 0), (0, -0.4)])
-    save(terrain_figure([point, drop], "odd", ROBOT), tmp_path / "odd.png")
+    save(terrain_figure([point, drop], ROBOT), tmp_path / "odd.png")
 
 
 def test_the_heights_of_very_long_ground_are_scaled_up_and_labelled() -> None:
     long = Profile([(0.0, 0.0), (100.0, 0.5), (200.0, 0.0)])
-    assert terrain_figure([long], "long", ROBOT).axes[0].get_ylabel().startswith("z [m], × ")
+    assert terrain_figure([long], ROBOT).axes[0].get_ylabel().startswith("Height [m], × ")
     figure = episode_figure(trace(200.0, 401, long))
-    assert figure.axes[0].get_ylabel().startswith("z [m], × ")
+    assert figure.axes[0].get_ylabel().startswith("Height [m], × ")
     assert len([text for text in figure.axes[0].texts if text.get_text().endswith(" s")]) <= 13
-    assert terrain_figure([STEP], "step", ROBOT).axes[0].get_ylabel() == "z [m]"
+    assert terrain_figure([STEP], ROBOT).axes[0].get_ylabel() == "Height [m]"
 
 
 def test_episode_marks_the_same_poses_in_both_panels() -> None:
@@ -111,39 +107,15 @@ def test_an_overturned_robot_stays_in_the_picture_and_its_swing_shows() -> None:
     assert below.get_ylim()[1] > math.degrees(1.0)
 
 
-def test_a_long_title_keeps_clear_of_the_legend_and_of_the_edge() -> None:
-    figure = episode_figure(trace(), "a_policy_with_a_long_name " * 6)
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    (above, _), renderer = figure.axes, canvas.get_renderer()
-    title = above._left_title.get_window_extent(renderer)  # type: ignore[attr-defined]
-    legend = above.get_legend()
-    assert legend is not None
-    assert not title.overlaps(legend.get_window_extent(renderer))
-    assert figure.bbox.y1 >= title.y1
-    assert figure.bbox.x1 >= title.x1
-
-
-def test_methods_differ_by_their_lines_as_well() -> None:
-    methods = [
-        SeedSamples(f"m{i}", {"a": np.full((1, 5), i / 20)}, {"a": np.ones((1, 5), bool)})
-        for i in range(12)
-    ]
-    compared = Comparison(Stored(tuple(methods), {"a": 5}, ()), "t_cost", "s", 1.0, "m0")
-    lines = figure(compared).axes[0].get_lines()
-    assert len({(str(line.get_color()), line.get_linestyle()) for line in lines}) == 12
-    assert {line.get_drawstyle() for line in lines} == {"steps-post"}
-
-
 @pytest.mark.parametrize(
     ("name", "magic"), [("a.png", b"\x89PNG"), ("a.svg", b"<?xml"), ("a.PDF", b"%PDF")]
 )
 def test_save_writes_by_suffix_and_twice_the_same(name: str, magic: bytes, tmp_path: Path) -> None:
     path = tmp_path / name
-    save(terrain_figure([STEP], "step", ROBOT), path)
+    save(terrain_figure([STEP], ROBOT), path)
     first = path.read_bytes()
     assert first.startswith(magic)
-    save(terrain_figure([STEP], "step", ROBOT), path)
+    save(terrain_figure([STEP], ROBOT), path)
     assert path.read_bytes() == first
     assert list(tmp_path.iterdir()) == [path]
 

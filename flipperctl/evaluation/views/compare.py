@@ -1,23 +1,23 @@
 """Methods over their training seeds: scores that count failures, and their differences.
 
 In: folders of ``eval --output``, a measure and the least price of a failed episode. Out: a
-document, tables and a figure of performance profiles (Dolan and Moré 2002; Agarwal et al. 2021),
-whose curves end at the success rate.
+document and tables.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from flipperctl.api import Measure
 from flipperctl.config import resolver
 from flipperctl.errors import RequestError
+from flipperctl.evaluation.names import chosen_names, taken
+from flipperctl.evaluation.names import names as shown_names
 from flipperctl.evaluation.seeds import (
     PRICE,
     SeedSamples,
@@ -28,8 +28,6 @@ from flipperctl.evaluation.seeds import (
     interquartile_mean,
     mean_interval,
     means,
-    profile,
-    resampled,
     statistic_interval,
     success_difference,
     success_interval,
@@ -37,21 +35,14 @@ from flipperctl.evaluation.seeds import (
 )
 from flipperctl.evaluation.statistics import Interval, holm
 from flipperctl.evaluation.stored import Stored, read
-from flipperctl.evaluation.views.summary import Document, p_text, rate_text, short
-from flipperctl.messages import close_match
+from flipperctl.evaluation.views.summary import Document, p_text, rate_text
 from flipperctl.show import Column, Table
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 ALL = "all"  # name that stands for a comparison of every pair of methods
 _PRICED = ("pitch_variation_100hz", "pitch_variation")
 """Measures for which ``PRICE`` is the default."""
+_INTERVALS = "Means with 95 % intervals over training seeds, of which there are n, and episodes."
 _SEED = 0  # seed of the bootstrap
-_LEVELS = 101  # number of scores at which a profile is drawn [-]
-_STYLES = ("-", "--", "-.")
-"""Lines of methods beside each other; with ten colours, 30 methods differ."""
-_RESAMPLES = 400  # number of bootstrap samples of a band [-]
 _METHODS = (
     Column("name", "method", named=True),
     Column("success_text", "success"),
@@ -98,10 +89,12 @@ def compare(
     measure: str = _PRICED[0],
     price: float | None = None,
     against: str | None = None,
+    called: Sequence[str] = (),
 ) -> Comparison:
     """Read the methods of ``DIR`` or ``METHOD=DIR``.
 
     ``against``: the method to compare with, by default the first; ``all`` for every pair.
+    ``called``: names of methods, ``NAME=METHOD``.
     """
     found = resolver.get(Measure.kind, measure, "--measure")
     assert issubclass(found, Measure)
@@ -115,13 +108,14 @@ def compare(
     if price is not None and not (0 < price < math.inf):
         raise RequestError(f"--price: {price:g}; a number above 0 is allowed")
     stored = read(folders, measure)
-    names = [method.name for method in stored.methods]
-    if against is not None and against not in (*names, ALL):
-        raise RequestError(
-            f"--against: there is no method {against!r}{close_match(against, names)}; "
-            f"known: {', '.join(names)}, {ALL}"
-        )
-    return Comparison(stored, measure, found.unit, price or PRICE, against or names[0])
+    known = [method.name for method in stored.methods]
+    chosen = chosen_names(called, known, "--name")
+    methods = [replace(one, name=chosen.get(one.name, one.name)) for one in stored.methods]
+    stored = replace(stored, methods=tuple(methods))
+    names = shown_names([method.name for method in methods])
+    if against is not None and against != ALL:
+        against = taken(against, names, "--against", further=[ALL])
+    return Comparison(stored, measure, found.unit, price or PRICE, against or next(iter(names)))
 
 
 def document(found: Comparison) -> Document:
@@ -210,8 +204,9 @@ def tables(found: Document, label: str) -> Iterator[Table]:
     episodes = ", ".join(f"{scene} {count}" for scene, count in found["episodes"].items())
     rows: list[Document] = []
     gaps: list[Document] = []
+    called = shown_names([one["method"] for one in found["methods"]])
     for one in found["methods"]:
-        name = short(one["method"])
+        name = called[one["method"]]
         seeds = f" ({one['seeds']} seeds)" if one["seeds"] > 1 else ""
         rows.append(one | {"name": f"{name}{seeds}", "success_text": rate_text(one["success"])})
         parts = one["by_scene"].items() if len(found["episodes"]) > 1 else ()
@@ -221,7 +216,7 @@ def tables(found: Document, label: str) -> Iterator[Table]:
             mean, p = gap["success"]["mean"], gap["p_success_holm"]
             success = "±0" if mean == 0 else f"{100 * mean:+.3g} (p {p_text(p)})"
             texts = {"p_text": p_text(gap["p_holm"]), "success_text": success}
-            gaps.append(gap | {"name": name, "other": short(gap["against"]), **texts})
+            gaps.append(gap | {"name": name, "other": called[gap["against"]], **texts})
     rough = [f"{k} {one:.4g}" for k, one in found["prices"].items() if one > found["price"]]
     more = f", or its scene's roughest crossing: {', '.join(rough)}" if rough else ""
     notes = [f"Score: {label}; a failed episode counts {found['price']:.4g}{more}."]
@@ -230,47 +225,55 @@ def tables(found: Document, label: str) -> Iterator[Table]:
         yield Table(_GAPS, gaps, "Differences on the same episodes; a smaller score is better")
 
 
+def paper_table(found: Document, label: str) -> Table:
+    """Return the table of methods for a paper, pooled over training seeds, with five columns.
+
+    The last one is the difference to the method that all are compared with, or else the
+    interquartile mean. ``label``: of the measure.
+    """
+    methods = found["methods"]
+    called = shown_names([one["method"] for one in methods])
+    unit = label[label.rindex("[") :]
+    rows: list[Document] = []
+    for one in methods:
+        rate = one["success"]
+        success = f"{100 * rate['mean']:.0f}"
+        if rate["mean"] < 1 and rate["low"] is not None:
+            success += f" [{100 * rate['low']:.0f}, {100 * rate['high']:.0f}]"
+        gap = (one["comparison"] or {}).get("score")
+        parts = one["by_scene"].items() if len(found["episodes"]) > 1 else ()
+        own = {"name": called[one["method"]], "success": success, "gap": gap or ""}
+        rows.append(one | own | {"line": bool(parts)})
+        empty = {"seeds": "", "success": "", "gap": "", "iqm": ""}
+        rows += [{"name": f"  {scene}", "score": score, **empty} for scene, score in parts]
+    against = {one["comparison"]["against"] for one in methods if one["comparison"]}
+    last = Column("iqm", f"IQM {unit}")
+    if len(against) == 1:
+        (other,) = against
+        last = Column("gap", f"Δ to {called[other]} {unit}")
+    columns = (
+        Column("name", "method", named=True),
+        Column("seeds", "seeds", latex="$n$"),
+        Column("success", "success [%]"),
+        Column("score", f"score {unit}"),
+        last,
+    )
+    (methods_table, *_) = tables(found, label)
+    return Table(columns, rows, methods_table.title, [*methods_table.notes, _INTERVALS])
+
+
 def seed_warnings(found: Document) -> Iterator[str]:
     """Yield lines on methods with too few training seeds."""
+    called = shown_names([one["method"] for one in found["methods"]])
     trained = [one for one in found["methods"] if one["trained"]]
-    if alone := [one["method"] for one in trained if one["seeds"] == 1]:
+    if alone := [called[one["method"]] for one in trained if one["seeds"] == 1]:
         yield (
             f"One training seed: {', '.join(alone)}. The interval is over episodes alone, and says "
             "nothing of other trainings (docs/training_seeds.md)."
         )
     if few := [one for one in trained if 1 < one["seeds"] < 5]:
-        counts = ", ".join(f"{one['method']} {one['seeds']}" for one in few)
+        counts = ", ".join(f"{called[one['method']]} {one['seeds']}" for one in few)
         yield (
             f"Few training seeds: {counts}; report 5 or more. One bad seed could change these "
             "numbers (docs/training_seeds.md)."
         )
-
-
-def figure(found: Comparison) -> Figure:
-    """Draw the profile of each method with a 95 % band of the bootstrap over seeds and episodes."""
-    import matplotlib
-    from matplotlib.figure import Figure
-
-    from flipperctl.figures.figure import WIDTH, legend_above, style_axes
-
-    methods, most = found.stored.methods, max(found.prices.values())
-    never = dict.fromkeys(found.prices, math.inf)  # reached at no level
-    drawn = Figure(figsize=(WIDTH, 4.2), layout="constrained")
-    axes = drawn.subplots()
-    levels = np.linspace(0.0, most, _LEVELS, endpoint=False)
-    colours = matplotlib.colormaps["tab10"].colors  # type: ignore[attr-defined]  # it is listed
-    for index, method in enumerate(methods):
-        scores = method.scores(never)
-        curve = np.mean([1.0 - profile(values, levels) for values in scores.values()], axis=0)
-        below = {k: (v[:, :, None] <= levels).astype(np.float64) for k, v in scores.items()}
-        drawn_means = resampled(below, np.random.default_rng(0), _RESAMPLES).mean(axis=(1, 3))
-        low, high = np.percentile(drawn_means, [2.5, 97.5], axis=0)  # each (L,)
-        colour, style = colours[index % len(colours)], _STYLES[index % len(_STYLES)]
-        name = f"{method.name}, {method.seeds} seeds" if method.seeds > 1 else method.name
-        axes.step(levels, curve, style, where="post", color=colour, linewidth=1.8, label=name)
-        axes.fill_between(levels, low, high, step="post", color=colour, alpha=0.15, linewidth=0)
-    axes.set_xlim(0, most)
-    axes.set_ylim(-0.02, 1.02)
-    style_axes(axes, "", found.label, "share of episodes at or below")
-    legend_above(axes)
-    return drawn

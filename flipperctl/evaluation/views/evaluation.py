@@ -22,6 +22,7 @@ from flipperctl.env.ground import generate_profile
 from flipperctl.env.metrics import heading, other_measures
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.evaluate import Played, Result
+from flipperctl.evaluation.names import names as short_names
 from flipperctl.evaluation.plan import is_best_known
 from flipperctl.evaluation.rows import Episodes, Row
 from flipperctl.evaluation.views import engines, summary
@@ -187,7 +188,7 @@ def policies(found: Document, title: str, columns: Sequence[str] = ()) -> Table:
     several = len({row["policy"] for row in rows}) > 1 or any(
         one["scene"] == other["scene"] for one, other in pairwise(rows)
     )
-    latex = r"pitch variation $\hat\theta_R$ [rad]"
+    latex = r"Pitch variation $\hat\theta_R$ [rad]"
     counts = dict.fromkeys(f"{row['episodes']} episodes" for row in rows if not row.get("dim"))
     chosen = {*columns, "episodes"} if len(counts) > 1 else {*columns}
     further = [
@@ -228,12 +229,13 @@ def _without_repeats(rows: Sequence[Row]) -> Iterator[Row]:
 def _policies(found: Document) -> Iterator[tuple[str, str, Document]]:
     """Yield scene, policy and numbers of each policy; a method is pooled over its seeds."""
     methods = {summary.key_of(one): one for one in found.get("methods", ())}
+    called = short_names([scene.get("method") or scene["controller"] for scene in found["scenes"]])
     shown: set[object] = set()
     for name, scene in named(found):
         key = summary.key_of(scene)
         pooled = methods.get(key) if "training_seed" in scene else None
         if pooled is None or key not in shown:
-            yield name, short(scene.get("method") or scene["controller"]), pooled or scene
+            yield name, called[scene.get("method") or scene["controller"]], pooled or scene
         shown.add(key)
 
 

@@ -12,11 +12,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise, product
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-import numpy as np
-
-from flipperctl.api import FloatArray
 from flipperctl.errors import InterruptedRunError
 from flipperctl.evaluation.plan import Entry
 from flipperctl.evaluation.play import Player
@@ -25,10 +22,6 @@ from flipperctl.evaluation.rows import Episodes, Row
 from flipperctl.evaluation.views.axes import DIGITS, Axis, Index, grid_config
 from flipperctl.files import write_csv, write_json
 
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 Play = Callable[[Sequence[Index], str], Iterator[tuple[Index, Episodes]]]
 """Plays the episodes of grid points, shown under a label, and yields them as they are finished;
 fewer points if it was stopped."""
@@ -36,13 +29,10 @@ Block = tuple[Index, Index]
 """A rectangle of points: the first and last index along the horizontal and the vertical axis."""
 NAMES = ("map.json", "map.csv", "map.png", "failure_map_*.json")  # names of the files of a map
 EPISODES = 10  # episodes of a grid point, unless the user chooses another number [-]
-BOUNDARY = 0.5  # success at the boundary [-]
 MOST_FAILURES = 20  # largest number of failures that are recorded [-]
 _TOLERANCE = 0.1
 """Largest distance of success from 0 or 1 at which points between are not played [-]."""
 _COARSE = 4  # least number of intervals of the coarse grid along an axis with enough values [-]
-_EMPTY, _LINE = "#E4E4E8", "crimson"
-"""Colours of points without a value, and of the boundary."""
 
 
 @dataclass(frozen=True)
@@ -250,11 +240,14 @@ def write(folder: Path, found: CapabilityMap) -> None:
 
     Failures nearest to the boundary come first: at points whose success is closest to one half.
     """
-    from flipperctl.figures.figure import save
+    from flipperctl.figures.figure import WIDTH, save
+    from flipperctl.figures.map import map_figure
 
-    write_json(folder / "map.json", found.to_dict())
+    document = found.to_dict()
+    write_json(folder / "map.json", document)
     write_csv(folder / "map.csv", found.rows())
-    save(figure(found), folder / "map.png")
+    about = f"{found.title}, conditions {found.entry.conditions.label}"
+    save(map_figure(document, width=WIDTH), folder / "map.png", about)
     points = sorted(found.failures, key=lambda at: (abs(found.points[at].success - 0.5), at))
     for i, j in points[:MOST_FAILURES]:
         row, config = found.failures[i, j], grid_config(found.entry.config, found.axes, (i, j))
@@ -292,87 +285,3 @@ def _heads(values: Sequence[float]) -> list[str]:
     every = ([f"{value:.{n}g}" for value in values] for n in range(2, DIGITS))
     apart = (heads for heads in every if len(set(heads)) == len(heads))
     return next(apart, [f"{value:.{DIGITS}g}" for value in values])
-
-
-def figure(found: CapabilityMap) -> Figure:
-    """Draw success and θ̂_R of a map side by side; points without a value are grey."""
-    from matplotlib.figure import Figure
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    from flipperctl.figures.figure import WIDTH
-    from flipperctl.figures.render import INK
-
-    drawn = Figure(figsize=(WIDTH, 4.6), layout="constrained")
-    panels = drawn.subplots(1, 2)
-    columns, rows = found.size
-    success, variation = np.full((2, rows, columns), np.nan)
-    for (i, j), point in found.points.items():
-        success[j, i] = point.success
-        variation[j, i] = np.nan if point.pitch_variation is None else point.pitch_variation
-    _panel(panels[0], found, success, "success", "viridis", (0.0, 1.0))
-    finite = variation[np.isfinite(variation)]
-    limits = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
-    name = "pitch variation where reached [rad]"
-    _panel(panels[1], found, variation, name, "magma_r", limits)
-    dots = f"{found.entry.config.eval.episodes} episodes played"
-    handles: list[Any] = [
-        Line2D([], [], color="white", markeredgecolor=INK, marker="o", ls="", label=dots)
-    ]
-    if lines := boundary(found.axes, success):
-        for panel, line in product(panels, lines):
-            panel.plot(line[:, 0], line[:, 1], color=_LINE, linewidth=2)
-        handles.append(Line2D([], [], color=_LINE, linewidth=2, label=f"success {BOUNDARY:g}"))
-    partly = len(found.points) < columns * rows
-    if np.isnan(variation).any():
-        label = "none reached, or not played" if partly else "none reached"
-        handles.append(Patch(color=_EMPTY, label=label))
-    drawn.legend(
-        handles=handles, loc="outside lower center", ncols=len(handles), fontsize=8, frameon=False
-    )
-    count = f", interrupted: {len(found.points)} of {columns * rows} points"
-    title = found.title + (count if found.interrupted else "")
-    drawn.suptitle(title, fontsize=11, color=INK, wrap=True)
-    return drawn
-
-
-def boundary(axes: tuple[Axis, Axis], success: FloatArray) -> list[FloatArray]:
-    """Return the lines (K, 2) along which success is ``BOUNDARY``, in the units of the axes.
-
-    ``success`` has shape (rows, columns), NaN where it is unknown; it is linear between points.
-    """
-    if min(success.shape) < 2 or not np.nanmin(success) < BOUNDARY < np.nanmax(success):
-        return []
-    from matplotlib.figure import Figure
-
-    scratch = Figure().subplots()
-    lines = scratch.contour(axes[0].values, axes[1].values, success, levels=[BOUNDARY])
-    return [np.asarray(line, np.float64) for line in lines.allsegs[0] if len(line) > 1]
-
-
-def _panel(
-    panel: Axes,
-    found: CapabilityMap,
-    grid: FloatArray,
-    title: str,
-    colours: str,
-    limits: tuple[float, float],
-) -> None:
-    """Draw one quantity of each point in its colour, with a colour bar."""
-    from flipperctl.figures.figure import style_axes
-    from flipperctl.figures.render import INK
-
-    first, second = found.axes
-    panel.set_facecolor(_EMPTY)
-    mesh = panel.pcolormesh(
-        first.values, second.values, np.ma.masked_invalid(grid), cmap=colours,
-        vmin=limits[0], vmax=limits[1], shading="nearest",
-    )  # fmt: skip
-    panel.figure.colorbar(mesh, ax=panel)
-    played = [index for index, point in found.points.items() if point.episodes]
-    panel.scatter(
-        [first.values[i] for i, _ in played], [second.values[j] for _, j in played], s=5,
-        color="white", edgecolors=INK, linewidths=0.4,
-    )  # fmt: skip
-    style_axes(panel, title, first.label, second.label)
-    panel.grid(False)

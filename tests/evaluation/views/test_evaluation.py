@@ -103,10 +103,10 @@ def test_the_tabular_escapes_names_and_needs_one_package() -> None:
     lines = latex(policies(document(result()), "mine")).splitlines()
     assert lines[0] == r"% needs \usepackage{booktabs}"
     assert lines[1] == "% mine on step · 5 episodes"
-    assert lines[2] == r"\begin{tabular}{llrrr}"
-    assert lines[6] == (r"a\&b\_50\% & 100 \% &  & 6.00 [2.07, 9.93] & 30.0 \\")
-    assert lines[7] == r"level & 20 \% [3.62, 62.4] & 4 stuck & 4.00 [--] & 20.0 \\"
-    assert lines[8:] == [r"\bottomrule", r"\end{tabular}"]
+    assert lines[3] == r"\begin{tabular}{@{}llrrr@{}}"
+    assert lines[7] == (r"a\&b\_50\% & 100 \% &  & 6.00 [2.07, 9.93] & 30.0 \\")
+    assert lines[8] == r"level & 20 \% [3.62, 62.4] & 4 stuck & 4.00 [--] & 20.0 \\"
+    assert lines[9:] == [r"\bottomrule", r"\end{tabular}}"]
 
 
 def test_training_seeds_of_a_method_are_pooled_and_compared() -> None:

@@ -17,10 +17,9 @@ from flipperctl.evaluation.views.map import (
     GridPoint,
     Play,
     _sample,
-    boundary,
     capability_map,
-    figure,
 )
+from flipperctl.figures.map import boundary, map_figure
 from flipperctl.policies.source import load_policy
 from tests.evaluation.samples import episodes, sample
 
@@ -94,17 +93,18 @@ def test_an_interrupted_map_has_the_finished_points() -> None:
     found = mapped(axes, stop)
     assert found.interrupted
     assert list(found.points) == [(0, 0)]
-    drawn = figure(found)
-    assert "interrupted: 1 of 4 points" in drawn.get_suptitle()
-    labels = [text.get_text() for text in drawn.legends[0].get_texts()]
-    assert labels == ["2 episodes played", "none reached, or not played"]
+    drawn = map_figure(found.to_dict())
+    (legend,) = drawn.legends
+    assert [text.get_text() for text in legend.get_texts()] == [
+        "none reached, or not played (1 of 4 points are)"
+    ]
 
 
 def test_the_boundary_lies_halfway_between_success_and_failure() -> None:
-    axes = parse_axes("terrain.height=0.1:0.3:3,sim.friction=0.5:1.0:2", UPLIFT)
-    (line,) = boundary(axes, np.array([[1.0, 1.0, 0.0], [1.0, 0.0, 0.0]]))
+    first, second = [0.1, 0.2, 0.3], [0.5, 1.0]
+    (line,) = boundary(first, second, np.array([[1.0, 1.0, 0.0], [1.0, 0.0, 0.0]]))
     assert sorted(map(tuple, line.round(6).tolist())) == [(0.15, 1.0), (0.2, 0.75), (0.25, 0.5)]
-    assert boundary(axes, np.ones((2, 3))) == []
+    assert boundary(first, second, np.ones((2, 3))) == []
 
 
 def test_a_range_and_its_number_of_values() -> None:

@@ -1,0 +1,102 @@
+"""What methods are called in tables and figures: by the user, or by what tells them apart.
+
+In: labels such as ``runs/cmp/network=mlp``, and the words of ``--name``. Out: short names.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import PurePath
+
+from flipperctl.errors import RequestError
+from flipperctl.messages import close_match
+
+_FILES = re.compile(r"/checkpoints/(best|last)\.safetensors$")
+_JOB = re.compile(r"^\d+_(?=[^/]*=)")
+
+
+def names(labels: Sequence[str]) -> dict[str, str]:
+    """Return a short name for each label: all differ.
+
+    Of a path, the last parts that differ from the others'; of a sweep's folder, the values of its
+    settings, with the last part of their keys where the value is a number.
+    """
+    whole = {label: _FILES.sub("", label) for label in labels}
+    for count in range(1, max([1, *(text.count("/") + 1 for text in whole.values())]) + 1):
+        found = {label: _last(text, count) for label, text in whole.items()}
+        if len(set(found.values())) == len(found):
+            return found
+    return whole
+
+
+def _last(text: str, count: int) -> str:
+    """Return the last parts of a path, and of the settings in the last one their values."""
+    *folders, last = text.split("/")
+    parts = []
+    for part in _JOB.sub("", last).split(","):
+        key, equals, value = part.partition("=")
+        name = key.rpartition(".")[2]
+        plain = not equals or name == "seed" or re.fullmatch(r"[-+.\deE]+|true|false|null", value)
+        parts.append(f"{name}={value}" if equals and plain else value if equals else part)
+    return "/".join([*folders[len(folders) - count + 1 :], ", ".join(parts)])
+
+
+def chosen_names(words: Sequence[str], labels: Sequence[str], option: str) -> dict[str, str]:
+    """Return the names of ``NAME=METHOD`` by the labels that they stand for.
+
+    A METHOD is a label, its short name, or the last parts of its path.
+
+    Raises:
+        RequestError: a word has no such form, or fits no label or several.
+    """
+    short, found = names(labels), dict[str, str]()
+    for word in words:
+        name, equals, method = word.partition("=")
+        if not (name.strip() and equals and method):
+            raise RequestError(f"{option} {word}: NAME=METHOD is allowed, as in AT-D3QN=runs/first")
+        wanted = PurePath(method).parts
+        fits = [
+            label
+            for label in labels
+            if method in (label, short[label])
+            or PurePath(_FILES.sub("", label)).parts[-len(wanted) :] == wanted
+        ]
+        if not fits:
+            raise RequestError(
+                f"{option} {word}: there is no method {method!r}"
+                f"{close_match(method, short.values())}; known: {', '.join(short.values())}"
+            )
+        if len(fits) > 1 and method not in fits:
+            raise RequestError(f"{option} {word}: {method} fits several: {', '.join(fits)}")
+        found[method if method in fits else fits[0]] = name.strip()
+    return found
+
+
+def renamed(labels: Sequence[str], words: Sequence[str], option: str = "--name") -> dict[str, str]:
+    """Return what each label is called: by ``NAME=METHOD``, else its short name.
+
+    Raises:
+        RequestError: see ``chosen_names``; or two methods have one name.
+    """
+    found = {**names(labels), **chosen_names(words, labels, option)}
+    for label, name in found.items():
+        if alike := [other for other in found if other != label and found[other] == name]:
+            raise RequestError(f"{option}: {label} and {alike[0]} would both be called {name}")
+    return found
+
+
+def taken(label: str, called: Mapping[str, str], option: str, further: Sequence[str] = ()) -> str:
+    """Return the label that a user's text names: a label, or what it is ``called``.
+
+    Raises:
+        RequestError: there is none; ``further`` words are known as well.
+    """
+    by_name = {name: one for one, name in called.items()}
+    if label not in called and label not in by_name:
+        known = [*by_name, *further]
+        raise RequestError(
+            f"{option}: there is no method {label!r}{close_match(label, known)}; "
+            f"known: {', '.join(known)}"
+        )
+    return label if label in called else by_name[label]

@@ -1,0 +1,203 @@
+"""Figures of stored results: intervals, heat tables, paired differences, performance profiles.
+
+In: folders of ``eval --output``. Out: rows of plain data for ``flipperctl.figures.methods``, and
+the figure of a kind.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from flipperctl.api import FloatArray, Measure, registry
+from flipperctl.env.metrics import CORE
+from flipperctl.errors import RequestError
+from flipperctl.evaluation.names import renamed, taken
+from flipperctl.evaluation.seeds import (
+    SeedSamples,
+    difference_interval,
+    mean_interval,
+    profile,
+    resampled,
+    success_interval,
+)
+from flipperctl.evaluation.stored import read
+from flipperctl.evaluation.views import compare
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SUCCESS, VARIATION = "success", "pitch_variation_100hz"
+_LEVELS = 201  # number of scores at which a profile is drawn [-]
+_RESAMPLES = 400  # number of bootstrap samples of a band [-]
+_ALWAYS = ("max_pitch", "decisions", "return")
+"""Columns whose means are over all episodes, failed ones included."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to draw of which folders."""
+
+    folders: Sequence[str]
+    """``DIR`` or ``METHOD=DIR``."""
+    metrics: Sequence[str] = ()
+    """Empty: those of the kind."""
+    names: Sequence[str] = ()
+    """``NAME=METHOD``."""
+    against: str | None = None
+    """A method, by default the first."""
+    width: float | None = None
+    """[in]; None: that of the kind."""
+
+    def sized(self) -> dict[str, float]:
+        """Return the width as an argument of a figure."""
+        return {} if self.width is None else {"width": self.width}
+
+    def one_metric(self, default: str = VARIATION) -> str:
+        """Return the metric of a kind that shows one."""
+        if len(self.metrics) > 1:
+            raise RequestError(f"--metric {','.join(self.metrics)}: this kind shows one metric")
+        return self.metrics[0] if self.metrics else default
+
+
+def estimates(
+    folders: Sequence[str], metrics: Sequence[str], words: Sequence[str] = ()
+) -> tuple[list[dict[str, Any]], tuple[str, ...]]:
+    """Return a row for each method on each scene, and what was left out, in sentences.
+
+    A row has ``method``, ``scene`` and each metric: a mean with its 95 % interval over training
+    seeds and episodes, over the episodes that all seeds reached, or None.
+    """
+    stored = {metric: read(folders, _column(metric)) for metric in dict.fromkeys(metrics)}
+    first = next(iter(stored.values()))
+    called = renamed([method.name for method in first.methods], words)
+    rows = []
+    for at, method in enumerate(first.methods):
+        for scene in first.episodes:
+            row: dict[str, Any] = {"method": called[method.name], "scene": scene}
+            for metric, own in stored.items():
+                row[metric] = _estimate(own.methods[at], scene, metric)
+            rows.append(row)
+    return rows, first.notices
+
+
+def _column(metric: str) -> str:
+    return VARIATION if metric == SUCCESS else metric
+
+
+def _estimate(method: SeedSamples, scene: str, metric: str) -> dict[str, Any] | None:
+    if metric == SUCCESS:
+        reached = {scene: method.reached[scene]}
+        one = SeedSamples(method.name, {scene: method.values[scene]}, reached, method.trained)
+        return success_interval(one).to_dict()
+    values: FloatArray = method.values[scene]
+    if _only_reached(metric):
+        values = values[:, method.reached[scene].all(axis=0)]
+    return mean_interval({scene: values}).to_dict() if values.size else None
+
+
+def _only_reached(metric: str) -> bool:
+    found = registry.get((Measure.kind, metric))
+    further = found is not None and issubclass(found, Measure) and not found.reached_only
+    return metric not in _ALWAYS and (metric in CORE or not further)
+
+
+def differences(
+    found: compare.Comparison, called: Mapping[str, str], metric: str, against: str
+) -> Iterator[dict[str, Any]]:
+    """Yield a row for each method on each scene: its scores minus those of ``against``.
+
+    Scores count failures, as in ``compare``; seeds are averaged within an episode.
+    """
+    (other,) = (m for m in found.stored.methods if m.name == against)
+    theirs = other.scores(found.prices)
+    for method in found.stored.methods:
+        for scene, ours in method.scores(found.prices).items():
+            gap, _ = difference_interval({scene: ours}, {scene: theirs[scene]})
+            yield {
+                "method": called[method.name],
+                "scene": scene,
+                metric: gap.to_dict(),
+                "episodes": ours.mean(axis=0) - theirs[scene].mean(axis=0),
+            }
+
+
+def profiles(
+    found: compare.Comparison, called: Mapping[str, str]
+) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """Return levels, (L,), up to the largest score that was reached, and a curve of each method.
+
+    A curve is the share of episodes at or below each level, averaged over scenes, with both ends of
+    the 95 % band of the bootstrap over seeds and episodes, (3, L).
+    """
+    methods = found.stored.methods
+    largest = [
+        float(m.values[scene][reached].max(initial=0.0))
+        for m in methods
+        for scene, reached in m.reached.items()
+    ]
+    levels = np.linspace(0.0, 1.02 * (max(largest) or max(found.prices.values())), _LEVELS)
+    never = dict.fromkeys(found.prices, math.inf)  # reached at no level
+    curves = {}
+    for method in methods:
+        scores = method.scores(never)
+        share = np.mean([1.0 - profile(values, levels) for values in scores.values()], axis=0)
+        below = {k: (v[:, :, None] <= levels).astype(np.float64) for k, v in scores.items()}
+        drawn = resampled(below, np.random.default_rng(0), _RESAMPLES).mean(axis=(1, 3))
+        curves[called[method.name]] = np.array([share, *np.percentile(drawn, [2.5, 97.5], axis=0)])
+    return levels, curves
+
+
+def _intervals(asked: Request) -> tuple[Figure, Sequence[str]]:
+    from flipperctl.figures.methods import intervals_figure
+
+    metrics = list(asked.metrics) or [SUCCESS, VARIATION]
+    rows, notices = estimates(asked.folders, metrics, asked.names)
+    return intervals_figure(rows, metrics, **asked.sized()), notices
+
+
+def _heat(asked: Request) -> tuple[Figure, Sequence[str]]:
+    from flipperctl.figures.methods import heat_figure
+
+    metric = asked.one_metric()
+    rows, notices = estimates(asked.folders, [metric, SUCCESS], asked.names)
+    return heat_figure(rows, metric, **asked.sized()), notices
+
+
+def _compared(asked: Request) -> tuple[compare.Comparison, dict[str, str]]:
+    found = compare.compare(asked.folders, measure=asked.one_metric())
+    return found, renamed([method.name for method in found.stored.methods], asked.names)
+
+
+def _differences(asked: Request) -> tuple[Figure, Sequence[str]]:
+    from flipperctl.figures.methods import differences_figure
+
+    found, called = _compared(asked)
+    if len(called) < 2:
+        raise RequestError(f"{asked.folders[0]}: two methods are needed for differences")
+    against = taken(asked.against, called, "--against") if asked.against else next(iter(called))
+    rows = list(differences(found, called, found.measure, against))
+    drawn = differences_figure(rows, found.measure, called[against], **asked.sized())
+    return drawn, found.stored.notices
+
+
+def _profiles(asked: Request) -> tuple[Figure, Sequence[str]]:
+    from flipperctl.figures.methods import profiles_figure
+
+    found, called = _compared(asked)
+    levels, curves = profiles(found, called)
+    drawn = profiles_figure(levels, curves, found.measure, **asked.sized())
+    return drawn, found.stored.notices
+
+
+KINDS: dict[str, Callable[[Request], tuple[Figure, Sequence[str]]]] = {
+    "intervals": _intervals,
+    "heat": _heat,
+    "differences": _differences,
+    "profiles": _profiles,
+}
+"""Each returns the figure, and what was left out, in sentences."""

@@ -1,0 +1,167 @@
+"""``plot``: figures of runs, results and maps, and what it refuses."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from flipperctl.cli.plot import draw, length
+from tests.cli.call import call, refused
+from tests.cli.test_compare import write
+
+
+@pytest.fixture
+def here(tmp_path: Path) -> Path:
+    """Return a folder with results of two methods, a run and a map."""
+    for seed in range(3):
+        label = f"runs/{seed}/best"
+        write(tmp_path / "judged" / f"{seed}", {label: 1 + seed / 10, "level": 2.0}, failed=3)
+    (tmp_path / "run").mkdir()
+    rows = [f"episode,{10 * at},reached,,{at % 7},{at}" for at in range(1, 30)]
+    rows += [f"validation,{100 * at},,1.0,{at},{at}" for at in range(1, 4)]
+    text = "kind,decision,outcome,success_rate,pitch_variation_100hz,return\n" + "\n".join(rows)
+    (tmp_path / "run/metrics.csv").write_text(text)
+    (tmp_path / "found").mkdir()
+    names = ("terrain.height", "sim.friction")
+    axes = [
+        {"name": name, "settings": [name], "unit": unit, "values": [0.2, 0.4]}
+        for name, unit in zip(names, ("m", "-"), strict=True)
+    ]
+    cells = [
+        {names[0]: x, names[1]: y, "success_rate": float(x < 0.3), "episodes": int(y < 0.3)}
+        | {"pitch_variation_100hz": 1.0 if x < 0.3 else None}
+        for x in (0.2, 0.4)
+        for y in (0.2, 0.4)
+    ]
+    (tmp_path / "found/map.json").write_text(json.dumps({"axes": axes, "cells": cells}))
+    return tmp_path
+
+
+def drawn(here: Path, *sources: str, **options: object) -> Figure:
+    paths = [name + str(here / path) for name, path in (split(one) for one in sources)]
+    return draw(paths, **options).figure  # type: ignore[arg-type]
+
+
+def split(source: str) -> tuple[str, str]:
+    name, equals, path = source.rpartition("=")
+    return name + equals, path
+
+
+def xs(axes: Axes, line: int) -> list[float]:
+    found: list[float] = np.asarray(axes.get_lines()[line].get_xdata()).tolist()
+    return found
+
+
+@pytest.mark.parametrize(
+    ("source", "kind"),
+    [
+        ("run", "curves"),
+        ("judged", "intervals"),
+        ("judged", "heat"),
+        ("judged", "differences"),
+        ("judged", "profiles"),
+        ("found", "map"),
+    ],
+)
+def test_each_kind_is_a_pdf_that_publishers_take(source: str, kind: str, here: Path) -> None:
+    """Several publishers refuse Type 3 fonts, matplotlib's default."""
+    chosen = ("--kind", kind) if kind not in ("curves", "intervals", "map") else ()
+    done = call("plot", source, *chosen, cwd=here)
+    assert done.code == 0, done.err
+    assert (done.out, done.err.splitlines()[-1]) == ("", f"wrote {kind}.pdf")
+    file = (here / f"{kind}.pdf").read_bytes()
+    assert b"/Type3" not in file
+    assert b"/TrueType" in file or b"/CIDFontType2" in file
+    assert f"flipperctl plot {source}".encode() in file  # as metadata
+    assert b"/MediaBox [ 0 0 252 " in file  # 3.5 in
+
+
+def test_names_sizes_and_words(here: Path) -> None:
+    figure = drawn(here, "AT-D3QN=judged", names=["still=level"], width=7.16)
+    assert figure.get_figwidth() == 7.16
+    success, variation = figure.axes
+    assert [text.get_text() for text in success.get_yticklabels()] == ["AT-D3QN", "still"]
+    assert success.get_xlabel() == "Success [%]"
+    assert variation.get_xlabel().startswith("Pitch variation $")
+    paper, slide = (drawn(here, "judged", style=style) for style in ("paper", "slides"))
+    sizes = [one.axes[0].xaxis.label.get_fontsize() for one in (paper, slide)]
+    assert sizes[1] > 2 * sizes[0]
+
+
+def test_intervals_are_those_of_the_episodes_that_all_seeds_reached(here: Path) -> None:
+    """Seeds have means 1.0, 1.1 and 1.2, and a tenth of the episode's number; the fourth failed."""
+    figure = drawn(here, "judged")
+    success, variation = (xs(axes, 1) for axes in figure.axes)
+    assert variation == pytest.approx([1.1 + (28 - 3) / 7 / 10])
+    assert success == pytest.approx([100 * 7 / 8])
+
+
+def test_differences_keep_the_colours_and_count_failures(here: Path) -> None:
+    every, gaps = drawn(here, "judged"), drawn(here, "judged", kind="differences")
+    assert gaps.axes[0].get_lines()[-1].get_color() == every.axes[0].get_lines()[-1].get_color()
+    dots = sorted(xs(gaps.axes[0], 0))
+    assert dots == pytest.approx([2.0 - 6.2831853 + 0.3, *[0.9] * 7])
+
+
+def test_a_profile_ends_at_the_largest_value_and_at_the_success_rate(here: Path) -> None:
+    axes = drawn(here, "judged", kind="profiles").axes[0]
+    assert axes.get_xlim()[1] == pytest.approx(1.02 * 2.7)
+    shares = np.asarray(axes.get_lines()[0].get_ydata())
+    assert shares[-1] == pytest.approx(100 * 7 / 8)
+
+
+def test_cells_of_a_heat_table_tell_the_success_below_all(here: Path) -> None:
+    axes = drawn(here, "judged", kind="heat").axes[0]
+    assert [text.get_text() for text in axes.texts] == ["1.46\n88 %", "2.35"]
+
+
+def test_a_map_is_labelled_in_words(here: Path) -> None:
+    axes = drawn(here, "found").axes[0]
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("Height [m]", "Friction")
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (("none",), "none: there is no such folder; allowed: runs or the folder of a sweep"),
+        (("empty",), "empty: there is nothing to draw in it"),
+        (("run", "--kind", "curve"), "did you mean 'curves'?"),
+        (
+            ("run", "--kind", "heat"),
+            "drawn from a folder of flipperctl eval --output; of run: curves",
+        ),
+        (("judged", "run"), "--kind intervals: it is drawn from a folder of flipperctl eval"),
+        (("run", "--metric", "succes"), "did you mean 'success'?"),
+        (("judged", "--metric", "t_cost"), "there is no column 't_cost'"),
+        (("run", "--metric", "loss,loss"), "different names between commas are allowed"),
+        (("judged", "--kind", "heat", "--metric", "success,t_cost"), "this kind shows one metric"),
+        (("judged", "--name", "AT=judge"), "did you mean 'judged'?"),
+        (("judged", "--name", "level=judged"), "would both be called level"),
+        (("judged", "--against", "level"), "it has a meaning for --kind differences alone"),
+        (("judged", "--kind", "differences", "--against", "lev"), "did you mean 'level'?"),
+        (("run", "--width", "3.5"), ""),
+        (("run", "--width", "1in"), "--width 1in: 2in to 30in are allowed"),
+        (("run", "--width", "wide"), "--width wide: it is no length"),
+        (("run", "--style", "poster"), "known: paper, slides"),
+        (("run", "--average", "median"), "known: mean, iqm"),
+        (("run", "--output", "a.jpg"), "a picture is a .pdf, .png or .svg file"),
+    ],
+)
+def test_refusals(words: tuple[str, ...], text: str, here: Path) -> None:
+    (here / "empty").mkdir()
+    if not text:
+        assert length(words[-1]) == 3.5
+        return
+    error = refused("plot", *words, cwd=here)
+    assert text in error
+    assert error.count("\n") == 1
+    assert not list(here.glob("*.pdf"))
+
+
+def test_lengths() -> None:
+    assert [length(text) for text in ("3.5in", "252pt", "8.89cm", "88.9 mm")] == pytest.approx(
+        [3.5] * 4
+    )
