@@ -46,7 +46,7 @@ def sentences(text: str) -> list[str]:
     """Return the sentences of a Markdown text; a piece of code is one word."""
     found = []
     for paragraph in paragraphs(text):
-        words = re.sub(r"`[^`]+`", "code", _LINK.sub(r"\1", paragraph))
+        words = re.sub(r"`[^`]+`", "`code`", _LINK.sub(r"\1", paragraph))
         found += [part.strip() for part in _END.split(words)]
     return [sentence for sentence in found if re.search(r"\w", sentence)]
 
