@@ -178,7 +178,7 @@ MAKERS = {
     for command in reversed(commands())
     for option, word in pairwise(["", *command])
     for name in [word.removeprefix("hydra.run.dir=")]
-    if command[1] in ("train", "export", "robot") or option == "--record"
+    if command[1] in ("train", "eval", "export", "robot") or option == "--record"
     if name != FIRST and (option in ("--output", "--record") or name != word)
 } | {f"{command[3]}.py": command for command in commands() if command[1] == "new"}
 """What a command writes → the first that writes it."""
@@ -211,10 +211,10 @@ def test_every_command_that_is_shown_runs(command: list[str], folder: Path) -> N
 
 def run(command: list[str], folder: Path) -> None:
     """Run a command, and before it those that write what it reads."""
-    for word in command[1:]:
-        maker = MAKERS.get(word.rpartition("=")[2], command)
-        if maker != command and not (folder / word.rpartition("=")[2]).exists():
-            run(maker, folder)
+    for option, word in pairwise(command):
+        name = word.rpartition("=")[2]
+        if option != "--output" and name in MAKERS and not (folder / name).exists():
+            run(MAKERS[name], folder)
     done = call(*smaller(command[1:]), cwd=folder)
     assert done.code == 0, done.err
     for word, name in pairwise(command):
