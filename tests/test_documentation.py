@@ -213,7 +213,7 @@ def run(command: list[str], folder: Path) -> None:
     """Run a command, and before it those that write what it reads."""
     for option, word in pairwise(command):
         name = word.rpartition("=")[2]
-        if option != "--output" and name in MAKERS and not (folder / name).exists():
+        if option not in ("--output", "--record") and name in MAKERS and not (folder / name).exists():
             run(MAKERS[name], folder)
     done = call(*smaller(command[1:]), cwd=folder)
     assert done.code == 0, done.err
