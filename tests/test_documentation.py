@@ -213,8 +213,9 @@ def run(command: list[str], folder: Path) -> None:
     """Run a command, and before it those that write what it reads."""
     for option, word in pairwise(command):
         name = word.rpartition("=")[2]
-        if option not in ("--output", "--record") and name in MAKERS and not (folder / name).exists():
-            run(MAKERS[name], folder)
+        maker = command if option in ("--output", "--record") else MAKERS.get(name, command)
+        if maker != command and not (folder / name).exists():
+            run(maker, folder)
     done = call(*smaller(command[1:]), cwd=folder)
     assert done.code == 0, done.err
     for word, name in pairwise(command):
