@@ -32,9 +32,9 @@ def plugins(
 ) -> None:
     """List every registered plugin: its source, and its fields with default, bounds and unit.
 
-    With [bold]--check[/], run the conformance suite on them instead: terrains at every bound,
-    rewards on recorded episodes of every outcome, networks including their ONNX export, controllers
-    within a time limit, signs, frames, units and timing of engines and sensors.
+    With [bold]--check[/], run the conformance suite on them instead. It tries terrains at every
+    bound, rewards on recorded episodes of every outcome, networks with their ONNX export, and
+    controllers within a time limit. Of engines and sensors it probes signs, frames and units.
 
     [bold]Examples[/]
 
@@ -127,8 +127,8 @@ def checkpoint(
     equal runs, whatever versions of the packages wrote them.
 
     With [bold]--check[/], probe signs, frames, units and timing with the file's robot and
-    observation: in two engines the robot drives on level ground, raises and lowers each pair of
-    flippers, and drives up a ramp; the sensor measures a step. Actions, targets and period of an
+    observation. In two engines the robot drives on level ground, raises and lowers each pair of
+    flippers, and drives up a ramp. The sensor measures a step. Actions, targets and period of an
     exported .onnx file are compared with that robot, or with yours after robot.… overrides. sim=…
     names the engine that is probed beside the default one. Fail if any of it differs from the
     contract.
