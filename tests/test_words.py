@@ -16,8 +16,9 @@ from flipperctl.cli.main import app
 
 ROOT = Path(__file__).parents[1]
 NAMES = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md")
-FOLDERS = ("docs", "flipperctl/policies")
-PAGES = [*(ROOT / name for name in NAMES), *(p for f in FOLDERS for p in (ROOT / f).rglob("*.md"))]
+POLICIES = ROOT / "flipperctl" / "policies"
+PAGES = [*(ROOT / name for name in NAMES), *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES += sorted(POLICIES.glob("*.md"))
 MEAN, MOST = 18, 35
 """Words of a sentence: largest mean of a page, and largest number of one [-]."""
 CHANGELOG_LINES = 150
