@@ -37,7 +37,7 @@ def print_best(run: Finished) -> None:
     again = f"Longer:   {command('train', '--resume', run.directory, longer)}\n"
     print_note(
         f"\nBest validation at decision {best['decision']}: success {best['success_rate']:.0%}, "
-        f"{way_text(best)}, return {best['mean_return']:.2f}. "
+        f"{way_text(best)}, reward {best['mean_return']:.2f}. "
         f"{run.summary['decisions']} decisions in {run.summary['seconds']:.0f} s.\n"
         f"{_risk_line(best)}{regret.line(found)}"
         f"{again if regret.falls_short(found) else ''}"

@@ -227,9 +227,11 @@ def line(found: Mapping[str, Any] | None) -> str:
         for name, one in found["references"].items()
     )
     rewards = "; ".join([f"reward {own['mean']:.2f}", *rules])
+    verdict = Verdict(found["verdict"])
+    be = "is " if verdict is Verdict.UNDECIDED else ""
     return (
         f"Check on {found['episodes']} new episodes: {rewards}. "
-        f"The policy {_WORDS[Verdict(found['verdict'])]} ({interval_text(above, sign='+')}).\n"
+        f"The policy {be}{_WORDS[verdict]} ({interval_text(above, sign='+')}).\n"
         f"{_level_line(found)}"
     )
 
@@ -244,20 +246,20 @@ def falls_short(found: Mapping[str, Any] | None) -> bool:
 
 
 def _level_line(found: Mapping[str, Any]) -> str:
-    """Return a line on success and θ̂_R beside holding still; empty if they were not measured."""
+    """Return a line on success and pitch variation beside holding still, if they were measured."""
     own, level = found["policy"], found["references"].get(LEVEL)
     if level is None:
         return ""
     told = []
-    for name, one in (("the policy", own), (LEVEL, level)):
-        theta = "" if one[_PITCH] is None else f", θ̂_R {one[_PITCH]:.2f} rad"
-        told.append(f"{name} success {one['success_rate']:.0%}{theta}")
+    for name, one in (("", own), ("flippers held still: ", level)):
+        variation = "" if one[_PITCH] is None else f", pitch variation {one[_PITCH]:.2f} rad"
+        told.append(f"{name}success {one['success_rate']:.0%}{variation}")
     line = f"On the same episodes: {'; '.join(told)}"
     if (above := own["pitch_above_level"]) is not None:
-        words = f"not shown to pitch less than {_STILL}"
+        words = f"is not shown to pitch less than {_STILL}"
         if above["low"] is not None and round(above["low"], 2) > 0:  # as it is shown
             words = f"PITCHES MORE THAN {_STILL.upper()}"
         elif above["high"] is not None and round(above["high"], 2) < 0:
             words = f"pitches less than {_STILL}"
-        line += f"; {words}, difference {interval_text(above, sign='+')} rad where both reached"
+        line += f". It {words} ({interval_text(above, sign='+')} rad where both reached)"
     return f"{line}.\n"

@@ -134,12 +134,12 @@ def test_shaping_alone_is_no_return() -> None:
     [
         (
             [1.4, 1.6, 1.4, 1.6, 1.5, 9.0],
-            "the policy success 83%, θ̂_R 1.50 rad; level success 100%, θ̂_R 1.00 rad; "
-            "PITCHES MORE THAN HOLDING THE FLIPPERS STILL, difference +0.50 [",
+            "success 83%, pitch variation 1.50 rad; flippers held still: success 100%, pitch "
+            "variation 1.00 rad. It PITCHES MORE THAN HOLDING THE FLIPPERS STILL (+0.50 [",
         ),
-        ([0.5] * 5 + [9.0], "; pitches less than holding the flippers still, difference -0.50 ["),
-        ([0.5, 1.6, 0.9, 1.2, 1.0, 9.0], "; not shown to pitch less than holding the flippers"),
-        ([1.001] * 5 + [9.0], "; not shown to pitch less than holding the flippers"),
+        ([0.5] * 5 + [9.0], ". It pitches less than holding the flippers still (-0.50 ["),
+        ([0.5, 1.6, 0.9, 1.2, 1.0, 9.0], ". It is not shown to pitch less than holding"),
+        ([1.001] * 5 + [9.0], ". It is not shown to pitch less than holding"),
     ],
 )
 def test_a_training_that_earns_more_is_told_where_it_pitches_more(
