@@ -144,6 +144,8 @@ def with_budget(command: list[str]) -> list[str]:
         return [*command, *quick, *few, *trials, *own]
     if "--draws" in command:
         return re.sub(r"--draws \d+", "--draws 2", " ".join(command)).split()
+    if command[0] in ("watch", "demo"):
+        return [*command, "--terminal", "--episodes", "1"]
     if command[:2] == ["export", "mcap"]:
         return [*command, *SPARSE]
     if command[0] == "bench":
