@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -128,6 +130,7 @@ def evaluate(
         progress=progress,
         planned=progress.plan,
         tell=print_note,
+        typed=shlex.join(["flipperctl", *sys.argv[1:]]),
     )
 
 
