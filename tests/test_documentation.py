@@ -62,7 +62,7 @@ def blocks(language: str, text: str = TEXT) -> list[str]:
 
 def saved() -> dict[str, str]:
     """Return the files that a reader is asked to save, name → text."""
-    return dict(re.findall(r"Save this as `([\w.]+)`:\n\n```\w+\n(.*?)^```", TEXT, _BLOCK))
+    return dict(re.findall(r"[Ss]ave this as `([\w.]+)`:\n\n```\w+\n(.*?)^```", TEXT, _BLOCK))
 
 
 def commands(text: str = TEXT) -> list[list[str]]:
