@@ -91,6 +91,7 @@ def _page(folder: Path, found: Document, recorded: Sequence[Trace]) -> str:
         script=_text("report.js"),
         summary=_summary(found, rows),
         results="\n".join([heat, *(html(one, marks) for one in (table, *others))]),
+        figures=_figures(folder, found, list(dict.fromkeys(row["policy"] for row in rows))),
         published=_section("The paper's numbers", html(published, marks)) if published else "",
         player=_player(recorded),
         failures=_failures(folder, rows, recorded, marks),
@@ -321,6 +322,70 @@ def _heat(rows: Sequence[Row], policies: Sequence[str], scenes: Sequence[str]) -
         '<div class="wide" tabindex="0" role="region" aria-label="Pitch variation by scene">'
         f'<table class="heat"><thead><tr><td></td>{head}</tr></thead>'
         f"<tbody>{''.join(body)}</tbody></table></div>"
+    )
+
+
+# Figures of matplotlib, in the colours of the page
+
+
+_DRAWN = {
+    "differences": "Differences of pitch variation to {ruler} on the same episodes (dots), with "
+    "the mean and its interval. A failed episode counts as the roughest crossing of its scene, but "
+    "2π rad at least.",
+    "profiles": "Performance profiles: the share of all episodes that reached the finish with at "
+    "most this pitch variation, with 95 % bands. A curve ends at the success rate.",
+}
+_FEWEST = 5
+"""Smallest number of episodes with intervals, and so with figures [-]."""
+
+
+def _figures(folder: Path, found: Document, policies: Sequence[str]) -> str:
+    """Return the figures of several policies; nothing where their results do not compare."""
+    if len(policies) < 2 or min(scene["episodes"] for scene in found["scenes"]) < _FEWEST:
+        return ""
+    from flipperctl.evaluation.views.plot import KINDS, Request
+    from flipperctl.figures.figure import WIDTH, render
+
+    ruler = _RULER if _RULER in policies else policies[-1]
+    request = Request([str(folder)], against=ruler, width=WIDTH)
+    parts = []
+    for kind, caption in _DRAWN.items():
+        try:
+            figure, _ = KINDS[kind](request)
+        except RequestError:  # as of scenes or settings that not all policies share
+            continue
+        about = caption.format(ruler=ruler)
+        drawn = _inline(render(figure, ".svg").decode(), about.partition(".")[0])
+        parts.append(
+            f'<figure>{drawn}<figcaption class="note">{escape(about)}</figcaption></figure>'
+        )
+    return _section("Figures", "\n".join(parts)) if parts else ""
+
+
+def _inline(svg: str, label: str) -> str:
+    """Return an SVG file of matplotlib as a part of the page, with the page's colours."""
+    from flipperctl.figures.figure import COLOURS
+    from flipperctl.figures.render import FAINT, INK
+
+    names = {colour: f"p{at}" for at, colour in enumerate(COLOURS)}
+    names |= {INK: "ink", "#606060": "soft", FAINT: "soft", "#E6E6E6": "line", "#FFFFFF": "paper"}
+    variables = {colour.lower(): name for colour, name in names.items()}
+    (box,) = re.findall(r'viewBox="[^"]*"', svg)
+    body = svg[svg.index(">", svg.index(box)) + 1 :]
+    body = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", body, flags=re.DOTALL)
+    body = re.sub(r"\s+", " ", body).replace("*{", ".drawn *{")  # the style of this part alone
+
+    def rounded(path: re.Match[str]) -> str:
+        return re.sub(r"(\.\d\d)\d+", r"\1", path[0])
+
+    def variable(match: re.Match[str]) -> str:
+        name = variables.get(match[0].lower())
+        return f"var(--{name})" if name else match[0]
+
+    body = re.sub(r"#[0-9a-fA-F]{6}\b", variable, re.sub(r' d="[^"]*"', rounded, body))
+    return (
+        f'<div class="wide" tabindex="0" role="region" aria-label="{escape(label)}">'
+        f'<svg class="drawn" role="img" aria-label="{escape(label)}" {box}>{body}</div>'
     )
 
 
