@@ -180,7 +180,7 @@ MAKERS = {
     for command in reversed(commands())
     for option, word in pairwise(["", *command])
     for name in [word.removeprefix("hydra.run.dir=")]
-    if command[1] in ("train", "eval", "export", "robot") or option == "--record"
+    if command[1] in ("train", "eval", "map", "export", "robot") or option == "--record"
     if name != FIRST and (option in ("--output", "--record") or name != word)
 } | {f"{command[3]}.py": command for command in commands() if command[1] == "new"}
 """What a command writes → the first that writes it."""
