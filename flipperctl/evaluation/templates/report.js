@@ -18,6 +18,8 @@
   for (const trace of data.traces) {
     for (const key of ["t", "x", "z", "pitch", "front", "rear"]) trace[key] = summed(trace[key]);
     trace.end = trace.t[trace.t.length - 1];
+    let sum = 0; // pitch variation so far [rad]
+    trace.rocked = trace.pitch.map((pitch, i) => (sum += i ? Math.abs(pitch - trace.pitch[i - 1]) : 0));
     trace.points = data.grounds[trace.ground].map(([x, z]) => [x / 1000, z / 1000]);
   }
 
@@ -35,7 +37,7 @@
     const span = trace.t[next] - trace.t[at];
     const part = span > 0 ? Math.min(1, Math.max(0, (time - trace.t[at]) / span)) : 0;
     const found = {};
-    for (const key of ["x", "z", "pitch", "front", "rear"]) {
+    for (const key of ["x", "z", "pitch", "front", "rear", "rocked"]) {
       found[key] = trace[key][at] + part * (trace[key][next] - trace[key][at]);
     }
     return found;
@@ -96,10 +98,18 @@
   const degrees = (angle) => `${angle < -0.0087 ? "−" : ""}${Math.abs(angle * 180 / Math.PI).toFixed(0)}°`;
   const CURVES = ["pitch", "front", "rear"];
 
+  // The box that holds all poses and the ground below them, (left, right, low, high) [m].
+  function extent(traces) {
+    const x = traces.flatMap((trace) => trace.x), z = traces.flatMap((trace) => trace.z);
+    const [left, right] = [Math.min(...x) - 1, Math.max(...x) + 1];
+    const ground = traces.flatMap((trace) => trace.points)
+      .filter((point) => point[0] > left && point[0] < right).map((point) => point[1]);
+    return [left, right, Math.min(...z, ...ground) - 0.36, Math.max(...z, ...ground) + 0.7];
+  }
+
   class Stage {
-    constructor(parent, trace, end, seek) {
-      this.trace = trace;
-      this.end = end;
+    constructor(parent, trace, end, box, seek) {
+      Object.assign(this, {trace, end, box});
       const policy = data.policies[trace.policy];
       this.node = document.createElement("div");
       this.node.className = "stage";
@@ -173,22 +183,20 @@
       this.cursor.setAttribute("x1", clock);
       this.cursor.setAttribute("x2", clock);
       this.numbers.textContent =
-        `pitch ${degrees(now.pitch)} · front ${degrees(now.front)} · rear ${degrees(now.rear)}` +
+        `pitch ${degrees(now.pitch)} · front ${degrees(now.front)} · rear ${degrees(now.rear)} · rocked ${now.rocked.toFixed(2)} rad` +
         (trace.risk ? ` · risk ${trace.risk[before(trace.decided, clock)].toFixed(2)}` : "");
       this.seen.setAttribute("d", perceived ? this.heights(clock) : "");
     }
 
-    aim({x, z}) { // the whole ground if it fits, else what is around the robot
-      const {trace} = this, wide = this.node.clientWidth < 480 ? 3.8 : 6, tall = wide * 0.38;
-      const ends = [Math.min(...trace.x) - 1, Math.max(...trace.x) + 1];
-      const left = ends[1] - ends[0] <= wide ? (ends[0] + ends[1] - wide) / 2
-        : Math.min(ends[1] - wide, Math.max(ends[0], x - wide * 0.45));
-      const heights = [...trace.z, ...trace.points.filter((p) => p[0] > ends[0] && p[0] < ends[1]).map((p) => p[1])];
-      const [low, high] = [Math.min(...heights) - 0.3, Math.max(...heights) + 0.75];
-      const top = high - low <= tall ? (high + low + tall) / 2
+    aim({x, z}) { // the whole box if it fits, else what is around the robot
+      const [first, last, low, high] = this.box, wide = this.node.clientWidth < 480 ? 3.8 : 6;
+      const tall = Math.min(0.42 * wide, Math.max(0.25 * wide, high - low));
+      const left = last - first <= wide ? (first + last - wide) / 2
+        : Math.min(last - wide, Math.max(first, x - wide * 0.45));
+      const top = high - low <= tall ? low + tall
         : Math.max(low + tall, Math.min(high, z + tall * 0.55));
       this.scene.setAttribute("viewBox", `${left.toFixed(3)} ${(-top).toFixed(3)} ${wide} ${tall.toFixed(3)}`);
-      this.ruler.setAttribute("transform", `translate(${left + 0.15} ${-top + tall - 0.12})`);
+      this.ruler.setAttribute("transform", `translate(${left + 0.15} ${-top + tall - 0.08})`);
     }
 
     heights(time) {
@@ -239,7 +247,7 @@
     const chosen = unique([traceOf(choice.one.value), traceOf(choice.two.value)]).filter(Boolean);
     end = Math.max(...chosen.map((trace) => trace.end));
     const seek = (time) => { pause(); show(time); };
-    stages = chosen.map((trace) => new Stage(find("stages"), trace, end, seek));
+    stages = chosen.map((trace) => new Stage(find("stages"), trace, end, extent(chosen), seek));
     slider.max = end;
     show(Math.min(now, end));
   }
