@@ -313,7 +313,7 @@ def html(table: Table, marks: Mapping[str, str] = {}) -> str:
         part = f"{texts[0].strip()}: " if grouped and row.get("dim") else ""
         inner = []
         for column, kind, text in zip(shown, kinds, texts[grouped:], strict=True):
-            dot = '<i class="dot"></i>' if text in marks else ""
+            dot = f'<i class="dot" style="--c:var(--{marks[text]})"></i>' if text in marks else ""
             name = part if column is shown[0] else ""
             bar = _bar(row, column, group) if kind == "number" else ""
             inner.append(f'<td class="{kind}">{dot}{escape(name + text)}{bar}</td>')

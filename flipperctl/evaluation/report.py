@@ -36,6 +36,7 @@ REPORT = OutputKind(
 )
 MOST_FAILURES = 24
 """Largest number of failures with a picture [-]."""
+_COLOURS = 7  # number of colours of policies in the style [-]
 _PERIOD = 2  # poses of a trace for one of the player: 10 Hz [-]
 _RULER = "level"  # the rule with which the summary compares, if it played
 _POINTS = 1500  # largest number of points of a ground [-]
@@ -78,11 +79,11 @@ def _page(folder: Path, found: Document, recorded: Sequence[Trace]) -> str:
         dict.fromkeys([*(row["policy"] for row in rows), *(t.policy for t in recorded)])
     )
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
-    marks = {name: f"p{at % 7}" for at, name in enumerate(policies)}
+    marks = _marks([*policies, *(trace.policy for trace in recorded)])
     table, *others = evaluation.tables(found, "Policies")
     published = evaluation.published(found, strict=False)
     others = [one for one in others if published is None or one.title != published.title]
-    heat = _heat(rows, policies, scenes) if len(scenes) > 2 and len(policies) > 1 else ""
+    heat = _heat(rows, policies, scenes, marks) if len(scenes) > 2 and len(policies) > 1 else ""
     template = Template(_text("report.html"))
     return template.substitute(
         title=escape(f"{_several(policies, 'policies')} on {_several(scenes, 'scenes')}"),
@@ -91,13 +92,20 @@ def _page(folder: Path, found: Document, recorded: Sequence[Trace]) -> str:
         script=_text("report.js"),
         summary=_summary(found, rows),
         results="\n".join([heat, *(html(one, marks) for one in (table, *others))]),
-        figures=_figures(folder, found, list(dict.fromkeys(row["policy"] for row in rows))),
+        figures=_figures(folder, found, policies),
         published=_section("The paper's numbers", html(published, marks)) if published else "",
         player=_player(recorded),
         failures=_failures(folder, rows, recorded, marks),
         origin=_origin(folder, found, marks),
-        traces=_data(recorded, policies),
+        traces=_data(recorded, marks),
     )
+
+
+def _marks(names: Sequence[str]) -> dict[str, str]:
+    """Return the colour of each policy; the seeds of a method have that of the method."""
+    methods = {name: re.sub(r" \(\d+ seeds\)$|, seed \d+$", "", name) for name in names}
+    colours = {name: f"p{at % _COLOURS}" for at, name in enumerate(dict.fromkeys(methods.values()))}
+    return {name: colours[method] for name, method in methods.items()} | colours
 
 
 def _text(name: str) -> str:
@@ -276,7 +284,8 @@ def _failed(rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
     }
     number = sum(n for own in failed.values() for _, n in own)
     if not number:
-        yield "good", f"All {total:,} episodes reached the finish."
+        if total > 1:
+            yield "good", f"All {total:,} episodes reached the finish."
         return
     texts = [
         f"<b>{escape(policy)}</b> {sum(n for _, n in own)}"
@@ -290,7 +299,12 @@ def _failed(rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
 # Tables
 
 
-def _heat(rows: Sequence[Row], policies: Sequence[str], scenes: Sequence[str]) -> str:
+def _heat(
+    rows: Sequence[Row],
+    policies: Sequence[str],
+    scenes: Sequence[str],
+    marks: Mapping[str, str],
+) -> str:
     """Return the table of policies and scenes; a cell is darker the worse it is on its scene."""
     own = _by_scene(rows)
     shade: dict[tuple[str, str], float] = {}
@@ -301,7 +315,7 @@ def _heat(rows: Sequence[Row], policies: Sequence[str], scenes: Sequence[str]) -
     best = {scene: max(found.values(), key=_rank)["policy"] for scene, found in own.items()}
     head = "".join(f'<th scope="col">{escape(scene)}</th>' for scene in scenes)
     body = []
-    for at, policy in enumerate(policies):
+    for policy in policies:
         cells = []
         for scene in scenes:
             row = own[scene].get(policy)
@@ -314,7 +328,7 @@ def _heat(rows: Sequence[Row], policies: Sequence[str], scenes: Sequence[str]) -
             kind = ' class="best"' if policy == best[scene] else ""
             heat = shade.get((policy, scene), 1.0)
             cells.append(f'<td{kind} style="--h:{heat:.2f}">{text}{less}</td>')
-        name = f'<i class="dot" style="--c:var(--p{at % 7})"></i>{escape(policy)}'
+        name = f'<i class="dot" style="--c:var(--{marks[policy]})"></i>{escape(policy)}'
         body.append(f'<tr><th scope="row">{name}</th>{"".join(cells)}</tr>')
     return (
         '<p class="note">Pitch variation [rad] of each policy on each scene; bold: the best, '
@@ -415,12 +429,12 @@ def _failures(
         about = f"{trace.policy} on {trace.scene}, episode {trace.episode}: {trace.outcome}"
         again = records.get(trace.digest)
         shown = f"<pre>{escape(command('replay', again))}</pre>" if again else ""
-        colour = marks.get(trace.policy, "ink")
         items.append(
             f'<li class="card"><svg class="poster" role="img" data-trace="{at}" '
             f'aria-label="{escape(about)}, its last 6 s"></svg>'
-            f'<p><i class="dot" style="--c:var(--{colour})"></i><b>{escape(trace.policy)}</b> on '
-            f"{escape(trace.scene)}, episode {trace.episode}: {escape(trace.outcome)} after "
+            f'<p><i class="dot" style="--c:var(--{marks[trace.policy]})"></i>'
+            f"<b>{escape(trace.policy)}</b> on {escape(trace.scene)}, episode {trace.episode}: "
+            f"{escape(trace.outcome)} after "
             f'{trace.time[-1]:.1f} s</p><button type="button" data-trace="{at}">Play</button>'
             f"{shown}</li>"
         )
@@ -443,18 +457,21 @@ def _records(folder: Path) -> dict[str, Path]:
     return found
 
 
-def _data(recorded: Sequence[Trace], policies: Sequence[str]) -> str:
+def _data(recorded: Sequence[Trace], marks: Mapping[str, str]) -> str:
     """Return what the player shows as JSON that may stand in a page."""
+    policies = list(dict.fromkeys(trace.policy for trace in recorded))
     grounds: dict[str, list[list[int]]] = {}
     found = []
     for trace in recorded:
         points = _ground(trace)
         key = json.dumps(points)
         grounds.setdefault(key, points)
-        found.append(_plain(trace) | {"ground": list(grounds).index(key)})
-    for one, trace in zip(found, recorded, strict=True):
-        one["policy"] = policies.index(trace.policy)
-    document = {"policies": policies, "grounds": list(grounds.values()), "traces": found}
+        place = {"ground": list(grounds).index(key), "policy": policies.index(trace.policy)}
+        found.append(_plain(trace) | place)
+    colours = [marks[policy] for policy in policies]
+    beside = policies.index(_RULER) if _RULER in policies else 1
+    names = {"policies": policies, "colours": colours, "beside": beside}
+    document = {**names, "grounds": list(grounds.values()), "traces": found}
     # In a page, a text that looks like the end of the script would be one.
     return json.dumps(document, separators=(",", ":")).replace("<", "\\u003c")
 

@@ -118,7 +118,7 @@
         <div class="plot"><svg preserveAspectRatio="none" aria-hidden="true"></svg></div>`;
       parent.append(this.node);
       const query = (selector) => this.node.querySelector(selector);
-      query(".dot").style.setProperty("--c", `var(--p${trace.policy % 7})`);
+      query(".dot").style.setProperty("--c", `var(--${data.colours[trace.policy]})`);
       query("b").textContent = policy;
       const badge = query(".badge");
       badge.textContent = trace.outcome === "reached" ? `reached after ${trace.end.toFixed(1)} s` : `${trace.outcome} at ${trace.end.toFixed(1)} s`;
@@ -233,7 +233,8 @@
     fill(choice.one, there, one);
     fill(choice.two, [["", "none"], ...there], two);
     if (choice.two.value === choice.one.value) choice.two.value = "";
-    if (two === "" && one === "" && there.length > 1) choice.two.value = there[1][0];
+    const other = there.find(([index]) => index === data.beside) ?? there[1];
+    if (two === "" && one === "" && other && other !== there[0]) choice.two.value = other[0];
     choosePolicies();
   }
 
