@@ -19,7 +19,7 @@ import typer.main
 from sphinx.pycode import ModuleAnalyzer
 
 from flipperctl import plugins
-from flipperctl.api import Robot, Settings, registry
+from flipperctl.api import ACTIONS, Measure, ObservationLayout, Robot, Settings, registry
 from flipperctl.cli.hydra import compose
 from flipperctl.cli.main import app
 from flipperctl.config import (
@@ -35,6 +35,8 @@ from flipperctl.config import (
     Train,
 )
 from flipperctl.config.describe import Field, fields
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.export.policy import describe_observation
 from flipperctl.training.search import SearchSettings
 
 SECTIONS: Mapping[str, type[Settings]] = {
@@ -127,11 +129,52 @@ def presets() -> str:
     return "\n".join(parts)
 
 
+def actions() -> str:
+    """Return a table of the actions."""
+    words = {-1: "down", 0: "hold", 1: "up"}
+    rows = [(index, *map(words.get, pairs)) for index, pairs in enumerate(ACTIONS)]
+    return "\n".join(_rows(("action", "front flippers", "rear flippers"), rows))
+
+
+def observation() -> str:
+    """Return a table of the default observation; numbers of one meaning are one row."""
+    plugins.load()
+    space = FlipperEnv().observation_space
+    rows: list[tuple[object, ...]] = []
+    described = enumerate(describe_observation(ObservationLayout()))
+    for _, group in groupby(described, lambda one: re.sub(r"_\d+$", "", one[1]["name"])):
+        (first, start), *rest = group
+        last, end = rest[-1] if rest else (first, start)
+        spans = ((first, last), (f"`{start['name']}`", f"`{end['name']}`"))
+        ends = (" … ".join(dict.fromkeys(map(str, span))) for span in spans)
+        meaning, bounds = start["meaning"].partition(", for x in")[0], (space.low, space.high)
+        limits = (f"{bound[first]:.4g}" for bound in bounds)
+        rows.append((*ends, meaning, start["unit"], start["frame"], *limits))
+    return "\n".join(_rows(("index", "name", "meaning", "unit", "frame", "min", "max"), rows))
+
+
+def measures() -> str:
+    """Return a table of the measures of an episode."""
+    plugins.load()
+    found = sorted((name, cls) for (kind, name), cls in registry.items() if kind == Measure.kind)
+    rows = [(f"`{name}`", _summary(cls)) for name, cls in found]
+    return "\n".join(_rows(("measure", "meaning"), rows))
+
+
+def _rows(heads: Iterable[str], rows: Iterable[Iterable[object]]) -> list[str]:
+    heads = list(heads)
+    lines = [f"| {' | '.join(heads)} |", "|---" * len(heads) + "|"]
+    return lines + [f"| {' | '.join(map(_cell, row))} |" for row in rows]
+
+
 TEXTS: Mapping[str, Callable[[], str]] = {
     "settings": settings,
     "commands": commands,
     "api": api,
     "presets": presets,
+    "actions": actions,
+    "observation": observation,
+    "measures": measures,
 }
 """Texts that pages can ask for."""
 
@@ -162,8 +205,7 @@ def _table(path: str, found: Iterable[Field]) -> list[str]:
     ]
     if not rows:
         return ["It has no settings."]
-    head = ["", "| setting | default | bounds | unit | meaning |", "|---|---|---|---|---|"]
-    return head + [f"| {' | '.join(map(_cell, row))} |" for row in rows]
+    return ["", *_rows(("setting", "default", "bounds", "unit", "meaning"), rows)]
 
 
 def _value(value: object) -> str:

@@ -1,12 +1,12 @@
 """flipperctl: train, evaluate, export and explain flipper policies of tracked rescue robots.
 
-``train``, ``evaluate``, ``load`` and ``save`` are the Python interface, for scripts and notebooks.
+``train``, ``evaluate`` and the others are the Python interface, for scripts and notebooks.
 They are imported when one of them is first used.
 """
 
 # Type checkers read __init__.pyi, which says where the names come from.
 
-__all__ = ["Evaluation", "LoadedPolicy", "Run", "evaluate", "load", "save", "train"]
+__all__ = ["Evaluation", "LoadedPolicy", "Run", "environment", "evaluate", "load", "save", "train"]
 
 
 def __getattr__(name: str) -> object:

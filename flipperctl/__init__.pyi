@@ -4,6 +4,7 @@ if TYPE_CHECKING:  # mypy then checks what the interface imports before the pack
     from flipperctl.scripting import Evaluation as Evaluation
     from flipperctl.scripting import LoadedPolicy as LoadedPolicy
     from flipperctl.scripting import Run as Run
+    from flipperctl.scripting import environment as environment
     from flipperctl.scripting import evaluate as evaluate
     from flipperctl.scripting import load as load
     from flipperctl.scripting import save as save

@@ -14,7 +14,7 @@ from uuid import uuid4
 import pytest
 
 from flipperctl import checkpoint
-from flipperctl.api import ACTIONS
+from flipperctl.api import ACTIONS, Outcome
 from flipperctl.env import flipper_env
 from flipperctl.lookahead import Mpc, Planner, planner
 from flipperctl.testing import checks
@@ -28,6 +28,7 @@ ROOT = Path(__file__).parents[1]
 NAMES = ("README.md", "CONTRIBUTING.md", "SECURITY.md")
 PAGES = [*(ROOT / name for name in NAMES), *sorted((ROOT / "docs").rglob("*.md"))]
 TEXT = "\n".join(page.read_text() for page in PAGES)
+OWN_METHOD = ROOT / "docs" / "own_method.md"
 SHOWN = "runs/stair/2026-01-31_12-00-00"
 FIRST = "runs/first"  # the first run of the README, which is shown where it trains
 SWEPT = "runs/multirun/2026-01-31_12-00-00/0_network=at_d3qn,seed=1"
@@ -62,7 +63,7 @@ def blocks(language: str, text: str = TEXT) -> list[str]:
 
 def saved() -> dict[str, str]:
     """Return the files that a reader is asked to save, name → text."""
-    return dict(re.findall(r"[Ss]ave this as `([\w.]+)`:\n\n```\w+\n(.*?)^```", TEXT, _BLOCK))
+    return dict(re.findall(r"Save this as `([\w.]+)`:\n\n```\w+\n(.*?)^```", TEXT, _BLOCK))
 
 
 def commands(text: str = TEXT) -> list[list[str]]:
@@ -84,11 +85,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert done.code == 0, done.err
     done = call("export", "onnx", "--checkpoint", SHOWN, "--output", "stair.onnx", cwd=folder)
     assert done.code == 0, done.err
-    for method, seed in (("plain", 1), ("plain", 2), ("searched", 1)):
-        write(folder / "seeds" / method / str(seed), {f"{method}{seed}": 1 + seed / 10, "level": 1})
+    for method, seed in (("seeds/plain", 1), ("seeds/plain", 2), ("seeds/searched", 1), ("dqn", 1)):
+        label = f"{Path(method).name}{seed}"
+        write(folder / method / str(seed), {label: 1 + seed / 10, "level": 1})
     for run in (FIRST, SWEPT):
         shutil.copytree(folder / SHOWN, folder / run)
-    shutil.copy(folder / "stair.onnx", folder / "first.onnx")
+    for name in ("first.onnx", "sb3_dqn.onnx"):
+        shutil.copy(folder / "stair.onnx", folder / name)
     (folder / "examples").symlink_to(ROOT / "examples")
     for name, text in saved().items():
         (folder / name).write_text(text)
@@ -144,8 +147,6 @@ def with_budget(command: list[str]) -> list[str]:
         return [*command, *quick, *few, *trials, *own]
     if "--draws" in command:
         return re.sub(r"--draws \d+", "--draws 2", " ".join(command)).split()
-    if command[0] in ("watch", "demo"):
-        return [*command, "--terminal", "--episodes", "1"]
     if command[:2] == ["export", "mcap"]:
         return [*command, *SPARSE]
     if command[0] == "bench":
@@ -180,7 +181,7 @@ MAKERS = {
     for command in reversed(commands())
     for option, word in pairwise(["", *command])
     for name in [word.removeprefix("hydra.run.dir=")]
-    if command[1] in ("train", "eval", "map", "export", "robot") or option == "--record"
+    if command[1] in ("train", "export", "robot") or option == "--record"
     if name != FIRST and (option in ("--output", "--record") or name != word)
 } | {f"{command[3]}.py": command for command in commands() if command[1] == "new"}
 """What a command writes → the first that writes it."""
@@ -213,10 +214,9 @@ def test_every_command_that_is_shown_runs(command: list[str], folder: Path) -> N
 
 def run(command: list[str], folder: Path) -> None:
     """Run a command, and before it those that write what it reads."""
-    for option, word in pairwise(command):
-        name = word.rpartition("=")[2]
-        maker = command if option in ("--output", "--record") else MAKERS.get(name, command)
-        if maker != command and not (folder / name).exists():
+    for word in command[1:]:
+        maker = MAKERS.get(word.rpartition("=")[2], command)
+        if maker != command and not (folder / word.rpartition("=")[2]).exists():
             run(maker, folder)
     done = call(*smaller(command[1:]), cwd=folder)
     assert done.code == 0, done.err
@@ -235,6 +235,7 @@ def test_the_python_examples_run(folder: Path, capsys: pytest.CaptureFixture[str
     names = ran("rgb_array")
     assert isinstance(names["env"].unwrapped, flipper_env.FlipperEnv)
     assert names["picture"].shape[2] == 3
+    assert ran("action_space.sample")["info"]["outcome"] in [*Outcome]
     names = ran('OnnxPolicy("stair.onnx")')
     turned = [i * math.pi / 12 for i in ACTIONS[names["action"]]]
     assert names["targets"] == pytest.approx(turned)
@@ -253,8 +254,9 @@ def test_every_python_example_is_tried() -> None:
     assert [command for command in LAUNCHED if command not in commands()] == []
     library = ("flipperctl.train", "flipperctl.load")  # tests/scripting/test_interface.py
     tried = *library, "mound.npy", "rgb_array", 'OnnxPolicy("stair.onnx")', "class StandIn"
-    tried += "Conformance", "RobotSetup("
+    tried += "Conformance", "RobotSetup(", "action_space.sample"
     others = set(blocks("python")) - set(saved().values()) - {example(word) for word in tried}
+    others -= set(blocks("python", OWN_METHOD.read_text()))  # tests/test_own_method.py
     assert others == set()
 
 
@@ -271,6 +273,8 @@ def test_every_other_command_is_listed_here_for_a_reason() -> None:
         "pip wheel --no-deps .",  # tests/test_wheel.py builds it, and installs it
         "pip install --no-deps flipperctl-*.whl",  # likewise
         "python -m flipperctl.runtime stair.onnx",  # tests/runtime/test_command.py
+        "python -m flipperctl.runtime sb3_dqn.onnx",  # likewise
+        "python sb3_dqn.py",  # tests/test_own_method.py
         "python -m flipperctl.runtime --self-test messages.jsonl --signs rep103",  # runtime
         "python examples/messages/self_test.py > messages.jsonl",  # tests/runtime/test_self_test.py
         "python -m flipperctl.runtime --shadow rover.onnx messages.jsonl --signs rep103",  # runtime
@@ -302,9 +306,10 @@ def test_the_examples_are_those_shown(tmp_path: Path) -> None:
     done = call("inspect", "terrain", "ridge", "--plugins", str(ridge), cwd=tmp_path)
     assert done.code == 0, done.err
     assert saved()["ridge.py"].split("@terrain")[1].split("def")[0] in ridge.read_text()
-    for name in ("kinematic.py", "ruler.py", "inertial.py"):
+    own = ("own_method/sb3_dqn.py", "own_method/loop_dqn.py")
+    for name in ("kinematic.py", "ruler.py", "inertial.py", *own):
         documented = (ROOT / "examples" / name).read_text()
-        assert documented.partition('"""\n\n')[2] == saved()[name]
+        assert documented.partition('"""\n\n')[2] == saved()[Path(name).name]
 
 
 def test_the_readme_introduces_and_its_links_lead_somewhere() -> None:

@@ -6,15 +6,17 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer.main
 from sphinx.util.inventory import InventoryFile
 
+import flipperctl
 from docs import generate
-from flipperctl.api import Plugin, Settings, registry
+from flipperctl.api import Outcome, Plugin, Settings, registry
 from flipperctl.cli.main import app
-from flipperctl.config import EvalConfig, TrainConfig
+from flipperctl.config import EnvConfig, EvalConfig, TrainConfig
 from tests.cli.call import COMMANDS, GROUPS, SUBCOMMANDS
 
 ROOT = Path(__file__).parents[1]
@@ -118,3 +120,21 @@ def test_every_command_and_option_has_its_entry() -> None:
             command = command.commands[word]
         options = {option for p in command.params for option in p.opts if option.startswith("-")}
         assert {option for option in options - {"--help"} if option not in part} == set()
+
+
+def test_the_page_of_the_environment_names_all_that_it_takes_and_returns() -> None:
+    page = generate.fill((ROOT / "docs" / "environment.md").read_text())
+    env = flipperctl.environment(terrain="flat")
+    env.reset(seed=1)
+    info: dict[str, Any] = {}
+    while "outcome" not in info:
+        *_, info = env.step(4)
+    numbers = (re.sub("^(reward|drawn)_.*", r"\1_<", key) for key in info["metrics"])
+    names = {*info, *numbers, *EnvConfig.model_fields, *Outcome}
+    assert {name for name in names if f"`{name}" not in page} == set()
+    assert (
+        "| 0 … 14 | `h_1` … `h_15` | mean terrain height, up positive | m | L | -100 | 100 |"
+        in page
+    )
+    assert "| 32 | `theta_R` | pitch, nose up positive | rad | L | -3.142 | 3.142 |" in page
+    assert "| 5 | hold | up |" in page

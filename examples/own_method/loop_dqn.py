@@ -2,7 +2,6 @@
 
 import copy
 
-import gymnasium
 import numpy as np
 import torch
 from torch import nn
@@ -13,7 +12,7 @@ STEPS, GAMMA, SEED = 20_000, 0.95, 1
 
 rng = np.random.default_rng(SEED)
 torch.manual_seed(SEED)
-env = gymnasium.make("flipperctl.env:flipperctl/Flipper-v0", terrain="uplift")
+env = flipperctl.environment(terrain="uplift")
 inputs, actions = env.observation_space.shape[0], env.action_space.n
 hidden = [nn.Linear(inputs, 64), nn.ReLU(), nn.Linear(64, 64), nn.ReLU()]
 online = nn.Sequential(*hidden, nn.Linear(64, actions))

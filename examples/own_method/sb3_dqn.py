@@ -1,11 +1,10 @@
 """Train DQN of Stable-Baselines3, and save its policy as ``sb3_dqn.onnx``."""
 
-import gymnasium
 from stable_baselines3 import DQN
 
 import flipperctl
 
-env = gymnasium.make("flipperctl.env:flipperctl/Flipper-v0", terrain="uplift")
+env = flipperctl.environment(terrain="uplift")
 model = DQN(
     "MlpPolicy",
     env,

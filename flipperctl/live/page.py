@@ -342,18 +342,15 @@ def watch(
     *,
     port: int,
     speed: float,
-    span: tuple[int, int | None] = (0, None),
+    episode: int = 0,
     ready: Callable[[str], None],
 ) -> None:
-    """Serve the page until Ctrl-C; ``ready`` is called with its address.
-
-    ``span``: the first episode, and how many are shown; None: one after the other.
-    """
+    """Serve the page until Ctrl-C; ``ready`` is called with its address."""
     server = serve(port)
-    page = WatchPage(server, entrants, speed=speed, episode=span[0])
+    page = WatchPage(server, entrants, speed=speed, episode=episode)
     ready(f"http://{server.get_host()}:{server.get_port()}")
     try:
-        page.run(span[1])
+        page.run()
     finally:
         with redirect_stdout(io.StringIO()):
             server.stop()

@@ -52,6 +52,9 @@ from flipperctl.training.run import Finished, check, check_resumable, start
 from flipperctl.training.run import resume as resume_run
 
 if TYPE_CHECKING:
+    import numpy as np
+    from gymnasium import Env
+    from numpy.typing import NDArray
     from pandas import DataFrame
 
 
@@ -120,6 +123,8 @@ def _value(cell: str) -> float | str | None:
 
 
 _FOLDER = "hydra.run.dir"
+FLIPPER = "flipperctl.env:flipperctl/Flipper-v0"
+"""The environment, for ``gymnasium.make``."""
 
 
 @short_errors()
@@ -175,6 +180,33 @@ def train(
     if progress:
         print_best(finished)
     return Run(finished.directory, finished.summary)
+
+
+@short_errors()
+def environment(
+    *,
+    render_mode: str | None = None,
+    overrides: Sequence[str] = (),
+    plugins: Paths = (),
+    **settings: object,
+) -> Env[NDArray[np.float32], np.int64]:
+    """Return the environment in which ``train`` would train, for a method of your own.
+
+    ``settings``, ``overrides`` and ``plugins`` are as in ``train``, presets included
+    (``rewards="paper"``); those of the learner have no effect. ``render_mode``: None,
+    ``"rgb_array"``, or ``"human"`` for Gymnasium's window, which needs pygame.
+
+    Raises:
+        RequestError: a setting or plugin is wrong (ConfigError, PluginError).
+    """
+    import gymnasium
+
+    begin(plugins)
+    every = Overrides.parse(words(settings, overrides))
+    for key in every.swept:
+        raise ConfigError(f"{key}: several values make several environments; one is allowed")
+    (config,) = compose_train(every)
+    return gymnasium.make(FLIPPER, config=config.environment(), render_mode=render_mode)
 
 
 def _composed(

@@ -36,13 +36,12 @@ def print_best(run: Finished) -> None:
     longer = f"train.decisions={2 * run.summary['decisions']}"
     again = f"Longer:   {command('train', '--resume', run.directory, longer)}\n"
     print_note(
-        f"\nTrained {run.summary['decisions']} decisions in {run.summary['seconds']:.0f} s.\n"
-        f"Best validation, at decision {best['decision']}: success {best['success_rate']:.0%}, "
-        f"{way_text(best)}, reward {best['mean_return']:.2f}.\n"
+        f"\nBest validation at decision {best['decision']}: success {best['success_rate']:.0%}, "
+        f"{way_text(best)}, return {best['mean_return']:.2f}. "
+        f"{run.summary['decisions']} decisions in {run.summary['seconds']:.0f} s.\n"
         f"{_risk_line(best)}{regret.line(found)}"
         f"{again if regret.falls_short(found) else ''}"
-        f"Watch:    {command('watch', run.directory)}\n"
-        f"Evaluate: {command('eval', run.directory)}\n"
+        f"Evaluate: {command('eval', '--checkpoint', run.directory)}\n"
         f"Export:   {command('export', 'onnx', '--checkpoint', run.directory)}"
     )
 

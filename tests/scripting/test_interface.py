@@ -18,6 +18,8 @@ import torch
 
 import flipperctl
 from flipperctl import api
+from flipperctl.cli.hydra.compose import compose_train
+from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.errors import (
     CheckpointError,
     ConfigError,
@@ -37,6 +39,7 @@ from flipperctl.rollout.episode import decisions
 from flipperctl.runtime import OnnxPolicy
 from flipperctl.scripting import interface
 from flipperctl.scripting import progress as notebook
+from flipperctl.scripting.settings import words
 from tests.cli.call import call
 from tests.test_documentation import example
 
@@ -70,9 +73,7 @@ def test_an_evaluation_is_that_of_the_command(shown: tuple[Path, dict[str, Any]]
     folder, names = shown
     words = ["terrain=stair,step", "--episodes", "2", "--baseline", "level", "--json"]
     done = call("eval", "--checkpoint", str(names["run"].directory), *words, cwd=folder)
-    found = json.loads(done.out)
-    assert found.pop("command").startswith("flipperctl ")  # the words that were typed
-    assert names["result"].to_dict() == found
+    assert names["result"].to_dict() == json.loads(done.out)
 
 
 def test_a_run_has_its_files_and_its_metrics(shown: tuple[Path, dict[str, Any]]) -> None:
@@ -219,6 +220,21 @@ def test_a_function_of_the_observation_is_a_policy_of_its_name(tmp_path: Path) -
     action = 9
     with pytest.raises(FlipperctlError, match=r"mine.*returned 9; an integer from 0 to 8"):
         flipperctl.evaluate(mine, **FLAT)
+
+
+def test_the_environment_is_that_of_a_training() -> None:
+    given = {"terrain": "ramp", "conditions": "wide", "episode": {"slack": 2}}
+    (config,) = compose_train(Overrides.parse(words(given)))
+    assert flipperctl.environment(**given).unwrapped.config == config.environment()
+    paper = flipperctl.environment(rewards="paper", render_mode="rgb_array")
+    assert list(paper.unwrapped.config.rewards) == ["flipper", "pitch", "end"]
+    assert paper.render_mode == "rgb_array"
+    for wrong, text in (
+        ({"terrain": "rmap"}, "did you mean 'ramp'"),
+        ({"terrain": ["stair", "ramp"]}, "terrain: several values"),
+    ):
+        with pytest.raises(ConfigError, match=text):
+            flipperctl.environment(**wrong)
 
 
 @pytest.mark.usefixtures("registry")

@@ -1,0 +1,63 @@
+"""The page on methods of other libraries, and the notebooks, do what they say."""
+
+import contextlib
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+
+import flipperctl
+from flipperctl.runtime import OnnxPolicy
+from tests.scripting.test_interface import BUDGET
+from tests.test_documentation import OWN_METHOD, ROOT, blocks
+
+pytestmark = pytest.mark.slow
+
+NOTEBOOKS = sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))
+FEWER = {"20_000": "150", "15_000": "150", "1_000": "50", "range(1, 6)": "range(1, 3)"}
+FEWER |= {"episodes=30": "episodes=1", "--episodes 30": "--episodes 1"}
+FEWER |= {'{"decisions": 150}': BUDGET, "n_steps=500, batch_size=100": "n_steps=75, batch_size=75"}
+
+
+def fewer(text: str) -> str:
+    for shown, tried in FEWER.items():
+        text = text.replace(shown, tried)
+    return text
+
+
+@pytest.mark.usefixtures("registry")
+def test_every_method_of_the_page_is_trained_saved_and_evaluated(tmp_path: Path) -> None:
+    from stable_baselines3 import PPO
+
+    env = flipperctl.environment(terrain="uplift")
+    with contextlib.chdir(tmp_path):
+        names: dict[str, Any] = {}
+        for block in blocks("python", OWN_METHOD.read_text()):
+            if "sb3_ppo.onnx" in block:
+                names["model"] = PPO("MlpPolicy", env, n_steps=64).learn(64)
+            exec(fewer(block), names)
+    seeds = {file.stem: OnnxPolicy(file).interface.seed for file in tmp_path.glob("*.onnx")}
+    assert seeds == {"sb3_dqn": 1, "sb3_ppo": 1, "loop_dqn": 1, "dqn1": 1, "dqn2": 2}
+    assert sorted(scene["controller"] for scene in names["result"].scenes) == ["follow", "level"]
+    assert all((tmp_path / "dqn" / seed / "episodes.csv").is_file() for seed in "12")
+
+
+@pytest.mark.parametrize("file", NOTEBOOKS, ids=lambda file: file.stem)
+def test_a_notebook_runs(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)
+    book = nbformat.read(file, as_version=4)
+    nbformat.validate(book)
+    assert file.stat().st_size < 10_000
+    cells = [cell for cell in book.cells if cell.cell_type == "code"]
+    assert all(not cell.outputs and cell.execution_count is None for cell in cells)
+    for cell in cells:
+        cell.source = fewer(cell.source)
+    NotebookClient(book, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    outputs = [output for cell in cells for output in cell.outputs]
+    assert "rror" not in "".join(output.get("text", "") for output in outputs)
+    assert any("image/png" in output.get("data", {}) for output in outputs)
+    assert any("level" in output.get("data", {}).get("text/html", "") for output in outputs)
