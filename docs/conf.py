@@ -39,7 +39,7 @@ html_css_files = ["pages.css"]
 def setup(app: Sphinx) -> None:
     """Fill in what is generated from the code."""
     app.connect("source-read", _fill)
-    app.connect("html-page-context", _keep_options_whole)
+    app.connect("html-page-context", _typeset)
     app.connect("autodoc-process-signature", _leave_out_fields)
     app.connect("autodoc-process-docstring", _mark_errors)
 
@@ -48,10 +48,8 @@ def _fill(app: Sphinx, page: str, source: list[str]) -> None:
     source[0] = generate.fill(source[0])
 
 
-def _keep_options_whole(
-    app: Sphinx, page: str, template: str, context: dict[str, str], *_: object
-) -> None:
-    """Let a command break before an option, not after its hyphens; ``pages.css`` says how."""
+def _typeset(app: Sphinx, page: str, template: str, context: dict[str, str], *_: object) -> None:
+    """Set θ̂_R with its index; let a command break before an option (``pages.css``)."""
     parts = re.split(
         r'(<div class="highlight-(?:sh|console).*?</pre>)', context.get("body", ""), flags=re.S
     )
@@ -59,7 +57,7 @@ def _keep_options_whole(
         re.sub(r"(?<=[ >])--?[a-z][\w-]*", r'<span class="option">\g<0></span>', p)
         for p in parts[1::2]
     ]
-    context["body"] = "".join(parts)
+    context["body"] = "".join(parts).replace("θ̂_R", "θ̂<sub>R</sub>")
 
 
 def _mark_errors(

@@ -1,4 +1,4 @@
-"""Show a table: on the terminal, as LaTeX, as Markdown or as rows of a CSV file.
+"""Show a table: on the terminal, as LaTeX, Markdown or HTML, or as rows of a CSV file.
 
 In: a ``Table``, which every view makes. Out: text. On the terminal no number is truncated: names
 are folded, headings break at spaces, and columns that are still too wide continue below.
@@ -11,6 +11,7 @@ import re
 import sys
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from html import escape
 from typing import Any
 
 from rich.cells import cell_len
@@ -285,3 +286,67 @@ def markdown(table: Table) -> list[str]:
         f"| {' | '.join(c)} |" for c in ([c.heading for c in table.columns], *table.texts())
     )
     return [head, "|" + "---|" * len(table.columns), *rows]
+
+
+def html(table: Table, marks: Mapping[str, str] = {}) -> str:
+    """Return a table in HTML, in which intervals have bars from 0 to the largest of their group.
+
+    Rows from one with ``line`` to the next are a group, whose name is the text of the first column.
+    ``marks``: names of CSS variables, the colours of rows with these texts.
+    """
+    cells, columns = table.texts(), list(table.columns)
+    grouped = any(row.get("line") for row in table.rows)
+    shown = columns[1:] if grouped else columns
+    kinds = ["text" if column.named or column.wrapped else "number" for column in shown]
+    body, group = list[str](), list[dict[str, Any]]()
+    for at, (row, texts) in enumerate(zip(table.rows, cells, strict=True)):
+        if row.get("line") or not at:
+            later = (i for i in range(at + 1, len(cells)) if table.rows[i].get("line"))
+            group = table.rows[at : next(later, len(cells))]
+            if grouped:
+                body.append(
+                    f'<tr><th class="group" scope="rowgroup" colspan="{len(shown)}">'
+                    f"{escape(texts[0])}</th></tr>"
+                )
+        colour = next((marks[text] for text in texts if text in marks), "")
+        style = f' style="--c:var(--{colour})"' if colour else ""
+        part = f"{texts[0].strip()}: " if grouped and row.get("dim") else ""
+        inner = []
+        for column, kind, text in zip(shown, kinds, texts[grouped:], strict=True):
+            dot = f'<i class="dot" style="--c:var(--{marks[text]})"></i>' if text in marks else ""
+            name = part if column is shown[0] else ""
+            bar = _bar(row, column, group) if kind == "number" else ""
+            inner.append(f'<td class="{kind}">{dot}{escape(name + text)}{bar}</td>')
+        body.append(f'<tr class="{"part" * bool(row.get("dim"))}"{style}>{"".join(inner)}</tr>')
+    title = f'<p class="note">{escape(table.title)}</p>' if table.title else ""
+    head = "".join(
+        f'<th scope="col" class="{kind}">{escape(column.heading)}</th>'
+        for column, kind in zip(shown, kinds, strict=True)
+    )
+    notes = "".join(f'<p class="note">{escape(note)}</p>' for note in table.notes)
+    return (
+        f'{title}<div class="wide" tabindex="0" role="region" aria-label="{escape(table.title)}">'
+        f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table></div>{notes}"
+    )
+
+
+def _bar(row: Mapping[str, Any], column: Column, group: Sequence[Mapping[str, Any]]) -> str:
+    """Return the bar of an interval; an empty one where another row of the group has one."""
+    found = [one for other in group if isinstance(one := other.get(column.key), Mapping)]
+    ends = [0.0, *(one[k] for one in found for k in ("mean", "low", "high") if one[k] is not None)]
+    low, high, value = min(ends), max(ends), row.get(column.key)
+    if not found or low == high:
+        return ""
+    parts = []
+    if isinstance(value, Mapping):
+
+        def at(number: float) -> str:
+            return f"{4 + 92 * (number - low) / (high - low):.1f}%"
+
+        if low < 0:
+            parts.append(f'<line class="zero" x1="{at(0)}" x2="{at(0)}" y1="0" y2="100%"/>')
+        if value["low"] is not None and value["high"] is not None:
+            interval = f'x1="{at(value["low"])}" x2="{at(value["high"])}"'
+            parts.append(f'<line {interval} y1="50%" y2="50%"/>')
+        parts.append(f'<circle cx="{at(value["mean"])}" cy="50%" r="3.5"/>')
+    return f'<svg class="bar" aria-hidden="true">{"".join(parts)}</svg>'

@@ -63,7 +63,7 @@ def blocks(language: str, text: str = TEXT) -> list[str]:
 
 def saved() -> dict[str, str]:
     """Return the files that a reader is asked to save, name → text."""
-    return dict(re.findall(r"Save this as `([\w.]+)`:\n\n```\w+\n(.*?)^```", TEXT, _BLOCK))
+    return dict(re.findall(r"[Ss]ave this as `([\w.]+)`:\n\n```\w+\n(.*?)^```", TEXT, _BLOCK))
 
 
 def commands(text: str = TEXT) -> list[list[str]]:
@@ -147,6 +147,8 @@ def with_budget(command: list[str]) -> list[str]:
         return [*command, *quick, *few, *trials, *own]
     if "--draws" in command:
         return re.sub(r"--draws \d+", "--draws 2", " ".join(command)).split()
+    if command[0] in ("watch", "demo"):
+        return [*command, "--terminal", "--episodes", "1"]
     if command[:2] == ["export", "mcap"]:
         return [*command, *SPARSE]
     if command[0] == "bench":
@@ -181,7 +183,7 @@ MAKERS = {
     for command in reversed(commands())
     for option, word in pairwise(["", *command])
     for name in [word.removeprefix("hydra.run.dir=")]
-    if command[1] in ("train", "export", "robot") or option == "--record"
+    if command[1] in ("train", "eval", "map", "export", "robot") or option == "--record"
     if name != FIRST and (option in ("--output", "--record") or name != word)
 } | {f"{command[3]}.py": command for command in commands() if command[1] == "new"}
 """What a command writes → the first that writes it."""
@@ -214,9 +216,10 @@ def test_every_command_that_is_shown_runs(command: list[str], folder: Path) -> N
 
 def run(command: list[str], folder: Path) -> None:
     """Run a command, and before it those that write what it reads."""
-    for word in command[1:]:
-        maker = MAKERS.get(word.rpartition("=")[2], command)
-        if maker != command and not (folder / word.rpartition("=")[2]).exists():
+    for option, word in pairwise(command):
+        name = word.rpartition("=")[2]
+        maker = command if option in ("--output", "--record") else MAKERS.get(name, command)
+        if maker != command and not (folder / name).exists():
             run(maker, folder)
     done = call(*smaller(command[1:]), cwd=folder)
     assert done.code == 0, done.err

@@ -16,7 +16,9 @@ from flipperctl.cli.main import app
 
 ROOT = Path(__file__).parents[1]
 NAMES = ("README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md")
+POLICIES = ROOT / "flipperctl" / "policies"
 PAGES = [*(ROOT / name for name in NAMES), *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES += sorted(POLICIES.glob("*.md"))
 MEAN, MOST = 18, 35
 """Words of a sentence: largest mean of a page, and largest number of one [-]."""
 CHANGELOG_LINES = 150
@@ -46,7 +48,7 @@ def sentences(text: str) -> list[str]:
     """Return the sentences of a Markdown text; a piece of code is one word."""
     found = []
     for paragraph in paragraphs(text):
-        words = re.sub(r"`[^`]+`", "code", _LINK.sub(r"\1", paragraph))
+        words = re.sub(r"`[^`]+`", "`code`", _LINK.sub(r"\1", paragraph))
         found += [part.strip() for part in _END.split(words)]
     return [sentence for sentence in found if re.search(r"\w", sentence)]
 

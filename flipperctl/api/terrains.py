@@ -20,7 +20,7 @@ class Published:
     """What someone measured on a terrain at its defaults, for ``eval`` to show beside its own."""
 
     source: str
-    """Who measured it, in a word or two."""
+    """Who measured it, and with what, in a word or two."""
     conditions: str
     """The ``conditions=`` that repeat the experiment; under others nothing is shown."""
     t_cost: float
@@ -35,8 +35,8 @@ class Terrain(Plugin, ABC):
     """Generates the ground of an episode."""
 
     kind: ClassVar[str] = "terrain"
-    published: ClassVar[Published | None] = None
-    """Published results on this terrain, if there are any."""
+    published: ClassVar[tuple[Published, ...]] = ()
+    """Published results on this terrain, all of one experiment."""
 
     @abstractmethod
     def generate(self, rng: np.random.Generator) -> Profile:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -128,6 +130,7 @@ def evaluate(
         progress=progress,
         planned=progress.plan,
         tell=print_note,
+        typed=shlex.join(["flipperctl", *sys.argv[1:]]),
     )
 
 
@@ -256,9 +259,9 @@ def compare(
 ) -> None:
     """Compare methods over their training seeds, from folders that eval --output wrote.
 
-    A failed episode counts as the roughest crossing of its scene, but --price at least. --against
-    all compares every pair; --output writes the table of methods for LaTeX. flipperctl plot draws
-    figures of the same folders.
+    A failed episode counts as the roughest crossing of its scene, but --price at least. Compare
+    every pair with --against all, and write the table for LaTeX with --output. Figures of the same
+    folders are drawn by flipperctl plot.
 
     [bold]Examples[/]
 

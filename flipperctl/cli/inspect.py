@@ -32,9 +32,9 @@ def plugins(
 ) -> None:
     """List every registered plugin: its source, and its fields with default, bounds and unit.
 
-    With [bold]--check[/], run the conformance suite on them instead: terrains at every bound,
-    rewards on recorded episodes of every outcome, networks including their ONNX export, controllers
-    within a time limit, signs, frames, units and timing of engines and sensors.
+    With [bold]--check[/], run the conformance suite on them instead. It tries terrains at every
+    bound, rewards on recorded episodes of every outcome, networks with their ONNX export, and
+    controllers within a time limit. Of engines and sensors it probes signs, frames and units.
 
     [bold]Examples[/]
 
@@ -127,8 +127,8 @@ def checkpoint(
     equal runs, whatever versions of the packages wrote them.
 
     With [bold]--check[/], probe signs, frames, units and timing with the file's robot and
-    observation: in two engines the robot drives on level ground, raises and lowers each pair of
-    flippers, and drives up a ramp; the sensor measures a step. Actions, targets and period of an
+    observation. In two engines the robot drives on level ground, raises and lowers each pair of
+    flippers, and drives up a ramp. The sensor measures a step. Actions, targets and period of an
     exported .onnx file are compared with that robot, or with yours after robot.… overrides. sim=…
     names the engine that is probed beside the default one. Fail if any of it differs from the
     contract.
@@ -176,7 +176,7 @@ def checkpoint(
 
 def print_checkpoint(found: dict[str, Any], saved: Checkpoint) -> None:
     """Print a line for each part of a checkpoint (``Checkpoint.to_dict``)."""
-    from flipperctl.terminal.progress import pitch_variation_text
+    from flipperctl.terminal.progress import way_text
 
     config, state, document = found["config"], found.get("state") or {}, saved.document
     kind = "the best policy" if found["kind"] == "best" else "a whole run to resume"
@@ -197,7 +197,7 @@ def print_checkpoint(found: dict[str, Any], saved: Checkpoint) -> None:
     if best:
         lines["best"] = (
             f"at decision {best.decision}: success {best.success_rate:.1%}, "
-            f"{pitch_variation_text(best.model_dump(), 3)}, t_cost {best.t_cost:.1f} s"
+            f"{way_text(best.model_dump())}"
         )
     for name, text in lines.items():
         print(f"{name:<11}{text}")
@@ -263,8 +263,8 @@ def _print(found: dict[str, Any], picture: Path | None) -> None:
         Column("success", "success"),
         Column("pitch_variation_100hz", HEADING, 3),
         Column("pitch_variation", PAPERS_HEADING, 3),
-        Column("t_cost", "t_cost [s]", 1),
-        Column("return", "return"),
+        Column("t_cost", "time [s]", 1),
+        Column("return", "reward"),
     )
     print_table(Table(columns, rows, f"{found['run']}: {state}"), console())
     if picture is not None:

@@ -26,6 +26,9 @@ InTerminal = Annotated[
 Opens = Annotated[
     bool, typer.Option("--open/--no-open", help="Open the page in the default browser.")
 ]
+Last = Annotated[
+    int | None, typer.Option(metavar="N", min=1, help="Stop after this many episodes.")
+]
 First = Annotated[int, typer.Option(metavar="N", min=0, help="First episode.")]
 
 
@@ -38,6 +41,7 @@ def watch(
         ),
     ] = None,
     episode: First = 0,
+    episodes: Last = None,
     seed: options.Seed = None,
     port: Port = 8080,
     speed: Speed = 1.0,
@@ -77,14 +81,16 @@ def watch(
         entrants = [_failures(Path(folders[0]))]
     else:
         entrants = _entrants(names, with_flags(settings, seed=seed))
-    _show(entrants, episode, port, speed, terminal=terminal, browser=browser)
+    _show(entrants, (episode, episodes), port, speed, terminal=terminal, browser=browser)
 
 
 def demo(
+    episodes: Last = None,
     port: Port = 8080,
     speed: Speed = 1.0,
     terminal: InTerminal = False,
     browser: Opens = True,
+    plugins: options.PluginPaths = None,
 ) -> None:
     """Watch the shipped policy and a rule on a course of obstacles, in a browser.
 
@@ -94,11 +100,8 @@ def demo(
 
       flipperctl demo --terminal
     """
-    from flipperctl import plugins
-
-    plugins.load(())
     entrants = _entrants(["generalist", "okada"], ["terrain=course"])
-    _show(entrants, 0, port, speed, terminal=terminal, browser=browser)
+    _show(entrants, (0, episodes), port, speed, terminal=terminal, browser=browser)
 
 
 def _entrants(names: list[str], settings: list[str]) -> list[Entrant]:
@@ -158,8 +161,15 @@ def _failures(folder: Path) -> Entrant:
 
 
 def _show(
-    entrants: list[Entrant], episode: int, port: int, speed: float, *, terminal: bool, browser: bool
+    entrants: list[Entrant],
+    span: tuple[int, int | None],
+    port: int,
+    speed: float,
+    *,
+    terminal: bool,
+    browser: bool,
 ) -> None:
+    """Show episodes from the first on; ``span``: the first, and how many."""
     import sys
     import webbrowser
 
@@ -168,7 +178,7 @@ def _show(
 
         if len(entrants) > 1:
             print_note(f"--terminal shows one policy: {entrants[0].label}")
-        text.watch(entrants[0], sys.stdout, speed=speed, first=episode)
+        text.watch(entrants[0], sys.stdout, speed=speed, first=span[0], episodes=span[1])
         return
     from flipperctl.live.page import watch as serve
 
@@ -177,4 +187,4 @@ def _show(
         if browser:
             webbrowser.open(address)
 
-    serve(entrants, port=port, speed=speed, episode=episode, ready=ready)
+    serve(entrants, port=port, speed=speed, span=span, ready=ready)

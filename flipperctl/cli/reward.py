@@ -53,18 +53,15 @@ def reward(
     no information. The episodes are those of an evaluation, with conditions=… as for eval.
 
     --compare plays the same episodes with several policies (controllers, checkpoints, generalist)
-    and ranks them by return and by θ̂_R at 100 Hz. A reward contradicts θ̂_R if a policy has a
-    higher return than another although its θ̂_R is larger, and both paired differences are
-    significant (t-tests at 5 %, corrected by Holm for the number of comparisons).
-    controller.<field> applies to each compared controller with that field; eval.seed and eval.jobs
-    set the seed and the number of processes.
+    and ranks them by reward and by pitch variation. It warns if a rougher policy earns more than a
+    smoother one: both paired t-tests are significant at 5 %, corrected for all comparisons (Holm).
+    Fields of a controller (controller.<field>) apply to each compared controller that has them, and
+    eval.seed and eval.jobs set the seed and the number of processes.
 
-    --regret compares the return of a policy on its own reward with those of --against on the same
-    episodes, and says if it earns less than holding the flippers still (level). The best known
-    return is the highest of each episode; regret is what the policy lacks. All episodes count, also
-    those that did not reach the finish (--compare leaves them out), since their returns include the
-    penalty at their end. With --checkpoint, controller.<field> applies to the controllers of
-    --against.
+    --regret compares the reward of a policy with those of --against on the same episodes, and says
+    if it earns less than holding the flippers still (level). Regret is what the policy lacks to the
+    highest reward of each episode. All episodes count, failed ones too. With --checkpoint,
+    controller.<field> applies to the controllers of --against.
 
     [bold]Examples[/]
 

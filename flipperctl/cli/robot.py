@@ -93,8 +93,8 @@ def check(
 
     BAG is a bag of ROS 1 or 2, or a folder of clouds and poses.txt (see flipperctl robot ground).
     The table tells which scans are used, how much ground is seen, how certain it is and how the
-    odometry drifts. --output shows the cloud, the map, heights, faces, filled and unseen ground: a
-    film (.gif), or with --at SECONDS one instant (.png, .svg, .pdf).
+    odometry drifts. A film shows cloud, map, heights, faces, filled and unseen ground (--output
+    FILE.gif), or with --at SECONDS a picture shows one instant (.png, .svg, .pdf).
 
     OVERRIDES are the robot and the estimator, as in robot=absolem perception.pose=matched.
 
@@ -193,8 +193,8 @@ def ground(
     The points of all clouds are put into one frame by the recorded transforms or odometry, without
     those of the robot, and thinned. The command prints how to drive over them
     (terrain=profile_file). A folder has clouds (.pcd, .ply, .xyz, .npy) in the frame of the
-    chassis, and poses.txt with a line for each: 8 numbers (stamp, x, y, z, qx, qy, qz, qw), or 12
-    (the rows of [[R|t]]).
+    chassis, and poses.txt with a line for each. A line has 8 numbers (stamp, x, y, z, qx, qy, qz,
+    qw), or 12 (the rows of [[R|t]]).
 
     OVERRIDES are the robot that recorded, as in robot=absolem, whose own points are left out.
 

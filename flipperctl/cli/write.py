@@ -1,4 +1,4 @@
-"""The commands that write files for others: ``card``, ``export`` and ``new``."""
+"""The commands that write files for others: ``card``, ``report``, ``export`` and ``new``."""
 
 from __future__ import annotations
 
@@ -56,6 +56,35 @@ def card(
     else:
         write_bytes(output, text.encode())
         print_note(f"wrote {output}")
+
+
+def report(
+    results: Annotated[Path, typer.Argument(metavar="RESULTS", help="A folder of eval --output.")],
+    output: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE.html", help="The report, else report.html in the folder."),
+    ] = None,
+    plugins: options.PluginPaths = None,
+) -> None:
+    """Write the report of an evaluation: words, tables, failures and a player, in one HTML file.
+
+    The file needs no network and no other file. eval --output writes it, too; this command writes
+    it again, or for results of an earlier evaluation.
+
+    [bold]Examples[/]
+
+      flipperctl eval generalist terrain=stair,ramp --output evaluated
+
+      flipperctl report evaluated --output report.html
+    """
+    from flipperctl.evaluation.report import FILE, REPORT, write
+    from flipperctl.files import check_output
+
+    path = output or results / FILE
+    if output is not None or path.exists():
+        check_output(path, REPORT)
+    write(results, path)
+    print_note(f"wrote {path}")
 
 
 def evaluation_commands(policy: Path, file: Path, results: Sequence[Path]) -> list[str]:

@@ -267,11 +267,15 @@ def policy_notes(
             for name, there, ours in differences(before[section], here[section], section)
             if there is not ABSENT and not {section, name} & set(keys)
         ]
-        more = f" and {len(texts) - _SHOWN} more settings" if len(texts) > _SHOWN else ""
-        if texts:
+        if len(texts) > _SHOWN:
             lines[
-                f"{path}: trained with {', '.join(texts[:_SHOWN])}{more}, evaluated with the "
-                f"values in brackets; conditions={TRAINED} keeps those of the training"
+                f"{path}: nominal conditions; its training had others ({len(texts)} settings; "
+                f"conditions={TRAINED} keeps them)"
+            ] = None
+        elif texts:
+            lines[
+                f"{path}: trained with {', '.join(texts)}, evaluated with the values in brackets "
+                f"(conditions={TRAINED} keeps those of the training)"
             ] = None
     yield from lines
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from flipperctl.checkpoint import recording
 from flipperctl.config.identity import content_digest
 from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
-from flipperctl.evaluation import replay, traces
+from flipperctl.evaluation import replay, report, traces
 from flipperctl.evaluation.conditions import scene_names
 from flipperctl.evaluation.evaluate import Played, Result, evaluate
 from flipperctl.evaluation.plan import BEST_KNOWN, Entry, Plan
@@ -58,12 +58,14 @@ def run(
     progress: Progress = no_progress,
     planned: Callable[[int], None] = lambda episodes: None,
     tell: Callable[[str], None] = lambda text: None,
+    typed: str = "",
 ) -> tuple[Result, Document]:
     """Evaluate a plan, show the results and write the outputs; return the results.
 
     ``references``: see ``evaluate``. ``by``: drawn numbers that make groups. ``outputs``: paths of
     ``folder``, ``film`` and ``record``. ``show`` is called with the results before they are
     written, so that a full disk does not lose them; ``tell`` with a line for each output.
+    ``typed``: the command, for the report.
     """
     with ExitStack() as stack:
         written = _Files(plan, stack, tell, **outputs)
@@ -81,7 +83,7 @@ def run(
             result = engines.explained(result)
         if plan.with_best_known:
             result = with_best_known(result, written.store)
-        document = view.document(result, by)
+        document = view.document(result, by) | ({"command": typed} if typed else {})
         try:
             show(result, document)
         finally:  # files are written even if the pipe is closed
@@ -190,7 +192,10 @@ class _Files:
         if folder is not None:
             names = [*NAMES, *self._pictures, "failure_*.json"]
             names += [] if (folder / FOLDER).is_dir() else [VIEW]
-            self._folder = stack.enter_context(result_folder(folder, "eval", names, [VIEW]))
+            summed = [VIEW, report.FILE]
+            if (folder / report.FILE).exists():
+                check_output(folder / report.FILE, report.REPORT)
+            self._folder = stack.enter_context(result_folder(folder, "eval", names, summed))
             self.store = FolderStore(folder / FOLDER, tell)
 
     def write(self, result: Result, document: Document) -> None:
@@ -216,6 +221,7 @@ class _Files:
             self._traces.write(part / traces.FILE)
 
         lost = _lost_rows(path, document)
+        (path / report.FILE).unlink(missing_ok=True)  # until the new one is complete
         self._folder.replace(write, [] if result.interruption else self._later)
         write_view(path)
         self._tell(f"saved to {path}")
@@ -258,9 +264,11 @@ class _Files:
             if self._folder is not None:
                 files = [self._folder.path / name for name in self._pictures]
                 entries = self._plan.rows if files else []
+                folder = self._folder.path
                 _attempt(
                     lambda: self._traces.record(progress, stop),
                     lambda: self._traces.draw(dict(zip(files, entries, strict=True))),
+                    lambda: report.write(folder, folder / report.FILE),
                 )
 
         def film() -> None:

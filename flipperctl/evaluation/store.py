@@ -37,6 +37,8 @@ FOLDER, VIEW = "cells", "cells.csv"
 _BLOCK, _FAILED = ".jsonl", ".failed.json"
 _VIEWED = ("controller", "training_seed", "scene", "conditions", "conditions_hash", "engine")
 """Entries of a block's header that the table of all episodes repeats."""
+_TOLD = {"controller", "conditions_hash", "policy", "training_seed", "versions"}
+"""Entries that the header of every block has, and of which readers make use."""
 _LONG, _SHORT = 16, 8  # digits of the hashes within a key
 _LIBRARIES = ("numpy", "torch")
 _GIT_PATIENCE = 5.0  # [s]
@@ -281,17 +283,26 @@ class PlayedPolicy:
     """Settings in which the trainings of its method agree; None for a rule or an exported file."""
 
 
-def played_policies(folder: Path) -> dict[tuple[str, str], set[PlayedPolicy]]:
-    """Return the policies whose blocks lie in a folder, by label and hash of the conditions."""
-    found: dict[tuple[str, str], set[PlayedPolicy]] = {}
+def headers(folder: Path) -> Iterator[dict[str, Any]]:
+    """Yield the header of each block in a folder, without those of damaged files."""
     for file in sorted(folder.glob(f"*{_BLOCK}")):
         try:
             with file.open() as lines:
                 header = json.loads(lines.readline())
-            key = header["controller"], header["conditions_hash"]
-            policy = PlayedPolicy(header["policy"], header["training_seed"], header.get("training"))
+            if {"controller", "conditions_hash", "policy", "training_seed", "versions"} <= set(
+                header
+            ):
+                yield header
         except _DAMAGE:
             continue  # an evaluation says so
+
+
+def played_policies(folder: Path) -> dict[tuple[str, str], set[PlayedPolicy]]:
+    """Return the policies whose blocks lie in a folder, by label and hash of the conditions."""
+    found: dict[tuple[str, str], set[PlayedPolicy]] = {}
+    for header in headers(folder):
+        key = header["controller"], header["conditions_hash"]
+        policy = PlayedPolicy(header["policy"], header["training_seed"], header.get("training"))
         found.setdefault(key, set()).add(policy)
     return found
 

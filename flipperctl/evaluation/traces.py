@@ -14,11 +14,12 @@ import numpy as np
 
 from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
 from flipperctl.evaluation.evaluate import Played, Result
+from flipperctl.evaluation.names import names
 from flipperctl.evaluation.plan import Entry
 from flipperctl.evaluation.play import EpisodeRunner, Progress
 from flipperctl.evaluation.replay import risks
 from flipperctl.evaluation.rows import DIGEST, Row
-from flipperctl.evaluation.views.summary import Document, named, short
+from flipperctl.evaluation.views.summary import Document, named
 from flipperctl.rollout.trace import Trace, read, write
 
 FILE = "traces.npz"
@@ -53,17 +54,20 @@ def choose(result: Result, document: Document) -> list[Chosen]:
     first: dict[_Key, Chosen] = {}
     failed: dict[_Key, Chosen] = {}
 
-    def add(one: Played, scene: str) -> None:
+    def add(one: Played, scene: str, policy: str) -> None:
         if one.entry.stored:  # another evaluation's policy, which may not be here
             return
-        name = short(one.entry.named)
         for found, rows in ((first, one.episodes[:1]), (failed, one.episodes.failed[:FAILURES])):
-            chosen = [Chosen(one.entry, row, name, scene) for row in rows]
+            chosen = [Chosen(one.entry, row, policy, scene) for row in rows]
             found.update({c.key: c for c in chosen if c.key not in first})
 
-    for (scene, _), one in zip(named(document), result.rows, strict=True):
-        for played in (one, *([] if result.plan.has_methods else result.baselines(one))):
-            add(played, scene)
+    scenes = named(document)
+    called = names([scene.get("method") or scene["controller"] for _, scene in scenes])
+    for (scene, told), one in zip(scenes, result.rows, strict=True):
+        seed = f", seed {told['training_seed']}" if "training_seed" in told else ""
+        add(one, scene, called[told.get("method") or told["controller"]] + seed)
+        for other in [] if result.plan.has_methods else result.baselines(one):
+            add(other, scene, other.entry.label)
     return [*first.values(), *failed.values()][:MOST]
 
 

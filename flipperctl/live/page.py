@@ -342,15 +342,18 @@ def watch(
     *,
     port: int,
     speed: float,
-    episode: int = 0,
+    span: tuple[int, int | None] = (0, None),
     ready: Callable[[str], None],
 ) -> None:
-    """Serve the page until Ctrl-C; ``ready`` is called with its address."""
+    """Serve the page until Ctrl-C; ``ready`` is called with its address.
+
+    ``span``: the first episode, and how many are shown; None: one after the other.
+    """
     server = serve(port)
-    page = WatchPage(server, entrants, speed=speed, episode=episode)
+    page = WatchPage(server, entrants, speed=speed, episode=span[0])
     ready(f"http://{server.get_host()}:{server.get_port()}")
     try:
-        page.run()
+        page.run(span[1])
     finally:
         with redirect_stdout(io.StringIO()):
             server.stop()

@@ -202,6 +202,8 @@ def read(path: Path) -> list[Trace]:
         RequestError: there is no such file, it is damaged, or another version wrote it.
     """
     try:
+        with zipfile.ZipFile(path):  # else numpy takes it for a pickle, and advises to trust it
+            pass
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
             document = json.loads(file["header"].tobytes())
             if document["format"] != FORMAT:

@@ -31,10 +31,11 @@ class _Cell:
     """One output of the cell that runs: a bar, and lines below it."""
 
     def __init__(self, unit: str) -> None:
-        from IPython.display import display
+        from IPython import display
 
+        show: Any = display.display  # without annotations
         self._unit, self._shown = unit, 0.0
-        self._handle: Any = display({"text/plain": ""}, raw=True, display_id=True)
+        self._handle: Any = show({"text/plain": ""}, raw=True, display_id=True)
 
     def bar(
         self, done: float, total: int, state: str, below: Sequence[str] = (), *, now: bool = False

@@ -15,15 +15,8 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 
 from flipperctl.show import console
 
-HEADING, PAPERS_HEADING = "θ̂_R [rad]", "θ̂_R at decisions [rad]"
+HEADING, PAPERS_HEADING = "pitch variation [rad]", "at decisions [rad]"
 """Headings of the two columns in tables, in this order."""
-
-
-def pitch_variation_text(measures: Mapping[str, Any], digits: int) -> str:
-    """Return both θ̂_R of a validation, as in ``θ̂_R 1.30 rad (1.12 at decisions)``."""
-    papers, at_100hz = measures["pitch_variation"], measures["pitch_variation_100hz"]
-    return f"θ̂_R {at_100hz:.{digits}f} rad ({papers:.{digits}f} at decisions)"
-
 
 _PLAIN_EVERY = 10.0  # [s] between two lines where there is no terminal
 _KNOWN_AFTER = 3.0  # [s] after the first episode, before which compilation and workers start
@@ -127,7 +120,7 @@ def validation_text(row: Mapping[str, Any]) -> str:
     """Return a validation in one line."""
     return (
         f"validation at {row['decision']}: success {row['success_rate']:.0%}, {way_text(row)}, "
-        f"return {row['mean_return']:.2f}"
+        f"reward {row['mean_return']:.2f}"
     )
 
 
@@ -135,7 +128,8 @@ def way_text(validation: Mapping[str, Any]) -> str:
     """Return the means of the episodes of a validation that reached the finish."""
     if not validation["success_rate"]:
         return "no finish reached"
-    return f"{pitch_variation_text(validation, 2)}, {validation['t_cost']:.1f} s"
+    variation = validation["pitch_variation_100hz"]
+    return f"pitch variation {variation:.2f} rad, {validation['t_cost']:.1f} s"
 
 
 def state_text(row: Mapping[str, Any], rate: float | None) -> str:

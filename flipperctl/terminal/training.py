@@ -36,12 +36,13 @@ def print_best(run: Finished) -> None:
     longer = f"train.decisions={2 * run.summary['decisions']}"
     again = f"Longer:   {command('train', '--resume', run.directory, longer)}\n"
     print_note(
-        f"\nBest validation at decision {best['decision']}: success {best['success_rate']:.0%}, "
-        f"{way_text(best)}, return {best['mean_return']:.2f}. "
-        f"{run.summary['decisions']} decisions in {run.summary['seconds']:.0f} s.\n"
+        f"\nTrained {run.summary['decisions']} decisions in {run.summary['seconds']:.0f} s.\n"
+        f"Best validation, at decision {best['decision']}: success {best['success_rate']:.0%}, "
+        f"{way_text(best)}, reward {best['mean_return']:.2f}.\n"
         f"{_risk_line(best)}{regret.line(found)}"
         f"{again if regret.falls_short(found) else ''}"
-        f"Evaluate: {command('eval', '--checkpoint', run.directory)}\n"
+        f"Watch:    {command('watch', run.directory)}\n"
+        f"Evaluate: {command('eval', run.directory)}\n"
         f"Export:   {command('export', 'onnx', '--checkpoint', run.directory)}"
     )
 

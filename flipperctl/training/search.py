@@ -466,5 +466,5 @@ class _Search:
         settings = " ".join(f"{key}={value}" for key, value in best.params.items())
         self.tell(
             f"\nBest of {len(self._finished())} trials: {settings}, objective {best.value:.5f}.\n"
-            f"Evaluate: {command('eval', '--checkpoint', run)}"
+            f"Evaluate: {command('eval', run)}"
         )

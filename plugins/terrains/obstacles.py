@@ -170,7 +170,10 @@ class CurbAndRamp(Drawn):
 class PaperStep(Step):
     """Step 0.4 m up, 3 m of platform, 0.4 m down; 5 m with the margins (paper Tab. I)."""
 
-    published: ClassVar[Published | None] = Published("paper", "paper", 28.07, 3.43, 1.11)
+    published: ClassVar[tuple[Published, ...]] = (
+        Published("AT-D3QN (paper)", "paper", 28.07, 3.43, 1.11),
+        Published("operators (paper)", "paper", 46.17, 4.02, 2.92),
+    )
 
     low: float = Field(0.4, ge=-1, le=1, description="smallest height; negative leads down [m]")
     platform: float = Field(

@@ -207,7 +207,10 @@ class PaperStair(Stair):
     The paper (Tab. I) gives the total length and the steps, which leave 2 m for the platform.
     """
 
-    published: ClassVar[Published | None] = Published("paper", "paper", 41.21, 4.53, 2.60)
+    published: ClassVar[tuple[Published, ...]] = (
+        Published("AT-D3QN (paper)", "paper", 41.21, 4.53, 2.60),
+        Published("operators (paper)", "paper", 76.53, 6.30, 3.88),
+    )
 
     fewest: int = Field(6, ge=1, le=50, description="smallest number of steps [-]")
     most: int = Field(6, ge=1, le=50, description="largest number of steps [-]")

@@ -45,7 +45,7 @@ def test_train_stops_by_ctrl_c_and_resumes_to_every_promised_file(
 
     done = call(*resume, "train.decisions=200", "train.best_by=return", cwd=tmp_path)
     assert done.code == 0, done.err
-    assert f"flipperctl eval --checkpoint {run.relative_to(tmp_path)}" in done.err
+    assert f"flipperctl eval {run.relative_to(tmp_path)}" in done.err
     found = {str(p.relative_to(run)) for p in run.rglob("*") if p.is_file()}
     promised = {"config.yaml", "metrics.csv", "summary.json", checkpoint.BEST, checkpoint.LAST}
     assert set(map(str, promised)) <= found

@@ -65,7 +65,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     done = call("train", *words, *QUICK, *ALL, cwd=folder)
     assert done.code == 0, done.err
     typed = "--plugins 'my plugins' --plugins calm.py --plugins mine.py"
-    assert f"Evaluate: flipperctl eval --checkpoint run {typed}\n" in done.err
+    assert f"Evaluate: flipperctl eval run {typed}\n" in done.err
     assert f"Export:   flipperctl export onnx --checkpoint run {typed}\n" in done.err
     refused = call("train", *words, *QUICK, *ALL, cwd=folder)
     assert refused.code == 2

@@ -33,7 +33,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("whole")
     done = call("train", *QUICK, "hydra.run.dir='a run'", cwd=folder)
     assert done.code == 0, done.err
-    assert "flipperctl eval --checkpoint 'a run'\n" in done.err
+    assert "flipperctl eval 'a run'\n" in done.err
     return folder / "a run"
 
 

@@ -150,7 +150,7 @@ def test_a_search_that_was_killed_goes_on_with_the_same_command(folder: Path) ->
     (moved / "sweep.csv").unlink()
     done = sweep(folder, *command, "hydra.sweep.dir=moved")
     assert done.code == 0, done.err
-    assert "Evaluate: flipperctl eval --checkpoint moved/" in done.err
+    assert "Evaluate: flipperctl eval moved/" in done.err
     assert str(moved) in (moved / "optimization_results.yaml").read_text()
     assert states(moved) == ["0 finished", "1 finished"]
 

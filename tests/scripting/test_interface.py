@@ -73,7 +73,9 @@ def test_an_evaluation_is_that_of_the_command(shown: tuple[Path, dict[str, Any]]
     folder, names = shown
     words = ["terrain=stair,step", "--episodes", "2", "--baseline", "level", "--json"]
     done = call("eval", "--checkpoint", str(names["run"].directory), *words, cwd=folder)
-    assert names["result"].to_dict() == json.loads(done.out)
+    found = json.loads(done.out)
+    assert found.pop("command").startswith("flipperctl ")  # the words that were typed
+    assert names["result"].to_dict() == found
 
 
 def test_a_run_has_its_files_and_its_metrics(shown: tuple[Path, dict[str, Any]]) -> None:

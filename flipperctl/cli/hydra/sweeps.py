@@ -43,7 +43,7 @@ _COLUMNS = (
     Column("success", "success"),
     Column("pitch_variation_100hz", HEADING, 3),
     Column("pitch_variation", PAPERS_HEADING, 3),
-    Column("t_cost", "t_cost [s]", 1),
+    Column("t_cost", "time [s]", 1),
     Column("decisions", "decisions"),
     Column("seconds", "seconds", 0),
     Column("folder", "folder", named=True),

@@ -269,11 +269,11 @@ def seed_warnings(found: Document) -> Iterator[str]:
     if alone := [called[one["method"]] for one in trained if one["seeds"] == 1]:
         yield (
             f"One training seed: {', '.join(alone)}. The interval is over episodes alone, and says "
-            "nothing of other trainings (docs/training_seeds.md)."
+            "nothing of other trainings (docs/comparing.md)."
         )
     if few := [one for one in trained if 1 < one["seeds"] < 5]:
         counts = ", ".join(f"{called[one['method']]} {one['seeds']}" for one in few)
         yield (
             f"Few training seeds: {counts}; report 5 or more. One bad seed could change these "
-            "numbers (docs/training_seeds.md)."
+            "numbers (docs/comparing.md)."
         )

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from flipperctl.api import Outcome, Terrain
-from flipperctl.config import EvalConfig, resolver, to_dict
+from flipperctl.api import Outcome, Terrain, registry
+from flipperctl.config import EvalConfig, to_dict
 from flipperctl.config.words import check_different
 from flipperctl.env.ground import generate_profile
 from flipperctl.env.metrics import heading, other_measures
@@ -157,7 +157,7 @@ def tables(found: Document, title: str, columns: Sequence[str] = ()) -> Iterator
     ``title`` names what was evaluated; ``columns``: further ones, of ``known_columns``.
     """
     table = policies(found, title, columns)
-    rows = list(_difference_rows(found, "scene" in {column.key for column in table.columns}))
+    rows = list(difference_rows(found, "scene" in {column.key for column in table.columns}))
     if 0 < len(rows) <= _LINES and not any(row["scene"] for row in rows):
         table.notes += [
             _sentence(row, several=len({r["policy"] for r in rows}) > 1) for row in rows
@@ -182,7 +182,7 @@ def tables(found: Document, title: str, columns: Sequence[str] = ()) -> Iterator
 
 def policies(found: Document, title: str, columns: Sequence[str] = ()) -> Table:
     """Return a row for each policy and baseline on each scene, methods pooled over their seeds."""
-    rows = list(_rows(found))
+    rows = list(policy_rows(found))
     scenes = dict.fromkeys(row["scene"] for row in rows)
     single = len(scenes) == 1 and not any(row.get("dim") for row in rows)
     several = len({row["policy"] for row in rows}) > 1 or any(
@@ -239,7 +239,7 @@ def _policies(found: Document) -> Iterator[tuple[str, str, Document]]:
         shown.add(key)
 
 
-def _rows(found: Document) -> Iterator[Row]:
+def policy_rows(found: Document) -> Iterator[Row]:
     """Yield the rows of the table of policies; parts of a mix are dim."""
     for name, policy, one in _policies(found):
         seeds = f" ({one['seeds']} seeds)" if "seeds" in one else ""
@@ -264,6 +264,7 @@ def _row(name: str, policy: str, found: Document) -> Row:
         "success_text": rate_text(found["success"]),
         "failures": ", ".join(failures),
         "passable_text": rate_text(passable) if passable else "",
+        "counts": outcomes,
         "outcomes": " ".join(f"{name} {n}" for name, n in outcomes.items() if n),
         "not_reached_variation": (found.get("not_reached") or {}).get("pitch_variation_100hz"),
         "search": _search_text(found.get("search", {})),
@@ -315,7 +316,7 @@ def parse_columns(text: str | None) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-def _difference_rows(found: Document, with_scene: bool) -> Iterator[Row]:
+def difference_rows(found: Document, with_scene: bool = True) -> Iterator[Row]:
     """Yield a row for each difference of a policy to a baseline."""
     for name, policy, one in _policies(found):
         for other in compared(one):
@@ -369,36 +370,55 @@ def _group_row(group: Mapping[str, Any]) -> dict[str, Any]:
     return {**group, **drawn, **gaps, "success_text": rate_text(group["success"])}
 
 
-def published(found: Document) -> Table | None:
-    """Return our results beside published ones; None if no scene repeats their experiment."""
-    rows: list[Row] = []
+def published(found: Document, *, strict: bool = True) -> Table | None:
+    """Return our results above published ones; None if no scene repeats their experiment.
+
+    ``strict``: only under their conditions; else a note tells which these are.
+    """
+    scenes: dict[type[Terrain], list[Row]] = {}
+    others: dict[str, None] = {}
     for scene in found["scenes"]:
-        terrain = resolver.get("terrain", scene["terrain"], "terrain")
-        assert issubclass(terrain, Terrain)
-        known, conditions = terrain.published, scene["conditions"]
-        own = {"name": scene["terrain"], **to_dict(terrain())}
-        if not known or known.conditions != conditions["name"] or conditions["terrain"] != own:
+        terrain, conditions = registry.get(("terrain", scene["terrain"])), scene["conditions"]
+        if terrain is None or not (issubclass(terrain, Terrain) and terrain.published):
             continue
-        variation = scene["pitch_variation"] or {}
-        rows += [
+        repeated = terrain.published[0].conditions == conditions["name"]
+        own = {"name": scene["terrain"], **to_dict(terrain())}
+        if conditions["terrain"] != own or not (repeated or not strict):
+            continue
+        if not repeated:
+            others[conditions["name"]] = None
+        rows = scenes.setdefault(terrain, [])
+        for one in (scene, *([] if "method" in scene else compared(scene))):
+            variation = one["pitch_variation"] or {}
+            rows.append(
+                {
+                    "policy": short(scene.get("method") or one["controller"]),
+                    "success": rate_text(one["success"]),
+                    "time": (one["t_cost"] or {}).get("mean"),
+                    "variation": variation.get("mean"),
+                    "range": variation.get("range"),
+                }
+            )
+    table = Table(_PUBLISHED, [], "Beside published results, where reached")
+    for terrain, rows in scenes.items():
+        theirs = [
             {
-                "terrain": scene["terrain"],
-                "policy": short(scene.get("method") or scene["controller"]),
-                "success": rate_text(scene["success"]),
-                "time": (scene["t_cost"] or {}).get("mean"),
-                "variation": variation.get("mean"),
-                "range": variation.get("range"),
-            },
-            {
-                "terrain": "",
-                "policy": known.source,
+                "policy": one.source,
                 "success": "",
-                "time": known.t_cost,
-                "variation": known.pitch_variation,
-                "range": known.pitch_variation_range,
-            },
+                "time": one.t_cost,
+                "variation": one.pitch_variation,
+                "range": one.pitch_variation_range,
+            }
+            for one in terrain.published
         ]
-    return Table(_PUBLISHED, rows, "Beside published results, where reached") if rows else None
+        every = [{"terrain": "", "line": False, **row} for row in (*rows, *theirs)]
+        table.rows += [every[0] | {"terrain": terrain.plugin_name, "line": True}, *every[1:]]
+    if others:
+        word = next(iter(scenes)).published[0].conditions
+        table.notes.append(
+            f"Played with conditions={','.join(others)}; conditions={word} repeats the experiment."
+        )
+    return table if table.rows else None
 
 
 def print_result(result: Result, found: Document, columns: Sequence[str] = ()) -> None:

@@ -216,8 +216,8 @@ def _named(scenes: Sequence[Document]) -> Iterator[tuple[str, Document]]:
 def line(found: Mapping[str, Any] | None) -> str:
     """Return lines on a training's best policy beside the rules, as in its ``summary.json``.
 
-    The first is on their rewards, the second on what ``eval`` shows, which may differ in sign. Each
-    ends with a line break; the text is empty if nothing was measured.
+    The first two are on their rewards, the last two on what ``eval`` shows, which may differ in
+    sign. Each ends with a line break; the text is empty if nothing was measured.
     """
     if found is None:
         return ""
@@ -227,9 +227,11 @@ def line(found: Mapping[str, Any] | None) -> str:
         for name, one in found["references"].items()
     )
     rewards = "; ".join([f"reward {own['mean']:.2f}", *rules])
+    verdict = Verdict(found["verdict"])
+    be = "is " if verdict is Verdict.UNDECIDED else ""
     return (
-        f"Check on {found['episodes']} new episodes: {rewards}. "
-        f"The policy {_WORDS[Verdict(found['verdict'])]} ({interval_text(above, sign='+')}).\n"
+        f"Check on {found['episodes']} new episodes: {rewards}.\n"
+        f"The policy {be}{_WORDS[verdict]} ({interval_text(above, sign='+')}).\n"
         f"{_level_line(found)}"
     )
 
@@ -244,20 +246,20 @@ def falls_short(found: Mapping[str, Any] | None) -> bool:
 
 
 def _level_line(found: Mapping[str, Any]) -> str:
-    """Return a line on success and θ̂_R beside holding still; empty if they were not measured."""
+    """Return a line on success and pitch variation beside holding still, if they were measured."""
     own, level = found["policy"], found["references"].get(LEVEL)
     if level is None:
         return ""
     told = []
-    for name, one in (("the policy", own), (LEVEL, level)):
-        theta = "" if one[_PITCH] is None else f", θ̂_R {one[_PITCH]:.2f} rad"
-        told.append(f"{name} success {one['success_rate']:.0%}{theta}")
-    line = f"On the same episodes: {'; '.join(told)}"
+    for words, one in ((", pitch variation", own), (",", level)):
+        variation = "" if one[_PITCH] is None else f"{words} {one[_PITCH]:.2f} rad"
+        told.append(f"{one['success_rate']:.0%}{variation}")
+    line = f"On the same episodes: success {told[0]} (flippers held still: {told[1]})"
     if (above := own["pitch_above_level"]) is not None:
-        words = f"not shown to pitch less than {_STILL}"
+        words = f"is not shown to pitch less than {_STILL}"
         if above["low"] is not None and round(above["low"], 2) > 0:  # as it is shown
             words = f"PITCHES MORE THAN {_STILL.upper()}"
         elif above["high"] is not None and round(above["high"], 2) < 0:
             words = f"pitches less than {_STILL}"
-        line += f"; {words}, difference {interval_text(above, sign='+')} rad where both reached"
+        line += f".\nIt {words} ({interval_text(above, sign='+')} rad where both reached)"
     return f"{line}.\n"

@@ -31,7 +31,7 @@ def my(tmp_path: Path) -> Path:
 def test_the_folder_of_a_run_and_of_a_sweep_is_the_output(tmp_path: Path) -> None:
     one = call("train", *QUICK, "--output", "my runs/one", cwd=tmp_path)
     assert one.code == 0, one.err
-    assert "eval --checkpoint 'my runs/one'" in one.err
+    assert "eval 'my runs/one'" in one.err
     several = call("train", *QUICK, "-m", "--output", "swept", "seed=1,2", cwd=tmp_path)
     assert several.code == 0, several.err
     assert (tmp_path / "swept" / "0_seed=1" / "config.yaml").is_file()
@@ -64,7 +64,7 @@ def test_paths_start_in_the_folder_of_the_command(tmp_path: Path, my: Path) -> N
     done = call("train", *words, cwd=tmp_path)
     assert done.code == 0, done.err
     assert "hydra.job.chdir=true: the run stays in" in done.err
-    assert "flipperctl eval --checkpoint run\n" in done.err
+    assert "flipperctl eval run\n" in done.err
     assert Path.cwd() == here
 
 

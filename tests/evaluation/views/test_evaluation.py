@@ -157,9 +157,11 @@ def beside_published(*words: str) -> list[Any]:
 def test_the_papers_numbers_stand_below_ours_on_its_scenes() -> None:
     assert beside_published("conditions=paper", "terrain=paper_step,paper_stair,step") == [
         ["paper_step", "okada", "100 %", "27.50", "1.25", "0.50"],
-        ["", "paper", "", "28.07", "3.43", "1.11"],
+        ["", "AT-D3QN (paper)", "", "28.07", "3.43", "1.11"],
+        ["", "operators (paper)", "", "46.17", "4.02", "2.92"],
         ["paper_stair", "okada", "100 %", "27.50", "1.25", "0.50"],
-        ["", "paper", "", "41.21", "4.53", "2.60"],
+        ["", "AT-D3QN (paper)", "", "41.21", "4.53", "2.60"],
+        ["", "operators (paper)", "", "76.53", "6.30", "3.88"],
     ]
 
 

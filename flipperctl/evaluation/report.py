@@ -1,0 +1,585 @@
+"""The report of an evaluation: one HTML file with words, tables, failures and a player.
+
+In: a folder that ``eval --output`` wrote. Out: a page that needs nothing else, neither a request
+nor a framework. The texts, style and script around the numbers are files in ``templates``.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+
+from flipperctl.api import FloatArray, Outcome
+from flipperctl.errors import RequestError
+from flipperctl.evaluation import store, traces
+from flipperctl.evaluation.rows import Row
+from flipperctl.evaluation.stored import SUMMARY
+from flipperctl.evaluation.views import evaluation
+from flipperctl.evaluation.views.summary import Document, named, rate_text, short
+from flipperctl.files import OutputKind, write_bytes
+from flipperctl.rollout.trace import Trace, read
+from flipperctl.session import command
+from flipperctl.show import Column, Table, html
+
+FILE = "report.html"
+REPORT = OutputKind(
+    "a report", (".html",), re.compile(rb'<meta name="generator" content="flipperctl">')
+)
+MOST_FAILURES = 24
+"""Largest number of failures with a picture [-]."""
+_COLOURS = 7  # number of colours of policies in the style [-]
+_PERIOD = 2  # poses of a trace for one of the player: 10 Hz [-]
+_RULER = "level"  # the rule with which the summary compares, if it played
+_POINTS = 1500  # largest number of points of a ground [-]
+_VARIATION = "pitch_variation_100hz"
+
+
+def write(folder: Path, path: Path) -> None:
+    """Write the report of a folder of results to ``path``.
+
+    Raises:
+        RequestError: the folder holds no results, or a file of it is damaged.
+    """
+    write_bytes(path, page(folder).encode())
+
+
+def page(folder: Path) -> str:
+    """Return the report of a folder of results; see ``write``."""
+    file = folder / SUMMARY
+    try:
+        found = json.loads(file.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RequestError(
+            f"{file}: it cannot be read ({error.strerror}); a folder of flipperctl eval --output "
+            "is allowed"
+        ) from error
+    except ValueError as error:
+        raise RequestError(f"{file}: it is damaged: {error}") from error
+    recorded = read(folder / traces.FILE) if (folder / traces.FILE).exists() else []
+    try:
+        return _page(folder, found, recorded)
+    except (LookupError, TypeError, AttributeError, ValueError) as error:
+        raise RequestError(
+            f"{file}: it holds no results of eval, or those of another version; it lacks {error}"
+        ) from error
+
+
+def _page(folder: Path, found: Document, recorded: Sequence[Trace]) -> str:
+    rows = [row for row in evaluation.policy_rows(found) if not row.get("dim")]
+    policies = list(
+        dict.fromkeys([*(row["policy"] for row in rows), *(t.policy for t in recorded)])
+    )
+    scenes = list(dict.fromkeys(row["scene"] for row in rows))
+    marks = _marks([*policies, *(trace.policy for trace in recorded)])
+    table, *others = evaluation.tables(found, "Policies")
+    published = evaluation.published(found, strict=False)
+    others = [one for one in others if published is None or one.title != published.title]
+    heat = _heat(rows, policies, scenes, marks) if len(scenes) > 2 and len(policies) > 1 else ""
+    template = Template(_text("report.html"))
+    return template.substitute(
+        title=escape(f"{_several(policies, 'policies')} on {_several(scenes, 'scenes')}"),
+        facts=escape(" · ".join(_facts(found))),
+        style=_text("report.css"),
+        script=_text("report.js"),
+        summary=_summary(found, rows),
+        results="\n".join([heat, *(html(one, marks) for one in (table, *others))]),
+        figures=_figures(folder, found, policies),
+        published=_section("The paper's numbers", html(published, marks)) if published else "",
+        player=_player(recorded),
+        failures=_failures(folder, rows, recorded, marks),
+        origin=_origin(folder, found, marks),
+        traces=_data(recorded, marks),
+    )
+
+
+def _marks(names: Sequence[str]) -> dict[str, str]:
+    """Return the colour of each policy; the seeds of a method have that of the method."""
+    methods = {name: re.sub(r" \(\d+ seeds\)$|, seed \d+$", "", name) for name in names}
+    colours = {name: f"p{at % _COLOURS}" for at, name in enumerate(dict.fromkeys(methods.values()))}
+    return {name: colours[method] for name, method in methods.items()} | colours
+
+
+def _text(name: str) -> str:
+    return (files("flipperctl.evaluation") / "templates" / name).read_text(encoding="utf-8")
+
+
+def _section(title: str, content: str) -> str:
+    name = re.sub(r"\W+", "-", title.lower())
+    head = f'<h2 id="{name}">{escape(title)}</h2>'
+    return f'<section aria-labelledby="{name}">{head}\n{content}</section>'
+
+
+def _several(names: Sequence[str], noun: str) -> str:
+    if len(names) > 3:
+        return f"{names[0]}, {names[1]} and {len(names) - 2} more {noun}"
+    return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def _facts(found: Document) -> Iterator[str]:
+    scenes = found["scenes"]
+    if found.get("interrupted"):
+        finished, planned = found["finished_episodes"], found["planned_episodes"]
+        yield f"interrupted: {finished} of {planned} episodes are finished"
+    for noun, values in (
+        ("episodes of each policy on a scene", [scene["episodes"] for scene in scenes]),
+        ("seed", [scene["seed"] for scene in scenes]),
+        ("conditions", [scene["conditions"]["name"] for scene in scenes]),
+    ):
+        texts = ", ".join(map(str, dict.fromkeys(values)))
+        yield f"{texts} {noun}" if noun[0] == "e" else f"{noun} {texts}"
+
+
+# The summary in words
+
+
+def _summary(found: Document, rows: Sequence[Row]) -> str:
+    lines = [*_best(rows), *_losses(found, rows), *_failed(rows)]
+    return "\n".join(
+        [
+            '<ul class="lead">',
+            *(f'<li class="{kind}">{text}</li>' for kind, text in lines),
+            "</ul>",
+            '<p class="note">Pitch variation, θ̂<sub>R</sub>, is how much the robot rocks: the sum '
+            "of all changes of its pitch in an episode that reached the finish. Smaller is better. "
+            "The best policy of a scene has the highest success, and then the smallest pitch "
+            "variation. Brackets are 95 % intervals.</p>",
+        ]
+    )
+
+
+def _rank(row: Row) -> tuple[float, float]:
+    """Return what orders policies on a scene, the best last."""
+    variation = row[_VARIATION]
+    return row["success"]["mean"], -variation["mean"] if variation else -math.inf
+
+
+def _by_scene(rows: Iterable[Row]) -> dict[str, dict[str, Row]]:
+    found: dict[str, dict[str, Row]] = {}
+    for row in rows:
+        found.setdefault(row["scene"], {})[row["policy"]] = row
+    return found
+
+
+def _best(rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
+    """Yield who is best, by how much: on each of a few scenes, or counted."""
+    scenes = {name: own for name, own in _by_scene(rows).items() if len(own) > 1}
+    best = {name: max(own.values(), key=_rank) for name, own in scenes.items()}
+    if 0 < len(scenes) < 4:
+        for name, row in best.items():
+            yield "good", f"On {escape(name)}, {_words(row)} is best{_against(row, scenes[name])}."
+    elif scenes:
+        wins: dict[str, list[str]] = {}
+        for name, row in best.items():
+            wins.setdefault(row["policy"], []).append(name)
+        ordered = sorted(wins.items(), key=lambda one: -len(one[1]))
+        texts = [
+            f"<b>{escape(policy)}</b> on {len(names)}"
+            + (f" ({escape(', '.join(names))})" if at else "")
+            for at, (policy, names) in enumerate(ordered)
+        ]
+        yield "good", f"Best of {len(scenes)} scenes: {'; '.join(texts)}."
+        if (ratio := _ratio(scenes, ordered[0][0])) is not None:
+            yield "good", ratio
+    for name, own in _by_scene(rows).items():
+        if len(own) == 1:
+            (row,) = own.values()
+            yield "", f"On {escape(name)}, {_words(row)}."
+
+
+def _words(row: Row) -> str:
+    variation = row[_VARIATION]
+    text = f"success {rate_text(row['success'])}"
+    if variation:
+        text += f", pitch variation {variation['mean']:.2f} rad"
+    return f"<b>{escape(row['policy'])}</b> ({text})"
+
+
+def _against(best: Row, own: Mapping[str, Row]) -> str:
+    """Return how much better the best is than the ruler, or than the second best."""
+    others = sorted((row for row in own.values() if row is not best), key=_rank)
+    other = own.get(_RULER, others[-1])
+    other = others[-1] if other is best else other
+    ours, theirs = best[_VARIATION], other[_VARIATION]
+    name = f"<b>{escape(other['policy'])}</b>"
+    if best["success"]["mean"] > other["success"]["mean"]:
+        return f"; {name} reached the finish in {rate_text(other['success'])}"
+    if not (ours and theirs):
+        return ""
+    less = 100 * (1 - ours["mean"] / theirs["mean"]) if theirs["mean"] else 0.0
+    return f", {less:.0f} % less than {name} ({theirs['mean']:.2f} rad)"
+
+
+def _ratio(scenes: Mapping[str, Mapping[str, Row]], policy: str) -> str | None:
+    """Return the mean ratio of a policy's pitch variation to that of the ruler."""
+    pairs = [
+        (own[policy], own[_RULER]) for own in scenes.values() if {policy, _RULER} <= own.keys()
+    ]
+    whole = [
+        (ours[_VARIATION]["mean"], theirs[_VARIATION]["mean"])
+        for ours, theirs in pairs
+        if all(row["success"]["mean"] == 1 and row[_VARIATION] for row in (ours, theirs))
+    ]
+    if policy == _RULER or not whole or min(min(pair) for pair in whole) <= 0:
+        return None
+    mean = math.exp(float(np.mean([math.log(ours / theirs) for ours, theirs in whole])))
+    return (
+        f"On the {len(whole)} scenes that both always cross, the pitch variation of "
+        f"<b>{escape(policy)}</b> is {mean:.2f} of that of <b>{_RULER}</b> (geometric mean)."
+    )
+
+
+def _losses(found: Document, rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
+    """Yield where policies are clearly worse than the ruler.
+
+    By the difference on the same episodes where the results have it, else by the intervals.
+    """
+    gaps = {
+        (one["scene"], one["policy"]): one["variation"]
+        for one in evaluation.difference_rows(found)
+        if one["against"] == _RULER
+    }
+    worse, compared = [], False
+    for scene, own in _by_scene(rows).items():
+        ruler = own.pop(_RULER, {})
+        for policy, row in own.items() if ruler else ():
+            compared = True
+            ours, theirs, gap = row[_VARIATION], ruler[_VARIATION], gaps.get((scene, policy))
+            name = f"<b>{escape(policy)}</b> on {escape(scene)}"
+            if _is_above(ruler["success"], row["success"]["high"]):
+                worse.append(f"{name} (success {rate_text(row['success'])})")
+            elif _is_above(gap, 0.0) or (
+                gap is None and theirs and _is_above(ours, theirs["high"])
+            ):
+                worse.append(f"{name} ({ours['mean']:.2f} rad, not {theirs['mean']:.2f})")
+    if worse:
+        yield "bad", f"Worse than <b>{_RULER}</b>, flippers held still: {'; '.join(worse)}."
+    elif compared:
+        yield "good", f"No policy is clearly worse than <b>{_RULER}</b>, flippers held still."
+
+
+def _is_above(interval: Mapping[str, Any] | None, limit: float | None) -> bool:
+    low: float | None = interval["low"] if interval else None
+    return low is not None and limit is not None and low > limit
+
+
+def _failed(rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
+    counts: dict[str, dict[str, int]] = {}
+    for row in rows:
+        own = counts.setdefault(row["policy"], {})
+        for outcome, number in row["counts"].items():
+            own[outcome] = own.get(outcome, 0) + number
+    total = sum(sum(own.values()) for own in counts.values())
+    failed = {
+        policy: [(o, n) for o, n in own.items() if n and o != Outcome.REACHED]
+        for policy, own in counts.items()
+    }
+    number = sum(n for own in failed.values() for _, n in own)
+    if not number:
+        if total > 1:
+            yield "good", f"All {total:,} episodes reached the finish."
+        return
+    texts = [
+        f"<b>{escape(policy)}</b> {sum(n for _, n in own)}"
+        f" ({', '.join(f'{n} {outcome}' for outcome, n in own)})"
+        for policy, own in failed.items()
+        if own
+    ]
+    yield "bad", f"{number:,} of {total:,} episodes failed: {', '.join(texts)}."
+
+
+# Tables
+
+
+def _heat(
+    rows: Sequence[Row],
+    policies: Sequence[str],
+    scenes: Sequence[str],
+    marks: Mapping[str, str],
+) -> str:
+    """Return the table of policies and scenes; a cell is darker the worse it is on its scene."""
+    own = _by_scene(rows)
+    shade: dict[tuple[str, str], float] = {}
+    for scene, found in own.items():
+        values = {name: row[_VARIATION]["mean"] for name, row in found.items() if row[_VARIATION]}
+        low, high = min(values.values(), default=0.0), max(values.values(), default=0.0)
+        shade |= {(n, scene): (v - low) / (high - low or 1.0) for n, v in values.items()}
+    best = {scene: max(found.values(), key=_rank)["policy"] for scene, found in own.items()}
+    head = "".join(f'<th scope="col">{escape(scene)}</th>' for scene in scenes)
+    body = []
+    for policy in policies:
+        cells = []
+        for scene in scenes:
+            row = own[scene].get(policy)
+            if row is None:
+                cells.append("<td>–</td>")
+                continue
+            value, success = row[_VARIATION], row["success"]["mean"]
+            text = f"{value['mean']:.2f}" if value else "–"
+            less = f"<small>{100 * success:.0f} %</small>" if success < 1 else ""
+            kind = ' class="best"' if policy == best[scene] else ""
+            heat = shade.get((policy, scene), 1.0)
+            cells.append(f'<td{kind} style="--h:{heat:.2f}">{text}{less}</td>')
+        name = f'<i class="dot" style="--c:var(--{marks[policy]})"></i>{escape(policy)}'
+        body.append(f'<tr><th scope="row">{name}</th>{"".join(cells)}</tr>')
+    return (
+        '<p class="note">Pitch variation [rad] of each policy on each scene; bold: the best, '
+        "darker: worse on this scene, below: success where it is not 100 %</p>"
+        '<div class="wide" tabindex="0" role="region" aria-label="Pitch variation by scene">'
+        f'<table class="heat"><thead><tr><td></td>{head}</tr></thead>'
+        f"<tbody>{''.join(body)}</tbody></table></div>"
+    )
+
+
+# Figures of matplotlib, in the colours of the page
+
+
+_DRAWN = {
+    "differences": "Differences of pitch variation to {ruler} on the same episodes (dots), with "
+    "the mean and its interval. A failed episode counts as the roughest crossing of its scene, but "
+    "2π rad at least.",
+    "profiles": "Performance profiles: the share of all episodes that reached the finish with at "
+    "most this pitch variation, with 95 % bands. A curve ends at the success rate.",
+}
+_FEWEST = 5
+"""Smallest number of episodes with intervals, and so with figures [-]."""
+
+
+def _figures(folder: Path, found: Document, policies: Sequence[str]) -> str:
+    """Return the figures of several policies; nothing where their results do not compare."""
+    if len(policies) < 2 or min(scene["episodes"] for scene in found["scenes"]) < _FEWEST:
+        return ""
+    from flipperctl.evaluation.views.plot import KINDS, Request
+    from flipperctl.figures.figure import WIDTH, render
+
+    ruler = _RULER if _RULER in policies else policies[-1]
+    request = Request([str(folder)], against=ruler, width=WIDTH)
+    parts = []
+    for kind, caption in _DRAWN.items():
+        try:
+            figure, _ = KINDS[kind](request)
+        except RequestError:  # as of scenes or settings that not all policies share
+            continue
+        about = caption.format(ruler=ruler)
+        drawn = _inline(render(figure, ".svg").decode(), about.partition(".")[0])
+        parts.append(
+            f'<figure>{drawn}<figcaption class="note">{escape(about)}</figcaption></figure>'
+        )
+    return _section("Figures", "\n".join(parts)) if parts else ""
+
+
+def _inline(svg: str, label: str) -> str:
+    """Return an SVG file of matplotlib as a part of the page, with the page's colours."""
+    from flipperctl.figures.figure import COLOURS
+    from flipperctl.figures.render import FAINT, INK
+
+    names = {colour: f"p{at}" for at, colour in enumerate(COLOURS)}
+    names |= {INK: "ink", "#606060": "soft", FAINT: "soft", "#E6E6E6": "line", "#FFFFFF": "paper"}
+    variables = {colour.lower(): name for colour, name in names.items()}
+    (box,) = re.findall(r'viewBox="[^"]*"', svg)
+    body = svg[svg.index(">", svg.index(box)) + 1 :]
+    body = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", body, flags=re.DOTALL)
+    body = re.sub(r"\s+", " ", body).replace("*{", ".drawn *{")  # the style of this part alone
+
+    def rounded(path: re.Match[str]) -> str:
+        return re.sub(r"(\.\d\d)\d+", r"\1", path[0])
+
+    def variable(match: re.Match[str]) -> str:
+        name = variables.get(match[0].lower())
+        return f"var(--{name})" if name else match[0]
+
+    body = re.sub(r"#[0-9a-fA-F]{6}\b", variable, re.sub(r' d="[^"]*"', rounded, body))
+    return (
+        f'<div class="wide" tabindex="0" role="region" aria-label="{escape(label)}">'
+        f'<svg class="drawn" role="img" aria-label="{escape(label)}" {box}>{body}</div>'
+    )
+
+
+# Player and failures
+
+
+def _player(recorded: Sequence[Trace]) -> str:
+    if not recorded:
+        return _section(
+            "Player",
+            '<p class="note">These results have no traces of episodes: flipperctl eval with the '
+            "same words and --output adds them.</p>",
+        )
+    return _text("player.html")
+
+
+def _failures(
+    folder: Path, rows: Sequence[Row], recorded: Sequence[Trace], marks: Mapping[str, str]
+) -> str:
+    number = sum(n for row in rows for o, n in row["counts"].items() if o != Outcome.REACHED)
+    if not number:
+        return ""
+    records = _records(folder)
+    failed = [(at, one) for at, one in enumerate(recorded) if one.outcome != Outcome.REACHED]
+    items = []
+    for at, trace in failed[:MOST_FAILURES]:
+        about = f"{trace.policy} on {trace.scene}, episode {trace.episode}: {trace.outcome}"
+        again = records.get(trace.digest)
+        shown = f"<pre>{escape(command('replay', again))}</pre>" if again else ""
+        items.append(
+            f'<li class="card"><svg class="poster" role="img" data-trace="{at}" '
+            f'aria-label="{escape(about)}, its last 6 s"></svg>'
+            f'<p><i class="dot" style="--c:var(--{marks[trace.policy]})"></i>'
+            f"<b>{escape(trace.policy)}</b> on {escape(trace.scene)}, episode {trace.episode}: "
+            f"{escape(trace.outcome)} after "
+            f'{trace.time[-1]:.1f} s</p><button type="button" data-trace="{at}">Play</button>'
+            f"{shown}</li>"
+        )
+    more = f"{number} episodes failed; {len(items)} are shown, with the last 6 s of each."
+    return _section(
+        "Failures",
+        f'<p class="note">{more} The command shows the episode again, bit for bit.</p>'
+        f'<ul class="failures">{"".join(items)}</ul>',
+    )
+
+
+def _records(folder: Path) -> dict[str, Path]:
+    """Return the recorded failures of a folder by the digest of the episode."""
+    found: dict[str, Path] = {}
+    for file in sorted(folder.glob("failure_*.json")):
+        try:
+            found.setdefault(json.loads(file.read_text(encoding="utf-8"))["digest"], file)
+        except (OSError, ValueError, LookupError, TypeError):
+            continue  # replay says why
+    return found
+
+
+def _data(recorded: Sequence[Trace], marks: Mapping[str, str]) -> str:
+    """Return what the player shows as JSON that may stand in a page."""
+    policies = list(dict.fromkeys(trace.policy for trace in recorded))
+    grounds: dict[str, list[list[int]]] = {}
+    found = []
+    for trace in recorded:
+        points = _ground(trace)
+        key = json.dumps(points)
+        grounds.setdefault(key, points)
+        place = {"ground": list(grounds).index(key), "policy": policies.index(trace.policy)}
+        found.append(_plain(trace) | place)
+    colours = [marks[policy] for policy in policies]
+    beside = policies.index(_RULER) if _RULER in policies else 1
+    names = {"policies": policies, "colours": colours, "beside": beside}
+    document = {**names, "grounds": list(grounds.values()), "traces": found}
+    # In a page, a text that looks like the end of the script would be one.
+    return json.dumps(document, separators=(",", ":")).replace("<", "\\u003c")
+
+
+def _plain(trace: Trace) -> dict[str, Any]:
+    chosen = np.unique([*range(0, len(trace.time), _PERIOD), len(trace.time) - 1])
+    columns = {
+        "t": trace.time,
+        "x": trace.position[:, 0],
+        "z": trace.position[:, 1],
+        **{name: getattr(trace, name) for name in ("pitch", "front", "rear")},
+    }
+    robot = trace.robot
+    return {
+        **{name: getattr(trace, name) for name in ("scene", "episode", "outcome")},
+        **{name: _steps(values[chosen]) for name, values in columns.items()},
+        "robot": [robot.hinge_offset, robot.flipper_axle, robot.track_radius],
+        "decided": np.round(trace.decided, 3).tolist(),
+        "heights": [
+            [None if math.isnan(h) else round(100 * h) for h in row]
+            for row in trace.heights.tolist()
+        ],
+        "bin": round(trace.bin_width, 4),
+        **({"risk": np.round(trace.risk, 3).tolist()} if len(trace.risk) else {}),
+    }
+
+
+def _steps(values: FloatArray) -> list[int]:
+    """Return differences of consecutive values in thousandths, the first value before them."""
+    whole = np.round(1000 * values).astype(np.int64)
+    steps: list[int] = np.diff(whole, prepend=0).tolist()
+    return steps
+
+
+def _ground(trace: Trace) -> list[list[int]]:
+    """Return the points of the ground around the path, (x, z) in thousandths of a metre."""
+    x, points = trace.position[:, 0], trace.ground
+    inside = np.flatnonzero((points[:, 0] > x.min() - 3) & (points[:, 0] < x.max() + 3))
+    first, last = (inside[0], inside[-1]) if len(inside) else (0, len(points) - 1)
+    near = points[max(0, first - 1) : last + 2]
+    near = near[:: max(1, -(-len(near) // _POINTS))]
+    whole: list[list[int]] = np.round(1000 * near).astype(np.int64).tolist()
+    return whole
+
+
+# Where the numbers come from
+
+
+def _origin(folder: Path, found: Document, marks: Mapping[str, str]) -> str:
+    headers = [
+        header
+        for header in store.headers(folder / store.FOLDER)
+        if header["conditions_hash"] in {scene["conditions"]["hash"] for scene in found["scenes"]}
+    ]
+    versions: dict[str, dict[str, None]] = {}
+    for header in headers:
+        for name, version in header["versions"].items():
+            versions.setdefault(name, {})[str(version)] = None
+    facts = {name: " and ".join(own) for name, own in versions.items()}
+    if commits := dict.fromkeys(str(h["commit"]) for h in headers if h.get("commit")):
+        facts["commit"] = " and ".join(commits)
+    policies = dict.fromkeys(
+        (short(h["controller"]), h["training_seed"], h["policy"]) for h in headers
+    )
+    played = Table(
+        (
+            Column("policy", "policy", named=True),
+            Column("seed", "training seed", named=True),
+            Column("digest", "SHA-256 of weights or settings", named=True),
+        ),
+        [
+            {"policy": name, "seed": "–" if seed is None else str(seed), "digest": digest}
+            for name, seed, digest in policies
+        ],
+    )
+    places = Table(
+        tuple(
+            Column(key, heading, named=True)
+            for key, heading in (
+                *(("scene", "scene"), ("conditions", "conditions"), ("hash", "their hash")),
+                *(("engine", "engine"), ("seed", "seed"), ("episodes", "episodes")),
+            )
+        ),
+        list(
+            {
+                (name, scene["seed"]): {
+                    "scene": name,
+                    "conditions": scene["conditions"]["name"],
+                    "hash": scene["conditions"]["hash"],
+                    "engine": scene["conditions"]["sim"]["name"],
+                    "seed": str(scene["seed"]),
+                    "episodes": str(scene["episodes"]),
+                }
+                for name, scene in named(found)
+            }.values()
+        ),
+    )
+    commands = [*([found["command"]] if "command" in found else []), command("report", folder)]
+    listed = "".join(
+        f"<dt>{escape(name)}</dt><dd>{escape(text)}</dd>" for name, text in facts.items()
+    )
+    return "\n".join(
+        [
+            *(f"<pre>{escape(text)}</pre>" for text in commands),
+            f"<dl>{listed}</dl>",
+            html(played, marks),
+            html(places, {}),
+            '<p class="note">Equal hashes of the conditions mean equal scenes; with equal seeds '
+            "every policy meets the same ground, start and physics.</p>",
+        ]
+    )
