@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 from importlib.resources import files
 from pathlib import Path
@@ -24,7 +24,16 @@ from flipperctl.evaluation import store, traces
 from flipperctl.evaluation.rows import Row
 from flipperctl.evaluation.stored import SUMMARY
 from flipperctl.evaluation.views import evaluation
-from flipperctl.evaluation.views.summary import Document, named, rate_text, short
+from flipperctl.evaluation.views.findings import (
+    RULE,
+    RULER,
+    VARIATION,
+    by_scene,
+    findings,
+    rank,
+    table_rows,
+)
+from flipperctl.evaluation.views.summary import Document, named, short
 from flipperctl.files import OutputKind, write_bytes
 from flipperctl.rollout.trace import Trace, read
 from flipperctl.session import command
@@ -38,9 +47,7 @@ MOST_FAILURES = 24
 """Largest number of failures with a picture [-]."""
 _COLOURS = 7  # number of colours of policies in the style [-]
 _PERIOD = 2  # poses of a trace for one of the player: 10 Hz [-]
-_RULER = "level"  # the rule with which the summary compares, if it played
 _POINTS = 1500  # largest number of points of a ground [-]
-_VARIATION = "pitch_variation_100hz"
 
 
 def write(folder: Path, path: Path) -> None:
@@ -74,10 +81,8 @@ def page(folder: Path) -> str:
 
 
 def _page(folder: Path, found: Document, recorded: Sequence[Trace]) -> str:
-    rows = [row for row in evaluation.policy_rows(found) if not row.get("dim")]
-    policies = list(
-        dict.fromkeys([*(row["policy"] for row in rows), *(t.policy for t in recorded)])
-    )
+    rows = table_rows(found)
+    policies = list(dict.fromkeys(row["policy"] for row in rows))
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
     marks = _marks([*policies, *(trace.policy for trace in recorded)])
     table, *others = evaluation.tables(found, "Policies")
@@ -90,7 +95,7 @@ def _page(folder: Path, found: Document, recorded: Sequence[Trace]) -> str:
         facts=escape(" · ".join(_facts(found))),
         style=_text("report.css"),
         script=_text("report.js"),
-        summary=_summary(found, rows),
+        summary=_summary(found),
         results="\n".join([heat, *(html(one, marks) for one in (table, *others))]),
         figures=_figures(folder, found, policies),
         published=_section("The paper's numbers", html(published, marks)) if published else "",
@@ -138,162 +143,16 @@ def _facts(found: Document) -> Iterator[str]:
         yield f"{texts} {noun}" if noun[0] == "e" else f"{noun} {texts}"
 
 
-# The summary in words
-
-
-def _summary(found: Document, rows: Sequence[Row]) -> str:
-    lines = [*_best(rows), *_losses(found, rows), *_failed(rows)]
-    return "\n".join(
-        [
-            '<ul class="lead">',
-            *(f'<li class="{kind}">{text}</li>' for kind, text in lines),
-            "</ul>",
-            '<p class="note">Pitch variation, θ̂<sub>R</sub>, is how much the robot rocks: the sum '
-            "of all changes of its pitch in an episode that reached the finish. Smaller is better. "
-            "The best policy of a scene has the highest success, and then the smallest pitch "
-            "variation. Brackets are 95 % intervals.</p>",
-        ]
-    )
-
-
-def _rank(row: Row) -> tuple[float, float]:
-    """Return what orders policies on a scene, the best last."""
-    variation = row[_VARIATION]
-    return row["success"]["mean"], -variation["mean"] if variation else -math.inf
-
-
-def _by_scene(rows: Iterable[Row]) -> dict[str, dict[str, Row]]:
-    found: dict[str, dict[str, Row]] = {}
-    for row in rows:
-        found.setdefault(row["scene"], {})[row["policy"]] = row
-    return found
-
-
-def _best(rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
-    """Yield who is best, by how much: on each of a few scenes, or counted."""
-    scenes = {name: own for name, own in _by_scene(rows).items() if len(own) > 1}
-    best = {name: max(own.values(), key=_rank) for name, own in scenes.items()}
-    if 0 < len(scenes) < 4:
-        for name, row in best.items():
-            yield "good", f"On {escape(name)}, {_words(row)} is best{_against(row, scenes[name])}."
-    elif scenes:
-        wins: dict[str, list[str]] = {}
-        for name, row in best.items():
-            wins.setdefault(row["policy"], []).append(name)
-        ordered = sorted(wins.items(), key=lambda one: -len(one[1]))
-        texts = [
-            f"<b>{escape(policy)}</b> on {len(names)}"
-            + (f" ({escape(', '.join(names))})" if at else "")
-            for at, (policy, names) in enumerate(ordered)
-        ]
-        yield "good", f"Best of {len(scenes)} scenes: {'; '.join(texts)}."
-        if (ratio := _ratio(scenes, ordered[0][0])) is not None:
-            yield "good", ratio
-    for name, own in _by_scene(rows).items():
-        if len(own) == 1:
-            (row,) = own.values()
-            yield "", f"On {escape(name)}, {_words(row)}."
-
-
-def _words(row: Row) -> str:
-    variation = row[_VARIATION]
-    text = f"success {rate_text(row['success'])}"
-    if variation:
-        text += f", pitch variation {variation['mean']:.2f} rad"
-    return f"<b>{escape(row['policy'])}</b> ({text})"
-
-
-def _against(best: Row, own: Mapping[str, Row]) -> str:
-    """Return how much better the best is than the ruler, or than the second best."""
-    others = sorted((row for row in own.values() if row is not best), key=_rank)
-    other = own.get(_RULER, others[-1])
-    other = others[-1] if other is best else other
-    ours, theirs = best[_VARIATION], other[_VARIATION]
-    name = f"<b>{escape(other['policy'])}</b>"
-    if best["success"]["mean"] > other["success"]["mean"]:
-        return f"; {name} reached the finish in {rate_text(other['success'])}"
-    if not (ours and theirs):
-        return ""
-    less = 100 * (1 - ours["mean"] / theirs["mean"]) if theirs["mean"] else 0.0
-    return f", {less:.0f} % less than {name} ({theirs['mean']:.2f} rad)"
-
-
-def _ratio(scenes: Mapping[str, Mapping[str, Row]], policy: str) -> str | None:
-    """Return the mean ratio of a policy's pitch variation to that of the ruler."""
-    pairs = [
-        (own[policy], own[_RULER]) for own in scenes.values() if {policy, _RULER} <= own.keys()
-    ]
-    whole = [
-        (ours[_VARIATION]["mean"], theirs[_VARIATION]["mean"])
-        for ours, theirs in pairs
-        if all(row["success"]["mean"] == 1 and row[_VARIATION] for row in (ours, theirs))
-    ]
-    if policy == _RULER or not whole or min(min(pair) for pair in whole) <= 0:
-        return None
-    mean = math.exp(float(np.mean([math.log(ours / theirs) for ours, theirs in whole])))
+def _summary(found: Document) -> str:
+    lines = []
+    for kind, text in findings(found):
+        marked = re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", escape(text))
+        lines.append(f'<li class="{kind}">{marked}</li>')
     return (
-        f"On the {len(whole)} scenes that both always cross, the pitch variation of "
-        f"<b>{escape(policy)}</b> is {mean:.2f} of that of <b>{_RULER}</b> (geometric mean)."
+        f'<ul class="lead">{"".join(lines)}</ul><p class="note">Pitch variation, θ̂<sub>R</sub>, is '
+        "how much the robot rocks: the sum of all changes of its pitch in an episode that reached "
+        f"the finish. {RULE}</p>"
     )
-
-
-def _losses(found: Document, rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
-    """Yield where policies are clearly worse than the ruler.
-
-    By the difference on the same episodes where the results have it, else by the intervals.
-    """
-    gaps = {
-        (one["scene"], one["policy"]): one["variation"]
-        for one in evaluation.difference_rows(found)
-        if one["against"] == _RULER
-    }
-    worse, compared = [], False
-    for scene, own in _by_scene(rows).items():
-        ruler = own.pop(_RULER, {})
-        for policy, row in own.items() if ruler else ():
-            compared = True
-            ours, theirs, gap = row[_VARIATION], ruler[_VARIATION], gaps.get((scene, policy))
-            name = f"<b>{escape(policy)}</b> on {escape(scene)}"
-            if _is_above(ruler["success"], row["success"]["high"]):
-                worse.append(f"{name} (success {rate_text(row['success'])})")
-            elif _is_above(gap, 0.0) or (
-                gap is None and theirs and _is_above(ours, theirs["high"])
-            ):
-                worse.append(f"{name} ({ours['mean']:.2f} rad, not {theirs['mean']:.2f})")
-    if worse:
-        yield "bad", f"Worse than <b>{_RULER}</b>, flippers held still: {'; '.join(worse)}."
-    elif compared:
-        yield "good", f"No policy is clearly worse than <b>{_RULER}</b>, flippers held still."
-
-
-def _is_above(interval: Mapping[str, Any] | None, limit: float | None) -> bool:
-    low: float | None = interval["low"] if interval else None
-    return low is not None and limit is not None and low > limit
-
-
-def _failed(rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
-    counts: dict[str, dict[str, int]] = {}
-    for row in rows:
-        own = counts.setdefault(row["policy"], {})
-        for outcome, number in row["counts"].items():
-            own[outcome] = own.get(outcome, 0) + number
-    total = sum(sum(own.values()) for own in counts.values())
-    failed = {
-        policy: [(o, n) for o, n in own.items() if n and o != Outcome.REACHED]
-        for policy, own in counts.items()
-    }
-    number = sum(n for own in failed.values() for _, n in own)
-    if not number:
-        if total > 1:
-            yield "good", f"All {total:,} episodes reached the finish."
-        return
-    texts = [
-        f"<b>{escape(policy)}</b> {sum(n for _, n in own)}"
-        f" ({', '.join(f'{n} {outcome}' for outcome, n in own)})"
-        for policy, own in failed.items()
-        if own
-    ]
-    yield "bad", f"{number:,} of {total:,} episodes failed: {', '.join(texts)}."
 
 
 # Tables
@@ -306,13 +165,13 @@ def _heat(
     marks: Mapping[str, str],
 ) -> str:
     """Return the table of policies and scenes; a cell is darker the worse it is on its scene."""
-    own = _by_scene(rows)
+    own = by_scene(rows)
     shade: dict[tuple[str, str], float] = {}
     for scene, found in own.items():
-        values = {name: row[_VARIATION]["mean"] for name, row in found.items() if row[_VARIATION]}
+        values = {name: row[VARIATION]["mean"] for name, row in found.items() if row[VARIATION]}
         low, high = min(values.values(), default=0.0), max(values.values(), default=0.0)
         shade |= {(n, scene): (v - low) / (high - low or 1.0) for n, v in values.items()}
-    best = {scene: max(found.values(), key=_rank)["policy"] for scene, found in own.items()}
+    best = {scene: max(found.values(), key=rank)["policy"] for scene, found in own.items()}
     head = "".join(f'<th scope="col">{escape(scene)}</th>' for scene in scenes)
     body = []
     for policy in policies:
@@ -322,7 +181,7 @@ def _heat(
             if row is None:
                 cells.append("<td>–</td>")
                 continue
-            value, success = row[_VARIATION], row["success"]["mean"]
+            value, success = row[VARIATION], row["success"]["mean"]
             text = f"{value['mean']:.2f}" if value else "–"
             less = f"<small>{100 * success:.0f} %</small>" if success < 1 else ""
             kind = ' class="best"' if policy == best[scene] else ""
@@ -360,7 +219,7 @@ def _figures(folder: Path, found: Document, policies: Sequence[str]) -> str:
     from flipperctl.evaluation.views.plot import KINDS, Request
     from flipperctl.figures.figure import WIDTH, render
 
-    ruler = _RULER if _RULER in policies else policies[-1]
+    ruler = RULER if RULER in policies else policies[-1]
     request = Request([str(folder)], against=ruler, width=WIDTH)
     parts = []
     for kind, caption in _DRAWN.items():
@@ -469,7 +328,7 @@ def _data(recorded: Sequence[Trace], marks: Mapping[str, str]) -> str:
         place = {"ground": list(grounds).index(key), "policy": policies.index(trace.policy)}
         found.append(_plain(trace) | place)
     colours = [marks[policy] for policy in policies]
-    beside = policies.index(_RULER) if _RULER in policies else 1
+    beside = policies.index(RULER) if RULER in policies else 1
     names = {"policies": policies, "colours": colours, "beside": beside}
     document = {**names, "grounds": list(grounds.values()), "traces": found}
     # In a page, a text that looks like the end of the script would be one.

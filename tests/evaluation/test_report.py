@@ -46,7 +46,9 @@ def test_the_summary_says_who_is_best_where_a_policy_is_worse_and_what_failed(
     better = words(
         report.page(folder(tmp_path / "a", rows([0.5, 0.6, 0.55] * 2), {"level": level}))
     )
-    assert "On step, mine (success 100 %, pitch variation 0.55 rad) is best, 50 % less" in better
+    assert (
+        "On step, mine (success 100 %, pitch variation 0.55 rad) is best, with 50 % less" in better
+    )
     assert "than level (1.10 rad)." in better
     assert "No policy is clearly worse than level, flippers held still." in better
     assert "All 12 episodes reached the finish." in better
