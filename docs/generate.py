@@ -13,9 +13,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import Enum
 from itertools import groupby
 from pathlib import Path
-from typing import Any, get_origin
+from typing import Any, cast, get_origin
 
 import typer.main
+from gymnasium.spaces import Box
 from sphinx.pycode import ModuleAnalyzer
 
 from flipperctl import plugins
@@ -139,7 +140,7 @@ def actions() -> str:
 def observation() -> str:
     """Return a table of the default observation; numbers of one meaning are one row."""
     plugins.load()
-    space = FlipperEnv().observation_space
+    space = cast("Box", FlipperEnv().observation_space)
     rows: list[tuple[object, ...]] = []
     described = enumerate(describe_observation(ObservationLayout()))
     for _, group in groupby(described, lambda one: re.sub(r"_\d+$", "", one[1]["name"])):
