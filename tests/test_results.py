@@ -18,7 +18,7 @@ from flipperctl.results import ResultFolder, hold, is_held, result_folder
 from tests.cli.call import Done, call
 
 PLAY = ["eval", "--controller", "level", "--episodes", "2", "--output", "out"]
-TABLES = {"episodes.csv", "summary.json", "table.csv", "table.tex"}
+TABLES = {"episodes.csv", "summary.json", "table.csv", "table.tex", "traces.npz", "report.html"}
 CELLS = {"cells", "cells.csv"}
 """The episodes themselves, which no later evaluation removes."""
 

@@ -387,7 +387,7 @@ def _origin(folder: Path, found: Document, marks: Mapping[str, str]) -> str:
     ]
     versions: dict[str, dict[str, None]] = {}
     for header in headers:
-        for name, version in header["versions"].items():
+        for name, version in header.get("versions", {}).items():
             versions.setdefault(name, {})[str(version)] = None
     facts = {name: " and ".join(own) for name, own in versions.items()}
     if commits := dict.fromkeys(str(h["commit"]) for h in headers if h.get("commit")):

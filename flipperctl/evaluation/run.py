@@ -12,6 +12,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from flipperctl.checkpoint import recording
@@ -221,8 +222,8 @@ class _Files:
             self._traces.write(part / traces.FILE)
 
         lost = _lost_rows(path, document)
-        (path / report.FILE).unlink(missing_ok=True)  # until the new one is complete
         self._folder.replace(write, [] if result.interruption else self._later)
+        (path / report.FILE).unlink(missing_ok=True)  # until that of the new files is written
         write_view(path)
         self._tell(f"saved to {path}")
         if lost:
@@ -262,13 +263,11 @@ class _Files:
 
         def pictures() -> None:
             if self._folder is not None:
-                files = [self._folder.path / name for name in self._pictures]
-                entries = self._plan.rows if files else []
-                folder = self._folder.path
+                path, drawn = self._folder.path, zip(self._pictures, self._plan.rows, strict=False)
                 _attempt(
                     lambda: self._traces.record(progress, stop),
-                    lambda: self._traces.draw(dict(zip(files, entries, strict=True))),
-                    lambda: report.write(folder, folder / report.FILE),
+                    *(partial(self._traces.draw, path / name, entry) for name, entry in drawn),
+                    lambda: report.write(path, path / report.FILE),
                 )
 
         def film() -> None:

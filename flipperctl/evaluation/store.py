@@ -37,7 +37,7 @@ FOLDER, VIEW = "cells", "cells.csv"
 _BLOCK, _FAILED = ".jsonl", ".failed.json"
 _VIEWED = ("controller", "training_seed", "scene", "conditions", "conditions_hash", "engine")
 """Entries of a block's header that the table of all episodes repeats."""
-_TOLD = {"controller", "conditions_hash", "policy", "training_seed", "versions"}
+_TOLD = {"controller", "conditions_hash", "policy", "training_seed"}
 """Entries that the header of every block has, and of which readers make use."""
 _LONG, _SHORT = 16, 8  # digits of the hashes within a key
 _LIBRARIES = ("numpy", "torch")
@@ -289,9 +289,7 @@ def headers(folder: Path) -> Iterator[dict[str, Any]]:
         try:
             with file.open() as lines:
                 header = json.loads(lines.readline())
-            if {"controller", "conditions_hash", "policy", "training_seed", "versions"} <= set(
-                header
-            ):
+            if header.keys() >= _TOLD:
                 yield header
         except _DAMAGE:
             continue  # an evaluation says so

@@ -6,7 +6,7 @@ scene and the first failures, of every policy and baseline; pictures are drawn f
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -114,7 +114,9 @@ class Traces:
         if missing:
             self.write(self._file)
         if stop() and (left := sum(one.key not in self._found for one in missing)):
-            raise InterruptedRunError(f"interrupted: {left} episodes are not in {self._file}")
+            raise InterruptedRunError(
+                f"interrupted: {left} of {len(missing)} episodes are not in {self._file}"
+            )
         if failed:
             more = f"; {len(failed) - 1} more failed" if len(failed) > 1 else ""
             raise type(failed[0])(f"{failed[0]}{more}")
@@ -148,15 +150,14 @@ class Traces:
                 )
                 report(done + 1)
 
-    def draw(self, files: Mapping[Path, Entry]) -> None:
-        """Draw a picture of the first episode of each entry, by the picture's path."""
+    def draw(self, file: Path, entry: Entry) -> None:
+        """Draw a picture of the first episode of an entry, if it has a trace."""
         from flipperctl.figures.episode import episode_figure
         from flipperctl.figures.figure import save
 
-        first = {id(one.entry): one.key for one in reversed(self._chosen)}
-        for file, entry in files.items():
-            if (trace := self._found.get(first[id(entry)])) is not None:
-                save(episode_figure(trace, title(trace)), file)
+        first = next((one.key for one in self._chosen if one.entry is entry), None)
+        if first is not None and (trace := self._found.get(first)) is not None:
+            save(episode_figure(trace, title(trace)), file)
 
 
 def title(trace: Trace) -> str:

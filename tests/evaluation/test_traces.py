@@ -1,6 +1,7 @@
 """Traces of chosen episodes: the file, and what an evaluation plays once more for it."""
 
 import json
+import signal
 from pathlib import Path
 
 import numpy as np
@@ -102,3 +103,25 @@ def test_eval_traces_first_episodes_and_two_failures_and_plays_them_once(
 
 def same(one: Trace, other: Trace) -> bool:
     return np.array_equal(one.position, other.position) and one.digest == other.digest
+
+
+def test_ctrl_c_keeps_the_traces_that_are_there_and_the_next_command_plays_the_rest(
+    tmp_path: Path, again: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    transitions = EpisodeRunner.transitions
+
+    def interrupted(self: EpisodeRunner, index: int) -> object:
+        signal.raise_signal(signal.SIGINT)
+        return transitions(self, index)
+
+    words = ("eval", "level", *HIGH, "--baseline", "none", "--output", "out")
+    with monkeypatch.context() as patched:
+        patched.setattr(EpisodeRunner, "transitions", interrupted)
+        done = call(*words, cwd=tmp_path)
+    assert done.code == 130
+    assert "interrupted: 1 of 2 episodes are not in out/traces.npz" in done.err
+    assert [one.episode for one in read(tmp_path / "out" / traces.FILE)] == [0]
+    again.clear()
+    assert call(*words, cwd=tmp_path).code == 0
+    assert again == [1]
+    assert [one.episode for one in read(tmp_path / "out" / traces.FILE)] == [0, 1]
