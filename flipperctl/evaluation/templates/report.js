@@ -189,7 +189,7 @@
     }
 
     aim({x, z}) { // the whole box if it fits, else what is around the robot
-      const [first, last, low, high] = this.box, wide = this.node.clientWidth < 480 ? 3.8 : 6;
+      const [first, last, low, high] = this.box, wide = Math.min(9, Math.max(3.8, this.node.clientWidth / 78));
       const tall = Math.min(0.42 * wide, Math.max(0.25 * wide, high - low));
       const left = last - first <= wide ? (first + last - wide) / 2
         : Math.min(last - wide, Math.max(first, x - wide * 0.45));
