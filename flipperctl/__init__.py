@@ -6,7 +6,17 @@ They are imported when one of them is first used.
 
 # Type checkers read __init__.pyi, which says where the names come from.
 
-__all__ = ["Evaluation", "LoadedPolicy", "Run", "environment", "evaluate", "load", "save", "train"]
+__all__ = [
+    "Evaluation",
+    "LoadedPolicy",
+    "Run",
+    "environment",
+    "evaluate",
+    "load",
+    "plot",
+    "save",
+    "train",
+]
 
 
 def __getattr__(name: str) -> object:

@@ -7,6 +7,7 @@ if TYPE_CHECKING:  # mypy then checks what the interface imports before the pack
     from flipperctl.scripting import environment as environment
     from flipperctl.scripting import evaluate as evaluate
     from flipperctl.scripting import load as load
+    from flipperctl.scripting import plot as plot
     from flipperctl.scripting import save as save
     from flipperctl.scripting import train as train
 

@@ -29,6 +29,8 @@ KINDS: dict[str, Sort] = {
     "heat": "results",
     "differences": "results",
     "profiles": "results",
+    "series": "results",
+    "poses": "results",
     "map": "map",
 }
 """What each kind is drawn from; the first kind of a sort is its default."""
@@ -37,6 +39,9 @@ _FROM = {
     "results": "a folder of flipperctl eval --output",
     "map": "a folder of flipperctl map --output",
 }
+_EPISODES = ("series", "poses")
+_OWN = {"--against": ("differences",), "--scene": _EPISODES, "--episode": _EPISODES}
+"""Options that have a meaning for some kinds alone."""
 _UNITS = {"": 1.0, "in": 1.0, "cm": 1 / 2.54, "mm": 1 / 25.4, "pt": 1 / 72}  # [in]
 _NARROWEST, _WIDEST = 2.0, 30.0  # width of a figure [in]
 
@@ -65,6 +70,17 @@ def plot(
             metavar="NAMES", help="Metrics, such as success,return,pitch_variation_100hz."
         ),
     ] = None,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(metavar="METHOD", help="Draw only this method; may be repeated."),
+    ] = None,
+    scene: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Scene of series and poses, else the first.")
+    ] = None,
+    episode: Annotated[
+        int | None,
+        typer.Option(metavar="N", help="Episode of series and poses, else the first traced."),
+    ] = None,
     against: Annotated[
         str | None, typer.Option(metavar="METHOD", help="Method of differences, else the first.")
     ] = None,
@@ -83,8 +99,9 @@ def plot(
     """Draw a figure for a paper or a slide.
 
     Runs and sweeps give learning curves over methods and seeds. Folders of eval --output give
-    intervals, heat tables (heat), paired differences, or performance profiles; folders of map
-    --output give maps. The first of these is the default.
+    intervals, a heat table (heat), paired differences, performance profiles, or one episode as
+    time series or as poses along the ground. Folders of map --output give maps. Without --kind, the
+    first of these is drawn.
 
     Text has its right size at the width of the figure: 3.5in is one column of a two-column page,
     7.16in are both. Command, paths and hashes stand in the file's metadata.
@@ -98,6 +115,8 @@ def plot(
       flipperctl plot judged --name AT-D3QN=network=at_d3qn --width 7.16in
 
       flipperctl plot judged --kind differences --style slides --output gain.svg
+
+      flipperctl plot judged --kind series --only at_d3qn --only level
     """
     from flipperctl import session
     from flipperctl.figures.figure import PICTURE, save
@@ -112,6 +131,9 @@ def plot(
         kind=kind,
         names=name or (),
         metrics=_names(metric),
+        only=only or (),
+        scene=scene,
+        episode=episode,
         against=against,
         average=average,
         width=None if width is None else length(width),
@@ -119,12 +141,13 @@ def plot(
         tell=print_note,
     )
     given = {
-        "--kind": kind, "--name": name, "--metric": metric, "--against": against, "--width": width,
+        "--kind": kind, "--name": name, "--only": only, "--metric": metric, "--scene": scene,
+        "--episode": episode, "--against": against, "--width": width,
     }  # fmt: skip
     typed: list[str] = []
     for option, value in given.items():
         for one in value if isinstance(value, list) else [value] if value is not None else []:
-            typed += [option, one]
+            typed += [option, str(one)]
     about = [session.command("plot", *sources, *typed), *found.sources]
     save(found.figure, path, "; ".join(about))
     print_note(f"wrote {path}")
@@ -145,6 +168,9 @@ def draw(
     kind: str | None = None,
     names: Sequence[str] = (),
     metrics: Sequence[str] = (),
+    only: Sequence[str] = (),
+    scene: str | None = None,
+    episode: int | None = None,
     against: str | None = None,
     average: str = "mean",
     width: float | None = None,
@@ -161,6 +187,8 @@ def draw(
     from flipperctl.evaluation.views.plot import Request
     from flipperctl.figures.figure import SLIDE, styled
 
+    if not sources:
+        raise RequestError(f"nothing is named to draw; allowed: {', '.join(_FROM.values())}")
     kind = kind or _kind_of(sources)
     _known("--kind", kind, list(KINDS))
     for source in sources:
@@ -172,11 +200,17 @@ def draw(
             )
     _known("--style", style, ["paper", "slides"])
     _known("--average", average, ["mean", "iqm"])
-    if against is not None and kind != "differences":
-        raise RequestError(f"--against: it has a meaning for --kind differences alone, not {kind}")
+    own = {"--against": against, "--scene": scene, "--episode": episode}
+    for option, value in own.items():
+        if value is not None and kind not in (kinds := _OWN[option]):
+            raise RequestError(
+                f"{option}: it has a meaning for --kind {' and '.join(kinds)} alone, not {kind}"
+            )
     if width is None and style == "slides":
         width = SLIDE
-    asked = Request(sources, metrics, names, against, width)
+    asked = Request(
+        sources, metrics, names, only, against, scene=scene, episode=episode, width=width
+    )
     with styled("slides" if style == "slides" else "paper"):
         if kind == "curves":
             return _curves(asked, "iqm" if average == "iqm" else "mean", tell)
@@ -253,7 +287,7 @@ def _digest(*files: Path) -> tuple[str, ...]:
 
 
 def _curves(asked: Request, average: Literal["mean", "iqm"], tell: Callable[[str], None]) -> Drawn:
-    from flipperctl.evaluation.names import renamed
+    from flipperctl.evaluation.names import renamed, taken
     from flipperctl.evaluation.plan import entrants
     from flipperctl.figures import curves
     from flipperctl.results import METRICS, holds_run, is_held
@@ -280,7 +314,13 @@ def _curves(asked: Request, average: Literal["mean", "iqm"], tell: Callable[[str
             name = source.removesuffix(f"={path}") if named else method
             own |= {name: name} if named else {}
             runs.setdefault(name, []).extend(m for m in members if m not in runs.get(name, ()))
-    called = renamed([name for name in runs if name not in own], asked.names) | own
+    free = renamed([name for name in runs if name not in own], asked.names)
+    called = {name: own.get(name) or free[name] for name in runs}
+    if asked.only:
+        called = {
+            label: called[label] for label in (taken(o, called, "--only") for o in asked.only)
+        }
+    runs = {name: runs[name] for name in called}
     rows = {called[name]: [[*chain(*read_run(run))] for run in each] for name, each in runs.items()}
     for run in (run for each in runs.values() for run in each):
         if is_held(run):

@@ -34,7 +34,7 @@ def _last(text: str, count: int) -> str:
     """Return the last parts of a path, and of the settings in the last one their values."""
     *folders, last = text.split("/")
     parts = []
-    for part in _JOB.sub("", last).split(","):
+    for part in map(str.strip, _JOB.sub("", last).split(",")):
         key, equals, value = part.partition("=")
         name = key.rpartition(".")[2]
         plain = not equals or name == "seed" or re.fullmatch(r"[-+.\deE]+|true|false|null", value)

@@ -331,7 +331,7 @@ def replay_file(
                 from flipperctl.figures.figure import save
 
                 trace = Trace.of(found.transitions, found.profile)
-                save(episode_figure(trace, found.title), part / "replay.png")
+                save(episode_figure(trace), part / "replay.png", found.title)
 
             folder.replace(write)
             tell(f"wrote {' and '.join(NAMES)} to {folder.path}")

@@ -157,7 +157,7 @@ class Traces:
 
         first = next((one.key for one in self._chosen if one.entry is entry), None)
         if first is not None and (trace := self._found.get(first)) is not None:
-            save(episode_figure(trace, title(trace)), file)
+            save(episode_figure(trace), file, title(trace))
 
 
 def title(trace: Trace) -> str:

@@ -1,26 +1,32 @@
-"""A figure of one episode: the robot's poses on the terrain, its pitch and flipper angles.
+"""Figures of episodes: the robot's poses on the terrain, its pitch and flipper angles over time.
 
-In: the trace of an episode. Out: a figure, with the map of a sensor that maps the ground.
+In: traces of episodes. Out: a figure, with the map of a sensor that maps the ground.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.ticker import MultipleLocator
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import MaxNLocator, MultipleLocator
 
-from flipperctl.api import FloatArray, Profile, RobotGeometry, RobotState
+from flipperctl.api import FloatArray, Outcome, Profile, RobotGeometry, RobotState
 from flipperctl.figures.figure import (
+    COLUMN,
     WIDTH,
     draw_ground,
     frame,
     in_style,
+    legend,
     legend_above,
+    look,
+    panels,
+    points,
     scaled,
     style_axes,
 )
@@ -30,6 +36,171 @@ from flipperctl.sim.outline import outlines
 
 _LEAST = 0.02
 """Smallest range of the colours of heights [m]."""
+_POSES = 6
+"""Largest number of poses in a panel [-]."""
+_FADE = 0.75
+"""How far the first pose fades, if there are many [-]."""
+
+
+@in_style
+def episode_figure(trace: Trace) -> Figure:
+    """Draw poses with their times on the terrain, above pitch and flipper angles over time.
+
+    Of a sensor that maps the ground, the map's points are drawn as of each pose, and the perceived
+    heights over time below.
+    """
+    heights = [1.7] if trace.maps else []
+    scale, height = _size([trace], WIDTH)
+    figure = Figure(figsize=(WIDTH, height + 2.7 + sum(heights)), layout="constrained")
+    above, below, *lowest = figure.subplots(
+        2 + len(heights), 1, height_ratios=[height, 1.7, *heights]
+    )
+    shown = _draw_poses(above, trace, scale)
+    states = [trace.state(i) for i in range(len(trace.time))]
+    for state in shown:
+        below.axvline(state.time, color=FAINT, linewidth=0.6, linestyle=":")
+    limit, _ = draw_angles(below, states, trace.robot, "Time [s]")
+    below.margins(x=0.02)
+    below.yaxis.set_major_locator(MultipleLocator(15 if limit < 50 else 30))
+    for axes in lowest:
+        _draw_heights(figure, axes, trace)
+        axes.set_xlim(below.get_xlim())
+    figure.align_ylabels()
+    _fit(figure, [above], scale)
+    return figure
+
+
+@in_style
+def poses_figure(traces: Sequence[Trace], names: Sequence[str], *, width: float = WIDTH) -> Figure:
+    """Draw each episode's poses along the ground, one below the other; earlier poses fade.
+
+    ``names``: of the policies, above their panels; empty for none.
+    """
+    scale, height = _size(traces, width)
+    each = height + points(0.35 if any(names) else 0.15)
+    figure = Figure(figsize=(width, len(traces) * each + points(0.35)), layout="constrained")
+    below = list(figure.subplots(len(traces), 1, squeeze=False, sharex=True)[:, 0])
+    for axes, trace, name in zip(below, traces, names, strict=True):
+        _draw_poses(axes, trace, scale)
+        ended = "" if trace.outcome == Outcome.REACHED else f": {trace.outcome}"
+        axes.set_title(f"{name}{ended}", loc="left")
+        axes.set_xlabel(axes.get_xlabel() if axes is below[-1] else "")
+    _fit(figure, below, scale)
+    return figure
+
+
+@in_style
+def series_figure(
+    traces: Sequence[Trace], names: Sequence[str], *, width: float = COLUMN
+) -> Figure:
+    """Draw pitch, flippers and the height of the chassis over time, a curve for each policy.
+
+    A cross ends the curve of an episode that did not reach the finish.
+    """
+    figure, axes = panels(width, 4, points(0.85))
+    for panel, (label, values) in zip(axes, _SERIES.items(), strict=True):
+        style_axes(panel, "", "", label)
+        for at, trace in enumerate(traces):
+            shown = look(at) | {"marker": None}
+            curve = values(trace)
+            panel.plot(trace.time, curve, **shown)
+            if trace.outcome != Outcome.REACHED:
+                panel.plot(
+                    trace.time[-1:], curve[-1:], "X", color=shown["color"], markersize=points(5),
+                    clip_on=False, zorder=9,
+                )  # fmt: skip
+        if "°" in label:
+            panel.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 1.5, 3, 6, 10]))
+    for panel in axes:
+        place = panel.get_subplotspec()
+        if place is not None and place.is_last_row():
+            panel.set_xlabel("Time [s]")
+    every = [
+        Line2D([], [], label=name, **(look(at) | {"marker": None})) for at, name in enumerate(names)
+    ]
+    legend(figure, every if len(every) > 1 else [])
+    figure.align_ylabels()
+    return figure
+
+
+_SERIES: dict[str, Callable[[Trace], FloatArray]] = {
+    "Pitch [°]": lambda trace: np.degrees(trace.pitch),
+    "Front\nflippers [°]": lambda trace: np.degrees(trace.front),
+    "Rear\nflippers [°]": lambda trace: np.degrees(trace.rear),
+    "Chassis\nheight [m]": lambda trace: trace.position[:, 1] - trace.position[0, 1],
+}
+
+
+def _shown(trace: Trace) -> list[RobotState]:
+    """Return the poses that are drawn: start and end, and evenly between along the path."""
+    reach = _reach(trace.robot)
+    length = float(np.hypot(*np.diff(trace.position, axis=0).T).sum())
+    indices = pose_indices(trace.position, max(0.6 * reach, length / (_POSES - 1)))
+    shown: list[RobotState] = []
+    for state in map(trace.state, reversed(indices)):  # a stuck robot moves and gets nowhere
+        if not shown or np.linalg.norm(state.position - shown[-1].position) > 0.3 * reach:
+            shown.append(state)
+    return shown[::-1]
+
+
+def _reach(robot: RobotGeometry) -> float:
+    return robot.hinge_offset + robot.flipper_axle + robot.track_radius
+
+
+def _window(traces: Sequence[Trace]) -> tuple[FloatArray, FloatArray]:
+    """Return the corners of the box that shows all poses of all traces, (x, z) in world [m]."""
+    boxes = []
+    for trace in traces:
+        tops = [outlines(state, trace.robot)[:, :, 1].max() for state in _shown(trace)]
+        boxes.append(window(trace.position, trace.profile, _reach(trace.robot), max(tops)))
+    lows, highs = zip(*boxes, strict=True)
+    return np.min(lows, axis=0), np.max(highs, axis=0)
+
+
+def _size(traces: Sequence[Trace], width: float) -> tuple[int, float]:
+    """Return the scale of heights, and the height of a panel [in]."""
+    return scaled(*_window(traces), 4.0, width)
+
+
+def _draw_poses(axes: Axes, trace: Trace, scale: int) -> list[RobotState]:
+    """Draw the ground, the path of the chassis centre, and poses with their times; return these."""
+    draw_ground(axes, trace.profile)
+    path = axes.plot(*trace.position.T, color=INK, linewidth=points(0.6), label="chassis centre")
+    shown = _shown(trace)
+    if trace.maps:
+        seen = np.concatenate([trace.maps[trace.latest(state.time)] for state in shown])
+        path += axes.plot(
+            *seen.T, ".", color=HEIGHTS, markersize=points(1.5), zorder=4, label="map"
+        )
+        legend_above(axes, path)
+    for i, state in enumerate(shown):
+        fade = _FADE * (1 - (i + 1) / len(shown))
+        RobotArtist(axes, zorder=5.0 + i, fade=fade).show(state, trace.robot)
+        top = outlines(state, trace.robot)[:, :, 1].max()
+        axes.annotate(
+            f"{state.time:.1f} s", (state.position[0], top), xytext=(0, 2), ha="center",
+            textcoords="offset points", fontsize=points(7),
+            zorder=5.0 + len(shown), path_effects=[withStroke(linewidth=1.5, foreground="white")],
+        )  # fmt: skip
+    frame(axes, *_window([trace]), scale)
+    axes.set_aspect("auto")  # see _fit
+    return shown
+
+
+def _fit(figure: Figure, panels: Sequence[Axes], scale: int) -> None:
+    """Extend what panels of ground show to the scale of their heights.
+
+    They keep their places, so that panels below each other have equal widths.
+    """
+    for _ in range(2):  # labels of other heights have another width
+        figure.draw_without_rendering()
+        for axes in panels:
+            box = axes.get_window_extent()
+            (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+            more = (right - left) * box.height / (box.width * scale) - (high - low)
+            axes.set_ylim(low - max(0.0, more) / 2, high + max(0.0, more) / 2)
+            wider = max(0.0, -more) * scale * box.width / box.height / 2
+            axes.set_xlim(left - wider, right + wider)
 
 
 def _draw_heights(figure: Figure, axes: Axes, trace: Trace) -> None:
@@ -43,62 +214,9 @@ def _draw_heights(figure: Figure, axes: Axes, trace: Trace) -> None:
         times, edges, heights.T, cmap="cividis", vmin=-limit, vmax=limit, rasterized=True
     )
     bar = figure.colorbar(mesh, ax=axes, location="bottom", fraction=0.05, aspect=70, pad=0.02)
-    bar.set_label("height H of each bin [m]; white: never seen", fontsize=8)
-    bar.ax.tick_params(labelsize=8)
-    style_axes(axes, "", "", "ahead [m]")
-
-
-_POSES = 12
-"""Largest number of intervals between poses [-]."""
-
-
-@in_style
-def episode_figure(trace: Trace, title: str = "") -> Figure:
-    """Draw poses with their times on the terrain, above pitch and flipper angles over time.
-
-    Poses are drawn at the start, at the end and evenly in between. Along the path of the chassis'
-    centre they are a little less than the robot's length apart, or a twelfth of the path if that is
-    longer. The heights of very long ground are scaled up, as the axis label states. Of a sensor
-    that maps the ground, the map's points are drawn as of each pose, and the heights H over time
-    below.
-    """
-    robot, path, profile = trace.robot, trace.position, trace.profile
-    reach = robot.hinge_offset + robot.flipper_axle + robot.track_radius
-    length = float(np.hypot(*np.diff(path, axis=0).T).sum())
-    poses = pose_indices(path, max(1.75 * reach, length / _POSES))
-    states = [trace.state(i) for i in range(len(path))]
-    shown = [states[i] for i in poses]
-    tops = [outlines(state, robot)[:, :, 1].max() for state in shown]
-    low, high = window(path, profile, reach, max(tops))
-    scale, height = scaled(low, high, 6.0)
-    heights = [2.4] if trace.maps else []
-    figure = Figure(figsize=(WIDTH, height + 3.9 + sum(heights)), layout="constrained")
-    above, below, *lowest = figure.subplots(
-        2 + len(heights), 1, height_ratios=[height, 2.6, *heights]
-    )
-    draw_ground(above, profile)
-    above.plot(path[:, 0], path[:, 1], color=INK, linewidth=0.9, label="chassis centre")
-    if trace.maps:
-        points = np.concatenate([trace.maps[trace.latest(state.time)] for state in shown])
-        above.plot(*points.T, ".", color=HEIGHTS, markersize=2.4, zorder=4, label="map")
-    lines = above.get_lines()[1:]  # without the ground, and before the robots
-    for i, (state, top) in enumerate(zip(shown, tops, strict=True)):
-        RobotArtist(above, zorder=5.0 + i).show(state, robot)
-        above.annotate(
-            f"{state.time:.1f} s", (state.position[0], top), xytext=(0, 4), ha="center",
-            textcoords="offset points", fontsize=8, color=INK, zorder=5.0 + len(shown),
-        )  # fmt: skip
-    frame(above, low, high, scale, title)
-    legend_above(above, lines)
-    for state in shown:
-        below.axvline(state.time, color=FAINT, linewidth=0.8, linestyle=":")
-    limit, _ = draw_angles(below, states, robot, "time [s]; dotted: the poses above")
-    below.margins(x=0.02)
-    below.yaxis.set_major_locator(MultipleLocator(15 if limit < 75 else 30))
-    for axes in lowest:
-        _draw_heights(figure, axes, trace)
-        axes.set_xlim(below.get_xlim())
-    return figure
+    style_axes(bar.ax, "", "Perceived height of each bin [m]; white: never seen", "")
+    bar.ax.grid(visible=False)
+    style_axes(axes, "", "", "Ahead [m]")
 
 
 def pose_indices(path: FloatArray, spacing: float) -> list[int]:
@@ -106,8 +224,8 @@ def pose_indices(path: FloatArray, spacing: float) -> list[int]:
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
     poses = max(1, int(along[-1] / spacing)) + 1
     wanted = np.linspace(0.0, along[-1], poses)
-    indices = np.minimum(np.searchsorted(along, wanted - 1e-9), len(path) - 1)
-    return sorted({*indices.tolist(), len(path) - 1})
+    nearest = {int(np.abs(along - distance).argmin()) for distance in wanted}
+    return sorted({*nearest, len(path) - 1})
 
 
 def window(
@@ -133,9 +251,9 @@ def draw_angles(
     ):
         angles = [math.degrees(getattr(state, name)) for state in states]
         label = name if name == "pitch" else f"{name} flippers"
-        lines += axes.plot(time, angles, style, color=colour, linewidth=1.6, label=label)
+        lines += axes.plot(time, angles, style, color=colour, label=label)
     limit = math.degrees(max(robot.angle_limit, *(abs(state.pitch) for state in states)))
     axes.set_ylim(-1.1 * limit, 1.1 * limit)
     legend_above(axes, lines)
-    style_axes(axes, "", x_label, "angle [°]")
+    style_axes(axes, "", x_label, "Angle [°]")
     return limit, lines

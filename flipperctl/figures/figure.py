@@ -45,8 +45,8 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 """Lines and markers of methods: with 7 colours and markers and 4 lines, 28 methods differ."""
 _LEVEL = 60.0
 """Length of the level ground before and past a profile, and depth of the ground [m]."""
-_LEAST = 0.9
-"""Smallest height of a picture of ground [in]."""
+_LEAST = 0.09
+"""Smallest height of a picture of ground, of its width [-]."""
 
 Style = Literal["paper", "slides", "screen"]
 STYLES: dict[Style, dict[str, Any]] = {
@@ -145,13 +145,12 @@ def draw_ground(axes: Axes, profile: Profile) -> None:
     axes.plot(line[:, 0], line[:, 1], color=GROUND, linewidth=points(1.0))
 
 
-def z_scale(extent: FloatArray, width: float) -> int:
-    """Return the scale of z over that of x at which the picture has the smallest height.
+def z_scale(extent: FloatArray) -> int:
+    """Return the scale of z over that of x at which a picture of ground has the smallest height.
 
-    The picture shows ``extent`` (x, z) [m] and is ``width`` [in] wide. A result of 1 means equal
-    scales.
+    The picture shows ``extent`` (x, z) [m]. A result of 1 means equal scales.
     """
-    return max(1, math.ceil(_LEAST * float(extent[0]) / (width * float(extent[1]))))
+    return max(1, math.ceil(_LEAST * float(extent[0] / extent[1])))
 
 
 def scaled(
@@ -162,7 +161,7 @@ def scaled(
     ``width``: that of the figure, in which axes labels take a part [in].
     """
     inner, extent = width - points(0.6), high - low
-    scale = z_scale(extent, inner)
+    scale = z_scale(extent)
     natural = scale * inner * float(extent[1] / extent[0])
     return scale, min(max(natural, 0.6), most)
 

@@ -10,11 +10,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import matplotlib
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from matplotlib.ticker import MultipleLocator
@@ -43,9 +45,14 @@ _FLAG = np.array([[0.0, 0.0], [0.0, 0.55], [0.14, 0.5], [0.0, 0.45]])  # [m]
 class RobotArtist:
     """The robot in an axes: flippers drawn over the chassis, and belts with moving marks."""
 
-    def __init__(self, axes: Axes, zorder: float = 5.0) -> None:
-        groups = (([CHASSIS], zorder), ([FRONT, REAR], zorder + 0.3))
-        self._belts = [PolyCollection([], facecolors=BELT, zorder=z) for _, z in groups]
+    def __init__(self, axes: Axes, zorder: float = 5.0, fade: float = 0.0) -> None:
+        """``fade``: from 0, in its own colours, to 1, white."""
+        chassis, front, rear, belt, ink = (
+            tuple(fade + (1 - fade) * part for part in to_rgb(colour))
+            for colour in (CHASSIS, FRONT, REAR, BELT, INK)
+        )
+        groups = (([chassis], zorder), ([front, rear], zorder + 0.3))
+        self._belts = [PolyCollection([], facecolors=[belt], zorder=z) for _, z in groups]
         self._bodies = [
             PolyCollection([], facecolors=colours, zorder=z + 0.1) for colours, z in groups
         ]
@@ -54,8 +61,9 @@ class RobotArtist:
         ]
         for artist in (*self._belts, *self._bodies, *self._marks):
             axes.add_collection(artist, autolim=False)
+        size = min(5.0, 0.5 * float(matplotlib.rcParams["font.size"]))
         (self._hinges,) = axes.plot(
-            [], [], "o", color="white", markeredgecolor=INK, markersize=5, zorder=zorder + 0.6,
+            [], [], "o", color="white", markeredgecolor=ink, markersize=size, zorder=zorder + 0.6,
             scalex=False, scaley=False,
         )  # fmt: skip
 

@@ -74,7 +74,7 @@ def terrain_figure(
     extent = np.max([_extent(p) for p in others], axis=0) if others else np.ones(2)
     rows = -(-len(others) // _COLUMNS)
     columns = -(-len(others) // rows) if rows else 1  # fill the rows evenly
-    scale = z_scale(large[1] - large[0], WIDTH - 0.6)
+    scale = z_scale(large[1] - large[0])
     heights = [_height(large[1] - large[0], WIDTH - 0.6, scale)]
     small = _height(extent, WIDTH / columns - 0.2, scale)
     heights += rows * [min(small, 0.6 * heights[0]) + 0.2]

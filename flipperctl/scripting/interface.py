@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from flipperctl.cli import plot as drawing
 from flipperctl.cli.hydra.compose import compose_train, run_directory
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.plan import make_plan
@@ -46,6 +47,7 @@ from flipperctl.scripting.settings import (
     words,
 )
 from flipperctl.session import interrupts
+from flipperctl.terminal.streams import print_note
 from flipperctl.terminal.training import check_resumed, print_best
 from flipperctl.training.listeners import read_rows
 from flipperctl.training.run import Finished, check, check_resumable, start
@@ -54,6 +56,7 @@ from flipperctl.training.run import resume as resume_run
 if TYPE_CHECKING:
     import numpy as np
     from gymnasium import Env
+    from matplotlib.figure import Figure
     from numpy.typing import NDArray
     from pandas import DataFrame
 
@@ -398,6 +401,46 @@ def evaluate(
         error.result = done[0] if done else None
         raise
     return done[0]
+
+
+@short_errors()
+def plot(
+    *sources: str | os.PathLike[str],
+    kind: str | None = None,
+    names: Mapping[str, str] | None = None,
+    metrics: Sequence[str] = (),
+    only: Sequence[str] = (),
+    scene: str | None = None,
+    episode: int | None = None,
+    against: str | None = None,
+    average: str = "mean",
+    width: str | None = None,
+    style: str = "paper",
+    plugins: Paths = (),
+) -> Figure:
+    """Return a figure of runs, a sweep, or folders of results or of a map.
+
+    The arguments are those of ``flipperctl plot``; ``names``: methods by the names that they get,
+    as in ``{"AT-D3QN": "runs/first"}``. What the figure leaves out is printed on stderr.
+
+    Raises:
+        RequestError: there is nothing to draw, or an argument does not fit.
+    """
+    begin(plugins)
+    return drawing.draw(
+        [os.fspath(source) for source in sources],
+        kind=kind,
+        names=[f"{name}={method}" for name, method in (names or {}).items()],
+        metrics=metrics,
+        only=only,
+        scene=scene,
+        episode=episode,
+        against=against,
+        average=average,
+        width=None if width is None else drawing.length(width),
+        style=style,
+        tell=print_note,
+    ).figure
 
 
 def _names(argument: str, names: Sequence[str] | None) -> str | None:

@@ -69,7 +69,7 @@ def test_a_failure_is_recorded_and_played_again_with_pictures_of_its_robot(
     """The robot is sampled; a nominal one would hover above the ground or lie in it."""
     drawn = []
 
-    def figure(trace: Trace, title: str) -> Figure:
+    def figure(trace: Trace) -> Figure:
         drawn.append(trace.robot.track_radius)
         return Figure()
 

@@ -1,6 +1,7 @@
 """``plot``: figures of runs, results and maps, and what it refuses."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,13 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+import flipperctl
+from flipperctl.api import RobotGeometry
 from flipperctl.cli.plot import draw, length
+from flipperctl.errors import RequestError
+from flipperctl.figures.episode import poses_figure
+from flipperctl.rollout.trace import Trace
+from flipperctl.rollout.trace import write as write_traces
 from tests.cli.call import call, refused
 from tests.cli.test_compare import write
 
@@ -123,6 +130,56 @@ def test_a_map_is_labelled_in_words(here: Path) -> None:
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("Height [m]", "Friction")
 
 
+def traced(policy: str, outcome: str = "reached", metres: float = 3.0) -> Trace:
+    time = np.linspace(0.0, 10.0, 201)
+    flat = np.zeros(201)
+    return Trace(
+        policy=policy, scene="step", outcome=outcome, robot=RobotGeometry(),
+        ground=np.array([[0.0, 0.0], [0.0, 0.2], [2.0, 0.2]]), time=time,
+        position=np.column_stack([np.linspace(-1, metres - 1, 201), flat + 0.1]),
+        pitch=flat + 0.5, front=flat, rear=flat, decided=np.array([0.0]),
+        actions=np.zeros((1, 2)), heights=np.zeros((1, 15)), bin_width=0.15,
+    )  # fmt: skip
+
+
+def test_policies_on_one_episode(here: Path) -> None:
+    """Of a method with several seeds the first is drawn; a cross ends a failure."""
+    policies = ("s/network=mlp, seed 1", "s/network=mlp, seed 2", "level")
+    every = [traced(policies[0], "stuck"), *map(traced, policies[1:])]
+    write_traces(here / "judged/traces.npz", every)
+    series = drawn(here, "judged", kind="series", names=["MLP=s/network=mlp"])
+    (legend,) = series.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["MLP", "level"]
+    pitch = series.axes[0]
+    assert [line.get_marker() for line in pitch.get_lines()] == ["None", "X", "None"]
+    assert np.asarray(pitch.get_lines()[0].get_ydata())[0] == pytest.approx(28.6, abs=0.1)
+    first, second = drawn(here, "judged", kind="poses", only=["level", "mlp"]).axes
+    assert [axes.get_title("left") for axes in (first, second)] == ["level", "mlp: stuck"]
+    assert [text.get_text() for text in first.texts] == [
+        "0.0 s", "2.0 s", "4.0 s", "6.0 s", "8.0 s", "10.0 s",
+    ]  # fmt: skip
+    for words, text in (
+        (["--scene", "stair"], "--scene stair: it was not traced; known: step"),
+        (["--episode", "7"], "--episode 7: it was not traced; known: 0"),
+        (["--only", "lev"], "did you mean 'level'?"),
+    ):
+        assert text in refused("plot", "judged", "--kind", "poses", *words, cwd=here)
+
+
+def test_a_robot_that_shakes_in_its_place_is_drawn_once() -> None:
+    still = traced("level", "stuck", metres=0.0)
+    shaken = replace(still, position=still.position + 0.1 * (np.arange(201)[:, None] % 2))
+    assert len(poses_figure([shaken], [""]).axes[0].texts) == 1
+
+
+def test_from_python(here: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    figure = flipperctl.plot(here / "judged", names={"still": "level"}, width="18cm")
+    assert figure.get_figwidth() == pytest.approx(18 / 2.54)
+    assert capsys.readouterr().out == ""
+    with pytest.raises(RequestError, match="nothing is named to draw"):
+        flipperctl.plot()
+
+
 @pytest.mark.parametrize(
     ("words", "text"),
     [
@@ -141,6 +198,8 @@ def test_a_map_is_labelled_in_words(here: Path) -> None:
         (("judged", "--name", "AT=judge"), "did you mean 'judged'?"),
         (("judged", "--name", "level=judged"), "would both be called level"),
         (("judged", "--against", "level"), "it has a meaning for --kind differences alone"),
+        (("judged", "--kind", "series"), "traces.npz: there is no such file; the eval --output"),
+        (("judged", "--scene", "stair"), "for --kind series and poses alone, not intervals"),
         (("judged", "--kind", "differences", "--against", "lev"), "did you mean 'level'?"),
         (("run", "--width", "3.5"), ""),
         (("run", "--width", "1in"), "--width 1in: 2in to 30in are allowed"),

@@ -85,9 +85,9 @@ def test_the_heights_of_very_long_ground_are_scaled_up_and_labelled() -> None:
 
 
 def test_episode_marks_the_same_poses_in_both_panels() -> None:
-    figure = episode_figure(trace(), "stair")
+    figure = episode_figure(trace())
     above, below = figure.axes
-    times = [0, 7.5, 15, 22.5, 30]
+    times = [0, 6, 12, 18, 24, 30]
     assert [text.get_text() for text in above.texts] == [f"{time:.1f} s" for time in times]
     curves = {str(line.get_label()): line for line in below.get_lines()}
     assert np.asarray(curves["pitch"].get_ydata())[0] == pytest.approx(math.degrees(0.2))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,6 +28,9 @@ from flipperctl.evaluation.seeds import (
 )
 from flipperctl.evaluation.stored import read
 from flipperctl.evaluation.views import compare
+from flipperctl.messages import close_match
+from flipperctl.rollout.trace import Trace
+from flipperctl.rollout.trace import read as read_traces
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -48,14 +52,26 @@ class Request:
     """Empty: those of the kind."""
     names: Sequence[str] = ()
     """``NAME=METHOD``."""
+    only: Sequence[str] = ()
+    """Methods to draw; empty: all."""
     against: str | None = None
     """A method, by default the first."""
+    scene: str | None = None
+    """Scene of an episode, by default the first."""
+    episode: int | None = None
+    """Index of an episode, by default the first that was traced."""
     width: float | None = None
     """[in]; None: that of the kind."""
 
     def sized(self) -> dict[str, float]:
         """Return the width as an argument of a figure."""
         return {} if self.width is None else {"width": self.width}
+
+    def called(self, labels: Sequence[str]) -> dict[str, str]:
+        """Return what the methods that are drawn are called, by label."""
+        called = renamed(labels, self.names)
+        chosen = [taken(one, called, "--only") for one in self.only] or called
+        return {label: called[label] for label in chosen}
 
     def one_metric(self, default: str = VARIATION) -> str:
         """Return the metric of a kind that shows one."""
@@ -65,22 +81,22 @@ class Request:
 
 
 def estimates(
-    folders: Sequence[str], metrics: Sequence[str], words: Sequence[str] = ()
+    asked: Request, metrics: Sequence[str]
 ) -> tuple[list[dict[str, Any]], tuple[str, ...]]:
     """Return a row for each method on each scene, and what was left out, in sentences.
 
     A row has ``method``, ``scene`` and each metric: a mean with its 95 % interval over training
     seeds and episodes, over the episodes that all seeds reached, or None.
     """
-    stored = {metric: read(folders, _column(metric)) for metric in dict.fromkeys(metrics)}
+    stored = {metric: read(asked.folders, _column(metric)) for metric in dict.fromkeys(metrics)}
     first = next(iter(stored.values()))
-    called = renamed([method.name for method in first.methods], words)
+    labels = [method.name for method in first.methods]
     rows = []
-    for at, method in enumerate(first.methods):
+    for label, name in asked.called(labels).items():
         for scene in first.episodes:
-            row: dict[str, Any] = {"method": called[method.name], "scene": scene}
+            row: dict[str, Any] = {"method": name, "scene": scene}
             for metric, own in stored.items():
-                row[metric] = _estimate(own.methods[at], scene, metric)
+                row[metric] = _estimate(own.methods[labels.index(label)], scene, metric)
             rows.append(row)
     return rows, first.notices
 
@@ -115,7 +131,7 @@ def differences(
     """
     (other,) = (m for m in found.stored.methods if m.name == against)
     theirs = other.scores(found.prices)
-    for method in found.stored.methods:
+    for method in (m for label in called for m in found.stored.methods if m.name == label):
         for scene, ours in method.scores(found.prices).items():
             gap, _ = difference_interval({scene: ours}, {scene: theirs[scene]})
             yield {
@@ -134,7 +150,7 @@ def profiles(
     A curve is the share of episodes at or below each level, averaged over scenes, with both ends of
     the 95 % band of the bootstrap over seeds and episodes, (3, L).
     """
-    methods = found.stored.methods
+    methods = [m for label in called for m in found.stored.methods if m.name == label]
     largest = [
         float(m.values[scene][reached].max(initial=0.0))
         for m in methods
@@ -156,7 +172,7 @@ def _intervals(asked: Request) -> tuple[Figure, Sequence[str]]:
     from flipperctl.figures.methods import intervals_figure
 
     metrics = list(asked.metrics) or [SUCCESS, VARIATION]
-    rows, notices = estimates(asked.folders, metrics, asked.names)
+    rows, notices = estimates(asked, metrics)
     return intervals_figure(rows, metrics, **asked.sized()), notices
 
 
@@ -164,13 +180,55 @@ def _heat(asked: Request) -> tuple[Figure, Sequence[str]]:
     from flipperctl.figures.methods import heat_figure
 
     metric = asked.one_metric()
-    rows, notices = estimates(asked.folders, [metric, SUCCESS], asked.names)
+    rows, notices = estimates(asked, [metric, SUCCESS])
     return heat_figure(rows, metric, **asked.sized()), notices
+
+
+def episodes(asked: Request) -> tuple[list[Trace], list[str]]:
+    """Return a trace of each method on one episode, and the methods' names.
+
+    Of a method with several training seeds, the first one's.
+
+    Raises:
+        RequestError: there are no traces, or none of this scene, episode or method.
+    """
+    traces: list[Trace] = []
+    for folder in asked.folders:
+        _, equals, path = folder.partition("=")
+        file = Path(path if equals and not Path(folder).exists() else folder) / "traces.npz"
+        if not file.is_file():
+            raise RequestError(
+                f"{file}: there is no such file; the eval --output of this folder writes it, again"
+            )
+        traces += read_traces(file)
+    scene = _one_of("--scene", asked.scene, [trace.scene for trace in traces])
+    traces = [trace for trace in traces if trace.scene == scene]
+    number = _one_of(
+        "--episode", None if asked.episode is None else str(asked.episode),
+        [str(trace.episode) for trace in traces],
+    )  # fmt: skip
+    every = {t.policy: t for t in traces if str(t.episode) == number}
+    first: dict[str, Trace] = {}
+    for policy, trace in every.items():
+        first.setdefault(policy.partition(", seed ")[0], trace)
+    called = asked.called(list(first))
+    return [first[label] for label in called], list(called.values())
+
+
+def _one_of(option: str, wanted: str | None, known: Sequence[str]) -> str:
+    """Return what is wanted, by default the first that is known."""
+    wanted = known[0] if wanted is None and known else str(wanted)
+    if wanted not in known:
+        raise RequestError(
+            f"{option} {wanted}: it was not traced{close_match(wanted, known)}; known: "
+            f"{', '.join(dict.fromkeys(known))}"
+        )
+    return wanted
 
 
 def _compared(asked: Request) -> tuple[compare.Comparison, dict[str, str]]:
     found = compare.compare(asked.folders, measure=asked.one_metric())
-    return found, renamed([method.name for method in found.stored.methods], asked.names)
+    return found, asked.called([method.name for method in found.stored.methods])
 
 
 def _differences(asked: Request) -> tuple[Figure, Sequence[str]]:
@@ -194,10 +252,26 @@ def _profiles(asked: Request) -> tuple[Figure, Sequence[str]]:
     return drawn, found.stored.notices
 
 
+def _series(asked: Request) -> tuple[Figure, Sequence[str]]:
+    from flipperctl.figures.episode import series_figure
+
+    traces, names = episodes(asked)
+    return series_figure(traces, names, **asked.sized()), ()
+
+
+def _poses(asked: Request) -> tuple[Figure, Sequence[str]]:
+    from flipperctl.figures.episode import poses_figure
+
+    traces, names = episodes(asked)
+    return poses_figure(traces, names, **asked.sized()), ()
+
+
 KINDS: dict[str, Callable[[Request], tuple[Figure, Sequence[str]]]] = {
     "intervals": _intervals,
     "heat": _heat,
     "differences": _differences,
     "profiles": _profiles,
+    "series": _series,
+    "poses": _poses,
 }
 """Each returns the figure, and what was left out, in sentences."""
