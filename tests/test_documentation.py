@@ -255,7 +255,7 @@ def test_the_python_examples_run(folder: Path, capsys: pytest.CaptureFixture[str
 
 def test_every_python_example_is_tried() -> None:
     assert [command for command in LAUNCHED if command not in commands()] == []
-    library = ("flipperctl.train", "flipperctl.load")  # tests/scripting/test_interface.py
+    library = ("flipperctl.train", "flipperctl.load", "flipperctl.plot")  # tests of their own
     tried = *library, "mound.npy", "rgb_array", 'OnnxPolicy("stair.onnx")', "class StandIn"
     tried += "Conformance", "RobotSetup(", "action_space.sample"
     others = set(blocks("python")) - set(saved().values()) - {example(word) for word in tried}

@@ -20,22 +20,26 @@ def names(labels: Sequence[str]) -> dict[str, str]:
     """Return a short name for each label: all differ.
 
     Of a path, the last parts that differ from the others'; of a sweep's folder, the values of its
-    settings, with the last part of their keys where the value is a number.
+    settings, with the last part of their keys where the value is a number, and the seed where it is
+    needed.
     """
     whole = {label: _FILES.sub("", label) for label in labels}
     for count in range(1, max([1, *(text.count("/") + 1 for text in whole.values())]) + 1):
-        found = {label: _last(text, count) for label, text in whole.items()}
-        if len(set(found.values())) == len(found):
-            return found
+        for with_seed in (False, True):
+            found = {label: _last(text, count, with_seed) for label, text in whole.items()}
+            if len(set(found.values())) == len(found):
+                return found
     return whole
 
 
-def _last(text: str, count: int) -> str:
+def _last(text: str, count: int, with_seed: bool) -> str:
     """Return the last parts of a path, and of the settings in the last one their values."""
     *folders, last = text.split("/")
     parts = []
     for part in map(str.strip, _JOB.sub("", last).split(",")):
         key, equals, value = part.partition("=")
+        if key == "seed" and parts and not with_seed:
+            continue
         name = key.rpartition(".")[2]
         plain = not equals or name == "seed" or re.fullmatch(r"[-+.\deE]+|true|false|null", value)
         parts.append(f"{name}={value}" if equals and plain else value if equals else part)
