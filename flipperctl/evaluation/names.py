@@ -35,7 +35,7 @@ def names(labels: Sequence[str]) -> dict[str, str]:
 def _last(text: str, count: int, with_seed: bool) -> str:
     """Return the last parts of a path, and of the settings in the last one their values."""
     *folders, last = text.split("/")
-    parts = []
+    parts: list[str] = []
     for part in map(str.strip, _JOB.sub("", last).split(",")):
         key, equals, value = part.partition("=")
         if key == "seed" and parts and not with_seed:

@@ -99,10 +99,14 @@ DOCUMENT = r"""
 
 
 @pytest.mark.skipif(shutil.which("pdflatex") is None, reason="there is no LaTeX")
-def test_the_table_fits_into_a_column_of_an_article(seeds: Path) -> None:
+@pytest.mark.parametrize("command", ["compare", "eval"])
+def test_the_table_fits_into_a_column_of_an_article(command: str, seeds: Path) -> None:
     write(seeds / "other", {"runs/9/best_of": 1.5, "level": 2.0}, failed=0)
-    words = ("plain", "other", "--against", "level", "--output", "table.tex")
-    assert call("compare", *words, cwd=seeds).code == 0
+    if command == "compare":
+        words = ["plain", "other", "--against", "level", "--output", "table.tex"]
+    else:
+        words = ["okada", "level", "terrain=flat", "--episodes", "5", "--output", "."]
+    assert call(command, *words, cwd=seeds).code == 0
     (seeds / "article.tex").write_text(DOCUMENT)
     run = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "article.tex"]
     done = subprocess.run(run, cwd=seeds, capture_output=True, text=True, check=False)
