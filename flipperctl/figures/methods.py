@@ -29,6 +29,8 @@ from flipperctl.figures.words import SUCCESS, label
 Row = Mapping[str, Any]
 """Keys ``method`` and ``scene``, and by the name of each metric a mean with its interval: a mapping
 with ``mean``, ``low`` and ``high``, whose ends may be None; or None where there is no value."""
+_MOST = 6
+"""Largest number of scenes beside each other in a heat table [-]."""
 _ROW = 0.15
 """Height of a method's line in a figure [in] on paper."""
 
@@ -44,9 +46,14 @@ def intervals_figure(
     """
     looks = _looks(rows)
     figure, axes = _beside(rows, len(metrics), width)
+    longest = max(len(row["method" if _count(rows) == 1 else "scene"]) for row in rows)
+    narrow = (width - points(0.06 * longest)) / len(metrics) < points(1.45)
     for panel, metric in zip(axes, metrics, strict=True):
         _estimates(panel, rows, looks, metric)
-        style_axes(panel, "", label(metric), "")
+        style_axes(panel, "", label(metric, folded=narrow), "")
+        if narrow:
+            panel.xaxis.label.set_verticalalignment("top")
+            panel.xaxis.labelpad = points(2)
         panel.grid(visible=False, axis="y")
         if metric == SUCCESS:
             panel.set_xlim(-5, 105)
@@ -93,15 +100,19 @@ def differences_figure(
 def heat_figure(rows: Sequence[Row], metric: str, *, width: float = COLUMN) -> Figure:
     """Draw a table of methods and scenes whose cells are coloured by their mean.
 
-    A cell also tells the success, under ``success``, where it is below 100 %.
+    A cell also tells the success, under ``success``, where it is below 100 %. Many scenes stand
+    below each other.
     """
-    methods = list(dict.fromkeys(row["method"] for row in rows))
-    scenes = list(dict.fromkeys(row["scene"] for row in rows))
+    lines, columns = "method", "scene"
+    if len({row["scene"] for row in rows}) > max(_MOST, len({row["method"] for row in rows})):
+        lines, columns = columns, lines
+    methods = list(dict.fromkeys(row[lines] for row in rows))
+    scenes = list(dict.fromkeys(row[columns] for row in rows))
     factor = 100.0 if metric == SUCCESS else 1.0
     table = np.full((len(methods), len(scenes)), np.nan)
     partly: dict[tuple[int, int], float] = {}
     for row in rows:
-        at = methods.index(row["method"]), scenes.index(row["scene"])
+        at = methods.index(row[lines]), scenes.index(row[columns])
         if row[metric] is not None:
             table[at] = factor * row[metric]["mean"]
         if metric != SUCCESS and row[SUCCESS]["mean"] < 1:
@@ -115,10 +126,10 @@ def heat_figure(rows: Sequence[Row], metric: str, *, width: float = COLUMN) -> F
         mesh.set_clim(0, 100)
     for (i, j), value in np.ndenumerate(table):
         number = "–" if np.isnan(value) else f"{value:.0f}" if metric == SUCCESS else f"{value:.2f}"
-        lines = [number, *([f"{partly[i, j]:.0f} %"] if (i, j) in partly else [])]
+        texts = [number, *([f"{partly[i, j]:.0f} %"] if (i, j) in partly else [])]
         dark = np.isfinite(value) and np.dot(mesh.to_rgba(value)[:3], (0.3, 0.6, 0.1)) < 0.5
         axes.text(
-            j, i, "\n".join(lines), ha="center", va="center", color="white" if dark else INK,
+            j, i, "\n".join(texts), ha="center", va="center", color="white" if dark else INK,
             fontsize=matplotlib.rcParams["legend.fontsize"], linespacing=1.0,
         )  # fmt: skip
     style_axes(axes, "", "", "")
@@ -129,8 +140,15 @@ def heat_figure(rows: Sequence[Row], metric: str, *, width: float = COLUMN) -> F
     wide = max(map(len, scenes)) * len(scenes) * points(0.07) > width - points(1.2)
     tilted: dict[str, Any] = {"rotation": 35, "ha": "right"} if wide else {}
     axes.set_xticks(range(len(scenes)), scenes, **tilted)
-    bar = figure.colorbar(mesh, ax=axes, location="bottom", fraction=0.06, pad=0.03, aspect=40)
-    bar.set_label(label(metric) + ("; below: success, if not 100 %" if partly else ""))
+    bar = figure.colorbar(
+        mesh,
+        ax=axes,
+        location="bottom",
+        fraction=min(0.06, 0.6 / len(methods)),
+        pad=0.03,
+        aspect=40,
+    )
+    bar.set_label(label(metric) + ("\nbelow: success, if not 100 %" if partly else ""))
     bar.ax.tick_params(labelsize=matplotlib.rcParams["xtick.labelsize"])
     return figure
 

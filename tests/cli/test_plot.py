@@ -224,3 +224,20 @@ def test_lengths() -> None:
     assert [length(text) for text in ("3.5in", "252pt", "8.89cm", "88.9 mm")] == pytest.approx(
         [3.5] * 4
     )
+
+
+def test_scenes_of_one_terrain_have_the_names_of_the_tables(here: Path) -> None:
+    """They are told apart by their conditions, whose hashes stand in no figure."""
+    for scene in ("dry", "wet"):
+        write(here / scene, {"level": 2.0})
+    first, second = ((here / scene / "episodes.csv").read_text() for scene in ("dry", "wet"))
+    second = second.partition("\n")[2].replace("abcd", "ef01")
+    (here / "dry/episodes.csv").write_text(first + second)
+    scenes = [
+        {"terrain": "stair", "controller": "level", "suite_scene": name}
+        | {"conditions": {"name": "nominal", "hash": digest, "sim": same, "perception": same}}
+        for name, digest, same in (("dry", "abcd", {"name": "a"}), ("wet", "ef01", {"name": "a"}))
+    ]
+    (here / "dry/summary.json").write_text(json.dumps({"scenes": scenes}))
+    labels = [text.get_text() for text in drawn(here, "dry").axes[0].get_yticklabels()]
+    assert labels == ["stair, dry", "stair, wet"]

@@ -6,6 +6,7 @@ the figure of a kind.
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -28,6 +29,8 @@ from flipperctl.evaluation.seeds import (
 )
 from flipperctl.evaluation.stored import read
 from flipperctl.evaluation.views import compare
+from flipperctl.evaluation.views.summary import named
+from flipperctl.figures.words import SUCCESS, VARIATION
 from flipperctl.messages import close_match
 from flipperctl.rollout.trace import Trace
 from flipperctl.rollout.trace import read as read_traces
@@ -35,7 +38,6 @@ from flipperctl.rollout.trace import read as read_traces
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-SUCCESS, VARIATION = "success", "pitch_variation_100hz"
 _LEVELS = 201  # number of scores at which a profile is drawn [-]
 _RESAMPLES = 400  # number of bootstrap samples of a band [-]
 _ALWAYS = ("max_pitch", "decisions", "return")
@@ -67,6 +69,27 @@ class Request:
         """Return the width as an argument of a figure."""
         return {} if self.width is None else {"width": self.width}
 
+    def paths(self) -> Iterator[Path]:
+        """Yield the folders."""
+        for folder in self.folders:
+            _, equals, path = folder.partition("=")
+            yield Path(path if equals and not Path(folder).exists() else folder)
+
+    def scenes(self) -> dict[str, str]:
+        """Return the names of scenes in tables, where several are of one terrain.
+
+        The keys are those of ``stored``: the terrain with the hash of its conditions.
+        """
+        found: dict[str, str] = {}
+        for path in self.paths():
+            try:
+                document = json.loads((path / "summary.json").read_text(encoding="utf-8"))
+                for name, scene in named(document):
+                    found[f"{scene['terrain']} {scene['conditions']['hash']}"] = name
+            except (OSError, ValueError, LookupError, TypeError):
+                continue  # the episodes alone are needed
+        return found if len(set(found.values())) == len(found) else {}
+
     def called(self, labels: Sequence[str]) -> dict[str, str]:
         """Return what the methods that are drawn are called, by label."""
         called = renamed(labels, self.names)
@@ -90,11 +113,11 @@ def estimates(
     """
     stored = {metric: read(asked.folders, _column(metric)) for metric in dict.fromkeys(metrics)}
     first = next(iter(stored.values()))
-    labels = [method.name for method in first.methods]
+    labels, scenes = [method.name for method in first.methods], asked.scenes()
     rows = []
     for label, name in asked.called(labels).items():
         for scene in first.episodes:
-            row: dict[str, Any] = {"method": name, "scene": scene}
+            row: dict[str, Any] = {"method": name, "scene": scenes.get(scene, scene)}
             for metric, own in stored.items():
                 row[metric] = _estimate(own.methods[labels.index(label)], scene, metric)
             rows.append(row)
@@ -193,9 +216,8 @@ def episodes(asked: Request) -> tuple[list[Trace], list[str]]:
         RequestError: there are no traces, or none of this scene, episode or method.
     """
     traces: list[Trace] = []
-    for folder in asked.folders:
-        _, equals, path = folder.partition("=")
-        file = Path(path if equals and not Path(folder).exists() else folder) / "traces.npz"
+    for path in asked.paths():
+        file = path / "traces.npz"
         if not file.is_file():
             raise RequestError(
                 f"{file}: there is no such file; the eval --output of this folder writes it, again"
@@ -238,7 +260,8 @@ def _differences(asked: Request) -> tuple[Figure, Sequence[str]]:
     if len(called) < 2:
         raise RequestError(f"{asked.folders[0]}: two methods are needed for differences")
     against = taken(asked.against, called, "--against") if asked.against else next(iter(called))
-    rows = list(differences(found, called, found.measure, against))
+    rows, scenes = list(differences(found, called, found.measure, against)), asked.scenes()
+    rows = [row | {"scene": scenes.get(row["scene"], row["scene"])} for row in rows]
     drawn = differences_figure(rows, found.measure, called[against], **asked.sized())
     return drawn, found.stored.notices
 
