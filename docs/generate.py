@@ -20,52 +20,27 @@ from gymnasium.spaces import Box
 from sphinx.pycode import ModuleAnalyzer
 
 from flipperctl import plugins
-from flipperctl.api import ACTIONS, Measure, ObservationLayout, Robot, Settings, registry
+from flipperctl.api import ACTIONS, Measure, ObservationLayout, Settings, registry
+from flipperctl.cli.catalogue import PLUGIN_KEYS, SECTIONS
+from flipperctl.cli.glossary import GLOSSARY
 from flipperctl.cli.hydra import compose
 from flipperctl.cli.main import app
-from flipperctl.config import (
-    Agent,
-    Episode,
-    Eval,
-    EvalConfig,
-    LocalCollector,
-    PolicyGradient,
-    Randomise,
-    RayCollector,
-    Teacher,
-    Train,
-)
+from flipperctl.config import EvalConfig
 from flipperctl.config.describe import Field, fields
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.export.policy import describe_observation
-from flipperctl.training.search import SearchSettings
 
-SECTIONS: Mapping[str, type[Settings]] = {
-    "train": Train,
-    "eval": Eval,
-    "agent": Agent,
-    "agent.policy_gradient": PolicyGradient,
-    "robot": Robot,
-    "episode": Episode,
-    "randomise": Randomise,
-    "teacher": Teacher,
-    "collector=local": LocalCollector,
-    "collector=ray": RayCollector,
-    "hydra.sweeper": SearchSettings,
+HEADINGS: Mapping[str, str] = {
+    "terrain": "Terrains",
+    "reward": "Reward terms",
+    "network": "Networks",
+    "controller": "Controllers",
+    "sim": "Engines",
+    "perception": "Sensors",
+    "measure": "Measures",
+    "logger": "Loggers",
 }
-"""Class of each section whose settings do not depend on a plugin."""
-
-KINDS: Mapping[str, tuple[str, str]] = {
-    "terrain": ("Terrains", "terrain"),
-    "reward": ("Reward terms", "rewards.<term>"),
-    "network": ("Networks", "network"),
-    "controller": ("Controllers", "controller"),
-    "sim": ("Engines", "sim"),
-    "perception": ("Sensors", "perception"),
-    "measure": ("Measures", "measure"),
-    "logger": ("Loggers", "logger.<logger>"),
-}
-"""Kind of plugin → heading, key of its settings."""
+"""Heading of each kind of plugin."""
 
 MODULES = ("flipperctl", "flipperctl.api", "flipperctl.runtime", "flipperctl.testing")
 """Public modules; each lists its names in ``__all__``."""
@@ -86,7 +61,10 @@ def settings() -> str:
         path = name.partition("=")[0]
         lines += ["", f"## `{name}`", "", _summary(cls), ""]
         lines += _table(path, (f for f in fields(cls) if f.name != "name"))
-    for kind, (heading, path) in KINDS.items():
+    for kind, heading in HEADINGS.items():
+        path = PLUGIN_KEYS.get(kind, kind).replace(
+            "NAME", f"<{'term' if kind == 'reward' else kind}>"
+        )
         lines += ["", f"## {heading}", ""]
         for name in sorted(name for of, name in registry if of == kind):
             cls = registry[kind, name]
@@ -168,7 +146,13 @@ def _rows(heads: Iterable[str], rows: Iterable[Iterable[object]]) -> list[str]:
     return lines + [f"| {' | '.join(map(_cell, row))} |" for row in rows]
 
 
+def glossary() -> str:
+    """Return a table of the words that ``flipperctl explain`` knows."""
+    return "\n".join(_rows(("word", "meaning"), GLOSSARY.items()))
+
+
 TEXTS: Mapping[str, Callable[[], str]] = {
+    "glossary": glossary,
     "settings": settings,
     "commands": commands,
     "api": api,

@@ -131,6 +131,17 @@ def print_lines(to: Console, lines: Iterable[str], style: str = "") -> None:
             to.print(part, style=style, highlight=False, markup=False, soft_wrap=True)
 
 
+def print_facts(facts: Mapping[str, str], to: Console) -> None:
+    """Print a line for each name and its text, which goes on below where it is too long."""
+    wide = max(map(cell_len, facts), default=0) + 4
+    for name, text in facts.items():
+        parts = folded(_plain(text, to), max(20, to.width - wide)) or [""]
+        parts[0] = f"  {_plain(name, to)}".ljust(wide) + parts[0]
+        for at, part in enumerate(parts):
+            line = part if at == 0 else " " * wide + part
+            to.print(line, highlight=False, markup=False, soft_wrap=True)
+
+
 def print_table(table: Table, to: Console) -> None:
     """Print a table and its notes within the width of the console."""
     notes = (Text(line) for note in table.notes for line in folded(_plain(note, to), to.width))

@@ -30,11 +30,12 @@ def plugins(
     as_json: options.AsJson = False,
     plugins: options.PluginPaths = None,
 ) -> None:
-    """List every registered plugin: its source, and its fields with default, bounds and unit.
+    """List every registered plugin and where it is defined.
 
-    With [bold]--check[/], run the conformance suite on them instead. It tries terrains at every
-    bound, rewards on recorded episodes of every outcome, networks with their ONNX export, and
-    controllers within a time limit. Of engines and sensors it probes signs, frames and units.
+    [bold]flipperctl explain NAME[/] shows its settings. With [bold]--check[/], run the conformance
+    suite instead. It tries terrains at every bound, rewards on recorded episodes of every outcome,
+    networks with their ONNX export, and controllers within a time limit. Of engines and sensors it
+    probes signs, frames and units.
 
     [bold]Examples[/]
 
@@ -176,12 +177,18 @@ def checkpoint(
 
 def print_checkpoint(found: dict[str, Any], saved: Checkpoint) -> None:
     """Print a line for each part of a checkpoint (``Checkpoint.to_dict``)."""
+    from flipperctl.show import console, print_facts
     from flipperctl.terminal.progress import way_text
 
     config, state, document = found["config"], found.get("state") or {}, saved.document
     kind = "the best policy" if found["kind"] == "best" else "a whole run to resume"
     weights = (f"{name} (weight {term['weight']:g})" for name, term in config["rewards"].items())
     best = document.validation or (document.state.best if document.state else None)
+    own = [
+        f"{p.kind} {p.name} ({p.file or p.module})"
+        for p in document.plugins
+        if p.file or not p.module.startswith("flipperctl")
+    ]
     lines = {
         "file": f"{found['path']} ({found['bytes']} bytes, SHA-256 matches)",
         "content": f"SHA-256 {found['content_sha256']}",
@@ -192,15 +199,14 @@ def print_checkpoint(found: dict[str, Any], saved: Checkpoint) -> None:
         "decision": str(found.get("decision") or state.get("decision")),
         "numbers": ", ".join(f"{name} {count}" for name, count in found["numbers"].items()),
         "versions": ", ".join(map(" ".join, found["versions"].items())),
-        "plugins": ", ".join(f"{p.kind} {p.name} ({p.file or p.module})" for p in document.plugins),
+        "plugins": ", ".join(own) or "all of flipperctl's own",
     }
     if best:
         lines["best"] = (
             f"at decision {best.decision}: success {best.success_rate:.1%}, "
             f"{way_text(best.model_dump())}"
         )
-    for name, text in lines.items():
-        print(f"{name:<11}{text}")
+    print_facts(lines, console())
 
 
 def run(
@@ -273,37 +279,25 @@ def _print(found: dict[str, Any], picture: Path | None) -> None:
 
 def config(
     overrides: options.Overrides = None,
-    describe: Annotated[
-        bool, typer.Option("--describe", help="List every setting with default, bounds and unit.")
-    ] = False,
     as_json: options.AsJson = False,
     plugins: options.PluginPaths = None,
 ) -> None:
     """Print the composed, validated training configuration as YAML.
 
-    With [bold]--describe[/], list its settings instead: value, default, bounds, unit and meaning.
+    [bold]flipperctl explain KEY[/] explains a setting.
 
     [bold]Examples[/]
 
       flipperctl inspect config terrain=stair
 
       flipperctl inspect config experiment=wide_stair agent.gamma=0.98 --json
-
-      flipperctl inspect config terrain=ramp rewards=tuned --describe
     """
     from omegaconf import OmegaConf
 
     from flipperctl.cli.hydra import compose
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.config import to_dict
-    from flipperctl.config.describe import list_settings
-    from flipperctl.terminal.tables import print_settings
 
     config = compose.only_one(compose.compose_train(Overrides.parse(overrides or ())))
-    if describe:
-        (default,) = compose.compose_train()
-        found = list_settings(config, default)
-        show(found, lambda: print_settings(found), as_json=as_json)
-        return
     plain = to_dict(config)
     show(plain, lambda: print(OmegaConf.to_yaml(plain).rstrip()), as_json=as_json)

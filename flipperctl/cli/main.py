@@ -11,7 +11,7 @@ import typer
 from typer.exceptions import TyperException
 
 from flipperctl import entry
-from flipperctl.cli import evaluate, inspect, live, plot, reward, robot, train, write
+from flipperctl.cli import evaluate, inspect, live, lookup, plot, reward, robot, train, write
 from flipperctl.cli.command import App, TrainingCommand
 from flipperctl.errors import InterruptedRunError, RequestError
 from flipperctl.terminal.streams import log_to_stderr, plain_streams, reserved_stdout
@@ -48,6 +48,8 @@ app.add("demo", live.demo)
 app.add("card", write.card)
 app.add("report", write.report)
 app.add("export", write.export)
+app.add("list", lookup.list_names)
+app.add("explain", lookup.explain)
 app.add("new", write.new)
 app.add("bench", train.bench, TrainingCommand)
 

@@ -15,6 +15,7 @@ _MOVED = {
     "convert": "is now: flipperctl robot ground BAG --output FILE.xyz",
     "shadow": "is now: flipperctl robot shadow POLICY BAG",
     "inspect perception": "is now: flipperctl robot check BAG",
+    "inspect config --describe": "is now: flipperctl explain KEY",
     "inspect results": "is now: flipperctl compare DIR...",
     "eval --map": "is now: flipperctl map POLICY --over SETTINGS",
     "eval --replay": "is now: flipperctl replay FILE",

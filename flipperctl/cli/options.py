@@ -18,7 +18,7 @@ def _load_plugins(context: typer.Context, paths: list[Path] | None) -> list[Path
     return paths
 
 
-def _check_picture(path: Path | None) -> Path | None:
+def check_picture(path: Path | None) -> Path | None:
     """Check that the picture can be written before the command runs."""
     if path is not None:
         from flipperctl.figures.figure import PICTURE
@@ -52,7 +52,7 @@ DefaultOkada = Annotated[
 ]
 Picture = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="A picture: .png, .svg or .pdf.", callback=_check_picture),
+    typer.Option(metavar="FILE", help="A picture: .png, .svg or .pdf.", callback=check_picture),
 ]
 Episodes = Annotated[str | None, typer.Option(metavar="N", help="Episodes per scene [100].")]
 Seed = Annotated[str | None, typer.Option(metavar="N", help="Seed of the episodes [0].")]

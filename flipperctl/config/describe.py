@@ -104,26 +104,11 @@ def describe_plugin(kind: str, name: str) -> dict[str, Any]:
     return {
         "kind": kind,
         "name": name,
-        "summary": _summary(cls),
+        "summary": summary(cls),
         "module": cls.__module__,
         "source": guard.definition(cls),
         "fields": [asdict(field) for field in fields(cls)],
     }
-
-
-def list_settings(config: Settings, default: Settings) -> list[dict[str, Any]]:
-    """Return every setting as plain data; ``default`` has the default plugin of each kind."""
-    choices = {s.path: s.value for s in settings(default)}
-    return [
-        {
-            "section": s.section,
-            "path": s.path,
-            "value": s.value,
-            "default": choices.get(s.path) if s.path == s.section else s.field.default,
-            **{name: getattr(s.field, name) for name in ("bounds", "unit", "type", "description")},
-        }
-        for s in settings(config)
-    ]
 
 
 def paths_named(
@@ -159,12 +144,13 @@ def _choice(path: str, chosen: Settings) -> Iterator[Setting]:
     if isinstance(chosen, Plugin):
         name, kind = chosen.plugin_name, f"{chosen.kind} plugin"
     if name is not None:
-        field = Field(_CHOICE, kind, None, "", "", _summary(type(chosen)))
+        field = Field(_CHOICE, kind, None, "", "", summary(type(chosen)))
         yield Setting(path, path, name, field)
 
 
-def _summary(cls: type[Settings]) -> str:
-    return (cls.__doc__ or "").strip().partition("\n")[0]
+def summary(cls: type[Settings]) -> str:
+    """Return the first line of a class's docstring, without literals' backticks."""
+    return (cls.__doc__ or "").strip().partition("\n")[0].replace("``", "")
 
 
 def _allowed(cls: type[Settings], name: str) -> str:

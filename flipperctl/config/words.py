@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from itertools import zip_longest
 from pathlib import Path
 
@@ -86,6 +86,18 @@ def quoted(text: str) -> str:
 def quote_override(key: str, value: str) -> str:
     """Return an override whose value Hydra takes literally, quoted for the shell as well."""
     return shlex.quote(literal_override(key, value))
+
+
+def override_text(value: object) -> str:
+    """Return a value as it is typed in an override; of a plugin, its name."""
+    if isinstance(value, list | tuple):
+        return f"[{','.join(map(override_text, value))}]"
+    if isinstance(value, Mapping):
+        inner = ",".join(f"{key}: {override_text(one)}" for key, one in value.items())
+        return str(value["name"]) if "name" in value else f"{{{inner}}}"
+    if isinstance(value, bool) or value is None:
+        return {True: "true", False: "false", None: "null"}[value]
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
 def with_flags(

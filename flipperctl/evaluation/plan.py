@@ -208,6 +208,11 @@ def _plugin_suites() -> dict[str, Path]:
     return found
 
 
+def suite_files() -> dict[str, Traversable]:
+    """Return the files of all suites by name: of flipperctl, then of plugins."""
+    return {**shipped_suites(), **_plugin_suites()}
+
+
 def find_suite(name: str) -> Suite:
     """Return a suite by its name, or from a file."""
     shipped, others = shipped_suites(), _plugin_suites()

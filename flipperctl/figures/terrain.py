@@ -6,7 +6,7 @@ state, and plain data.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -57,6 +57,10 @@ _MARK = 0.12
 """Height of the marks of start and finish above the ground [m]."""
 _COLUMNS = 4
 """Largest number of small pictures in a row [-]."""
+_CELL = 1.1
+"""Height of a picture of a contact sheet, with its title [in]."""
+_SHAPE = 0.36
+"""Height of such a picture over its width [-]."""
 
 
 @in_style
@@ -93,10 +97,41 @@ def terrain_figure(
     return figure
 
 
-def _draw_large(axes: Axes, profile: Profile, robot: RobotGeometry, title: str, scale: int) -> None:
-    draw_ground(axes, profile)
+@in_style
+def contact_sheet(profiles: Mapping[str, Profile], robot: RobotGeometry) -> Figure:
+    """Draw each profile with its name, its size and the robot in front of it.
+
+    Each picture has a scale of its own, which the robot shows.
+    """
+    rows = -(-len(profiles) // _COLUMNS)
+    figure = Figure(figsize=(WIDTH, _CELL * rows))
+    figure.subplots_adjust(0.01, 0.01, 0.99, 1 - 0.2 / (_CELL * rows), 0.05, 0.25)
+    for at, (name, profile) in enumerate(profiles.items()):
+        axes = figure.add_subplot(rows, _COLUMNS, at + 1)
+        draw_ground(axes, profile)
+        _draw_robot(axes, profile, robot)
+        low, high = profile.points.min(axis=0), profile.points.max(axis=0)
+        behind = profile.start - 2 * _run_up(robot) + 0.1
+        width = max(high[0] + 0.4 - behind, (high[1] - low[1] + 0.55) / _SHAPE)
+        middle = (behind + high[0] + 0.4) / 2
+        axes.set_xlim(middle - width / 2, middle + width / 2)
+        axes.set_ylim(low[1] - 0.15, low[1] - 0.15 + width * _SHAPE)
+        axes.set_aspect("equal")
+        axes.set_axis_off()
+        axes.set_title(name, fontsize="small", color=INK, loc="left", pad=2.0)
+        axes.set_title(_size(profile), fontsize="x-small", color=INK, loc="right", pad=2.0)
+    return figure
+
+
+def _draw_robot(axes: Axes, profile: Profile, robot: RobotGeometry) -> None:
+    """Draw the robot on the level ground in front of the first edge."""
     stand = np.array([profile.start - _run_up(robot), profile.points[0, 1] + robot.track_radius])
     RobotArtist(axes).show(RobotState(stand, 0.0, 0.0, 0.0, np.zeros(2), 0.0, 0.0), robot)
+
+
+def _draw_large(axes: Axes, profile: Profile, robot: RobotGeometry, title: str, scale: int) -> None:
+    draw_ground(axes, profile)
+    _draw_robot(axes, profile, robot)
     _mark_ends(axes, profile)
     marks = [line for line in axes.get_lines() if line.get_label() in ("start", "finish")]
     (left, bottom), (right, top) = profile.points.min(axis=0), profile.points.max(axis=0)
@@ -121,9 +156,12 @@ def _draw_small(axes: Axes, profile: Profile, extent: FloatArray, name: str, sca
     frame(axes, middle - extent / 2, middle + extent / 2, scale)
     axes.set(xticks=[], yticks=[], xlabel="", ylabel="")
     axes.spines[:].set_color("#C8C8CC")
-    length, height = np.ptp(points, axis=0)
-    size = f"{length:.2f} × {height:.2f} m" if length > 0 else f"{height:.2f} m high"
-    axes.set_title(f"{name}: {size}", fontsize="small")
+    axes.set_title(f"{name}: {_size(profile)}", fontsize="small")
+
+
+def _size(profile: Profile) -> str:
+    length, height = np.ptp(profile.points, axis=0)
+    return f"{length:.2f} × {height:.2f} m" if length > 0 else f"{height:.2f} m high"
 
 
 def _mark_ends(axes: Axes, profile: Profile) -> None:

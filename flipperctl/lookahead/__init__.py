@@ -80,7 +80,7 @@ class Mpc(MpcSettings, Controller):
 
 @controller("planner")
 class Planner(PlannerSettings, Controller):
-    """Search for the best trajectory across the scene before the episode begins, then play it.
+    """Search for the best trajectory before the episode begins, then play it.
 
     The cost of a trajectory is its time plus ``smoothness`` seconds for each radian of θ̂_R at
     100 Hz. The search begins with the trajectories of ``level``, ``okada``, ``mpc`` and ``policy``,

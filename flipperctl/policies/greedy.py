@@ -21,7 +21,7 @@ if TYPE_CHECKING:  # what lists plugins is quick
 
 @controller("greedy")
 class Greedy(Controller):
-    """Drive by the Q-values of policies' files alone, without drawing actions when they warn.
+    """Drive by the best Q-value of policies' files, also while their risk warns.
 
     The values of several policies are averaged, which cancels errors of their trainings; they
     should be of one scale, as those of training seeds are. The costs of the actions are the

@@ -3,60 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from itertools import groupby
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
-
-from rich.text import Text
 
 from flipperctl.api import Robot
 from flipperctl.messages import unit
 from flipperctl.show import NONE, Column, Table, console, print_table
-from flipperctl.spelling import spell_plainly
 
-_SETTINGS = (
-    Column("path", "setting", named=True),
-    Column("value", "value", wrapped=True),
-    Column("default", "default", wrapped=True),
-    Column("bounds", "bounds", wrapped=True),
-    Column("unit", "unit"),
-    Column("description", "meaning", wrapped=True),
-)
-
-
-def print_settings(found: Iterable[dict[str, Any]]) -> None:
-    """Print a table per section; values that differ from the default are bold."""
-    out = console(natural=120)
-    for section, settings in groupby(found, key=lambda s: str(s["section"])):
-        rows = []
-        for s in settings:
-            value, default = _format_value(s["value"]), _format_value(s["default"])
-            shown = {"path": s["path"].removeprefix(f"{section}."), "value": value}
-            style = "" if value == default else "bold"
-            rows.append(s | shown | {"default": default, "style": style})
-        print_table(Table(_SETTINGS, rows, section or "top level"), out)
-        out.print()
-
-
-def _format_value(value: object) -> str:
-    if value is None:
-        return NONE
-    if isinstance(value, list):
-        return f"[{', '.join(map(_format_value, value))}]"
-    if isinstance(value, dict):
-        if "name" in value:  # a plugin's fields have their own rows
-            return str(value["name"])
-        return ", ".join(f"{k}: {_format_value(v)}" for k, v in value.items()) or NONE
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-_FIELDS = (
-    Column("name", "  field", named=True),
-    Column("default", "default", wrapped=True),
-    Column("bounds", "bounds", wrapped=True),
-    Column("unit", "unit"),
-    Column("description", "meaning", wrapped=True),
+_PLUGINS = (
+    Column("kind", "kind"),
+    Column("name", "name", named=True),
+    Column("source", "source"),
 )
 _CHECKS = (
     Column("plugin", "plugin", named=True),
@@ -67,28 +25,8 @@ _CHECKS = (
 
 
 def print_plugins(found: list[dict[str, Any]]) -> None:
-    """Print each plugin with a table of its fields."""
-    output = console()
-
-    def text(words: object, style: str = "") -> Text:
-        return Text(spell_plainly(str(words), output.encoding), style)
-
-    for plugin in found:
-        kind = f"  {plugin['kind']}  "
-        output.print(text(plugin["name"], "bold") + text(kind) + text(plugin["summary"]))
-        output.print(text(f"  {plugin['source']}", "dim"), soft_wrap=True)
-        if plugin["fields"]:
-            rows = [
-                {
-                    **field,
-                    "name": f"  {field['name']}",
-                    "default": f"{default:.4g}" if isinstance(default, float) else str(default),
-                }
-                for field in plugin["fields"]
-                for default in (field["default"],)
-            ]
-            print_table(Table(_FIELDS, rows), output)
-        output.print()
+    """Print a line for each plugin."""
+    print_table(Table(_PLUGINS, found), console())
 
 
 def print_checks(rows: Sequence[dict[str, Any]]) -> None:

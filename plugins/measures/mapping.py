@@ -29,7 +29,7 @@ def height_errors(episode: Sequence[Transition]) -> FloatArray:
 
 @measure("map_error", unit="m", digits=4, mapped_only=True)
 def map_error(episode: Sequence[Transition]) -> float:
-    """Mean absolute error of the heights H of the observation, over bins and decisions [m].
+    """Mean absolute error of the heights H of the observation [m].
 
     Ground that was filled counts as well.
     """
@@ -38,7 +38,7 @@ def map_error(episode: Sequence[Transition]) -> float:
 
 @measure("map_error_below", unit="m", digits=4, mapped_only=True)
 def map_error_below(episode: Sequence[Transition]) -> float:
-    """Mean absolute error of the heights H in the bins whose centre is below the chassis [m]."""
+    """Mean absolute error of the heights H in the bins below the chassis [m]."""
     layout = _perceived(episode[0]).layout
     centres = (np.arange(layout.bins) - (layout.bins - 1) / 2) * layout.bin_width
     below = np.abs(centres) <= episode[0].robot.chassis_length / 2
@@ -49,7 +49,7 @@ def map_error_below(episode: Sequence[Transition]) -> float:
 
 @measure("drift", unit="m", digits=3, mapped_only=True)
 def drift(episode: Sequence[Transition]) -> float:
-    """Distance between the motion by odometry and the true one at the last decision [m].
+    """Error of the distance by odometry at the last decision [m].
 
     It is taken in the side plane, and 0 for a sensor without odometry.
     """

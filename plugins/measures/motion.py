@@ -32,7 +32,7 @@ def t_cost(episode: Sequence[Transition]) -> float:
 
 @measure("flipper_travel", unit="rad", reached_only=True, better="lower")
 def flipper_travel(episode: Sequence[Transition]) -> float:
-    """Sum of the absolute turns of both flipper pairs from decision to decision [rad]."""
+    """Sum of the absolute turns of both flipper pairs between decisions [rad]."""
     return _total(
         abs(t.after.front - t.before.front) + abs(t.after.rear - t.before.rear) for t in episode
     )
@@ -50,7 +50,7 @@ def flipper_energy(episode: Sequence[Transition]) -> float:
 
 @measure("standstill", unit="s", digits=1, better="lower", in_tables=False)
 def standstill(episode: Sequence[Transition]) -> float:
-    """Time in which the chassis centre moved slower than a tenth of the belts' speed [s].
+    """Time below a tenth of the belts' speed [s].
 
     It is the time of the samples, 10 ms each, with a smaller mean speed.
     """
@@ -73,7 +73,7 @@ def largest_impact(episode: Sequence[Transition]) -> float:
 
 @measure("pitch_variation", unit="rad", reached_only=True, better="lower")
 def pitch_variation(episode: Sequence[Transition]) -> float:
-    """θ̂_R, the sum of the absolute pitch changes from decision to decision (paper Eq. 8) [rad]."""
+    """θ̂_R, the sum of the pitch changes between decisions (paper Eq. 8) [rad]."""
     return _total(abs(t.after.pitch - t.before.pitch) for t in episode)
 
 
@@ -86,13 +86,13 @@ def pitch_variation_100hz(episode: Sequence[Transition]) -> float:
 
 @measure("max_pitch", unit="rad", better="lower")
 def max_pitch(episode: Sequence[Transition]) -> float:
-    """Largest absolute pitch over poses 10 ms apart, including that at the start [rad]."""
+    """Largest absolute pitch, over poses 10 ms apart [rad]."""
     return float(np.maximum.reduce(np.abs(_pitches(episode))))
 
 
 @measure("pitch_reserve", unit="rad", better="higher", in_tables=False)
 def pitch_reserve(episode: Sequence[Transition]) -> float:
-    """Smallest distance of the pitch from overturning at π/3, over poses 10 ms apart [rad].
+    """Smallest distance of the pitch from overturning at π/3 [rad].
 
     It is 0 or less if the robot overturned.
     """
@@ -107,7 +107,7 @@ def max_roll(episode: Sequence[Transition]) -> float:
 
 @measure("roll_variation", unit="rad", reached_only=True, better="lower", in_tables=False)
 def roll_variation(episode: Sequence[Transition]) -> float:
-    """Sum of the absolute roll changes from decision to decision, as θ̂_R for the pitch [rad]."""
+    """Sum of the absolute roll changes between decisions [rad]."""
     return _total(abs(t.after.roll - t.before.roll) for t in episode)
 
 

@@ -47,7 +47,7 @@ class AtD3qn(Network):
 
 @network("noisy")
 class Noisy(AtD3qn):
-    """AT-D3QN with noisy heads (Fortunato et al. 2018), which explore without ε-greedy actions.
+    """AT-D3QN with noisy heads (Fortunato et al. 2018), which explore without ε.
 
     Train it with ``agent.epsilon_start=0 agent.epsilon_end=0``.
     """

@@ -62,7 +62,7 @@ class ShapedProgress(Shaping):
 
 @reward("swing")
 class Swing(RewardTerm):
-    """Penalise the sum of the absolute pitch changes within the decision, from poses at 100 Hz.
+    """Penalise pitch variation within the decision, from poses at 100 Hz.
 
     Below the cap, the sum over an episode is proportional to its θ̂_R at 100 Hz (the measure
     ``pitch_variation_100hz``). Unlike ``pitch``, the term sees a chassis that rocks and returns
@@ -95,7 +95,7 @@ class Swing(RewardTerm):
 
 @reward("travel")
 class Travel(RewardTerm):
-    """Penalise the angle by which both flipper pairs turn, since turning costs wear and energy.
+    """Penalise the angle by which the flippers turn: it costs wear and energy.
 
     It is -1 if the pairs turned by two whole steps in total. The term measures the motion, not the
     command: a command beyond the angle limit costs nothing, while a flipper that the ground pushes
@@ -113,7 +113,7 @@ class Travel(RewardTerm):
 
 @reward("time")
 class Time(RewardTerm):
-    """Charge the time that passes, 1 for each second, so that coming to the ground is not put off.
+    """Charge the time that passes, 1 for each second, against waiting.
 
     Behind an obstacle a robot may drive on with its nose up, which saves the swing of coming down.
     """
@@ -128,7 +128,7 @@ class Time(RewardTerm):
 
 @reward("smoothness")
 class Smoothness(RewardTerm):
-    """Penalise the change from the previous action; stopping costs half as much as reversing.
+    """Penalise a changed action; stopping costs half as much as reversing.
 
     It is -1 if both pairs reverse. This is the first-order temporal smoothness of Mysore et al.
     2021 ("Regularizing Action Policies for Smooth Control with Reinforcement Learning").
@@ -146,7 +146,7 @@ class Smoothness(RewardTerm):
 
 @reward("impact")
 class Impact(RewardTerm):
-    """Penalise the largest vertical acceleration of the chassis' centre during the decision.
+    """Penalise the largest vertical acceleration of the chassis in the decision.
 
     The acceleration is the change of the vertical velocity at 100 Hz: the velocity before the
     decision, its mean over each sample period, and the velocity after the decision. Thus impacts

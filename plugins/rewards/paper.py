@@ -18,7 +18,7 @@ from flipperctl.api import (
 
 @reward("flipper")
 class Flipper(RewardTerm):
-    """R_flipper (paper Eq. 4): penalise front flippers that deviate from the candidate angle.
+    """R_flipper (paper Eq. 4): penalise front flippers off the candidate angle.
 
     It is -1 if the deviation exceeds the tolerance by 1/λ1.
     """
@@ -96,7 +96,7 @@ class Pitch(RewardTerm):
 
 @reward("end")
 class End(RewardTerm):
-    """R_end (paper Eq. 7): +R for reaching the finish, -R for any other end of the episode."""
+    """R_end (paper Eq. 7): +R for reaching the finish, -R for any other outcome."""
 
     elementwise: ClassVar[bool] = True
     settlement: float = Field(10.0, gt=0, le=1e6, description="R; not given in the paper [-]")

@@ -81,7 +81,7 @@ class Combinator(Terrain):
 
 @terrain("mix")
 class Mix(Combinator):
-    """Draw one of several terrains each episode; the episode's row names it."""
+    """One of several terrains each episode; the episode's row names it."""
 
     parts: tuple[AnyTerrain, ...] = parts_field((Step(), Stair()))
     weights: tuple[float, ...] = weights_field()
@@ -140,7 +140,7 @@ class Mirror(Combinator):
 
 @terrain("noisy")
 class Noisy(Combinator):
-    """Another terrain with a rough surface; vertical faces keep their direction and height."""
+    """Another terrain with a rough surface; vertical faces stay vertical."""
 
     terrain: AnyTerrain = terrain_field(Stair())
     deviation: float = Field(
@@ -188,7 +188,7 @@ STARTS = ("start_on", "finish_on")
 
 @terrain("midway")
 class Midway(Combinator):
-    """Another terrain, on which an episode starts, finishes or both, wherever the robot can stand.
+    """Another terrain, with start or finish on it, wherever the robot can stand.
 
     The robot then starts with the pitch that a slope or a stair gives it, and an episode may end on
     a slope. On ground shorter than ``shortest`` it starts before the first edge and finishes past
@@ -231,7 +231,7 @@ class Midway(Combinator):
 
 @terrain("excerpt")
 class Excerpt(Drawn, Combinator):
-    """A piece of another terrain, such as of one long recording, with level ground at both ends.
+    """A piece of another terrain or of a long recording, level at both ends.
 
     One recorded file thus gives as many episodes as it has places to begin at. Ground that is
     shorter than the piece is returned whole; the ground beside the line of a recording is left out.
@@ -263,7 +263,7 @@ def _piece(profile: Profile, first: float, last: float) -> FloatArray:
 
 @terrain("sequence")
 class Sequence(Drawn, Combinator):
-    """Terrains one after another; each begins at the height at which the previous one ended."""
+    """Terrains one after another; each begins at the height where the last ended."""
 
     parts: tuple[AnyTerrain, ...] = Field(
         (Ramp(), Step()),
@@ -296,7 +296,7 @@ class Sequence(Drawn, Combinator):
 
 @terrain("course")
 class Course(DrawnRow, Mix):
-    """Draw number, kinds and sizes of the obstacles in a row; ``sequence`` has a fixed order.
+    """Several obstacles in a row, their number, kinds and sizes sampled.
 
     Each obstacle begins at the height at which the previous one ended. What is drawn tells the
     number of obstacles, and the index of each one's kind within ``parts``.

@@ -31,7 +31,7 @@ _MIX: tuple[tuple[AnyTerrain, float], ...] = (
 
 @terrain("all_kinds")
 class AllKinds(Mix):
-    """Draw one of twelve kinds of ground each episode, from steps to natural ground.
+    """One of twelve kinds of ground each episode, from steps to natural ground.
 
     Stairs are the most frequent: flights of 3 to 16 steps, with and without landings. One policy
     for all of it is trained with this terrain.
@@ -113,7 +113,7 @@ _HARD: tuple[tuple[AnyTerrain, float], ...] = (
 
 @terrain("hard_courses")
 class HardCourses(Mix):
-    """``all_courses`` with more of what policies learn last, for training rather than for judging.
+    """``all_courses`` with more of what policies learn last, for training.
 
     That is deep trenches, drops, long and flat flights down, piles, ramps, starts on stairs and
     the paper's stair.

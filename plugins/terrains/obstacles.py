@@ -54,7 +54,7 @@ class Flat(Terrain):
 
 @terrain("step")
 class Step(Terrain):
-    """One step whose height is drawn each episode; a negative height leads down."""
+    """One step, its height sampled each episode; a negative height leads down."""
 
     low: float = Field(-0.4, ge=-1, le=1, description="smallest height; negative leads down [m]")
     high: float = Field(0.4, ge=-1, le=1, description="largest height [m]")
@@ -144,7 +144,7 @@ class Ramp(Drawn):
 
 @terrain("curb_and_ramp")
 class CurbAndRamp(Drawn):
-    """A curb up, a pavement and a ramp down, or the reverse, as drawn each episode."""
+    """A curb up, a pavement and a ramp down, or the reverse, sampled each episode."""
 
     height_low: float = Field(0.1, gt=0, le=0.8, description="lowest curb [m]")
     height_high: float = Field(0.4, gt=0, le=0.8, description="highest curb [m]")

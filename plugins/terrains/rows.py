@@ -41,7 +41,7 @@ class Pallet(DrawnRow):
 
 @terrain("plates")
 class Plates(DrawnRow):
-    """Thin upright plates across the track, such as boards on edge, curbstones or low walls.
+    """Thin upright plates across the track: boards on edge, curbstones, low walls.
 
     All plates of an episode are alike; each clearance is drawn anew. A tilted plate leans ahead,
     or with a negative tilt towards the robot; the ground below its overhang is filled.
@@ -80,7 +80,7 @@ class Plates(DrawnRow):
 
 @terrain("plum")
 class Plum(DrawnRow):
-    """Plum-blossom piles in profile: posts of unequal height (sizes: FTR-Bench's plum piles).
+    """Posts of unequal height, FTR-Bench's plum-blossom piles in profile.
 
     The gaps between the piles reach down to the ground.
     """
@@ -107,7 +107,7 @@ class Plum(DrawnRow):
 
 @terrain("rail")
 class Rail(DrawnRow):
-    """Square bars that lie obliquely across the track (sizes and angles: FTR-Bench's rails).
+    """Square bars obliquely across the track (sizes and angles: FTR-Bench's rails).
 
     The angle lies between the bars and the robot's path. In the robot's side plane all lengths
     along the path grow by 1 / sin(angle), so that a bar of 0.2 m at 10° is 1.15 m long.

@@ -36,7 +36,7 @@ def flight(
 
 @terrain("stair")
 class Stair(Terrain):
-    """Flights of equal steps; number and direction of the steps are drawn each episode.
+    """Flights of equal steps, up or down, their number sampled each episode.
 
     With ``back``, a second flight leads from the platform back to ground level.
     """
@@ -147,7 +147,7 @@ class BuildingStair(DrawnRow):
 
 @terrain("stairwell")
 class Stairwell(Drawn):
-    """Flights with landings, each of which leads on in the direction of the last, or turns.
+    """Flights with landings; each leads on in the direction of the last, or turns.
 
     A flight up may be followed by one up or down. All steps of an episode are alike, by Blondel's
     rule as those of ``building_stair``; the length of each flight and landing is drawn anew.

@@ -113,6 +113,12 @@ eval --controller okada conditions=wet.yaml \
     -> 'wet' | conditions of your own are overrides | suite=FILE.yaml
 eval --checkpoint nowhere -> nowhere: there is no | controller | generalist
 export onxx --checkpoint x -> onxx | onnx
+list terain -> there is no kind 'terain' | 'terrains' | known: terrains, rewards
+list stair -> flipperctl explain stair
+list runs -> runs: there is no such folder
+list stair --pictures x.png -> --pictures needs terrains
+list terrains x -> a folder has a meaning with runs alone
+explain agent.gama -> 'agent.gama'; did you mean 'agent.gamma'?
 inspect plugins stiar -> 'stiar' | 'stair'
 inspect terrain stiar -> 'stiar' | 'stair'
 inspect terrain stair --output x.bmp -> x.bmp | .png

@@ -22,7 +22,8 @@ COMMANDS = {
     "rewards": ["inspect", "reward", "--compare", "okada,level", "terrain=flat",
                 "rewards=paper,tuned", "--episodes", "1"],
     "conventions": ["inspect", "checkpoint", "generalist", "--check", "sim=planar"],
-    "config": ["inspect", "config", "--describe"],
+    "list": ["list", "experiments"],
+    "explain": ["explain", "mpc"],
     "compare": ["compare", "judged"],
 }  # fmt: skip
 

@@ -1,0 +1,337 @@
+"""What can be looked up: names by kind, settings by key, words of the field, and a search over all.
+
+In: the registry, the sections' classes, the presets and policies of the package, folders of runs.
+Out: plain values.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from flipperctl.api import Robot, Settings, registry
+from flipperctl.checkpoint import shipped_policies
+from flipperctl.cli.glossary import GLOSSARY
+from flipperctl.config import (
+    Agent,
+    Episode,
+    Eval,
+    LocalCollector,
+    PolicyGradient,
+    Randomise,
+    RayCollector,
+    Teacher,
+    Train,
+    strict_yaml,
+)
+from flipperctl.config.describe import Field, fields, summary
+from flipperctl.config.words import key_of, override_text
+from flipperctl.errors import RequestError
+from flipperctl.evaluation.plan import suite_files
+from flipperctl.results import CONFIG, SUMMARY, holds_run, read_config
+from flipperctl.training.search import SearchSettings
+from flipperctl.training.sweep import of_reached
+
+SECTIONS: Mapping[str, type[Settings]] = {
+    "train": Train,
+    "eval": Eval,
+    "agent": Agent,
+    "agent.policy_gradient": PolicyGradient,
+    "robot": Robot,
+    "episode": Episode,
+    "randomise": Randomise,
+    "teacher": Teacher,
+    "collector=local": LocalCollector,
+    "collector=ray": RayCollector,
+    "hydra.sweeper": SearchSettings,
+}
+"""Class of each section whose settings do not depend on a plugin."""
+
+PLUGIN_KEYS: Mapping[str, str] = {
+    **{kind: kind for kind in ("terrain", "network", "controller", "sim", "perception")},
+    "reward": "rewards.NAME",
+    "logger": "logger.NAME",
+}
+"""Kind of plugin → key of its settings."""
+
+
+class Group(NamedTuple):
+    """How a plugin, a preset or a policy is used."""
+
+    command: str
+    """A command with NAME in its place."""
+    example: str
+
+
+KINDS: Mapping[str, Mapping[str, Group]] = {
+    "terrains": {"terrain": Group("flipperctl train terrain=NAME", "stair")},
+    "rewards": {
+        "rewards": Group("flipperctl train rewards=NAME", "tuned"),
+        "reward": Group("flipperctl train rewards.NAME=NAME", "impact"),
+    },
+    "networks": {"network": Group("flipperctl train network=NAME", "conv")},
+    "controllers": {"controller": Group("flipperctl eval NAME terrain=stair", "level")},
+    "policies": {"policy": Group("flipperctl eval NAME terrain=stair", "generalist")},
+    "measures": {"measure": Group("flipperctl eval okada --columns NAME", "max_pitch")},
+    "experiments": {"experiment": Group("flipperctl train experiment=NAME", "quick")},
+    "suites": {"suite": Group("flipperctl eval generalist suite=NAME", "robustness")},
+    "conditions": {"conditions": Group("flipperctl eval generalist conditions=NAME", "wide")},
+    "robots": {"robot": Group("flipperctl train robot=NAME", "absolem")},
+    "engines": {"sim": Group("flipperctl eval okada sim=NAME", "mujoco")},
+    "sensors": {"perception": Group("flipperctl eval okada perception=NAME", "lidar")},
+    "teachers": {"teacher": Group("flipperctl train teacher=NAME", "lookahead")},
+    "loggers": {"logger": Group("flipperctl train logger=NAME", "wandb")},
+    "runs": {"run": Group("flipperctl eval NAME", "runs/first")},
+}
+"""Kind of names → groups of them."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A name that a command or a setting takes."""
+
+    group: str
+    name: str
+    summary: str
+    """One sentence."""
+    about: str = ""
+    """The whole text about a preset; empty for others."""
+    settings: Mapping[str, str] = field(default_factory=dict)
+    """Settings of a preset by key; those of a suite by the names of its scenes."""
+
+    @property
+    def command(self) -> str:
+        """A command that uses it."""
+        found = next(groups[self.group] for groups in KINDS.values() if self.group in groups)
+        return found.command.replace("NAME", self.name)
+
+
+@dataclass(frozen=True)
+class Key:
+    """A setting that can be overridden."""
+
+    key: str
+    owner: str
+    """The section, or kind and name of the plugin, that it belongs to."""
+    cls: type[Settings]
+    field: Field
+
+    @property
+    def alias(self) -> str:
+        """What tells it from equal keys of other plugins, as ``stair.rise`` for terrain.rise."""
+        return f"{self.owner.rpartition(' ')[2]}.{self.field.name}"
+
+    def command(self, *, used: bool) -> str:
+        """Return a command that sets it to its default; ``used``: by train as it is."""
+        kind, _, name = self.owner.partition(" ")
+        word = f"{self.key}={override_text(self.field.default)}"
+        if kind == "controller":
+            return f"flipperctl eval {name} {word}"
+        if name and not used:
+            word = f"{self.key.rpartition('.')[0]}={name} {word}"
+        elif "=" in kind:
+            word = f"{kind} {word}"
+        return f"flipperctl {'eval okada' if kind == 'eval' else 'train'} {word}"
+
+
+def entries(group: str) -> list[Entry]:
+    """Return the names of a group, sorted."""
+    if group == "policy":
+        return [Entry(group, name, _of_card(file)) for name, file in shipped_policies().items()]
+    if any(kind == group for kind, _ in registry):
+        found = [(name, cls) for (kind, name), cls in sorted(registry.items()) if kind == group]
+        return [Entry(group, name, summary(cls).rstrip(".")) for name, cls in found]
+    return [preset(group, name, file) for name, file in _preset_files(group).items()]
+
+
+def presets() -> Iterator[Entry]:
+    """Yield every named set of settings."""
+    for group in ("experiment", "rewards", "conditions", "robot", "teacher", "suite"):
+        yield from entries(group)
+
+
+def preset(group: str, name: str, file: Any) -> Entry:
+    """Return a named set of settings; its first comment, or a suite's ``about``, is about it."""
+    text = strict_yaml.read_text(file, file.name)
+    document = strict_yaml.parse(text, file.name) or {}
+    first = re.match(r"(?:# @package .*\n)?((?:#.*\n)*)", text)
+    comment = " ".join(line.lstrip("# ") for line in (first[1] if first else "").splitlines())
+    if group == "suite":
+        about, held = str(document.get("about", "")), dict(document.get("scenes", {}))
+    else:
+        about = " ".join(comment.split())
+        prefix = "" if group in ("experiment", "conditions") else f"{group}."
+        held = dict(_flat(document, prefix))
+    return Entry(group, name, first_sentence(about), about, held)
+
+
+def first_sentence(text: str) -> str:
+    """Return a text up to the end of its first sentence."""
+    return re.split(r"\.\s(?=[A-Z`(])", text, maxsplit=1)[0].rstrip(".")
+
+
+def first_clause(text: str) -> str:
+    """Return a text up to its first semicolon."""
+    return text.partition(";")[0]
+
+
+def keys() -> Iterator[Key]:
+    """Yield every setting of every section and plugin."""
+    for name, cls in SECTIONS.items():
+        path, _, choice = name.partition("=")
+        own = (f for f in fields(cls) if not (choice and f.name == "name"))
+        yield from (Key(f"{path}.{f.name}", name, cls, f) for f in own)
+    for (kind, name), plugin in sorted(registry.items()):
+        path = PLUGIN_KEYS.get(kind, "").replace("NAME", name)
+        for one in fields(plugin) if path else ():
+            yield Key(f"{path}.{one.name}", f"{kind} {name}", plugin, one)
+
+
+def keys_named(word: str) -> list[Key]:
+    """Return the settings that a word names: by key, as ``stair.rise``, or by its last part."""
+    found = list(keys())
+    whole = [one for one in found if one.key == word]
+    if whole:
+        return whole
+    return [one for one in found if word in (one.field.name, one.alias)]
+
+
+def set_by(key: Key) -> dict[str, str]:
+    """Return the presets that set a setting, each with its value."""
+    section, _, plugin = key.owner.partition(" ")
+    return {
+        f"{one.group}={one.name}": one.settings[key.key]
+        for one in presets()
+        if key.key in one.settings and one.settings.get(section, plugin) == plugin
+    } | {
+        f"suite={one.name}": "some scenes"
+        for one in entries("suite")
+        if any(key_of(word) == key.key for s in one.settings.values() for word in s.split())
+    }
+
+
+@dataclass(frozen=True)
+class Hit:
+    """Something that a search found."""
+
+    name: str
+    kind: str
+    summary: str
+
+
+def search(words: str, commands: Mapping[str, str], most: int = 10) -> list[Hit]:
+    """Return what fits words best, names before descriptions; ``commands``: summary by name."""
+    tokens = re.findall(r"[^\W_]+", words.lower())
+    needed = 1 if " " in words else len(tokens)  # agent.gama is a misspelling
+    scored = []
+    for hit in _everything(commands):
+        name, text = re.findall(r"[^\W_]+", hit.name.lower()), hit.summary.lower()
+        each = [max(_in_name(t, name), 2 * (f" {t}" in f" {text}")) for t in tokens]
+        if sum(map(bool, each)) >= needed:
+            scored.append((sum(map(bool, each)), sum(each), -len(name), hit))
+    scored.sort(key=lambda one: one[:3], reverse=True)
+    return list({(hit.name, hit.kind): hit for *_, hit in reversed(scored)}.values())[::-1][:most]
+
+
+def _in_name(token: str, name: list[str]) -> int:
+    return 8 if token in name else 4 * any(part.startswith(token) for part in name)
+
+
+def _everything(commands: Mapping[str, str]) -> Iterator[Hit]:
+    for word, text in GLOSSARY.items():
+        yield Hit(word, "word", text)
+    for groups in KINDS.values():
+        for group in groups:
+            yield from (Hit(e.name, group, e.summary) for e in entries(group))
+    for name, text in commands.items():
+        yield Hit(name, "command", text)
+    for key in keys():
+        yield Hit(key.key, "setting", first_clause(key.field.description))
+
+
+def names() -> Iterator[str]:
+    """Yield everything that can be explained, for close matches."""
+    for hit in _everything({}):
+        yield hit.name
+    yield from (key.field.name for key in keys())
+
+
+def runs(folder: Path) -> list[dict[str, Any]]:
+    """Return the training runs below a folder, the newest first."""
+    if not folder.is_dir():
+        raise RequestError(f"{folder}: there is no such folder; runs are in runs/ by default")
+    found = [_run(Path(place)) for place in _run_folders(folder)]
+    return sorted(found, key=lambda row: str(row["date"]), reverse=True)
+
+
+def _run_folders(folder: Path) -> Iterator[str]:
+    for place, inner, _ in os.walk(folder):
+        inner[:] = sorted(name for name in inner if not name.startswith("."))
+        if holds_run(Path(place)):
+            inner.clear()
+            yield place
+
+
+def _run(folder: Path) -> dict[str, Any]:
+    """Return what a run trained and how its best validation was."""
+    config, _ = read_config(folder / CONFIG)
+    plain: dict[str, Any] = config if isinstance(config, dict) else {}
+    try:
+        found: dict[str, Any] = json.loads((folder / SUMMARY).read_text("utf-8"))
+    except (OSError, ValueError):  # it still trains, or was killed
+        found = {}
+    best = of_reached(found.get("best") or {})
+    changed = max(file.stat().st_mtime for file in (folder, *folder.glob("*.*")))
+    return {
+        "name": str(folder),
+        "terrain": (plain.get("terrain") or {}).get("name"),
+        "decisions": found.get("decisions"),
+        "success_rate": best.get("success_rate"),
+        "pitch_variation_100hz": best.get("pitch_variation_100hz"),
+        "date": datetime.fromtimestamp(changed).strftime("%Y-%m-%d %H:%M"),
+    }
+
+
+def _of_card(policy: Path) -> str:
+    """Return the first sentence of the card beside a policy."""
+    card = policy.with_suffix(".md")
+    text = card.read_text("utf-8") if card.is_file() else ""
+    paragraphs = [part for part in text.split("\n\n") if part[:1] not in ("#", "")]
+    return first_sentence(" ".join(paragraphs[0].split())) if paragraphs else ""
+
+
+def _preset_files(group: str) -> dict[str, Any]:
+    if group == "suite":
+        return suite_files()
+    found = files("flipperctl.configs") / group
+    every = sorted(found.iterdir(), key=lambda file: file.name) if found.is_dir() else []
+    return {f.name.removesuffix(".yaml"): f for f in every if f.name.endswith(".yaml")}
+
+
+def _flat(node: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, str]]:
+    """Yield the settings of a preset's file, and the choices in its list of defaults."""
+    for key, value in node.items():
+        if key == "defaults":
+            yield from _choices(value, prefix)
+        elif isinstance(value, Mapping) and value:
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", override_text(value)
+
+
+def _choices(defaults: Iterable[Any], prefix: str) -> Iterator[tuple[str, str]]:
+    for one in defaults:
+        if isinstance(one, str):
+            if one != "_self_":
+                yield "begins with", one
+            continue
+        for key, value in one.items():
+            group = key.removeprefix("override ").lstrip("/").rpartition("@")[2]
+            yield (group if "override" in key or "@rewards" in key else prefix + group), value

@@ -1,0 +1,94 @@
+"""Words of the field and of our tables, each explained in a sentence or two.
+
+``flipperctl explain`` shows them, and a page of the manual lists them all.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+_TEXT = """
+action: What a policy chooses at a decision: each flipper pair turns up, stays or turns down, 9
+    actions in all.
+AT-D3QN: The paper's network and learner: a double dueling DQN with separate layers for the terrain
+    and the robot. network=at_d3qn
+baseline: A rule without learning that policies are compared with, such as level or okada.
+best validation: The validation of a training with the highest success, then the least pitch
+    variation (train.best_by). Its weights are the run's policy.
+bin: A piece of the ground 0.15 m long around the robot. The observation holds the mean height of
+    each of 15 bins, and their highest points.
+checkpoint: A file with the weights of a policy and its whole configuration. best.safetensors is
+    the policy; last.safetensors continues the training.
+conditions: A named set of physics, sensing, start and randomisation under which policies are
+    trained or evaluated. nominal, the default, randomises nothing.
+controller: Anything that turns what the robot perceives into an action: a rule, a planner or a
+    trained policy.
+decision: One step of the environment: the policy chooses an action, and the robot drives for 0.6
+    s. Other libraries call it a step.
+Δ: A difference to a baseline on the same episodes. Below 0 is better for pitch variation and time,
+    above 0 for success.
+engine: The simulator of the robot's physics: planar (side view, fast) or mujoco (3-D).
+episode: One crossing of the ground, from the start to an outcome.
+ε: The probability of a random action in a training (epsilon). It falls while the policy learns.
+flipper: A driven arm with a track that turns about a hinge. The robot has a front pair and a rear
+    pair. An angle above 0 is above the chassis.
+generalist: The shipped policy for all kinds of ground and many robots.
+H and E: The parts of an observation: H holds the heights of the ground, E the front flipper angle,
+    the rear flipper angle and the pitch.
+hash: A short code of all settings that shape an episode. Results with equal hashes may be
+    compared.
+Holm: A correction of p values for several comparisons, which keeps the chance of any false alarm
+    at 5 %.
+interval: The range in square brackets that contains the true mean in 95 of 100 evaluations:
+    bootstrap for means, Wilson for rates.
+IQM: Interquartile mean: the mean of the middle half of the episodes, which ignores outliers.
+level: The baseline that holds both flipper pairs still at 0 rad. It is strong on stairs and ramps.
+mpc: Model predictive control: a controller that simulates what follows each action, takes the best
+    one, and plans again at the next decision.
+observation: What a policy sees at a decision: heights of the ground around the robot, flipper
+    angles and pitch.
+okada: The baseline of the paper's comparison: a rule that turns the flippers along the ground
+    (Okada et al. 2011).
+outcome: How an episode ends: reached, overturned, stuck or timeout.
+overturned: Outcome: the pitch reached 60° (episode.overturn).
+passable: An episode that at least one of several reference policies can cross (eval --passable).
+pitch: The angle of the chassis against level, above 0 with the nose up [rad].
+pitch variation: How much the robot rocks: the sum of all absolute pitch changes over an episode
+    [rad], θ̂_R in the paper. Less is better; 1.2 rad is typical for a short stair.
+pitch variation at decisions: Pitch variation with one sample per decision (0.6 s), as the paper
+    seems to count it. It misses what happens between two decisions.
+policy: What chooses the actions: a run, a checkpoint, an .onnx file, a shipped name or a
+    controller.
+profile: The ground in the robot's side view: a line of points (x, z) [m].
+reached: Outcome: the robot passed the finish and stands on the ground again.
+regret: The reward that a policy misses compared with the best one for the same rewards. A search
+    computes the best.
+return: The sum of the rewards of an episode. It depends on the rewards; pitch variation and
+    success do not.
+reward: What training maximises: a weighted sum of terms at each decision. flipperctl list rewards
+risk: The probability that the robot gets stuck or overturns soon, which some policies learn. Above
+    a threshold it is a warning.
+run: The folder of one training: configuration, metrics, checkpoints.
+saturated: The share of decisions at which a reward term has its smallest value, and therefore
+    tells actions apart no more.
+scene: A terrain with fixed settings and conditions on which policies are evaluated.
+seed: The number from which all random numbers of a training or an evaluation follow. Equal seeds
+    give equal results.
+stuck: Outcome: the robot made too little progress (episode.stuck_window).
+substep: One step of the physics within a decision (sim.substep).
+success: The share of episodes with the outcome reached.
+suite: A named list of scenes that are evaluated together.
+sweep: Several trainings from one command: flipperctl train -m seed=1,2,3.
+θ̂_R: The paper's symbol for pitch variation.
+time: Simulated time from the start to the end of an episode [s]; t_cost in files.
+timeout: Outcome: the episode took longer than allowed (episode.slack).
+validation: Episodes without exploration that are played during a training, to measure the policy
+    and to choose the best one.
+"""
+
+GLOSSARY: Mapping[str, str] = {
+    word: " ".join(text.split())
+    for word, text in re.findall(r"^(\S.*?): (.*(?:\n +.*)*)", _TEXT, flags=re.MULTILINE)
+}
+"""Word → explanation."""

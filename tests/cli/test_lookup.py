@@ -1,0 +1,107 @@
+"""``flipperctl list`` and ``explain``: names by kind, settings, words, and a search."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.cells import cell_len
+
+from flipperctl.api import registry
+from flipperctl.cli import glossary
+from flipperctl.cli.catalogue import KINDS
+from tests.cli.call import call
+
+
+def document(*words: str, cwd: Path) -> Any:
+    done = call(*words, "--json", cwd=cwd)
+    assert done.code == 0, done.err
+    return json.loads(done.out)
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS.keys() - {"runs"}))
+def test_every_name_has_a_line_of_its_own(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = document("list", kind, cwd=tmp_path)["names"]
+    listed = {(one["group"], one["name"]) for one in found}
+    assert {key for key in registry if key[0] in KINDS[kind]} <= listed
+    files = {(p.parent.name, p.stem) for p in Path("configs").rglob("*/*.yaml")}
+    assert {key for key in files if key[0] in KINDS[kind]} <= listed
+    monkeypatch.setenv("COLUMNS", "100")
+    lines = call("list", kind, cwd=tmp_path).out.splitlines()
+    assert max(map(cell_len, lines)) <= 100
+    for one in found:
+        starts = [line for line in lines if line.split()[:1] == [one["name"]]]
+        assert starts, one["name"]
+        if kind != "policies":  # the sentences of their cards
+            assert any(one["summary"] in line for line in starts), one["summary"]
+
+
+def test_kinds_have_examples_that_name_what_there_is(tmp_path: Path) -> None:
+    counts = {row["kind"]: row["count"] for row in document("list", cwd=tmp_path)}
+    assert counts["terrains"] == sum(kind == "terrain" for kind, _ in registry)
+    assert counts["runs"] == 0
+    for kind, groups in KINDS.items():
+        for group, one in groups.items():
+            if kind != "runs":
+                names = [e["name"] for e in document("list", kind, cwd=tmp_path)["names"]]
+                assert one.example in names, group
+
+
+def test_a_run_is_listed_with_its_best_validation(short_run: Path, tmp_path: Path) -> None:
+    first, killed = tmp_path / "runs/compared/first", tmp_path / "runs/killed"
+    shutil.copytree(short_run, first)
+    for run in (first, killed):
+        run.mkdir(exist_ok=True)
+        (run / "config.yaml").write_text("terrain: {name: step}")
+    best = json.loads((first / "summary.json").read_text())["best"]
+    rows = {row["name"]: row for row in document("list", "runs", cwd=tmp_path)["names"]}
+    assert {row["terrain"] for row in rows.values()} == {"step"}
+    assert rows["runs/compared/first"]["success_rate"] == best["success_rate"]
+    assert rows["runs/killed"]["decisions"] is None
+    assert document("list", "runs", "runs/killed", cwd=tmp_path)["names"] == [rows["runs/killed"]]
+    assert "runs: 2 runs" in call("list", "runs", cwd=tmp_path).out
+
+
+def test_a_setting_says_what_changes_it_and_how_it_is_typed(tmp_path: Path) -> None:
+    (found,) = document("explain", "agent.epsilon_decisions", cwd=tmp_path)["settings"]
+    assert found["set_by"]["experiment=quick"] == "4800"
+    assert (found["default"], found["bounds"], found["of"]) == (15000, "≥ 1, ≤ 1e+08", "agent")
+    assert found["command"] == "flipperctl train agent.epsilon_decisions=15000"
+    (found,) = document("explain", "stair.rise", cwd=tmp_path)["settings"]
+    assert (found["key"], found["train"], found["unit"]) == ("terrain.rise", 0.2, "m")
+    (found,) = document("explain", "lambda_2", cwd=tmp_path)["settings"]
+    assert found["train"] is None  # its rewards have no such term
+    assert found["command"] == "flipperctl train rewards.pitch=pitch rewards.pitch.lambda_2=8"
+    found = document("explain", "sim.friction", cwd=tmp_path)["settings"]
+    assert {one["of"] for one in found} == {"sim planar", "sim mujoco"}
+
+
+def test_names_words_and_anything_else(tmp_path: Path) -> None:
+    (found,) = document("explain", "wide_stair", cwd=tmp_path)["names"]
+    assert found["settings"]["terrain"] == "stair"
+    assert found["settings"]["terrain.most"] == "6"
+    (found,) = document("explain", "ramp", cwd=tmp_path)["names"]
+    assert {field["name"] for field in found["plugin"]["fields"]} >= {"slope_high"}
+    said = call("explain", "pitch", "variation", cwd=tmp_path).out
+    assert said.startswith("pitch variation: How much the robot rocks")
+    hits = document("explain", "learning", "rate", cwd=tmp_path)["found"]
+    assert hits[0]["name"] == "agent.learning_rate"
+    assert len(hits) == 10
+    assert document("explain", "discount", cwd=tmp_path)["found"][0]["name"] == "agent.gamma"
+    assert "flipperctl map" in call("explain", "map", cwd=tmp_path).out
+
+
+def test_every_line_of_the_glossary_is_read() -> None:
+    lines = [line for line in glossary._TEXT.splitlines() if line and line[0] != " "]
+    assert [line.partition(": ")[0] for line in lines] == list(glossary.GLOSSARY)
+
+
+def test_a_contact_sheet_of_the_terrains(tmp_path: Path) -> None:
+    done = call("list", "terrains", "--pictures", "sheet.svg", cwd=tmp_path)
+    assert done.code == 0, done.err
+    text = (tmp_path / "sheet.svg").read_text()
+    names = [name for kind, name in registry if kind == "terrain"]
+    assert [name for name in names if f"<!-- {name} -->" not in text] == []
