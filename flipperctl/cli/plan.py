@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 
 from flipperctl.cli.hydra.compose import compose_eval, register_trained
@@ -268,7 +268,8 @@ def _composed(
     """Yield the scenes of each policy, composed once for those that inherit equal settings.
 
     ``sections`` are the names and words of the scenes; ``tell`` is called once with each line. A
-    controller with settings among the words has scenes of its own.
+    controller with settings among the words has scenes of its own. Without a terrain among them,
+    controllers play the scenes of the policies beside them, if these inherit equal settings.
     """
     told: set[str] = set()
     known: list[tuple[Inherited | None, list[tuple[str, EvalConfig]]]] = []
@@ -278,26 +279,31 @@ def _composed(
             told.add(line)
             tell(line)
 
+    sources = {e: load_policy(e.run, takes="file", tell=once) for e in entrants if e.run}
+    brought = {e: Inherited.of(read_config(sources[e], [], lambda text: None)) for e in sources}
+    keys = [key_of(word).partition(".")[0] for _, part in sections for word in part]
+    own = "controller" in keys
+    alike = all(one == other for one, other in pairwise(brought.values()))
+    host = next(iter(brought), None) if alike and not {"controller", "terrain"} & {*keys} else None
     for entrant in entrants:
-        inherited, own = None, False
-        if entrant.run is not None:
-            source = load_policy(entrant.run, takes="file", tell=once)
-            inherited = Inherited.of(read_config(source, [], lambda text: None))
-        else:
-            source = load_policy(entrant.method, "--controller", "controller", fields={})
-            keys = [key_of(word) for _, part in sections for word in part]
-            own = any(key.startswith("controller.") for key in keys)
+        maker = entrant if entrant.run or host is None else host
+        inherited = brought.get(maker)
+        source = sources.get(entrant) or load_policy(
+            entrant.method, "--controller", "controller", fields={}
+        )
         equal = next((configs for who, configs in known if who == inherited), None)
-        if equal is None or own:
+        if equal is None or (own and not entrant.run):
             composed = [
                 (name, *scene)
                 for name, words in sections
-                for scene in scenes(words, entrant.run, entrant.method, once)
+                for scene in scenes(words, maker.run, maker.method, once)
             ]
-            if not own:
+            if entrant.run or not own:
                 known.append((inherited, [(name, config) for name, config, _ in composed]))
-            yield composed
-            continue
+            if maker is entrant:
+                yield composed
+                continue
+            equal = known[-1][1]
         for _, config in equal:
             if entrant.run is not None:
                 source.build(config)  # it raises before the first episode

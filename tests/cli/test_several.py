@@ -150,10 +150,17 @@ def test_other_rewards_of_a_checkpoint_are_told() -> None:
 
 
 def test_policies_that_bring_their_own_ground_are_told() -> None:
-    _, told = planned("generalist,level")
+    _, told = planned("generalist,mpc_value,level")
     assert "these policies play different scenes, so they do not compare (generalist: " in told
     assert "level: stair " in told
-    assert "different scenes" not in planned("generalist,level", "terrain=flat")[1]
+    assert "different scenes" not in planned("generalist,mpc_value,level", "terrain=flat")[1]
+
+
+def test_a_rule_plays_the_ground_of_the_policy_beside_it() -> None:
+    plan, told = planned("level,generalist")
+    assert [entry.label for entry in plan.entries] == ["level", "generalist"]
+    assert len({entry.ground for entry in plan.entries}) == 1
+    assert "do not compare" not in told
 
 
 def test_tables_of_another_evaluation_are_not_replaced_without_a_word(
