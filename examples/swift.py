@@ -1,7 +1,7 @@
 """A reward of your own: a quick crossing, however much the chassis swings.
 
 Try it: ``flipperctl train terrain=plum experiment=searched ~rewards.flipper ~rewards.pitch
-+reward@rewards.swift=swift --plugins examples/swift.py``
+rewards.swift=swift --plugins examples/swift.py``
 """
 
 from typing import ClassVar

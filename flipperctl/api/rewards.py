@@ -113,7 +113,7 @@ RewardT = TypeVar("RewardT", bound=RewardTerm)
 
 
 def reward(name: str) -> Callable[[type[RewardT]], type[RewardT]]:
-    """Register a ``RewardTerm``; add it with ``+reward@rewards.<term>=<name>``.
+    """Register a ``RewardTerm``; add it with ``rewards.<term>=<name>``.
 
     Raises:
         ValueError: the name is not valid or is already taken.

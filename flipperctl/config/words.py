@@ -9,9 +9,12 @@ from __future__ import annotations
 import re
 import shlex
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from functools import cache
+from importlib import resources
 from itertools import zip_longest
 from pathlib import Path
 
+from flipperctl.api.plugin import registered_names
 from flipperctl.config.resolver import is_robot_file, known_robots, named_robot
 from flipperctl.errors import ConfigError, RequestError
 
@@ -130,7 +133,9 @@ def with_engine(overrides: list[str]) -> list[str]:
 
 
 def expand_files(words: Sequence[str]) -> list[str]:
-    """Return overrides in which ``robot=FILE`` is replaced by the settings of the file.
+    """Return overrides in Hydra's spelling, of ``rewards.calm=calm`` and of ``robot=FILE``.
+
+    A reward term that no preset has is added. A file is replaced by its settings.
 
     All settings of the robot are written out, in place of those of a policy's training too; one
     that another word sets is left to that word.
@@ -139,9 +144,21 @@ def expand_files(words: Sequence[str]) -> list[str]:
     return [found for word in words for found in _expand(word, given)]
 
 
+@cache
+def _terms() -> frozenset[str]:
+    """Return the reward terms of the package's presets, which a word replaces, and never adds."""
+    presets = resources.files("flipperctl.configs") / "rewards"
+    texts = (file.read_text("utf-8") for file in presets.iterdir() if file.name.endswith(".yaml"))
+    return frozenset(name for text in texts for name in re.findall(r"- /reward@(\w+):", text))
+
+
 def _expand(word: str, given: Collection[str]) -> Iterator[str]:
     key, _, value = word.partition("=")
     name = value.strip().strip("'\"")
+    term = key.removeprefix("rewards.")
+    if key == f"rewards.{term}" and name in registered_names("reward") and term not in _terms():
+        yield f"+reward@{key}={name}"
+        return
     if key != "robot" or not is_robot_file(name):
         yield word
         return

@@ -22,25 +22,25 @@ _REGISTERED = {"engine": "sim", "sensor": "perception"}
 _USAGE = {
     "terrain": (
         "flipperctl inspect terrain {name}{plugins} --output {name}.png",
-        "flipperctl train terrain={name} hydra.run.dir=runs/{name}/first{plugins}",
-        "flipperctl eval --checkpoint runs/{name}/first{plugins}",
+        "flipperctl train terrain={name} --output runs/{name}{plugins}",
+        "flipperctl eval runs/{name} --baseline level{plugins}",
     ),
     "reward": (
-        "flipperctl inspect reward +reward@rewards.{name}={name}{plugins}",
-        "flipperctl train +reward@rewards.{name}={name}{plugins}",
+        "flipperctl inspect reward rewards.{name}={name}{plugins}",
+        "flipperctl train rewards.{name}={name}{plugins}",
     ),
     "network": ("flipperctl train network={name}{plugins}",),
-    "controller": ("flipperctl eval --controller {name} terrain=step{plugins}",),
+    "controller": ("flipperctl eval {name} terrain=step{plugins}",),
     "engine": (
         "flipperctl eval okada sim={name} terrain=step{plugins}",
         "flipperctl eval okada sim=planar,{name} terrain=step{plugins}",
     ),
     "sensor": (
-        "flipperctl eval --controller okada perception={name} terrain=step{plugins}",
+        "flipperctl eval okada perception={name} terrain=step{plugins}",
         "flipperctl train perception={name}{plugins}",
     ),
     "measure": (
-        "flipperctl eval --controller okada --baseline level terrain=step{plugins}",
+        "flipperctl eval okada --baseline level terrain=step{plugins}",
         "flipperctl train terrain=step{plugins}",
     ),
     "logger": ("flipperctl train logger=[tensorboard,{name}]{plugins}",),

@@ -146,7 +146,7 @@ def train(
     ``experiment="quick"``), a nested mapping (``train={"decisions": 20_000}``) or a dotted key
     (``**{"rewards.swing.weight": 4}``) sets fields, the settings of a plugin may be an object
     (``terrain=Ridge(height=0.3)``). ``overrides``: further ones as on the command line, such as
-    ``"+reward@rewards.energy=energy"``. ``directory``: the run directory, which must hold no run;
+    ``"rewards.energy=energy"``. ``directory``: the run directory, which must hold no run;
     by default ``runs/<terrain>/<time>``. ``resume``: a run to resume where it stopped; of the
     settings, those of ``train``, ``device``, ``collector`` and ``logger`` alone can be given with
     it, but for some of ``train`` that hold for a whole run. ``plugins``: files or folders of

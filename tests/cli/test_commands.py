@@ -130,7 +130,7 @@ def test_inspect_shows_plugins_terrains_checkpoints_and_configurations(
     for name in (checkpoint.BEST, checkpoint.LAST):
         done = call("inspect", "checkpoint", str(short_run / name), "--json", cwd=tmp_path)
         assert json.loads(done.out)["config"]["terrain"]["name"] == "step"
-    again = ("+reward@rewards.again=pitch", "rewards.again.weight=0.5")
+    again = ("rewards.again=pitch", "rewards.again.weight=0.5")
     done = call("inspect", "config", "rewards=paper", "~rewards.pitch", *again, cwd=tmp_path)
     assert "pitch:" not in done.out
     assert "weight: 0.5" in done.out

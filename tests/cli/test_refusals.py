@@ -68,7 +68,6 @@ train rewards=tunde -> rewards | 'tunde' | 'tuned' | paper, smooth, tuned
 train +reward@rewards.way=shaped_progress agent.gamma=0.95 \
     -> rewards.way.gamma: 0.99 | agent.gamma (0.95) | set rewards.way.gamma=0.95
 train reward=impact -> rewards.impact: there is no | +reward@rewards.impact=impact
-train rewards.impact=impact -> rewards.impact: there is no | +reward@rewards.impact=impact
 train +reward@rewards.hit=impact rewards.hit.wieght=2 \
     -> rewards.hit.wieght | 'weight' | known in rewards.hit:
 train rewards=paper +reward@rewards.pitch=impact \

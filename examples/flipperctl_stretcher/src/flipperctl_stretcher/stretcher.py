@@ -1,4 +1,4 @@
-"""A reward term for flipperctl: ``+reward@rewards.stretcher=stretcher``."""
+"""A reward term for flipperctl: ``rewards.stretcher=stretcher``."""
 
 import math
 from typing import ClassVar
