@@ -246,11 +246,6 @@ class Engine(Plugin, ABC):
             return SAMPLE_PERIOD / max(1, round(SAMPLE_PERIOD / value))
         return value
 
-    @property
-    def films_itself(self) -> bool:
-        """Whether films of evaluations show the engine's own pictures, not the side view."""
-        return False
-
     def versions(self) -> dict[str, str]:
         """Return the versions of the libraries that affect the results, for checkpoints."""
         return {}

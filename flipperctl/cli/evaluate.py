@@ -59,7 +59,16 @@ def evaluate(
     ] = None,
     film: Annotated[
         Path | None,
-        typer.Option(metavar="FILE.gif", help="Film of the first episode of the only scene."),
+        typer.Option(metavar="FILE", help="Film of the first episode: .gif or .mp4."),
+    ] = None,
+    episode: Annotated[
+        str | None, typer.Option(metavar="N", help="Episodes of the film, as in 7 or 3,7 [0].")
+    ] = None,
+    failures: Annotated[
+        bool, typer.Option("--failures", help="Film the first failed episodes instead.")
+    ] = False,
+    speed: Annotated[
+        float | None, typer.Option(metavar="X", help="Times real time of the film [3].")
     ] = None,
     record: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Recorded episodes, to teach a training.")
@@ -91,13 +100,14 @@ def evaluate(
 
       flipperctl eval generalist suite=robustness --output judged
 
-      flipperctl eval generalist terrain=pallet --episodes 1 --film pallet.gif
+      flipperctl eval generalist level terrain=step --episodes 1 --film a.gif
 
       flipperctl eval okada terrain=ramp --seed 5 --record okada.safetensors
     """
     from flipperctl.cli.plan import make_plan
     from flipperctl.config.words import with_flags
     from flipperctl.evaluation.evaluate import Result
+    from flipperctl.evaluation.filming import Filming
     from flipperctl.evaluation.plan import controllers, entrants, split_policies
     from flipperctl.evaluation.run import run
     from flipperctl.evaluation.views import evaluation
@@ -125,7 +135,8 @@ def evaluate(
         plan,
         references=references,
         by=groups,
-        outputs={"folder": output, "film": film, "record": record},
+        outputs={"folder": output, "record": record},
+        filming=Filming.asked(film, episode, failures, speed),
         show=printed,
         progress=progress,
         planned=progress.plan,
@@ -205,7 +216,9 @@ def replay(
     output: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder for replay.json and replay.png.")
     ] = None,
-    film: Annotated[Path | None, typer.Option(metavar="FILE.gif", help="Film of it.")] = None,
+    film: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Film of it: .gif or .mp4.")
+    ] = None,
     as_json: options.AsJson = False,
     plugins: options.PluginPaths = None,
 ) -> None:

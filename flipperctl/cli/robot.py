@@ -113,7 +113,7 @@ def check(
     from flipperctl.terminal.tables import print_perception
 
     if output is not None or at is not None:
-        from flipperctl.figures.film import check_perceived, draw_perceived
+        from flipperctl.figures.perceived import check_perceived, draw_perceived
 
         check_perceived(output, at)
     joints = front or JOINTS[:2], rear or JOINTS[2:]

@@ -25,7 +25,7 @@ from pydantic import (
 )
 
 from flipperctl import __version__, checkpoint
-from flipperctl.api import DrawingWorld, Outcome, Profile, Transition
+from flipperctl.api import Outcome, Profile, Transition
 from flipperctl.checkpoint.document import decode
 from flipperctl.config import EnvConfig, EvalConfig, parse, to_dict
 from flipperctl.config.identity import content_digest
@@ -37,15 +37,15 @@ from flipperctl.errors import (
     RequestError,
 )
 from flipperctl.evaluation.conditions import Conditions
-from flipperctl.evaluation.plan import Entry
-from flipperctl.evaluation.play import EpisodeDigest, EpisodeRunner, Progress, no_progress
+from flipperctl.evaluation.names import names
+from flipperctl.evaluation.play import EpisodeDigest, Progress, no_progress
 from flipperctl.evaluation.rows import DIGEST, Row, arranged, sampled
-from flipperctl.files import check_output, write_json
+from flipperctl.files import write_json
 from flipperctl.messages import explain
 from flipperctl.policies.identity import named_files
 from flipperctl.policies.source import PolicySource
 from flipperctl.results import result_folder
-from flipperctl.rollout.episode import Decision, EpisodeRisks, EvaluationSeeds, play
+from flipperctl.rollout.episode import Decision, EpisodeRisks, play
 from flipperctl.rollout.trace import Trace
 from flipperctl.sim.versions import engine_versions
 
@@ -235,8 +235,6 @@ class Replay:
     episode: Row
     transitions: tuple[Transition, ...]
     profile: Profile
-    draws: bool = False
-    """Whether the engine draws pictures of its own."""
 
     @property
     def differences(self) -> list[str]:
@@ -297,8 +295,7 @@ def replay(path: Path, checkpoint: Path | None = None, progress: Progress = no_p
     with progress(f"{config.terrain.plugin_name}, replay", 1) as report:
         row = play(env, policy, record.seed, watch=watch, report_progress=report)
     episode = arranged({"episode": record.episode, **row}) | {DIGEST: digest.hexdigest()}
-    draws = isinstance(env.drive.world, DrawingWorld)
-    return Replay(record, config, source, episode, tuple(transitions), env.profile, draws)
+    return Replay(record, config, source, episode, tuple(transitions), env.profile)
 
 
 def replay_file(
@@ -316,9 +313,9 @@ def replay_file(
     """
     with ExitStack() as stack:
         if film is not None:
-            from flipperctl.figures.film import FILM
+            from flipperctl.figures.animation import check_film
 
-            check_output(film, FILM)
+            check_film(film)
         folder = None
         if output is not None:
             folder = stack.enter_context(result_folder(output, "replay", NAMES))
@@ -336,20 +333,17 @@ def replay_file(
             folder.replace(write)
             tell(f"wrote {' and '.join(NAMES)} to {folder.path}")
         if film is not None:
-            _film(film, found, progress)
+            from flipperctl.figures.film import Part, Take
+            from flipperctl.figures.film import film as make_film
+
+            config, source, terrain = found.config, found.source, found.config.terrain.plugin_name
+            label = source.label()
+            part = Part(names([label])[label], config.environment(), source, found.record.seed)
+            with progress(f"{terrain}, film", 1) as report:
+                take = Take(f"{terrain}, episode {found.record.episode}", [part])
+                make_film(film, [take], report_progress=report)
             tell(f"wrote {film}")
     return found
-
-
-def _film(path: Path, found: Replay, progress: Progress) -> None:
-    from flipperctl.figures.film import film, save_film
-
-    if found.draws:  # the side view does not show why a robot rolls or leaves its heading
-        film(found.config, found.source, found.record.seed, path)
-        return
-    made, speed = found.transitions, found.config.robot.track_speed
-    with progress(f"{found.config.terrain.plugin_name}, film", 1) as report:
-        save_film(path, made, found.profile, made[0].robot, found.title, report, speed=speed)
 
 
 def lines(found: Replay) -> Iterator[str]:
@@ -364,18 +358,3 @@ def lines(found: Replay) -> Iterator[str]:
         digest = f"bit-identical to the recorded episode, digest {episode[DIGEST]:.16}…"
         none = "equal to the recorded episode by its measures; it has no digest of the poses"
         yield none if found.record.digest is None else digest
-
-
-def film_scene(path: Path, entry: Entry, progress: Progress) -> None:
-    """Replay the first episode of the scene and write its film."""
-    from flipperctl.figures.film import film, save_film
-
-    config, source, terrain = entry.config, entry.source, entry.terrain
-    if config.sim.films_itself:
-        film(config, source, EvaluationSeeds.of(config.eval.seed, config.terrain)(0), path)
-        return
-    with progress(f"{terrain}, film", 2) as report:
-        made, profile = EpisodeRunner(config, source, config.eval.seed, report).transitions(0)
-        title = f"{source.label()} on {terrain}: {made[-1].outcome}"
-        robot, speed = made[0].robot, config.robot.track_speed
-        save_film(path, made, profile, robot, title, lambda part: report(1 + part), speed=speed)

@@ -21,6 +21,7 @@ from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
 from flipperctl.evaluation import replay, report, traces
 from flipperctl.evaluation.conditions import scene_names
 from flipperctl.evaluation.evaluate import Played, Result, evaluate
+from flipperctl.evaluation.filming import Filming
 from flipperctl.evaluation.plan import BEST_KNOWN, Entry, Plan
 from flipperctl.evaluation.play import Progress, no_progress
 from flipperctl.evaluation.rows import DIGEST, RECORDED, Episodes, Row
@@ -55,6 +56,7 @@ def run(
     references: Sequence[PolicySource] = (),
     by: Sequence[tuple[str, ...]] = (),
     outputs: Mapping[str, Path | None],
+    filming: Filming | None = None,
     show: Callable[[Result, Document], None] = lambda result, document: None,
     progress: Progress = no_progress,
     planned: Callable[[int], None] = lambda episodes: None,
@@ -64,12 +66,12 @@ def run(
     """Evaluate a plan, show the results and write the outputs; return the results.
 
     ``references``: see ``evaluate``. ``by``: drawn numbers that make groups. ``outputs``: paths of
-    ``folder``, ``film`` and ``record``. ``show`` is called with the results before they are
+    ``folder`` and ``record``. ``show`` is called with the results before they are
     written, so that a full disk does not lose them; ``tell`` with a line for each output.
     ``typed``: the command, for the report.
     """
     with ExitStack() as stack:
-        written = _Files(plan, stack, tell, **outputs)
+        written = _Files(plan, stack, tell, filming, **outputs)
         stop = stack.enter_context(interrupts("finishing the episode; Ctrl-C again stops at once"))
         result = evaluate(
             plan,
@@ -156,9 +158,9 @@ class _Files:
         plan: Plan,
         stack: ExitStack,
         tell: Callable[[str], None],
+        filming: Filming | None = None,
         *,
         folder: Path | None = None,
-        film: Path | None = None,
         record: Path | None = None,
     ) -> None:
         """Check the outputs, and lock the folder until the ``stack`` is closed.
@@ -166,22 +168,17 @@ class _Files:
         The folder gets a picture of each scene if there is one policy.
         """
         self._plan, self._tell = plan, tell
-        self._film, self._record = film, record
+        self._filming, self._record = filming, record
         entries = plan.rows
         several = any(entry.label != entries[0].label for entry in entries)
+        film = filming.path if filming else None
+        if filming:
+            filming.check(plan)
+        if record and several:
+            raise RequestError("--record takes one policy, without further ones (--baseline none)")
         for option, file in (("--film", film), ("--record", record)):
-            if file and several:
-                raise RequestError(
-                    f"{option} takes one policy, without further ones (--baseline none)"
-                )
             if file and folder and file.resolve() == folder.resolve():
                 raise RequestError(f"{option} {file} and --output are the same; a file is allowed")
-        if film:
-            from flipperctl.figures.film import FILM
-
-            if len(entries) != 1:
-                raise RequestError(f"--film shows one scene; {len(entries)} are evaluated")
-            check_output(film, FILM)
         if record:
             check_output(record, recording.KIND)
             recording.require_one_layout(record, [entry.config for entry in entries])
@@ -271,11 +268,10 @@ class _Files:
                 )
 
         def film() -> None:
-            if self._film is not None:
+            if self._filming is not None:
                 if stop():
-                    raise InterruptedRunError(f"interrupted: {self._film} is not drawn")
-                replay.film_scene(self._film, self._plan.rows[0], progress)
-                self._tell(f"wrote {self._film}")
+                    raise InterruptedRunError(f"interrupted: {self._filming.path} is not drawn")
+                self._filming.make(result, progress, self._tell)
 
         _attempt(pictures, film)
 

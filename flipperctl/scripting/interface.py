@@ -26,6 +26,7 @@ from flipperctl.errors import (
 )
 from flipperctl.evaluation import evaluate as results
 from flipperctl.evaluation import run as evaluation
+from flipperctl.evaluation.filming import Filming
 from flipperctl.evaluation.plan import NamedPolicy, controllers, entrants
 from flipperctl.evaluation.run import episode_rows
 from flipperctl.evaluation.views.evaluation import (
@@ -377,7 +378,7 @@ def evaluate(
     plan = make_plan(typed, list(found), _names("baselines", baselines), tell)
     for entry in plan.rows:
         check_evaluation(entry.config, entry.config.eval.jobs, entry.source.controller_name)
-    files = {"folder": output, "film": film, "record": record}
+    files = {"folder": output, "record": record}
     done: list[Evaluation] = []
 
     def keep(result: results.Result, document: Document) -> None:
@@ -393,6 +394,7 @@ def evaluate(
             ),
             by=parse_groups(_names("by", by or None), "by", [e.config for e in plan.rows]),
             outputs={name: None if file is None else Path(file) for name, file in files.items()},
+            filming=None if film is None else Filming(Path(film)),
             show=keep,
             progress=show,
             tell=tell,

@@ -15,7 +15,10 @@ from tests.cli.call import refused
 REFUSED = """
 trian -> trian | train
 eval level terrain=step,stair --film f.gif -> --film shows one scene; 2
-eval level terrain=step --film f.mp4 -> a film is a .gif file | '.mp4'
+eval level terrain=step --episode 3 -> --episode is of a film
+eval level terrain=step --film f.gif --speed 0.3 -> multiples of 0.25
+eval level terrain=step --film f.gif --episodes 2 --episode 5 -> 0 to 1 is evaluated
+eval level terrain=step --film f.avi -> a film is a .gif or .mp4 file | '.avi'
 eval okada sim=planar,planar -> another engine is compared with planar
 eval level --passable okda -> --passable | 'okada'
 eval okada conditions=varid -> did you mean 'varied'?
@@ -127,7 +130,7 @@ eval okada,level --baseline ,x terrain=flat -> --baseline: names between commas
 eval okada,level --record e.safetensors terrain=flat -> --record takes one policy
 eval level --record e.safetensors eval.ray=auto terrain=flat \
     -> eval.ray: no meaning beside --record
-eval okada level --film e.gif terrain=flat -> --film takes one policy
+eval okada level --film e.gif terrain=flat,step -> --film shows one scene
 eval okada suite=familes -> did you mean 'families'?
 eval suite=families -> name a policy, as in: flipperctl eval generalist
 map okada terrain=uplift -> name two settings, as in --over terrain.height=
@@ -201,7 +204,7 @@ train --out here -> ; did you mean '--output'?
 inspect reward --seed 3 -> ; settings are written as eval.seed=3
 eval okada --friction 0.6 -> ; settings are written as sim.friction=0.6
 eval okada --agent.gamma 0.9 -> no such option: --agent.gamma
-eval okada --episode 5 -> --episode; did you mean '--episodes'?
+eval okada --episodess 5 -> --episodess; did you mean '--episodes'?
 inspect run x --seed 3 -> no such option: --seed
 --terrain stair -> --terrain; settings are written as terrain=stair
 --terrain=stair train -> --terrain; settings are written as terrain=stair

@@ -10,11 +10,13 @@ from PIL import Image
 from flipperctl.api import SAMPLE_PERIOD, Profile, Robot, RobotState, Start, Transition
 from flipperctl.config import EvalConfig
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.errors import FlipperctlError, OutputError, RequestError
+from flipperctl.errors import FlipperctlError, MissingExtraError, RequestError
 from flipperctl.evaluation.play import EpisodeRunner
 from flipperctl.evaluation.replay import EpisodeRecord, replay_file
+from flipperctl.figures.animation import FILM, LAST, check_film
 from flipperctl.figures.episode import episode_figure
-from flipperctl.figures.film import FILM, Shots, film, save_film
+from flipperctl.figures.film import Part, Take, _Shots, film
+from flipperctl.figures.side import SideView
 from flipperctl.files import check_output, write_json
 from flipperctl.policies.source import load_policy
 from flipperctl.rollout.episode import play
@@ -24,9 +26,6 @@ from flipperctl.sim.mujoco.world import MujocoWorld
 
 STEP = Profile([(0.0, 0.0), (0.0, 0.2), (0.5, 0.2)])
 LEVEL = load_policy("level", "--controller")
-FLAT_3D = EvalConfig(
-    terrain={"name": "flat", "length": 0.2}, sim="mujoco", episode={"run_up": 0.4, "run_out": 0.4}
-)
 DRAWS_HERE = any(ctypes.util.find_library(name) for name in ("EGL", "OSMesa"))
 
 
@@ -56,30 +55,68 @@ def test_the_instants_are_evenly_spaced_over_decisions_and_include_the_end():
     assert list(Trace.of(bare, STEP).time) == pytest.approx([0, 0.6, 1.2, 1.8])
 
 
+SHORT = {"terrain": {"name": "flat", "length": 0.2}, "episode": {"run_up": 0.4, "run_out": 0.4}}
+FLAT, FLAT_3D = EvalConfig(**SHORT), EvalConfig(**SHORT, sim="mujoco")
+OKADA = load_policy("okada", "--controller")
+
+
+def take(config, *names):
+    sources = {"level": LEVEL, "okada": OKADA}
+    return Take("flat, episode 0", [Part(name, config, sources[name], 3) for name in names])
+
+
+def frames(path):
+    with Image.open(path) as picture:
+        found = []
+        for index in range(picture.n_frames):
+            picture.seek(index)
+            found.append((np.array(picture.convert("RGB")), picture.info["duration"]))
+        return found
+
+
 def test_a_film_moves_lasts_as_long_as_it_says_and_is_equal_for_equal_episodes(tmp_path):
     paths, done = [tmp_path / "one.gif", tmp_path / "two.gif"], []
     for path in paths:
-        save_film(path, drive(2), STEP, Robot(), "a rule on step", done.append, speed=0.2)
+        film(path, [take(FLAT, "level")], speed=3, report_progress=done.append)
     assert paths[0].read_bytes() == paths[1].read_bytes()
     check_output(paths[0], FILM)  # a film of before is replaced
-    with pytest.raises(OutputError, match="film"):
-        save_film(tmp_path / "film.mp4", drive(1), STEP, Robot(), speed=0.2)
     assert done[-1] == 1
-    with Image.open(paths[0]) as picture:
-        assert picture.n_frames == 11  # every 0.12 s of 1.2 s, the start and the end
-        assert (picture.info["loop"], picture.info["duration"]) == (0, 40)  # a third of 0.12 s
-        first = np.array(picture.convert("RGB"))
-        picture.seek(10)
-        assert (first != np.array(picture.convert("RGB"))).any()
+    time = play(FlipperEnv(config=FLAT), LEVEL.build(FLAT), 3)["t_cost"]
+    found = frames(paths[0])
+    shown = sum(duration for _, duration in found[:-1]) / 1000  # [s]; equal frames are merged
+    assert shown == pytest.approx(time / 3, abs=0.05)
+    assert (found[0][0] != found[-1][0]).any()
 
 
-def test_the_clock_is_whole_above_a_tall_picture(tmp_path):
-    high = Profile([(0.0, 0.0), (0.0, 2.0), (0.5, 2.0)])
-    save_film(tmp_path / "tall.gif", drive(2), high, Robot(), speed=0.2)
-    with Image.open(tmp_path / "tall.gif") as picture:
-        first = np.array(picture.convert("L"))
-    assert (first[:3] > 200).all()
-    assert (first[:25, first.shape[1] // 2 :] < 100).any()  # the clock
+def test_policies_are_stacked_and_takes_follow_each_other(tmp_path):
+    sizes, counts = [], []
+    takes = [take(FLAT, "level")], [take(FLAT, "level", "okada")], 2 * [take(FLAT, "level")]
+    for number, chosen in enumerate(takes):
+        film(tmp_path / f"{number}.gif", chosen, speed=8)
+        found = frames(tmp_path / f"{number}.gif")
+        sizes.append(found[0][0].shape)
+        counts.append(len(found))
+    alone, two, twice = sizes
+    assert alone == twice
+    assert two[1] == alone[1]
+    assert counts[2] == pytest.approx(2 * counts[0], abs=2)
+
+
+def test_an_mp4_has_the_frames_of_its_time(tmp_path):
+    imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    path = tmp_path / "film.mp4"
+    film(path, [take(FLAT, "level")], speed=3)
+    check_output(path, FILM)
+    count, seconds = imageio_ffmpeg.count_frames_and_secs(str(path))
+    time = play(FlipperEnv(config=FLAT), LEVEL.build(FLAT), 3)["t_cost"]
+    assert seconds == pytest.approx(time / 3 + LAST, abs=0.15)
+    assert count == pytest.approx(25 * seconds, abs=2)
+
+
+def test_an_mp4_without_its_package_names_the_extra(tmp_path, monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(MissingExtraError, match=r"flipperctl\[video\]"):
+        check_film(tmp_path / "film.mp4")
 
 
 @pytest.fixture(scope="module")
@@ -112,15 +149,15 @@ def test_a_picture_has_the_map_without_filled_points_and_the_heights_over_time(d
     assert np.isnan(heights[~seen]).all()
 
 
-def test_a_film_draws_the_map_only_if_the_sensor_has_one(driven, tmp_path):
+def test_a_film_draws_the_map_only_if_the_sensor_has_one(driven):
     made, profile = driven
     blind = [replace(t, perception=None) for t in made]
     assert mapped(blind) == []
     pictures = []
-    for name, transitions in (("a", made), ("b", blind)):
-        save_film(tmp_path / f"{name}.gif", transitions[:1], profile, Robot(), speed=0.2)
-        with Image.open(tmp_path / f"{name}.gif") as picture:
-            pictures.append(np.array(picture.convert("RGB")))
+    for transitions in (made, blind):
+        view = SideView(transitions[:1], profile, 0.2, 0.12)
+        view.prepare(view.box, SideView.height(view.box), angles=True)
+        pictures.append(view.picture(0))
     assert (pictures[0] != pictures[1]).any()
 
 
@@ -138,7 +175,7 @@ def drawn(monkeypatch):
 
 @pytest.mark.usefixtures("drawn")
 def test_an_engine_that_draws_itself_is_filmed_without_changing_the_episode(tmp_path):
-    poses, rows, shots = [], [], Shots("mujoco")
+    poses, rows, shots = [], [], _Shots(20, 48)
     for observers in ([], [shots]):
         env, found = FlipperEnv(config=FLAT_3D), []
         watch = lambda decision, found=found: found.append(decision.poses)  # noqa: E731
@@ -147,17 +184,15 @@ def test_an_engine_that_draws_itself_is_filmed_without_changing_the_episode(tmp_
     assert rows[0] == rows[1]
     assert np.array_equal(*poses)
     count = round(rows[0]["t_cost"] / SAMPLE_PERIOD)
-    counted = [int(picture[0, 0, 0]) for picture in shots.pictures]
-    assert counted == [n % 251 for n in range(0, count + 1, 20)]
+    assert [int(p[0, 0, 0]) for p, *_ in shots.taken] == [n % 251 for n in range(0, count + 1, 20)]
+    assert shots.taken[-1][2] <= rows[0]["pitch_variation_100hz"] + 1e-9
     row = EpisodeRunner(FLAT_3D, LEVEL, 0).play(0)
     record = EpisodeRecord.of(FLAT_3D, LEVEL, row).model_dump(mode="json")
     write_json(tmp_path / "failure.json", record)
     replay_file(tmp_path / "failure.json", None, None, tmp_path / "again.gif")
     with Image.open(tmp_path / "again.gif") as picture:
-        assert picture.size == (640, 480)
-        assert picture.n_frames == pytest.approx(1.0 / 0.2 * 5, abs=3)  # 1 m, 5 pictures a second
-    with pytest.raises(RequestError, match="sim=planar draws no pictures"):
-        film(EvalConfig(terrain="step"), LEVEL, 0, tmp_path / "drive.gif")
+        assert picture.width == 720
+        assert picture.n_frames == pytest.approx(1.0 / 0.2 / 3 / 0.08, abs=3)  # 1 m
 
 
 def draw(width=64, height=48):

@@ -11,7 +11,7 @@ from PIL import Image
 from flipperctl.api import Robot
 from flipperctl.core.lidar.messages import Pose
 from flipperctl.errors import RequestError
-from flipperctl.figures.film import faces
+from flipperctl.figures.perceived import faces
 from flipperctl.ros.episode import Stamped, write_bag
 from flipperctl.ros.messages import Messages
 from flipperctl.ros.perceiving import drift, replay
@@ -74,7 +74,7 @@ def test_the_command_writes_a_film_a_picture_and_the_numbers(bag, tmp_path):
 @pytest.mark.parametrize(
     ("words", "error"),
     [
-        (["--output", "a.mp4"], "a film is a .gif file"),
+        (["--output", "a.avi"], "a film is a .gif or .mp4 file"),
         (["--at", "2"], "a picture needs --output FILE.png"),
         (["--output", "a.png"], "a picture needs --at SECONDS"),
         (["--output", "a.gif", "--at", "2"], "a picture ends in .png"),

@@ -54,11 +54,6 @@ class Mujoco(MujocoSettings, Engine):
 
         return MujocoWorld(profile, robot, self, start, rng)
 
-    @property
-    def films_itself(self) -> bool:
-        """Whether a camera on the robot is chosen as the view."""
-        return self.view != "outside"
-
     def versions(self) -> dict[str, str]:
         """Return the version of MuJoCo, which affects the results."""
         from importlib.metadata import version

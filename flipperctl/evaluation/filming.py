@@ -1,0 +1,113 @@
+"""The film of an evaluation: which episodes it shows, of which policies.
+
+In: what a user asked for, the plan, and after it was played its result. Out: a film.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from flipperctl.errors import RequestError
+from flipperctl.evaluation.evaluate import Result
+from flipperctl.evaluation.names import names
+from flipperctl.evaluation.plan import Entry, Plan
+from flipperctl.evaluation.play import Progress
+from flipperctl.rollout.episode import EvaluationSeeds
+
+if TYPE_CHECKING:
+    from flipperctl.figures.film import Take
+
+FAILURES = 3
+"""Largest number of failed episodes that a film shows [-]."""
+_MOST = 6
+"""Largest number of policies in a film [-]."""
+
+
+@dataclass(frozen=True)
+class Filming:
+    """A film that a user asked for."""
+
+    path: Path
+    episodes: tuple[int, ...] | None = None
+    """Indices of the episodes; None: the first failures if ``failures``, else the first one."""
+    failures: bool = False
+    """Whether the film shows the first episodes that not all policies finished."""
+    speed: float | None = None
+    """Real time per time of the film [-]; None: ``film.SPEED``."""
+
+    @classmethod
+    def asked(
+        cls, path: Path | None, episodes: str | None, failures: bool, speed: float | None
+    ) -> Filming | None:
+        """Return the film that options ask for, if any.
+
+        Raises:
+            RequestError: options without ``--film``, or that contradict each other.
+        """
+        given = {"--episode": episodes, "--failures": failures or None, "--speed": speed}
+        if path is None:
+            for option, value in given.items():
+                if value is not None:
+                    hint = "; --episodes is their number" if option == "--episode" else ""
+                    raise RequestError(f"{option} is of a film: add --film FILE{hint}")
+            return None
+        if episodes is not None and failures:
+            raise RequestError("--episode and --failures: one of them is allowed")
+        numbers = None if episodes is None else tuple(map(_index, episodes.split(",")))
+        return cls(path, numbers, failures, speed)
+
+    def check(self, plan: Plan) -> None:
+        """Check, before the episodes are played, that the film can be made."""
+        from flipperctl.figures.animation import check_film
+        from flipperctl.figures.film import samples_per_frame
+
+        check_film(self.path)
+        if self.speed is not None:
+            samples_per_frame(self.speed)
+        if (count := len({entry.ground for entry in plan.entries})) != 1:
+            raise RequestError(f"--film shows one scene; {count} are evaluated")
+        if len(plan.entries) > _MOST:
+            raise RequestError(
+                f"--film shows at most {_MOST} policies; {len(plan.entries)} are evaluated"
+            )
+        last = plan.entries[0].config.eval.episodes - 1
+        for index in self.episodes or ():
+            if index > last:
+                allowed = f"0 to {last}" if last else "only 0"
+                raise RequestError(f"--episode {index}: {allowed} is evaluated; see --episodes")
+
+    def make(self, result: Result, progress: Progress, tell: Callable[[str], None]) -> None:
+        """Write the film; ``tell`` is called with a line that says so."""
+        from flipperctl.figures.film import SPEED, film
+
+        entries = result.plan.entries
+        chosen: Sequence[int] = self.episodes or (0,)
+        if self.failures:
+            failed = sorted({row["episode"] for one in result.rows for row in one.episodes.failed})
+            if not (chosen := failed[:FAILURES]):
+                tell(f"no episode failed: {self.path} is not written")
+                return
+        takes = [_take(entries, index) for index in chosen]
+        with progress(f"{entries[0].terrain}, film", 1) as report:
+            speed = SPEED if self.speed is None else self.speed
+            film(self.path, takes, speed=speed, report_progress=report)
+        tell(f"wrote {self.path}")
+
+
+def _take(entries: Sequence[Entry], index: int) -> Take:
+    from flipperctl.figures.film import Part, Take
+
+    first = entries[0]
+    seed = EvaluationSeeds.of(first.config.eval.seed, first.config.terrain)(index)
+    called = names([one.named for one in entries])
+    parts = [Part(called[e.named], e.config.environment(), e.source, seed) for e in entries]
+    return Take(f"{first.terrain}, episode {index}", parts)
+
+
+def _index(text: str) -> int:
+    if not (text.strip().isdecimal() and text.isascii()):
+        raise RequestError(f"--episode {text!r}: numbers from 0 are allowed, as in 7 or 3,7")
+    return int(text)
