@@ -19,7 +19,8 @@ import numpy as np
 from flipperctl.api import ACTIONS
 from flipperctl.errors import MissingExtraError, RequestError
 from flipperctl.live.lanes import PERIOD, Entrant, Lane, Moment
-from flipperctl.live.scene import BODY, CHASSIS, FRONT, REAR, WIDTH, LiveScene
+from flipperctl.live.scene import WIDTH, LiveScene
+from flipperctl.sim.outline import CHASSIS, FRONT, REAR
 
 _BETWEEN = 0.35
 """Distance between the grounds of two lanes [m]."""
@@ -27,8 +28,9 @@ _AFTER = 1.5
 """Pause after an episode before the next one begins [s]."""
 _MOST = 4
 """Largest number of policies at once [-]."""
-_TERMS = (CHASSIS, FRONT, REAR, (170, 68, 153), (221, 170, 51), (86, 180, 233), BODY)
-Line = tuple[str, tuple[int, int, int]]
+_BODY = "#46505C"
+_TERMS = (CHASSIS, FRONT, REAR, "#AA4499", "#DDAA33", "#56B4E9", _BODY)
+Line = tuple[str, str]
 """Label and colour of a curve."""
 _TURN = {-1: "↓", 0: "·", 1: "↑"}
 
@@ -59,7 +61,8 @@ class Gauges:
         with self._folder:
             self._numbers = gui.add_markdown("")
             self._angles = self._plot(
-                "angles [°]", (("pitch", CHASSIS), ("front", FRONT), ("rear", REAR), ("roll", BODY))
+                "angles [°]",
+                (("pitch", CHASSIS), ("front", FRONT), ("rear", REAR), ("roll", _BODY)),
             )
             self._risk = self._plot("risk of a failure", (("risk", FRONT),), visible=False)
             self._values = gui.add_html("")
@@ -69,10 +72,7 @@ class Gauges:
     def _plot(self, title: str, lines: Sequence[Line], *, visible: bool = True) -> Any:
         from viser import uplot
 
-        series = [
-            uplot.Series(label=name, stroke=f"rgb({r},{g},{b})", width=2)
-            for name, (r, g, b) in lines
-        ]
+        series = [uplot.Series(label=name, stroke=colour, width=2) for name, colour in lines]
         return self._gui.add_uplot(
             (np.zeros(1),) * (len(lines) + 1), (uplot.Series(label="time [s]"), *series),
             title=title, height=160, visible=visible, scales={"x": uplot.Scale(time=False)},

@@ -37,24 +37,6 @@ def entrant(name: str = "okada", terrain: str = "step") -> Entrant:
     return Entrant(name, episode)
 
 
-def test_a_prism_is_closed_and_its_faces_look_outward() -> None:
-    vertices, faces = scene.prism(np.array([[0.0, 1], [1, 1], [1, 0], [0, 0]]), -0.5, 0.5)
-    a, b, c = (vertices[faces[:, i]] for i in range(3))
-    volume = float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum()) / 6
-    assert abs(volume) == pytest.approx(1.0)
-    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    assert {*np.unique(edges, axis=0, return_counts=True)[1].tolist()} == {2}
-
-
-def test_a_step_has_two_risers_and_an_edge_at_each_corner() -> None:
-    line = STEP.extended(1.0, 1.0)
-    treads, risers, edges = scene.strip(line)
-    assert len(treads[0]) == 4 * 3  # level, on the step, level
-    assert len(risers[0]) == 4 * (2 + 2 * 3)  # and the cut on both sides
-    across = edges[np.ptp(edges[:, :, 1], axis=1) > 0]
-    assert sorted(map(tuple, across[:, 0, [0, 2]].tolist())) == [(0, 0), (0, 0.2), (1, 0), (1, 0.2)]
-
-
 def test_flippers_turn_up_on_both_ends() -> None:
     robot = Robot()
     axle = robot.flipper_axle
