@@ -52,6 +52,8 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     build = [sys.executable, "-m", "build", "--wheel", "--outdir", str(out), str(source)]
     subprocess.run(build, check=True, capture_output=True)
     (made,) = out.glob("*.whl")
+    check = [sys.executable, "-m", "twine", "check", "--strict", str(made)]
+    subprocess.run(check, check=True, capture_output=True)
     return made
 
 

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from flipperctl import __version__, plugins
 from flipperctl.api import Plugin, registry
 from flipperctl.checkpoint import document as documents
+from flipperctl.checkpoint import hub
 from flipperctl.checkpoint.document import Document, PluginReference, State, serialize
 from flipperctl.config import TrainConfig, parse, resolver, to_dict
 from flipperctl.config.models import with_stand_ins
@@ -248,11 +249,13 @@ def _check_names(document: Document, tensors: Mapping[str, torch.Tensor]) -> Non
 
 
 def find(run_or_file: Path, prefer: Path = BEST, controllers: Sequence[str] = ()) -> Path:
-    """Return the checkpoint file of a run directory, a file or the name of a shipped policy.
+    """Return the checkpoint file of a run, a file, a shipped policy or ``hf:user/name``.
 
     ``prefer``: the file of a run directory that is returned if it exists. ``controllers``: further
     names that are allowed where the path comes from, for the error.
     """
+    if str(run_or_file).startswith(hub.PREFIX):
+        return hub.download(str(run_or_file))
     if os.path.isfile(run_or_file):  # noqa: PTH113  # false for any text, however long
         return run_or_file
     if not os.path.exists(run_or_file):  # noqa: PTH110  # as above

@@ -27,6 +27,10 @@ def card(
     output: Annotated[
         Path | None, typer.Option(metavar="FILE", help="The card, else standard output.")
     ] = None,
+    push: Annotated[
+        str | None,
+        typer.Option(metavar="USER/NAME", help="Upload policy and card to the Hugging Face Hub."),
+    ] = None,
     plugins: options.PluginPaths = None,
 ) -> None:
     """Write a policy's card: what it is, how it was trained, what it reached and where it fails.
@@ -41,6 +45,7 @@ def card(
 
       flipperctl card generalist evaluated --output card.md
     """
+    from flipperctl.checkpoint import hub
     from flipperctl.evaluation.views.card import CARD, card_text, policy_rows
     from flipperctl.files import check_output, write_bytes
     from flipperctl.policies.source import load_policy
@@ -51,11 +56,13 @@ def card(
     folders = results or []
     rows = policy_rows(file, folders)  # raises for wrong results, before anything is composed
     text = card_text(policy, file, rows, evaluation_commands(policy, file, folders))
-    if output is None:
-        print(text, end="")
-    else:
+    if push is not None:
+        print_note(f"uploaded {hub.push(push, file, text)}")
+    if output is not None:
         write_bytes(output, text.encode())
         print_note(f"wrote {output}")
+    elif push is None:
+        print(text, end="")
 
 
 def report(

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from flipperctl.agent.frames import stacked
 from flipperctl.api import Controller, ObservationLayout, Perception, Policy, Robot, Simulator
 from flipperctl.api.plugin import registered_names
-from flipperctl.checkpoint import LAST, find, read_policy, shipped_policies
+from flipperctl.checkpoint import LAST, find, hub, read_policy, shipped_policies
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, parse, resolver
 from flipperctl.config.models import with_stand_ins
 from flipperctl.core.risk import RiskSign
@@ -76,10 +76,11 @@ def load_policy(
     """Return the policy that a word names: the rule of all commands, settings and functions.
 
     The name of a registered controller means it, though a folder is called so; ``./okada`` is the
-    folder. Else the word is a run, a checkpoint or an exported file, or the name of a shipped
-    policy. A controller has its ``reference_settings``, or the ``fields`` if they are given.
-    ``tell`` is called with a line if no validation has chosen the best policy of a run. Errors
-    begin with ``where``, the option or setting that holds the word.
+    folder. Else the word is a run, a checkpoint or an exported file, the name of a shipped policy,
+    or ``hf:user/name[@revision]`` for one of the Hugging Face Hub. A controller has its
+    ``reference_settings``, or the ``fields`` if they are given. ``tell`` is called with a line if
+    no validation has chosen the best policy of a run. Errors begin with ``where``, the option or
+    setting that holds the word.
     """
     if not isinstance(word, str | os.PathLike):
         raise ConfigError(f"{where}: a path or a name is allowed; the value is {word!r}")
@@ -89,7 +90,8 @@ def load_policy(
         own = resolver.reference(name, where) if fields is None else {"name": name, **fields}
         return PolicySource(settings=resolver.to_dict(resolver.create("controller", own, where)))
     if takes == "controller":
-        if name in shipped_policies() or os.path.exists(name):  # noqa: PTH110  # of any length
+        shared = name in shipped_policies() or name.startswith(hub.PREFIX)
+        if shared or os.path.exists(name):  # noqa: PTH110  # of any length
             raise RequestError(
                 f"{prefix}controllers are allowed, and {name} is none; add --checkpoint {name}, "
                 "which may be repeated: policies stand in one table, on the same episodes"
@@ -133,11 +135,13 @@ class PolicySource:
     def label(self) -> str:
         """Return the name that tables and files use.
 
-        It is the name of a shipped policy or of a controller plugin, otherwise the file's path.
+        It is the name of a shipped policy or of a controller plugin, ``hf:user/name`` of the Hub,
+        otherwise the file's path.
         """
         if self.checkpoint is not None:
             shipped = {file: name for name, file in shipped_policies().items()}
-            return shipped.get(self.checkpoint, str(self.checkpoint))
+            known = shipped.get(self.checkpoint) or hub.label(self.checkpoint)
+            return known or str(self.checkpoint)
         return str((self.settings or {})["name"])
 
     @property
