@@ -25,6 +25,10 @@ class Command(TyperCommand):
     primary: ClassVar[str] = "eval"
     """What the subcommand's overrides configure: an evaluation or a training."""
 
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return the parameters; help shows no type behind those without a value."""
+        return _without_types(super().get_params(ctx))
+
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the words after the subcommand."""
         if not ctx.resilient_parsing:  # shell completion, which reads incomplete commands
@@ -73,6 +77,10 @@ class TrainingCommand(Command):
 class Group(TyperGroup):
     """A group of subcommands that explains unknown options before their names."""
 
+    def get_params(self, ctx: Any) -> list[Any]:
+        """Return the parameters; help shows no type behind those without a value."""
+        return _without_types(super().get_params(ctx))
+
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the words up to the name of a subcommand."""
         options = [p for p in self.get_params(ctx) if isinstance(p, TyperOption)]
@@ -92,6 +100,13 @@ class Group(TyperGroup):
         if not ctx.resilient_parsing:
             check_moved(ctx.command_path, args[0])
         return super().resolve_command(ctx, args)
+
+
+def _without_types(parameters: list[Any]) -> list[Any]:
+    for parameter in parameters:
+        if getattr(parameter, "is_flag", False):
+            vars(parameter)["display_type_rich"] = lambda ctx: None  # <bool>
+    return parameters
 
 
 def _unknown(
