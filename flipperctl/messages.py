@@ -21,6 +21,11 @@ _GONE_PLUGINS = {("logger", "trackio"): "logger=wandb, or a logger of your own, 
 _BOUNDS = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
 
 
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun, as in ``1 run`` and ``2 runs``."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 def closest(word: str, known: Iterable[str]) -> str | None:
     """Return the known word that ``word`` is probably a misspelling or abbreviation of."""
     words = list(known)

@@ -229,10 +229,7 @@ def _entries(
         for (entrant, source), config in product(controllers, configs):
             add(Entry(config, source, rows[0].scene, entrant.method, is_baseline=True))
     if not chosen and any(len(_of_each_reward(rows)) > 1 for rows in found.values()):
-        tell(
-            "return: these policies have different rewards, so their returns do not compare; "
-            "rewards=… sets the same for all"
-        )
+        tell("return does not compare: the policies have different rewards; rewards=… sets one")
     return [entry for rows in found.values() for entry in rows]
 
 

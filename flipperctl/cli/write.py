@@ -192,11 +192,11 @@ def export(
 
     [bold]Examples[/]
 
-      flipperctl export onnx --checkpoint runs/first --output stair.onnx
+      flipperctl export onnx runs/first --output stair.onnx
 
-      flipperctl export pt2 --checkpoint best.safetensors
+      flipperctl export pt2 best.safetensors
 
-      flipperctl export onnx --checkpoint generalist robot.flipper_speed=0.5
+      flipperctl export onnx generalist robot.flipper_speed=0.5
 
       flipperctl export urdf terrain=stair robot=absolem --output absolem.urdf
 
@@ -206,10 +206,10 @@ def export(
     if kind in (Kind.onnx, Kind.pt2):
         if controller is not None or seed is not None:
             raise RequestError(f"--controller and --seed are for mjcf, urdf and mcap, not {kind}")
+        if checkpoint is None and words and "=" not in words[0]:
+            checkpoint = Path(words.pop(0))
         if checkpoint is None:
-            given = [word for word in words if "=" not in word]
-            hint = f"; write --checkpoint {given[0]}" if given else ""
-            raise RequestError(f"{kind}: --checkpoint RUN_OR_FILE is missing{hint}")
+            raise RequestError(f"{kind}: name a policy, as in: flipperctl export {kind} runs/first")
         _export_policy(kind, checkpoint, words, output, as_json=as_json)
         return
     from flipperctl.cli.hydra.compose import only_one

@@ -38,6 +38,7 @@ from flipperctl.evaluation.views import engines
 from flipperctl.evaluation.views import evaluation as view
 from flipperctl.evaluation.views.summary import Document, compared, short
 from flipperctl.files import check_output, write_bytes, write_csv, write_json
+from flipperctl.messages import counted
 from flipperctl.policies.source import PolicySource
 from flipperctl.results import result_folder
 from flipperctl.session import command, interrupts
@@ -340,10 +341,10 @@ def _lost_rows(folder: Path, document: Document) -> str:
     except (OSError, ValueError, LookupError, TypeError):
         return ""  # there are none
     first = [
-        f"{who} on {terrain}, seed {seed}, {count} episodes"
+        f"{who} on {terrain}, seed {seed}, {counted(count, 'episode')}"
         for (terrain, who, seed, _), count in lost[:1]
     ]
-    return " and ".join([*first, *([f"{len(lost) - 1} more rows"] if len(lost) > 1 else [])])
+    return " and ".join([*first, *([counted(len(lost) - 1, "more row")] if len(lost) > 1 else [])])
 
 
 def _attempt(*steps: Callable[[], None]) -> None:

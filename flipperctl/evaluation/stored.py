@@ -153,9 +153,12 @@ def read(words: Sequence[str], measure: str) -> Stored:
         below = not (folder / FILE).is_file()
         folders = sorted(file.parent for file in folder.glob(f"*/{FILE}")) if below else [folder]
         if not folders:
+            first = ""
+            if (folder / "checkpoints").is_dir():
+                first = f"; this is a training: flipperctl eval {folder} --output DIR"
             raise RequestError(
                 f"{folder}: there is no {FILE}, nor one in a folder below it; a folder of "
-                "flipperctl eval --output is allowed"
+                f"flipperctl eval --output is allowed{first}"
             )
         for one in folders:
             if (place := one.resolve()) in seen:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from flipperctl.config.words import override_text
+from flipperctl.messages import counted
 from flipperctl.show import (
     NONE,
     Column,
@@ -72,7 +73,7 @@ def print_runs(folder: Path, found: Sequence[Row]) -> None:
         rate, terrain = row["success_rate"], row["terrain"] or NONE
         success = NONE if rate is None else f"{rate:.0%}"
         rows.append({**row, "success": success, "terrain": terrain})
-    print_table(Table(_RUNS, rows, f"{folder}: {len(rows)} runs"), console())
+    print_table(Table(_RUNS, rows, f"{folder}: {counted(len(rows), 'run')}"), console())
 
 
 def print_explained(document: Row) -> None:

@@ -55,7 +55,6 @@ _PROFILES = (
     Column("climb", "climb [m]", 3),
     Column("largest_face", "largest face [m]", 3),
     Column("steepest_slope_degrees", "steepest slope [°]", 3),
-    Column("points", "points"),
     Column("drawn", "drawn", wrapped=True),
 )
 
@@ -65,10 +64,10 @@ def print_terrain(name: str, numbers: list[dict[str, Any]], picture: Path | None
     rows = []
     for row in numbers:
         drawn = ", ".join(f"{name} {value:.4g}" for name, value in row["drawn"].items())
-        rows.append(row | {"points": len(row["points"]), "drawn": drawn})
+        rows.append(row | {"seed": str(row["seed"]), "drawn": drawn})
     if len(numbers) > 1 and all(row["points"] == numbers[0]["points"] for row in numbers):
         rows = [rows[0] | {"seed": "any"}]  # nothing about the terrain is random
-    columns = _PROFILES if any(row["drawn"] for row in rows) else _PROFILES[:-1]
+    columns = [column for column in _PROFILES if any(row[column.key] for row in rows)]
     print_table(Table(columns, rows, name), console())
     if any(row["points_drawn"] > len(row["points"]) for row in numbers):
         most = max(row["points_drawn"] for row in numbers)

@@ -43,7 +43,7 @@ def print_best(run: Finished) -> None:
         f"{again if regret.falls_short(found) else ''}"
         f"Watch:    {command('watch', run.directory)}\n"
         f"Evaluate: {command('eval', run.directory)}\n"
-        f"Export:   {command('export', 'onnx', '--checkpoint', run.directory)}"
+        f"Export:   {command('export', 'onnx', run.directory)}"
     )
 
 

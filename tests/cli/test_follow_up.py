@@ -66,7 +66,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert done.code == 0, done.err
     typed = "--plugins 'my plugins' --plugins calm.py --plugins mine.py"
     assert f"Evaluate: flipperctl eval run {typed}\n" in done.err
-    assert f"Export:   flipperctl export onnx --checkpoint run {typed}\n" in done.err
+    assert f"Export:   flipperctl export onnx run {typed}\n" in done.err
     refused = call("train", *words, *QUICK, *ALL, cwd=folder)
     assert refused.code == 2
     assert f"resume it with: flipperctl train --resume run {typed}, or choose" in refused.err

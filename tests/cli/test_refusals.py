@@ -37,7 +37,7 @@ train terrain = stair -> terrain =: write key=value without spaces
 train terrain=corduroy -> 'corduroy'; a plugin of your own | --plugins FILE
 inspect terrain terrain=stair -> write stair, without terrain=
 inspect plugins mine.py -> its file as --plugins mine.py
-export onnx runs/mine -> write --checkpoint runs/mine
+export onnx runs/mine -> runs/mine
 card --checkpoint runs/mine -> write runs/mine alone
 train --checkpoint runs/mine -> agent.start_from=runs/mine begins with
 eval --controller level train.decisions=5 \

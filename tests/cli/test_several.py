@@ -142,7 +142,7 @@ def planned(names: str, *words: str, baseline: str | None = "none") -> tuple[Pla
 
 def test_other_rewards_of_a_checkpoint_are_told() -> None:
     words = ("generalist,level", "terrain=flat")
-    assert "return: these policies have different rewards" in planned(*words)[1]
+    assert "return does not compare: the policies have different rewards" in planned(*words)[1]
     assert "different rewards" not in planned(*words, "rewards=smooth")[1]
     # The standing ones have the term too.
     words = ("okada,random", "terrain=flat", "+reward@rewards.hit=impact")
@@ -179,7 +179,7 @@ def test_tables_of_another_evaluation_are_not_replaced_without_a_word(
     flat = "terrain=flat"
     assert told("terrain=flat,ramp") == ""
     assert told(flat, "--seed", "3") == (
-        "earlier tables with okada on flat, seed 0, 1 episodes and 1 more rows are replaced; those "
+        "earlier tables with okada on flat, seed 0, 1 episode and 1 more row are replaced; those "
         "episodes stay in out/cells, and their command writes the tables again"
     )
     assert told(flat, "--seed", "3", "--episodes", "2") == ""  # what was there still is

@@ -118,7 +118,7 @@ def test_the_command_chooses_robot_and_engine(tmp_path):
     assert done.code == 0, done.err
     assert "flat.urdf and flat_ground.urdf: flat, seed 0, 1 boxes" in done.out
     assert f'mass value="{ROBOT.chassis_mass:g}' in (tmp_path / "flat.urdf").read_text()
-    text = "onnx: --checkpoint RUN_OR_FILE is missing"
+    text = "onnx: name a policy, as in: flipperctl export onnx runs/first"
     assert text in refused("export", "onnx", cwd=tmp_path)
     text = "--controller and --seed are for mjcf, urdf and mcap, not onnx"
     assert text in refused("export", "onnx", "--seed", "1", cwd=tmp_path)

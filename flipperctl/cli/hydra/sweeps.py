@@ -14,6 +14,7 @@ import io
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from statistics import mean
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -26,10 +27,11 @@ from flipperctl.cli.hydra.compose import compose_train
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config.words import literal_override
 from flipperctl.errors import ConfigError, InterruptedRunError
+from flipperctl.messages import counted
 from flipperctl.rollout.cluster import is_connected, join
 from flipperctl.session import quote_path, sweep_command
 from flipperctl.show import NONE, Column, Table, console, print_table
-from flipperctl.terminal.progress import HEADING, PAPERS_HEADING
+from flipperctl.terminal.progress import HEADING
 from flipperctl.terminal.streams import print_note
 from flipperctl.training.search import Interval, check_settings, search
 from flipperctl.training.sweep import FILE, Job, JobResult, Sweep, SweepRun
@@ -38,15 +40,12 @@ _OBJECT_STORE = 75 * 2**20
 """Memory for objects of a cluster of the launcher's own, which is its default [B]."""
 _MODULE = "hydra_plugins.hydra_ray_launcher.ray_launcher"
 _ROWS = 40
-"""Largest number of runs in the table; the file holds all."""
+"""Largest number of rows of the table; the file holds all runs."""
 _COLUMNS = (
     Column("success", "success"),
-    Column("pitch_variation_100hz", HEADING, 3),
-    Column("pitch_variation", PAPERS_HEADING, 3),
+    Column("variation", HEADING),
     Column("t_cost", "time [s]", 1),
-    Column("decisions", "decisions"),
-    Column("seconds", "seconds", 0),
-    Column("folder", "folder", named=True),
+    Column("runs", "runs", named=True),
 )
 
 
@@ -166,30 +165,50 @@ def list_sweep(settings: Mapping[str, Any], **given: Any) -> Callable[[list[str]
     return run
 
 
+def _row(group: Sequence[SweepRun]) -> dict[str, Any]:
+    """Return the means over the best validations of runs, with the range of pitch variations."""
+    rows = [run.row() for run in group]
+    rates, variations, times = (
+        [row[name] for row in rows if row[name] is not None]
+        for name in ("success_rate", "pitch_variation_100hz", "t_cost")
+    )
+    variation = f"{mean(variations):.3f}" if variations else NONE
+    if len(variations) > 1:
+        variation += f" [{min(variations):.3f}, {max(variations):.3f}]"
+    states = dict.fromkeys(run.state for run in group if run.state != "finished")
+    named = group[0].folder.name if len(group) == 1 else counted(len(group), "run")
+    return {
+        "success": f"{mean(rates):.1%}" if rates else NONE,
+        "variation": variation,
+        "t_cost": mean(times) if times else None,
+        "runs": named + (f" ({', '.join(states)})" if states else ""),
+    }
+
+
 def print_comparison(folder: Path, runs: Sequence[SweepRun]) -> None:
     """Print a row for each run of the sweep in ``folder``, and the path of the file.
 
-    Print nothing without runs.
+    Runs that differ in their seeds alone are one row. Print nothing without runs.
     """
     if not runs:
         return
     keys = list(dict.fromkeys(key for run in runs for key in run.swept))
+    methods: dict[tuple[str, ...], list[SweepRun]] = {}
+    for run in runs:
+        own = [run.swept.get(key, "") for key in keys if key != "seed"]
+        methods.setdefault(tuple(own), []).append(run)
+    if pooled := len(methods) < len(runs):
+        keys = [key for key in keys if key != "seed"]
     columns = [*(Column(f"swept {key}", key, named=True) for key in keys), *_COLUMNS]
-    rows = []
-    for run in runs[:_ROWS]:
-        row, success = run.row(), run.row()["success_rate"]
-        rows.append(
-            row
-            | {f"swept {key}": run.swept.get(key, "") for key in keys}
-            | {
-                "success": NONE if success is None else f"{success:.1%}",
-                "folder": run.folder.name + ("" if run.state == "finished" else f" ({run.state})"),
-            }
-        )
+    shown = [*methods.values()] if pooled else [[run] for run in runs]
+    rows = [
+        {f"swept {key}": group[0].swept.get(key, "") for key in keys} | _row(group)
+        for group in shown[:_ROWS]
+    ]
     out = console(stderr=True)
-    print_table(Table(columns, rows, f"{quote_path(folder)}: {len(runs)} runs"), out)
-    left = len(runs) - _ROWS
-    more = f"{left} more runs and the table" if left > 0 else "the table"
+    print_table(Table(columns, rows, f"{quote_path(folder)}: {counted(len(runs), 'run')}"), out)
+    left = len(shown) - _ROWS
+    more = f"{counted(left, 'more row')} and the table" if left > 0 else "the table"
     text = f"{more}: {quote_path(folder / FILE)}"
     out.print(text, highlight=False, markup=False, soft_wrap=True)
 

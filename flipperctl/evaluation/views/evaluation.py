@@ -37,7 +37,7 @@ from flipperctl.evaluation.views.summary import (
     rate_text,
     short,
 )
-from flipperctl.messages import close_match
+from flipperctl.messages import close_match, counted
 from flipperctl.show import Column, Table, console, print_lines, print_table
 
 _LINES = 6  # largest number of differences that are lines; more are a table
@@ -189,7 +189,9 @@ def policies(found: Document, title: str, columns: Sequence[str] = ()) -> Table:
         one["scene"] == other["scene"] for one, other in pairwise(rows)
     )
     latex = r"Pitch variation $\hat\theta_R$ [rad]"
-    counts = dict.fromkeys(f"{row['episodes']} episodes" for row in rows if not row.get("dim"))
+    counts = dict.fromkeys(
+        counted(row["episodes"], "episode") for row in rows if not row.get("dim")
+    )
     chosen = {*columns, "episodes"} if len(counts) > 1 else {*columns}
     further = [
         column
