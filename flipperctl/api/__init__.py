@@ -20,6 +20,7 @@ from flipperctl.api.controllers import (
 from flipperctl.api.engines import (
     NO_LIMITS,
     SAMPLE_PERIOD,
+    BeltWorld,
     CameraImage,
     CameraWorld,
     DrawingWorld,
@@ -44,6 +45,7 @@ from flipperctl.api.terrains import AnyTerrain, Published, Terrain, terrain
 from flipperctl.api.transitions import LAST_PITCHES, RobotStates, Transitions
 from flipperctl.api.values import (
     MAX_HISTORY,
+    Command,
     ObservationLayout,
     Outcome,
     Perception,
@@ -64,8 +66,10 @@ __all__ = [
     "NO_LIMITS",
     "SAMPLE_PERIOD",
     "AnyTerrain",
+    "BeltWorld",
     "CameraImage",
     "CameraWorld",
+    "Command",
     "Controller",
     "CostPolicy",
     "DrawingWorld",

@@ -38,6 +38,9 @@ class Simulator(Protocol):
     def speed(self) -> float:
         """Speed of the belts [m/s]."""
 
+    seed: int | None
+    """Seed of the episode, by which a recorded one is found; None: it has none of its own."""
+
     @property
     def finish(self) -> float:
         """World x that the chassis centre must pass [m]."""
@@ -98,6 +101,11 @@ class Policy(Protocol):
     """Chooses the actions of an episode; it may keep state.
 
     Trained networks, exported files, rules, planners and human drivers are all policies.
+
+    One that commands more often than it decides has ``command_period``, a time [s], and
+    ``command``, which returns a ``Command``. It is called with the world at the start of each
+    decision and after each period in it. What ``act`` returns then has no effect: the action that
+    counts is the one that comes closest to the commands.
     """
 
     def reset(self, simulator: Simulator, /) -> None:

@@ -182,6 +182,17 @@ class CameraWorld(Protocol):
 
 
 @runtime_checkable
+class BeltWorld(Protocol):
+    """A ``World`` whose belts can be slowed, stopped and reversed."""
+
+    def run_belts(self, share: float) -> None:
+        """Run all belts at a share of ``robot.track_speed``, from -1 to 1; at the start it is 1.
+
+        A snapshot need not contain it.
+        """
+
+
+@runtime_checkable
 class RayWorld(Protocol):
     """A ``World`` in which sensors cast rays."""
 

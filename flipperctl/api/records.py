@@ -34,6 +34,9 @@ class Measure(Plugin, ABC):
     mapped_only: ClassVar[bool] = False
     """Whether only episodes whose sensor maps the ground have it (``Perception.seen`` is not None).
     Such a measure is shown in evaluations with such a sensor, and no training logs it."""
+    operated_only: ClassVar[bool] = False
+    """Whether only episodes of an operator have it (``Transition.commands`` is not None); no
+    training logs it."""
     better: ClassVar[Literal["lower", "higher"] | None] = None
     """Which values are better, as stated in tables of differences; None: neither."""
     in_tables: ClassVar[bool] = True
@@ -64,6 +67,7 @@ def measure(
     digits: int = 2,
     reached_only: bool = False,
     mapped_only: bool = False,
+    operated_only: bool = False,
     better: Literal["lower", "higher"] | None = None,
     in_tables: bool = True,
 ) -> _Decorator:
@@ -80,6 +84,7 @@ def measure(
     described = {
         **{"unit": unit, "digits": digits, "better": better, "in_tables": in_tables},
         **{"reached_only": reached_only, "mapped_only": mapped_only},
+        "operated_only": operated_only,
     }
 
     def decorate(written: Any, /) -> Any:

@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -243,6 +243,24 @@ class ObservationLayout(Settings):
         return observation.scale(self.heights)
 
 
+class Command(NamedTuple):
+    """What an operator commands until the next command.
+
+    Operators are people, and policies that command more often than they decide.
+    """
+
+    front: float
+    """Target angle of the front flippers in frame R [rad]."""
+    rear: float
+    """Target angle of the rear flippers in frame R [rad]."""
+    belts: float = 1.0
+    """Speed of the belts as a share of ``robot.track_speed``, from -1 to 1 [-]."""
+    took_front: float = 1.0
+    """1 if the operator commands the front flippers, 0 if a policy does that helps [-]."""
+    took_rear: float = 1.0
+    """The same of the rear flippers [-]."""
+
+
 @dataclass(frozen=True)
 class Perception:
     """All that a policy may know when it decides: the sensed terrain points and angles.
@@ -309,6 +327,8 @@ class Transition:
 
     None in predictions, and in an engine that does not measure it. Measures may use it.
     """
+    commands: FloatArray | None = None
+    """Fields of each ``Command`` in the decision, (K, 5); None: the policy chose an action."""
 
     @property
     def ended(self) -> bool:

@@ -9,12 +9,14 @@ other:
 - ``action``, int64: the indices of the T actions;
 - ``reward``, float64: the T sums of the weighted reward terms;
 - ``label``, float32: the T target distributions (9,) over actions for a student, each with the sum
-  1, or zeros without a teacher.
+  1, or zeros without a teacher;
+- ``command``, float64, of episodes that an operator drove: the fields of the K commands, (K, 5).
 """
 
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,7 +28,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from flipperctl import __version__
-from flipperctl.api import ACTIONS, ObservationLayout, Outcome, Robot
+from flipperctl.api import ACTIONS, Command, FloatArray, ObservationLayout, Outcome, Robot
 from flipperctl.checkpoint import document as sealed
 from flipperctl.checkpoint.document import (
     EPISODES,
@@ -74,6 +76,8 @@ class RecordedEpisode:
     """Sums of the weighted reward terms, (T,) [-]."""
     labels: NDArray[np.float32]
     """Target distributions over actions for a student, (T, 9); zeros without a label."""
+    commands: FloatArray | None = None
+    """Fields of an operator's commands, (K, 5); None of a policy that chooses actions."""
 
 
 class PartialPerception(Partial):
@@ -105,6 +109,8 @@ class EpisodeEntry(Record):
     terrain: str
     outcome: Outcome
     decisions: Annotated[int, Field(ge=1, lt=2**31)]
+    commands: Count = 0
+    """Number of an operator's commands."""
     environment: Count
     """Index of its environment in the document."""
 
@@ -117,6 +123,8 @@ class RecordingDocument(Record):
     driver: str
     """Source of the actions: a controller's name, a policy's file, or a training's terrain."""
     versions: dict[Label, Label]
+    command_period: Annotated[float, Field(gt=0, le=1)] | None = None
+    """Time between two commands of an operator [s]; None of policies that choose actions."""
     environments: tuple[PartialEnvironment, ...]
     episodes: tuple[EpisodeEntry, ...]
 
@@ -149,7 +157,10 @@ class Recording:
 
 
 def write(
-    path: Path, driver: str, parts: Sequence[tuple[EnvConfig, Sequence[RecordedEpisode]]]
+    path: Path,
+    driver: str,
+    parts: Sequence[tuple[EnvConfig, Sequence[RecordedEpisode]]],
+    command_period: float | None = None,
 ) -> None:
     """Write episodes with their environments, completely or not at all."""
     require_one_layout(path, [config for config, _ in parts])
@@ -162,6 +173,7 @@ def write(
         kind=EPISODES,
         driver=driver,
         versions=versions,
+        command_period=command_period,
         environments=tuple(
             PartialEnvironment.model_validate(to_dict(config.environment())) for config, _ in parts
         ),
@@ -169,6 +181,7 @@ def write(
             EpisodeEntry(
                 **{name: getattr(episode, name) for name in _ENTERED},
                 decisions=len(episode.actions),
+                commands=0 if episode.commands is None else len(episode.commands),
                 environment=at,
             )
             for at, episode in placed
@@ -177,7 +190,7 @@ def write(
     size = parts[0][0].perception.layout.size if parts else 0
     tensors = {
         name: _joined([getattr(episode, f"{name}s") for _, episode in placed], shape, kind)
-        for name, (shape, kind) in _rows(size).items()
+        for name, (shape, kind) in _rows(size, command_period is not None).items()
     }
     text = json.dumps(document.model_dump(mode="json"), allow_nan=False)
     write_bytes(path, sealed.serialize(text, tensors))
@@ -193,14 +206,15 @@ def require_one_layout(path: Path, configs: Sequence[EnvConfig]) -> None:
         )
 
 
-def _rows(size: int) -> dict[str, tuple[tuple[int, ...], type[np.generic]]]:
+def _rows(size: int, operated: bool) -> dict[str, tuple[tuple[int, ...], type[np.generic]]]:
     """Return shape and type of a row of each tensor."""
-    return {
+    rows: dict[str, tuple[tuple[int, ...], type[np.generic]]] = {
         "observation": ((size,), np.float32),
         "action": ((), np.int64),
         "reward": ((), np.float64),
         "label": ((len(ACTIONS),), np.float32),
     }
+    return rows | ({"command": ((len(Command._fields),), np.float64)} if operated else {})
 
 
 def _joined(
@@ -211,8 +225,24 @@ def _joined(
     return torch.from_numpy(np.concatenate([np.empty((0, *shape), kind), *arrays], dtype=kind))
 
 
+DRIVES = "drive_*.safetensors"
+"""Names of files that each hold one drive of an operator."""
+
+
+def drive_files(path: Path) -> list[Path]:
+    """Return the files of drives in a folder, or the file itself; none of another path."""
+    if os.path.isdir(path):  # noqa: PTH112  # false for any text, however long
+        return sorted(path.glob(DRIVES))
+    return [path] if path.match(DRIVES) and os.path.isfile(path) else []  # noqa: PTH113
+
+
 def read(path: Path) -> Recording:
-    """Read and check a file of recorded episodes; nothing in the file is executed."""
+    """Read and check a file of recorded episodes, or a folder of drives as one recording.
+
+    Nothing in the file is executed.
+    """
+    if path.is_dir() and (files := drive_files(path)):
+        return _together(path, [read(file) for file in files])
     text, tensors = sealed.read(path, NOUN)
     with naming_document(path):
         document = _parse(text)
@@ -222,6 +252,23 @@ def read(path: Path) -> Recording:
         raise CheckpointError(f"{path}: its tensors are not valid: {error}") from error
     arrays = {name: tensor.numpy() for name, tensor in tensors.items()}
     return Recording(path, document, tuple(_episodes(document, arrays)))
+
+
+def _together(path: Path, found: Sequence[Recording]) -> Recording:
+    """Return several recordings as one."""
+    environments: list[PartialEnvironment] = []
+    entries: list[EpisodeEntry] = []
+    for one in found:
+        for entry in one.document.episodes:
+            place = {"environment": len(environments) + entry.environment}
+            entries.append(entry.model_copy(update=place))
+        environments += one.document.environments
+    update = {"environments": tuple(environments), "episodes": tuple(entries)}
+    with naming_document(path):
+        document = RecordingDocument.model_validate(
+            found[0].document.model_copy(update=update).model_dump()
+        )
+    return Recording(path, document, tuple(e for one in found for e in one.episodes))
 
 
 def _parse(text: str) -> RecordingDocument:
@@ -240,12 +287,15 @@ def _check(document: RecordingDocument, tensors: Mapping[str, torch.Tensor]) -> 
     import torch
 
     count = sum(episode.decisions for episode in document.episodes)
-    counts = {"observation": count + len(document.episodes)}
+    counts = {
+        "observation": count + len(document.episodes),
+        "command": sum(episode.commands for episode in document.episodes),
+    }
     size = document.environments[0].perception.layout.size if document.environments else 0
     # Views of one number: the document may be of any origin, and its shapes of any size.
     expected = {
         name: torch.from_numpy(np.zeros((), kind)).expand(counts.get(name, count), *shape)
-        for name, (shape, kind) in _rows(size).items()
+        for name, (shape, kind) in _rows(size, document.command_period is not None).items()
     }
     require_equal_layout(tensors, expected)
     action, label = tensors["action"], tensors["label"]
@@ -255,18 +305,22 @@ def _check(document: RecordingDocument, tensors: Mapping[str, torch.Tensor]) -> 
     labelled = (total - 1).abs() < _SUM
     if bool((label < 0).any()) or not bool((labelled | (label == 0).all(dim=1)).all()):
         raise ValueError("label has a row that is neither a distribution nor zeros")
+    if "command" in tensors and not bool(tensors["command"].isfinite().all()):
+        raise ValueError("command has a number that is not finite")
 
 
 def _episodes(
     document: RecordingDocument, arrays: Mapping[str, NDArray[Any]]
 ) -> Iterator[RecordedEpisode]:
-    end = 0
+    end = told = 0
     for at, entry in enumerate(document.episodes):
         begin, end = end, end + entry.decisions
+        first, told = told, told + entry.commands
         yield RecordedEpisode(
             **{name: getattr(entry, name) for name in _ENTERED},
             observations=arrays["observation"][begin + at : end + at + 1],
             actions=arrays["action"][begin:end],
             rewards=arrays["reward"][begin:end],
             labels=arrays["label"][begin:end],
+            commands=arrays["command"][first:told] if "command" in arrays else None,
         )

@@ -6,6 +6,8 @@ observations nor rewards.
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
@@ -13,7 +15,9 @@ import numpy as np
 
 from flipperctl.api import (
     SAMPLE_PERIOD,
+    BeltWorld,
     CameraWorld,
+    Command,
     EndingWorld,
     Engine,
     FloatArray,
@@ -26,20 +30,76 @@ from flipperctl.api import (
     World,
 )
 from flipperctl.config import Episode
-from flipperctl.core.targets import TargetRule, turns
+from flipperctl.core.targets import TargetRule, action_index, turns
 from flipperctl.env.guarded import place
 from flipperctl.env.termination import Termination
+from flipperctl.errors import NonFiniteError
 from flipperctl.sim.versions import samples_in, simulated
 
 _TURN, _SAMPLE, _PERCEIVE, _END = range(4)
 """Events within a decision; those of one sample happen in this order."""
+_DRIVEN = 0.5
+"""Mean share of the belts' speed from which a decision counts as driven ahead [-]."""
 
 
-class DrivenWorld(World, EndingWorld, RayWorld, CameraWorld, Protocol):
+class DrivenWorld(World, BeltWorld, EndingWorld, RayWorld, CameraWorld, Protocol):
     """A world that may terminate by itself, casts rays, has cameras and may measure its work."""
 
     def flipper_work(self) -> float | None:
         """Return the work of the flippers' motors since the start [J]; None: not measured."""
+
+
+class Operator:
+    """Commands flippers and belts within the decisions of one episode."""
+
+    def __init__(
+        self, every: int, call: Callable[[World], Command], lag: int, limit: float, step: float
+    ) -> None:
+        """Ask ``call`` every ``every`` samples; a command takes effect ``lag`` calls later.
+
+        ``limit``: largest target [rad]; ``step``: turn of an action [rad].
+        """
+        self.every = every
+        self.commands: list[Command] = []
+        """Commands since the last ``end``."""
+        self._call, self._lag, self._limit, self._step = call, lag, limit, step
+        self._waiting: deque[Command] = deque()
+        self._belts = 1.0
+        self._followed: tuple[float, float] | None = None
+
+    def command(self, world: DrivenWorld, targets: tuple[float, float]) -> tuple[float, float]:
+        """Ask for a command and apply the one that is due; return the new targets [rad]."""
+        self._followed = self._followed or targets
+        asked = Command(*map(float, self._call(world)))
+        if not all(map(math.isfinite, asked)):
+            raise NonFiniteError(f"an operator's command has a number that is not finite: {asked}")
+        self.commands.append(asked)
+        self._waiting.append(asked)
+        if len(self._waiting) <= self._lag:
+            return targets
+        due = self._waiting.popleft()
+        limit, belts = self._limit, min(1.0, max(-1.0, due.belts))
+        targets = min(limit, max(-limit, due.front)), min(limit, max(-limit, due.rear))
+        world.command(*targets)
+        if belts != self._belts:
+            world.run_belts(belts)
+            self._belts = belts
+        return targets
+
+    def end(self, targets: tuple[float, float]) -> tuple[int, FloatArray]:
+        """Return the action that came closest to the last decision's commands, and these (K, 5).
+
+        Turns that an action could not express go to the next one, so that the sum of the actions
+        follows the targets.
+        """
+        moves, followed = [], []
+        for target, before in zip(targets, self._followed or targets, strict=True):
+            turn = min(1, max(-1, round((target - before) / self._step)))
+            moves.append(turn)
+            followed.append(min(self._limit, max(-self._limit, before + turn * self._step)))
+        self._followed = followed[0], followed[1]
+        commands, self.commands = np.array(self.commands, np.float64), []
+        return action_index(*moves), commands
 
 
 class Drive:
@@ -76,6 +136,12 @@ class Drive:
         perceive = max(0, samples - round(perception.delay / SAMPLE_PERIOD))
         self._events = sorted([(turn, _TURN), (perceive, _PERCEIVE), (samples, _END)])
         self._undelayed = perceive == samples
+        self.action = action_index(0, 0)
+        """Index of the last action; of an operator, the one that came closest."""
+        self.commands: FloatArray | None = None
+        """An operator's commands in the last decision, (K, 5)."""
+        self._turn_at = turn
+        self._operator: Operator | None = None
         self._samples = 0
         self._samplings: tuple[tuple[int, Callable[[World], None]], ...] = ()
         self._movements: list[Callable[[float, FloatArray], None]] = []
@@ -96,21 +162,39 @@ class Drive:
         self._movements.append(call)
         call(self._samples * SAMPLE_PERIOD, self._pose())
 
+    def operate(self, every: int, call: Callable[[World], Command]) -> None:
+        """Let ``call`` command flippers and belts, at each decision's start and ``every`` samples.
+
+        ``robot.actuator_delay`` is rounded to these calls. Standing belts are no standstill.
+        """
+        lag = round(self._turn_at / every)
+        limit, step = self.robot.angle_limit, self.robot.angle_step
+        self._operator = Operator(every, call, lag, limit, step)
+
     def decide(self, action: int) -> Outcome | None:
-        """Turn the flippers by one action and simulate one decision; return the outcome, if any."""
+        """Turn the flippers by one action and simulate one decision; return the outcome, if any.
+
+        An operator's commands replace the action.
+        """
         state, begun = self.state, self._work
-        turned = self._turns[action]
-        self.targets = self._rule.next_targets(self.targets, (state.front, state.rear), turned)
+        self.action, operator, driven = action, self._operator, True
+        if operator is None:
+            turned = self._turns[action]
+            self.targets = self._rule.next_targets(self.targets, (state.front, state.rear), turned)
         outcome = self._run()
+        if operator is not None:
+            self.action, self.commands = operator.end(self.targets)
+            driven = float(self.commands[:, 2].mean()) > _DRIVEN
         self._work = ended = self.world.flipper_work()
         self.flipper_work = None if begun is None or ended is None else ended - begun
         self.state = self.world.state()
         if self._undelayed or outcome is not None:
             self.delayed_state = self.state
-        return outcome or self.termination.after_decision(float(self.state.position[0]))
+        x = float(self.state.position[0])
+        return outcome or self.termination.after_decision(x, driven)
 
     def _run(self) -> Outcome | None:
-        world, termination = self.world, self.termination
+        world, termination, operator = self.world, self.termination, self._operator
         done = 0
         self.poses = self._pose()
         for sample, event in self._due_events():
@@ -123,7 +207,9 @@ class Drive:
                 if (outcome := world.ended() or termination.after_sample(*last)) is not None:
                     self._take_samples()
                     return outcome
-            if event == _TURN:
+            if event == _TURN and operator is not None:
+                self.targets = operator.command(world, self.targets)
+            elif event == _TURN:
                 world.command(*self.targets)
             elif event == _SAMPLE:
                 self._take_samples()
@@ -133,12 +219,16 @@ class Drive:
 
     def _due_events(self) -> Sequence[tuple[int, int]]:
         """Return the events of the next decision, those of ``sample_every`` included."""
+        events, operator = self._events, self._operator
+        (samples, _), now = events[-1], self._samples
+        if operator is not None:
+            asked = [(n, _TURN) for n in range(0, samples, operator.every)]
+            events = sorted([*(event for event in events if event[1] != _TURN), *asked])
         if not self._samplings:
-            return self._events
-        (samples, _), now = self._events[-1], self._samples
+            return events
         every = {period for period, _ in self._samplings}
         due = (n for n in range(1, samples + 1) if any((now + n) % period == 0 for period in every))
-        return sorted([*self._events, *((n, _SAMPLE) for n in due)])
+        return sorted([*events, *((n, _SAMPLE) for n in due)])
 
     def _take_samples(self) -> None:
         for every, call in self._samplings:

@@ -119,6 +119,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self._last_move: tuple[int, int] | None = None
         self._outcome: Outcome | None = None
         self._replayed: repeating.Replayed | None = None
+        self._seed: int | None = None
         self.running = False
         """Whether an episode runs: ``reset`` began it, and it has not ended."""
 
@@ -141,6 +142,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         before = global_states() if self.foreign else None
         super().reset(seed=seed)
         self._begin(difficulty, seed)
+        self._seed = seed
         require_unmoved(before, self.foreign, "at the start of an episode")
         return self.perception.observation.copy(), {}
 
@@ -232,7 +234,9 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             made.attach(drive)
             return made
 
-        return SceneSimulator(self._drive, perceiver, self.profile, report_progress)
+        found = SceneSimulator(self._drive, perceiver, self.profile, report_progress)
+        found.seed = self._seed
+        return found
 
     @property
     def state(self) -> RobotState:
@@ -272,9 +276,9 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             raise ResetNeeded("no episode is running: call reset before step")
         states = global_states() if self.foreign else None
         self._replayed.actions.append(index)
-        move, before = ACTIONS[index], self.state
+        before = self.state
         outcome = self.drive.decide(index)
-        after = self.state
+        after, move = self.state, ACTIONS[self.drive.action]
         previous, self._last_move, self._outcome = self._last_move or (0, 0), move, outcome
         pitches, poses = self._pitches.append(after.pitch), self.drive.poses
         self.transition = Transition(
@@ -291,6 +295,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             sample_period=SAMPLE_PERIOD,
             perception=self.perception,
             flipper_work=self.drive.flipper_work,
+            commands=self.drive.commands,
         )
         parts = self._reward(self.transition)
         self._metrics.add(self.transition, parts)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from flipperctl.api import (
     NO_LIMITS,
     SAMPLE_PERIOD,
+    BeltWorld,
     CameraImage,
     CameraWorld,
     DrawingWorld,
@@ -166,12 +167,19 @@ class GuardedWorld(Guarded):
             return None
         return self._finite("flipper_work", self.call("flipper_work"), "work")
 
+    def run_belts(self, share: float) -> None:
+        """Run the belts at a share of their speed; ``ConfigError`` if the engine cannot."""
+        self._require_ability(
+            BeltWorld, "an operator changes the belts' speed, which sim={} cannot"
+        )
+        self.call("run_belts", share)
+
     def cast_rays(self, origin: FloatArray, directions: FloatArray, reach: float) -> FloatArray:
         """Return the distance from ``origin`` to the ground along each direction, (R,) [m].
 
         See ``flipperctl.api.RayWorld``; ``ConfigError`` if the engine casts no rays.
         """
-        self._require_ability(RayWorld, "casts rays, which sim={} cannot")
+        self._require_ability(RayWorld, "perception: the sensor casts rays, which sim={} cannot")
         found: FloatArray = self.call("cast_rays", origin, directions, reach)
         allowed = f"distances ≥ 0 of the shape {(len(directions),)}"
         self._require_array("cast_rays", found, "f", (len(directions),), allowed)
@@ -185,7 +193,9 @@ class GuardedWorld(Guarded):
 
         ``ConfigError`` if the engine has no cameras.
         """
-        self._require_ability(CameraWorld, "has a camera, which sim={} lacks")
+        self._require_ability(
+            CameraWorld, "perception: the sensor has a camera, which sim={} lacks"
+        )
         image = self.call("look", view, width, height)
         shapes = (height, width, 3), (height, width)
         if not isinstance(image, CameraImage) or shapes != (image.pixels.shape, image.depth.shape):
@@ -196,8 +206,8 @@ class GuardedWorld(Guarded):
     def _require_ability(self, protocol: type, text: str) -> None:
         if not isinstance(self.unguarded, protocol):
             raise ConfigError(
-                f"perception: the sensor {text.format(self.plugin.plugin_name)}; choose an engine "
-                f"whose world is a flipperctl.api.{protocol.__name__}"
+                f"{text.format(self.plugin.plugin_name)}; choose an engine whose "
+                f"world is a flipperctl.api.{protocol.__name__}"
             )
 
     def _require_array(

@@ -64,7 +64,7 @@ def other_measures() -> list[type[Measure]]:
 
 def logged() -> list[str]:
     """Return the names of the measures that trainings log, in the order of ``measures``."""
-    return [name for name, one in measures().items() if not one.mapped_only]
+    return [name for name, one in measures().items() if not (one.mapped_only or one.operated_only)]
 
 
 def occurring(further: Iterable[Mapping[str, object]]) -> list[type[Measure]]:
@@ -113,6 +113,8 @@ class EpisodeMetrics:
 def applies(measure: Measure, episode: Sequence[Transition]) -> bool:
     """Return whether the episode has the measure."""
     perceived = episode[0].perception
+    if measure.operated_only and episode[0].commands is None:
+        return False
     return not measure.mapped_only or (perceived is not None and perceived.seen is not None)
 
 

@@ -183,6 +183,8 @@ class SceneSimulator:
         self._make, self._make_perceiver = make, perceiver
         self.profile = profile
         """True ground of the episode."""
+        self.seed: int | None = None
+        """Seed of the episode."""
         self._report_progress = report_progress
         self.results: dict[str, float | str] = {}
         """What the policy reported about its search."""

@@ -39,6 +39,10 @@ def state_of(env: Any, replayed: Replayed | None) -> dict[str, Any]:
     if (rng := env._np_random) is not None:
         kept["rng"] = _plain(rng, children(rng) if replayed is None else replayed.spawned)
     if replayed is not None:
+        if env.drive.commands is not None:
+            raise FlipperctlError(
+                "an episode of an operator is repeated from its recording, not by a copy of it"
+            )
         kept["episode"] = replayed.difficulty, list(replayed.actions), _instant(env)
     return kept
 

@@ -72,12 +72,15 @@ class Termination:
         over = abs(pitch) >= self.limits.angle
         return Outcome.OVERTURNED if over else Outcome.REACHED
 
-    def after_decision(self, x: float) -> Outcome | None:
+    def after_decision(self, x: float, driven: bool = True) -> Outcome | None:
         """Return STUCK after too little progress, or TIMEOUT after the last allowed decision.
 
-        ``x``: world x of the chassis centre [m].
+        ``x``: world x of the chassis centre [m]; ``driven``: whether the belts ran ahead, and not
+        stood or ran back as an operator wanted.
         """
         self._decisions += 1
+        if not driven:
+            self._trail.clear()
         self._trail.append(x)
         full = len(self._trail) == self._trail.maxlen
         if full and x < self.finish and x - self._trail[0] < self._episode.stuck_progress:

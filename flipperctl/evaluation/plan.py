@@ -21,6 +21,7 @@ from typing import Any
 from flipperctl import checkpoint as checkpoints
 from flipperctl import plugins
 from flipperctl.api import Robot, registry
+from flipperctl.checkpoint.recording import drive_files
 from flipperctl.config import EvalConfig, resolver, strict_yaml, to_dict
 from flipperctl.config.identity import differences
 from flipperctl.config.words import check_different, check_words, key_of
@@ -430,6 +431,9 @@ def standing(baseline: str | None, present: Sequence[NamedPolicy]) -> list[Named
 
 def _of_path(path: Path, tell: Callable[[str], None]) -> Iterator[NamedPolicy]:
     # False for any text, however long.
+    if drive_files(path):
+        yield NamedPolicy(str(path))
+        return
     sweep = os.path.isdir(path) and not checkpoints.holds(path)  # noqa: PTH112
     if not sweep or not checkpoints.runs_in(path):
         yield NamedPolicy(str(path), path, _trained(load_policy(path))[0])

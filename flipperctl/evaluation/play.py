@@ -32,7 +32,7 @@ from flipperctl.errors import (
 )
 from flipperctl.evaluation.rows import DIGEST, RECORDED, Episodes, Row, arranged
 from flipperctl.evaluation.store import EpisodeStore, StoreKey, blocks
-from flipperctl.policies.controllers import DemonstratingPolicy
+from flipperctl.policies.controllers import DemonstratingPolicy, from_action
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout import cluster
@@ -105,7 +105,9 @@ class EpisodeRunner:
 
         def watch(d: Decision) -> None:
             before, after = d.perception.observation, d.next_perception.observation
-            recorder.add(before, d.action, d.reward, after, policy.label)
+            operated = d.transition.commands is not None  # the label is of ``act``
+            label = from_action(d.action) if operated else policy.label
+            recorder.add(before, d.action, d.reward, after, label)
             digest.add(d)
 
         row = play(self.env, policy, seed, watch=watch, report_progress=report)

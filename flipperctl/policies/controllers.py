@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from flipperctl.api import (
     ACTIONS,
+    Command,
     Controller,
     CostPolicy,
     FloatArray,
@@ -22,6 +23,7 @@ from flipperctl.api import (
     Policy,
     Simulator,
     StateGroups,
+    World,
 )
 from flipperctl.api.controllers import Rule
 from flipperctl.config import Teacher
@@ -81,6 +83,8 @@ class PluginPolicy:
         """Whether ``costs`` and ``took`` may be called."""
         self.follows = self.offers_costs and callable(getattr(policy, "follow", None))
         """Whether ``follow`` may be called: it can label single decisions of another policy."""
+        self.command_period: float | None = getattr(policy, "command_period", None)
+        """Time between two calls of ``command`` [s]; None of a policy that chooses actions."""
         self.values_states = self.offers_costs and callable(getattr(policy, "groups", None))
         """Whether ``state_groups`` may be called."""
 
@@ -114,6 +118,14 @@ class PluginPolicy:
         if index is None:
             raise self._refusal("act", answer, ALLOWED)
         return index
+
+    def command(self, world: World) -> Command:
+        """Return what the policy commands within a decision."""
+        with self._calling("command"):
+            answer: object = self._policy.command(world)
+            if isinstance(answer, Command):
+                return answer
+        raise self._refusal("command", answer, "a flipperctl.api.Command is allowed")
 
     def costs(self, p: Perception) -> FloatArray:
         """Return the policy's finite cost of each action, (9,) [s]."""
@@ -206,6 +218,8 @@ class DemonstratingPolicy:
         self._labeller = Labeller(policy)
         self.label = from_action(0)
         """The distribution over actions at the last decision, (9,)."""
+        self.command_period: float | None = getattr(policy, "command_period", None)
+        self.command = getattr(policy, "command", None)
         self.risk_sign: RiskSign | None = getattr(policy, "risk_sign", None)
         """When the policy's risk is a warning; None if it knows none."""
 

@@ -19,6 +19,7 @@ from flipperctl.config import TrainConfig, identity, to_dict
 from flipperctl.config.identity import ABSENT, content_digest, differences, foreign_sources
 from flipperctl.errors import CheckpointError
 from flipperctl.lookahead import Mpc
+from flipperctl.policies.operator import Operator
 from flipperctl.policies.source import ExportedPolicy, PolicySource, PolicyUser
 
 _ATTEMPTS = 10
@@ -102,6 +103,8 @@ def named_files(controller: Controller) -> Iterator[tuple[str, str]]:
         yield from controller.named.items()
     if isinstance(controller, Mpc) and controller.value:
         yield "value", controller.value
+    if isinstance(controller, Operator):
+        yield from ((f"drives[{at}]", str(file)) for at, file in enumerate(controller.files))
 
 
 def _content(file: Path) -> str:

@@ -23,6 +23,7 @@ from flipperctl.agent.frames import stacked
 from flipperctl.api import Controller, ObservationLayout, Perception, Policy, Robot, Simulator
 from flipperctl.api.plugin import registered_names
 from flipperctl.checkpoint import LAST, find, hub, read_policy, shipped_policies
+from flipperctl.checkpoint.recording import drive_files
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, parse, resolver
 from flipperctl.config.models import with_stand_ins
 from flipperctl.core.risk import RiskSign
@@ -31,6 +32,7 @@ from flipperctl.errors import CheckpointError, ConfigError, PolicyError, Request
 from flipperctl.lookahead import Mpc, ValueIteration
 from flipperctl.lookahead.settings import LearnedValue
 from flipperctl.policies.controllers import PluginPolicy, plugin_policy
+from flipperctl.policies.operator import Operator
 from flipperctl.runtime import OnnxPolicy
 from flipperctl.runtime.interface import Interface
 
@@ -89,6 +91,8 @@ def load_policy(
     if name in known:
         own = resolver.reference(name, where) if fields is None else {"name": name, **fields}
         return PolicySource(settings=resolver.to_dict(resolver.create("controller", own, where)))
+    if takes in ("any", "controller") and drive_files(Path(name)):
+        return PolicySource(settings={"name": "operator", "drives": name})
     if takes == "controller":
         shared = name in shipped_policies() or name.startswith(hub.PREFIX)
         if shared or os.path.exists(name):  # noqa: PTH110  # of any length
@@ -142,7 +146,8 @@ class PolicySource:
             shipped = {file: name for name, file in shipped_policies().items()}
             known = shipped.get(self.checkpoint) or hub.label(self.checkpoint)
             return known or str(self.checkpoint)
-        return str((self.settings or {})["name"])
+        settings = self.settings or {}
+        return str(settings.get("drives") or settings["name"])
 
     @property
     def controller_name(self) -> str | None:
@@ -227,6 +232,8 @@ def with_files(controller: Controller, config: EnvConfig, path: str = "controlle
             controller = controller.ending_with(learned)
     if isinstance(controller, ValueIteration):
         controller = controller.paying(config.rewards)
+    if isinstance(controller, Operator):
+        controller.check(config)
     return controller
 
 

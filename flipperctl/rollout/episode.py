@@ -35,6 +35,7 @@ from flipperctl.env.pictures import Observer
 from flipperctl.env.privileged import PrivilegedStates
 from flipperctl.env.termination import ALLOWED, action_index
 from flipperctl.errors import FlipperctlError
+from flipperctl.sim.versions import samples_in
 
 NO_LABEL = np.zeros(len(ACTIONS), np.float32)
 
@@ -45,6 +46,7 @@ class EpisodeRecorder:
     def __init__(self) -> None:
         self._observations: list[NDArray[np.float32]] = []
         self._decisions: list[tuple[int, float, NDArray[np.float32]]] = []
+        self._commands: list[FloatArray] = []
 
     def add(
         self,
@@ -53,16 +55,22 @@ class EpisodeRecorder:
         reward: float,
         next_observation: NDArray[np.float32],
         label: NDArray[np.float32] | None,
+        commands: FloatArray | None = None,
     ) -> None:
-        """Add a decision; the observations are of single instants, (n,) in SI units."""
+        """Add a decision; the observations are of single instants, (n,) in SI units.
+
+        ``commands``: those of an operator, (K, 5).
+        """
         if not self._decisions:
             self._observations.append(observation)
         self._observations.append(next_observation)
         self._decisions.append((action, reward, NO_LABEL if label is None else label))
+        if commands is not None:
+            self._commands.append(commands)
 
     def drop(self) -> None:
         """Discard the running episode."""
-        self._observations, self._decisions = [], []
+        self._observations, self._decisions, self._commands = [], [], []
 
     def finish(self, number: int, ending: Row) -> RecordedEpisode:
         """Return the episode that the last decision ended; begin the next one.
@@ -71,6 +79,7 @@ class EpisodeRecorder:
         """
         actions, rewards, labels = zip(*self._decisions, strict=True)
         observations = np.array(self._observations, np.float32)
+        commands = np.concatenate(self._commands) if self._commands else None
         self.drop()
         return RecordedEpisode(
             number=number,
@@ -81,6 +90,7 @@ class EpisodeRecorder:
             actions=np.array(actions, np.int64),
             rewards=np.array(rewards, np.float64),
             labels=np.array(labels, np.float32),
+            commands=commands,
         )
 
 
@@ -180,6 +190,9 @@ def decisions(
     env.reset(seed=seed, options={"difficulty": difficulty})
     simulator = env.simulator(report_progress)
     policy.reset(simulator)
+    if (period := getattr(policy, "command_period", None)) is not None:
+        operator: Any = policy
+        env.drive.operate(samples_in(period), operator.command)
     ending: Row | None = None
     sign: RiskSign | None = getattr(policy, "risk_sign", None)
     told: list[float] = []
@@ -200,7 +213,7 @@ def decisions(
                 ending |= EpisodeRisks.of(sign, told).to_row()
         yield Decision(
             perception=perception,
-            action=action,
+            action=env.drive.action,
             reward=reward,
             rewards=info["rewards"],
             transition=env.transition,

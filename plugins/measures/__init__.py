@@ -1,5 +1,5 @@
-"""Built-in measures of episodes: duration, pitch, flippers, stability, impacts, roll, maps."""
+"""Built-in measures of episodes: duration, pitch, flippers, stability, impacts, roll, maps, operators."""
 
-from . import energy_margin, mapping, motion
+from . import energy_margin, mapping, motion, operation
 
-__all__ = ["energy_margin", "mapping", "motion"]
+__all__ = ["energy_margin", "mapping", "motion", "operation"]

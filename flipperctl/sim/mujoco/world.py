@@ -74,6 +74,7 @@ class Tracks:
         self._force = robot.track_force
         if self._force is not None:  # a contact has the larger friction of its two shapes
             self._model.geom_friction[self._sides == 0, 0] = 0.0
+        self._share = 1.0
         weight = robot.mass * sim.gravity
         self.pressed = 0.0, 0.0
         """Averaged normal forces on the left and on the right tracks [N]."""
@@ -83,7 +84,13 @@ class Tracks:
         """Set the belts' speeds for a heading [rad] and a distance beside the middle [m]."""
         if self._gain:
             faster = self._faster(yaw, side)
-            self._model.geom_surfacevel[:] = self._belts * (1.0 + faster * self._sides)[:, None]
+            belts = self._belts * (1.0 + faster * self._sides)[:, None]
+            self._model.geom_surfacevel[:] = self._share * belts
+
+    def run(self, share: float) -> None:
+        """Run the belts at a share of the robot's speed, from -1 to 1."""
+        self._share = share
+        self._model.geom_surfacevel[:] = share * self._belts
 
     def _faster(self, yaw: float, side: float) -> float:
         """Return by which fraction the left belts run faster than the robot's speed."""
@@ -93,7 +100,7 @@ class Tracks:
     def speeds(self, yaw: float, side: float) -> FloatArray:
         """Return the speeds of the left and the right belts, (2,) [m/s]."""
         faster = self._speed * self._faster(yaw, side)
-        return np.array([self._speed + faster, self._speed - faster])
+        return self._share * np.array([self._speed + faster, self._speed - faster])
 
     def limit(self, data: Any) -> None:
         """Scale the friction of each side so that its motor can supply the force of its belts.
@@ -206,6 +213,10 @@ class MujocoWorld:
     def command(self, front: float, rear: float) -> None:
         """Set the target angles of the flippers in frame R, left and right alike [rad]."""
         self._targets = np.array([front, rear, front, rear])
+
+    def run_belts(self, share: float) -> None:
+        """Run the belts at a share of the robot's speed, from -1 to 1."""
+        self._tracks.run(share)
 
     def advance(self, samples: int, limits: Limits = NO_LIMITS) -> FloatArray:
         """Simulate up to ``samples`` sample periods; return the pose at the end of each, (S, 5).

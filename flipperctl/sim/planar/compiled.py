@@ -212,7 +212,7 @@ def _work(arbiter: Any, space: Any, belt: Any) -> None:
     numbers = carray(belt, (5,), dtype=np.float64)
     contacts = _contacts(arbiter)
     for first in range(0, len(contacts), CONTACT):
-        numbers[2] += numbers[0] * abs(contacts[first + TANGENT_IMPULSE])
+        numbers[2] += abs(numbers[0] * contacts[first + TANGENT_IMPULSE])
         numbers[4] += contacts[first + NORMAL_IMPULSE]
 
 
@@ -361,6 +361,10 @@ class CompiledLoop:
         turned, so that braking counts as driving does.
         """
         return float(self._spent[0])
+
+    def run_belts(self, speed: float) -> None:
+        """Set the speed of the belts' surface along the outline [m/s]."""
+        self._belt[0] = speed
 
     def forget(self) -> None:
         """Forget the contacts of the last substep, before a run from another state."""

@@ -59,6 +59,7 @@ class PlanarWorld:
         """
         self.robot, self.sim, self.profile = robot, sim, profile
         self._time = 0.0
+        self._share = 1.0
         self.space = space = pymunk.Space()
         space.gravity = (0.0, -sim.gravity)
         space.iterations = sim.iterations
@@ -140,6 +141,11 @@ class PlanarWorld:
         self._front_gear.phase = front
         self._rear_gear.phase = -rear
 
+    def run_belts(self, share: float) -> None:
+        """Run the belts at a share of the robot's speed, from -1 to 1."""
+        self._share = share
+        self._loop.run_belts(share * self.robot.track_speed)
+
     def advance(self, samples: int = 1, limits: Limits = NO_LIMITS) -> FloatArray:
         """Simulate up to ``samples`` sample periods; return the pose at the end of each, (S, 5)."""
         poses = np.empty((samples, 5))
@@ -198,6 +204,7 @@ class PlanarWorld:
             velocity=np.array(velocity),
             pitch_rate=chassis.angular_velocity,
             time=self._time,
+            belts=None if self._share == 1.0 else np.full(2, self._share * self.robot.track_speed),
         )
 
     def save(self) -> tuple[Any, ...]:

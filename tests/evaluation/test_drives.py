@@ -1,0 +1,162 @@
+"""Operators: commands between decisions, and drives that are repeated from their files."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from flipperctl.api import ACTIONS, Command, Outcome, Perception, Simulator, World, action_index
+from flipperctl.checkpoint import recording
+from flipperctl.config import EvalConfig
+from flipperctl.env.drive import Operator
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import ConfigError, PolicyError, RequestError
+from flipperctl.evaluation.drives import DriveFolder
+from flipperctl.evaluation.play import EpisodeRunner, Player
+from flipperctl.evaluation.replay import replay
+from flipperctl.evaluation.rows import RECORDED
+from flipperctl.plugins import load
+from flipperctl.policies.source import load_policy
+from flipperctl.rollout.episode import decisions
+
+PERIOD = 0.05
+
+
+class Script:
+    """Stands for two seconds, raises the front, and drives on, backwards for a moment."""
+
+    command_period = PERIOD
+
+    def __init__(self, speed: float = 1.0) -> None:
+        self.speed = speed
+
+    def reset(self, simulator: Simulator) -> None:
+        self.ticks = 0
+
+    def act(self, p: Perception) -> int:
+        return action_index(0, 0)
+
+    def command(self, world: World) -> Command:
+        t, self.ticks = self.ticks * PERIOD, self.ticks + 1
+        if t < 2.0:
+            return Command(min(0.7, 0.5 * t), 0.0, 0.0)
+        belts = -0.5 if 4.0 <= t < 4.5 else self.speed
+        return Command(0.7 if t < 8 else -0.2, -0.3 if t > 10 else 0.0, belts, 1.0, float(t > 10))
+
+
+def scene(sim: str, **terrain: float) -> EvalConfig:
+    load(())
+    return EvalConfig(terrain={"name": "step", **terrain}, sim=sim, eval={"episodes": 2})
+
+
+def test_an_action_comes_closest_to_the_commands_and_carries_the_rest() -> None:
+    operator = Operator(5, lambda world: Command(0.0, 0.0), 0, limit=1.0, step=0.25)
+    operator._followed = (0.0, 0.0)
+    ends = [(0.12, 0.0), (0.2, -0.6), (0.2, -0.6), (0.2, -0.6), (0.9, -0.6)]
+    moves = [ACTIONS[operator.end(targets)[0]] for targets in ends]
+    assert moves == [(0, 0), (1, -1), (0, -1), (0, 0), (1, 0)]
+
+
+def test_a_command_waits_for_the_delay_of_the_actuators() -> None:
+    class Told:
+        def __init__(self) -> None:
+            self.got: list[tuple[float, ...]] = []
+
+        def command(self, front: float, rear: float) -> None:
+            self.got.append((front, rear))
+
+        def run_belts(self, share: float) -> None:
+            self.got.append((share,))
+
+    fronts = iter([0.1, 0.2, 3.0])
+    world = Told()
+    operator = Operator(5, lambda world: Command(next(fronts), 0.0, 0.5), 2, limit=1.0, step=0.25)
+    targets = (0.0, 0.0)
+    for _ in range(3):
+        targets = operator.command(world, targets)  # type: ignore[arg-type]
+    assert world.got == [(0.1, 0.0), (0.5,)]
+    assert targets == (0.1, 0.0)
+    assert [c.front for c in operator.commands] == [0.1, 0.2, 3.0]
+
+
+@pytest.mark.parametrize("sim", ["planar", "mujoco"])
+def test_the_belts_stand_and_run_back(sim: str) -> None:
+    pytest.importorskip("mujoco")
+    env = FlipperEnv(config=scene(sim))
+    places = [np.empty(0)]
+    for decision in decisions(env, Script(), 3):
+        places.append(decision.poses[:-1, 0])
+        if decision.transition.after.time > 6:
+            break
+    x = np.concatenate(places)  # every 10 ms
+    assert np.ptp(x[150:195]) < 0.005
+    assert x[360] - x[300] == pytest.approx(0.12, abs=0.01)
+    assert x[450] - x[410] == pytest.approx(-0.04, abs=0.01)
+    assert decision.transition.commands is not None
+    assert decision.transition.commands.shape == (12, 5)
+
+
+def test_who_waits_is_not_stuck() -> None:
+    class Waits(Script):
+        def command(self, world: World) -> Command:
+            return Command(0.0, 0.0, 0.0)
+
+    env = FlipperEnv(config=scene("planar"))
+    *_, last = decisions(env, Waits(), 3)
+    assert last.transition.outcome is Outcome.TIMEOUT
+
+
+@pytest.mark.parametrize("sim", ["planar", "mujoco"])
+def test_a_drive_is_repeated_bit_for_bit(sim: str, tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    config = scene(sim, low=0.12, high=0.14)
+    folder = DriveFolder(tmp_path / "anna", "script: test")
+    row = folder.drive(config, FlipperEnv(config=config), Script(), 0)
+    assert folder.missing(config, 0, 2) == [1]
+    source = load_policy(tmp_path / "anna")
+    assert EpisodeRunner(config, source, config.eval.seed).play(0) == row
+    (record,) = (tmp_path / "anna").glob("*.json")
+    again = replay(record)
+    assert again.differences == []
+    assert row["taken"] == pytest.approx(again.episode["taken"])
+    assert 1.9 < row["belts_stood"] < 2.2
+    assert 0.5 < row["taken"] < 1
+
+
+def test_drives_are_refused_elsewhere(tmp_path: Path) -> None:
+    config = scene("planar")
+    path = tmp_path / "anna"
+    folder = DriveFolder(path, "script: test")
+    folder.drive(config, FlipperEnv(config=config), Script(), 0)
+    source = load_policy(path)
+    with pytest.raises(PolicyError, match="no drive of this draw on step"):
+        EpisodeRunner(config, source, config.eval.seed).play(1)
+    other = config.model_copy(update={"sim": EvalConfig(terrain="step", sim="planar").sim})
+    assert source.build(other) is not None
+    slippery = EvalConfig(terrain="step", sim={"name": "planar", "friction": 0.5})
+    with pytest.raises(ConfigError, match=r"driven with sim\.friction=1\.0 \(here 0\.5\)"):
+        source.build(slippery)
+    with pytest.raises(RequestError, match="one operator"):
+        DriveFolder(path, "person: ben")
+
+
+def test_drives_teach_and_read_as_one_file(tmp_path: Path) -> None:
+    config = scene("planar")
+    folder = DriveFolder(tmp_path / "anna", "script: test")
+    for index in (0, 1):
+        folder.drive(config, FlipperEnv(config=config), Script(), index)
+    found = recording.read(tmp_path / "anna")
+    assert [e.number for e in found.episodes] == sorted(e.number for e in found.episodes)
+    assert len(found.episodes) == 2
+    for episode in found.episodes:
+        assert (episode.labels.argmax(1) == episode.actions).all()
+        assert len(episode.actions) + 1 == len(episode.observations)
+    with Player() as player:
+        played = player.play(config, load_policy(tmp_path / "anna"), "anna", record=True)
+    kept = [row[RECORDED] for row in played]
+    by_number = {e.number: e for e in found.episodes}
+    for one in kept:
+        assert np.array_equal(one.actions, by_number[one.number].actions)
+        assert np.array_equal(one.labels, by_number[one.number].labels)
+    assert math.isfinite(sum(float(one.rewards.sum()) for one in kept))
