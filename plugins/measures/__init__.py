@@ -1,4 +1,4 @@
-"""Built-in measures of episodes: duration, pitch, flippers, stability, impacts, roll, maps, operators."""
+"""Built-in measures of episodes: duration, pitch, flippers, stability, impacts, maps, operation."""
 
 from . import energy_margin, mapping, motion, operation
 
