@@ -69,8 +69,8 @@ def test_the_wheel_holds_every_module_and_configuration(wheel: Path) -> None:
         for path in (ROOT / folder).rglob("*.yaml" if folder == "configs" else "*.py")
         if folder == sweepers or not path.is_relative_to(ROOT / sweepers)
     }
-    templates = (ROOT / "flipperctl").glob("*/templates/*.*")
-    wanted |= {str(path.relative_to(ROOT)) for path in templates}
+    for pattern in ("*/templates/*.*", "*/*.html"):
+        wanted |= {str(path.relative_to(ROOT)) for path in (ROOT / "flipperctl").glob(pattern)}
     assert wanted - held == set()
     assert not any(name.startswith(("tests", "examples", "benchmarks")) for name in held)
 

@@ -1,0 +1,275 @@
+"""The page of ``flipperctl drive`` in a browser, before a server that says what a test wants.
+
+The browser's clock stands still but for ``run``, so that messages and latencies are exact.
+"""
+
+import json
+import queue
+import re
+import shutil
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytestmark = pytest.mark.slow
+CHROMIUM = (
+    shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+)
+PAGE = Path(__file__).parents[2] / "flipperctl" / "live" / "drive.html"
+POLICY = (  # nothing but the page's own code and its own server
+    "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
+    "img-src blob: data:; connect-src 'self'; frame-src 'self'"
+)
+SCENE = {
+    "kind": "scene", "title": "stair", "episode": 0, "operator": "anna", "practice": False,
+    "robot": {"hinge": 0.28, "flipper": 0.336, "radius": 0.1},
+    "ground": [[0, 0], [0, 0.2], [1, 0.2]],
+    "start": -1.0, "finish": 2.0, "cameras": True, "shared": True, "step": 0.2618, "limit": 1.0472,
+    "flipper_speed": 0.436, "track_speed": 0.2,
+}  # fmt: skip
+STATE = {
+    "kind": "state", "phase": "driving", "you": True, "driver": True, "watchers": 0, "time": 1.25,
+    "x": 0.1, "z": 0.2, "pitch": 0.1, "roll": -0.05, "front": 0.2, "rear": -0.3,
+    "front_target": 0.2, "rear_target": 0.1, "belts": 1.0, "variation": 0.4, "left": 2.1,
+    "risk": None, "heard": 0, "who": {"front": "person", "rear": "policy"},
+    "rate": 20.0, "outcome": None, "note": "",
+}  # fmt: skip
+
+
+class Server:
+    """Serves the page, keeps what the newest browser sends, and sends what the test gives it."""
+
+    def __init__(self) -> None:
+        from websockets.sync.server import serve
+
+        self.received: queue.Queue[dict[str, Any]] = queue.Queue()
+        self.opened: queue.Queue[Any] = queue.Queue()
+        self.server = serve(self._talk, "127.0.0.1", 0, process_request=self._answer)
+        self.address = f"http://127.0.0.1:{self.server.socket.getsockname()[1]}"
+        threading.Thread(target=self.server.serve_forever, daemon=True).start()
+
+    def _answer(self, connection: Any, request: Any) -> Any:
+        if request.path == "/control":
+            return None
+        text = PAGE.read_text("utf-8") if request.path == "/" else "<!doctype html><p>scene</p>"
+        response = connection.respond(200, text)
+        del response.headers["Content-Type"]
+        response.headers["Content-Type"] = "text/html; charset=utf-8"
+        response.headers["Content-Security-Policy"] = POLICY
+        return response
+
+    def _talk(self, connection: Any) -> None:
+        self.connection = connection
+        self.send(SCENE)
+        self.send(STATE)
+        self.opened.put(connection)
+        for message in connection:
+            self.received.put(json.loads(message))
+
+    def send(self, document: dict[str, Any]) -> None:
+        self.connection.send(json.dumps(document))
+
+
+class Tab:
+    """A browser tab on the page, with a clock of its own [ms]."""
+
+    def __init__(self, page: Any, server: Server) -> None:
+        self.page, self.server = page, server
+
+    def run(self, milliseconds: int = 20) -> list[dict[str, Any]]:
+        """Return what the page sends while its clock runs."""
+        self.page.clock.run_for(milliseconds)
+        self.page.evaluate("act('again')")  # a last message, after all that the page has sent
+        sent = []
+        while (message := self.server.received.get(timeout=30)) != {"kind": "do", "what": "again"}:
+            sent.append(message)
+        return sent
+
+    def hands(self, milliseconds: int = 60) -> tuple[float, ...]:
+        """Return (front, rear, belts, front_steps, rear_steps) of the newest hands message."""
+        newest = [m for m in self.run(milliseconds) if m["kind"] == "hands"][-1]
+        names = ("front", "rear", "belts", "front_steps", "rear_steps")
+        return tuple(newest[name] for name in names)
+
+    def shows(self, condition: str) -> None:
+        for _ in range(200):
+            self.page.clock.run_for(20)
+            if self.page.evaluate(condition):
+                return
+            self.page.wait_for_timeout(20)
+        raise AssertionError(condition + ": " + self.page.inner_text("body"))
+
+    def state(self, **changes: Any) -> None:
+        self.server.send(STATE | changes)
+        text = json.dumps(changes)
+        self.shows(f"Object.entries({text}).every(([k, v]) => state && state[k] === v)")
+        self.page.clock.run_for(40)  # two frames: it is drawn
+
+
+@pytest.fixture
+def tab() -> Iterator[Tab]:
+    if CHROMIUM is None:
+        pytest.skip("no Chromium is installed")
+    from playwright.sync_api import sync_playwright
+
+    server, problems = Server(), []
+    with sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": 1280, "height": 800})
+        page.on("pageerror", lambda error: problems.append(str(error)))
+        page.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)
+        page.clock.install(time=0)
+        page.clock.pause_at(1000)
+        page.goto(server.address)
+        opened = Tab(page, server)
+        opened.shows("state !== null")
+        yield opened
+        browser.close()
+    server.server.shutdown()
+    assert problems == []
+
+
+def test_hands_are_sent_every_50_ms_and_at_once_on_a_change(tab: Tab) -> None:
+    sent = tab.run(1000)
+    assert len(sent) == 20
+    times = [message["at"] for message in sent]
+    assert times == sorted(set(times))
+    tab.page.keyboard.down("ArrowUp")
+    assert [message["belts"] for message in tab.run(1)] == [1]
+
+
+def test_keys(tab: Tab) -> None:
+    key = tab.page.keyboard
+    key.down("q")
+    key.down("q")  # the key's own repeat
+    assert tab.hands() == (0, 0, 0, 1, 0)
+    key.up("q")
+    for name in ("q", "a", "a", "a", "e", "d"):
+        key.press(name)
+    assert tab.hands() == (0, 0, 0, -1, 0)
+    key.press("m")
+    key.down("a")
+    key.down("e")
+    key.down("ArrowDown")
+    assert tab.hands() == (-1, 1, -1, -1, 0)
+    tab.page.evaluate("window.dispatchEvent(new Event('blur'))")
+    tab.page.wait_for_timeout(50)
+    assert tab.hands() == (0, 0, 0, -1, 0)
+    for name in ("a", "e", "ArrowDown"):
+        key.up(name)
+    tab.page.fill("#speed", "40")
+    key.press("c")
+    assert tab.hands() == (0, 0, 0.4, -1, 0)
+    key.press(" ")
+    assert tab.hands() == (0, 0, 0, -1, 0)
+    tab.page.frames[1].locator("p").click()  # the scene has the focus, and gives it back
+    key.down("ArrowUp")
+    assert tab.hands() == (0, 0, 0.4, -1, 0)
+    key.up("ArrowUp")
+    tab.page.evaluate("document.getElementById('scene').contentWindow.focus()")
+    key.down("ArrowDown")
+    assert tab.hands() == (0, 0, -0.4, -1, 0)
+    key.up("ArrowDown")
+    assert tab.hands() == (0, 0, 0, -1, 0)
+
+
+@pytest.mark.parametrize("end", ["up", "pointercancel", "leave"])
+def test_a_hold_button_holds_until_its_pointer_ends(tab: Tab, end: str) -> None:
+    mouse = tab.page.mouse
+    tab.page.hover("#forward")
+    mouse.down()
+    assert tab.hands() == (0, 0, 1, 0, 0)
+    mouse.move(600, 300)  # off the button, over the scene
+    assert tab.hands() == (0, 0, 1, 0, 0)
+    if end == "up":
+        mouse.up()
+    elif end == "leave":
+        mouse.move(600, -20)
+    else:
+        tab.page.dispatch_event("#forward", "pointercancel", {"pointerId": 1})
+    assert tab.hands() == (0, 0, 0, 0, 0)
+
+
+def test_a_gamepad(tab: Tab) -> None:
+    pad = """navigator.getGamepads = () => [{axes: [0, %s, 0, %s], buttons:
+        [...Array(8).keys()].map(i => ({pressed: i === %d, value: i === 7 ? %s : 0}))}]"""
+    tab.page.evaluate(pad % (-1, 1, -1, 1))
+    assert tab.hands() == (1, -1, 1, 0, 0)
+    tab.page.evaluate(pad % (-1, 1, 1, 1))  # B: sticks and trigger count again when let go
+    assert tab.hands() == (0, 0, 0, 0, 0)
+    tab.page.evaluate(pad % (0, 0.1, -1, 0))
+    tab.run(60)
+    tab.page.evaluate(pad % (0, 1, -1, 0))
+    assert tab.hands() == (0, -1, 0, 0, 0)
+
+
+def test_commands_follow_the_phase(tab: Tab) -> None:
+    key = tab.page.keyboard
+    for phase, name, what in [
+        ("driving", "Enter", []), ("ready", "Enter", ["begin"]), ("over", "Enter", ["next"]),
+        ("driving", "p", ["release"]), ("ready", "#begin", ["begin"]), ("over", "#begin", ["next"]),
+        ("driving", "#release", ["release"]),
+    ]:  # fmt: skip
+        tab.state(phase=phase, outcome="reached" if phase == "over" else None)
+        tab.run()
+        if name[0] == "#":
+            tab.page.click(name)
+        else:
+            key.press(name)
+        assert [m["what"] for m in tab.run() if m["kind"] == "do"] == what
+    assert tab.page.inner_text("#phase") == "Driving"
+    tab.state(you=False)
+    key.press("q")
+    assert tab.hands() == (0, 0, 0, 0, 0)
+    tab.page.click("#take")
+    assert [m["what"] for m in tab.run() if m["kind"] == "do"] == ["take"]
+
+
+def test_gauges_show_the_newest_state(tab: Tab) -> None:
+    tab.state(time=2.5, left=1.75, variation=0.61)
+    for name, value in [
+        ("time", 2.5), ("variation", 0.61), ("pitch", 0.1), ("roll", -0.05), ("front", 0.2),
+        ("rear", -0.3), ("left", 1.75), ("rate", 20.0),
+    ]:  # fmt: skip
+        assert float(tab.page.get_attribute("#" + name, "data-value")) == value
+    assert tab.page.inner_text("#rear") == "−17.2°"
+    assert tab.page.inner_text("#front-who") == "you"
+    assert tab.page.inner_text("#rear-who") == "policy"
+    tab.run(1000)
+    now = tab.page.evaluate("performance.now()")
+    tab.state(heard=now - 300, time=2.55)
+    tab.state(heard=now - 300, time=2.6)  # counted once
+    then = tab.page.evaluate("performance.now()")
+    shown = float(tab.page.get_attribute("#latency", "data-value"))
+    assert 0.3 <= shown <= (then - now) / 1000 + 0.3
+    tab.page.clock.run_for(2500)
+    tab.state(time=2.65)
+    assert tab.page.get_attribute("#latency", "data-value") == ""
+
+
+def test_the_questions_need_six_answers(tab: Tab) -> None:
+    tab.server.send({"kind": "questions"})
+    tab.shows("document.getElementById('asking').open")
+    sliders = tab.page.locator("#questions input")
+    for i in range(5):
+        sliders.nth(i).fill(str(10 * i + 5))
+    tab.page.click("#answer")
+    assert re.search("last question", tab.page.inner_text("#missing"))
+    sliders.nth(5).fill("100")
+    tab.page.click("#answer")
+    answers = [m["values"] for m in tab.run() if m["kind"] == "answers"]
+    assert answers == [[5, 15, 25, 35, 45, 100]]
+
+
+def test_a_lost_connection_releases_everything_and_comes_back(tab: Tab) -> None:
+    tab.server.opened.get(timeout=30)
+    tab.page.keyboard.press("c")
+    assert tab.hands() == (0, 0, 1, 0, 0)
+    tab.server.connection.close()
+    tab.shows("document.getElementById('connection').dataset.value === 'lost'")
+    tab.shows("state !== null")
+    tab.server.opened.get(timeout=30)
+    assert tab.hands() == (0, 0, 0, 0, 0)
