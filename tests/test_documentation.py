@@ -145,6 +145,8 @@ def with_budget(command: list[str]) -> list[str]:
         default = command == ["train", "terrain=stair"]
         quick = ["train.decisions=160"] if resumed else WORKERS if asked or default else QUICK
         return [*command, *quick, *few, *trials, *own]
+    if command[0] == "tune":
+        return [*command, "budget=100", "--episodes", "2"]
     if "--draws" in command:
         return re.sub(r"--draws \d+", "--draws 2", " ".join(command)).split()
     if command[0] in ("watch", "demo"):
@@ -183,7 +185,7 @@ MAKERS = {
     for command in reversed(commands())
     for option, word in pairwise(["", *command])
     for name in [word.removeprefix("hydra.run.dir=")]
-    if command[1] in ("train", "eval", "map", "export", "robot") or option == "--record"
+    if command[1] in ("train", "tune", "eval", "map", "export", "robot") or option == "--record"
     if name != FIRST and (option in ("--output", "--record") or name != word)
 } | {f"{command[3]}.py": command for command in commands() if command[1] == "new"}
 """What a command writes → the first that writes it."""

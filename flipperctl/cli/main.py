@@ -11,7 +11,7 @@ import typer
 from typer.exceptions import TyperException
 
 from flipperctl import entry
-from flipperctl.cli import evaluate, inspect, live, lookup, plot, reward, robot, train, write
+from flipperctl.cli import evaluate, inspect, live, lookup, plot, reward, robot, train, tune, write
 from flipperctl.cli.command import App, TrainingCommand
 from flipperctl.errors import InterruptedRunError, RequestError
 from flipperctl.terminal.streams import log_to_stderr, plain_streams, reserved_stdout
@@ -39,6 +39,7 @@ def root(version: bool = typer.Option(False, "--version", help="Print the versio
 
 app.add("train", train.train, train.TrainCommand)
 app.add("eval", evaluate.evaluate)
+app.add("tune", tune.tune)
 app.add("map", evaluate.map_success)
 app.add("replay", evaluate.replay)
 app.add("compare", evaluate.compare)

@@ -14,6 +14,7 @@ from pathlib import Path
 from flipperctl.cli.hydra.compose import compose_eval, register_trained
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import DEFAULT_ENGINE, EvalConfig, resolver
+from flipperctl.config.policy_file import is_policy_file
 from flipperctl.config.words import key_of
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.conditions import Inherited, policy_notes, read_config
@@ -54,10 +55,12 @@ def scenes(
         ConfigError: an override is wrong.
     """
     if checkpoint is None:
-        resolver.get("controller", controller, "--controller")
+        file = controller if controller and is_policy_file(controller) else ""
+        if not file:
+            resolver.get("controller", controller, "--controller")
         overrides = Overrides.parse([f"controller={controller}", *words])
         found = compose_eval(overrides)
-        made = [(config, PolicySource(settings=settings)) for config, settings in found]
+        made = [(config, PolicySource(settings=own, name=file)) for config, own in found]
         for note in dict.fromkeys(note for config, source in made for note in source.notes(config)):
             tell(note)
         return made

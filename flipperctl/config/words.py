@@ -6,6 +6,7 @@ what the parser would not.
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -15,6 +16,7 @@ from itertools import zip_longest
 from pathlib import Path
 
 from flipperctl.api.plugin import registered_names
+from flipperctl.config import policy_file
 from flipperctl.config.resolver import is_robot_file, known_robots, named_robot
 from flipperctl.errors import ConfigError, RequestError
 
@@ -133,12 +135,11 @@ def with_engine(overrides: list[str]) -> list[str]:
 
 
 def expand_files(words: Sequence[str]) -> list[str]:
-    """Return overrides in Hydra's spelling, of ``rewards.calm=calm`` and of ``robot=FILE``.
+    """Return overrides in Hydra's spelling, of ``rewards.calm=calm`` and of files.
 
-    A reward term that no preset has is added. A file is replaced by its settings.
-
-    All settings of the robot are written out, in place of those of a policy's training too; one
-    that another word sets is left to that word.
+    A reward term that no preset has is added. ``robot=FILE`` is replaced by all settings of the
+    file, in place of those of a policy's training too, and so are ``controller=FILE`` and
+    ``teacher=FILE``. One that another word sets is left to that word.
     """
     given = set(map(key_of, words))
     return [found for word in words for found in _expand(word, given)]
@@ -152,12 +153,34 @@ def _terms() -> frozenset[str]:
     return frozenset(name for text in texts for name in re.findall(r"- /reward@(\w+):", text))
 
 
+_CONTROLLERS = {"controller": "controller", "teacher": "teacher.controller"}
+"""Key that names a controller → section of its settings."""
+
+
+def _literal(value: object) -> str:
+    """Return plain data as Hydra reads it, with all digits."""
+    if isinstance(value, str):
+        return quoted(value)
+    if isinstance(value, list):
+        return f"[{','.join(map(_literal, value))}]"
+    if isinstance(value, dict):
+        return f"{{{','.join(f'{key}: {_literal(one)}' for key, one in value.items())}}}"
+    return json.dumps(value)
+
+
 def _expand(word: str, given: Collection[str]) -> Iterator[str]:
     key, _, value = word.partition("=")
     name = value.strip().strip("'\"")
     term = key.removeprefix("rewards.")
     if key == f"rewards.{term}" and name in registered_names("reward") and term not in _terms():
         yield f"+reward@{key}={name}"
+        return
+    if key in _CONTROLLERS and policy_file.is_policy_file(name):
+        file = policy_file.read(name, key)
+        yield f"{key}={file.controller}"
+        for field, setting in file.settings.items():
+            if (path := f"{_CONTROLLERS[key]}.{field}") not in given:
+                yield f"{path}={_literal(setting)}"
         return
     if key != "robot" or not is_robot_file(name):
         yield word

@@ -22,8 +22,9 @@ from flipperctl import checkpoint as checkpoints
 from flipperctl import plugins
 from flipperctl.api import Robot, registry
 from flipperctl.checkpoint.recording import drive_files
-from flipperctl.config import EvalConfig, resolver, strict_yaml, to_dict
+from flipperctl.config import EvalConfig, strict_yaml, to_dict
 from flipperctl.config.identity import differences
+from flipperctl.config.policy_file import is_policy_file
 from flipperctl.config.words import check_different, check_words, key_of
 from flipperctl.errors import ConfigError, FlipperctlError, RequestError
 from flipperctl.evaluation.conditions import Conditions
@@ -340,7 +341,7 @@ def policies(
     sources = {label: load_policy(label, option, tell=tell) for label in labels}
     for label, source in sources.items():
         if own := {n: value for n, value in fields.items() if n in (source.settings or {})}:
-            changed = {**resolver.reference(label, option), **own}
+            changed = {**(sources[label].settings or {}), **own}
             sources[label] = load_policy(label, "controller", fields=changed)
     known = {name for s in sources.values() for name in s.settings or {} if name != "name"}
     for field in fields:
@@ -392,7 +393,7 @@ def entrants(names: Sequence[str], tell: Callable[[str], None]) -> list[NamedPol
     """
     found: dict[NamedPolicy, None] = {}
     for name in (part for text in names for part in _split(text)):
-        if ("controller", name) in registry:
+        if ("controller", name) in registry or is_policy_file(name):
             found[NamedPolicy(name)] = None
         else:
             found |= dict.fromkeys(_of_path(Path(name), tell))

@@ -14,6 +14,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -36,7 +37,14 @@ from flipperctl.policies.controllers import DemonstratingPolicy, from_action
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout import cluster
-from flipperctl.rollout.episode import Decision, EpisodeRecorder, EvaluationSeeds, decisions, play
+from flipperctl.rollout.episode import (
+    Decision,
+    EpisodeRecorder,
+    EvaluationSeeds,
+    decisions,
+    play,
+    training_seed,
+)
 from flipperctl.rollout.pool import POLL, Host, WorkerDiedError, WorkerPool
 
 Progress = Callable[[str, int], AbstractContextManager[Callable[[float], None]]]
@@ -82,16 +90,19 @@ class EpisodeRunner:
         report_progress: Callable[[float], None] = lambda fraction: None,
         *,
         record: bool = False,
+        training: bool = False,
     ) -> None:
         """Build the environment and the policy.
 
-        ``seed`` is the seed of the evaluation. ``report_progress`` is called with the finished
-        fraction of an episode's search. ``record``: whether rows include the decisions.
+        ``seed`` is the seed of the evaluation, or with ``training`` that of a training, whose
+        episodes no evaluation has. ``report_progress`` is called with the finished fraction of an
+        episode's search. ``record``: whether rows include the decisions.
         """
         self.env = FlipperEnv(config=config)
         self._report_progress = report_progress
         self._policy = source.build(config)
-        self._seeds = EvaluationSeeds.of(seed, config.terrain)
+        evaluated = EvaluationSeeds.of(seed, config.terrain)
+        self._seeds = partial(training_seed, seed) if training else evaluated
         self._record = record
         require_repeatable(self.env, self._seeds(0))
 
@@ -131,13 +142,21 @@ class Task:
     source: PolicySource
     seed: int
     record: bool
+    training: bool
     plugin_paths: list[str]
 
     @classmethod
-    def of(cls, config: EvalConfig, source: PolicySource, *, record: bool = False) -> Task:
+    def of(
+        cls,
+        config: EvalConfig,
+        source: PolicySource,
+        *,
+        record: bool = False,
+        training: bool = False,
+    ) -> Task:
         """Return a new task."""
         document, paths = to_dict(config.environment()), plugins.configured_paths()
-        return cls(next(_numbers), document, source, config.eval.seed, record, paths)
+        return cls(next(_numbers), document, source, config.eval.seed, record, training, paths)
 
 
 class Player:
@@ -151,12 +170,17 @@ class Player:
         store: EpisodeStore | None = None,
         progress: Progress = no_progress,
         stop: Callable[[], bool] = lambda: False,
+        *,
+        training: bool = False,
     ) -> None:
-        """``stop`` is called before each episode; once it returns True, no other episode begins."""
+        """``stop`` is called before each episode; once it returns True, no other episode begins.
+
+        ``training``: whether the episodes are those of trainings with the seed ``eval.seed``.
+        """
         self.store = EpisodeStore() if store is None else store
         self.interrupted = False
         """Whether episodes were left out because of ``stop``."""
-        self._progress, self._stop = progress, stop
+        self._progress, self._stop, self._training = progress, stop, training
         self._pool: WorkerPool | None = None
         self._identities: list[tuple[PolicySource, PolicyIdentity]] = []
 
@@ -255,7 +279,9 @@ class Player:
                 if self.interrupted:
                     return
                 seed = config.eval.seed
-                runner = runner or EpisodeRunner(config, source, seed, report_search, record=record)
+                runner = runner or EpisodeRunner(
+                    *(config, source, seed, report_search), record=record, training=self._training
+                )
                 yield runner.play(index)
 
         def elsewhere(count: int) -> Iterator[Row]:
@@ -274,7 +300,7 @@ class Player:
         pool = self._pool = self._pool or worker_pool(jobs)
         waiting: deque[tuple[Task, int, Future[Row]]] = deque()
         for config, source, indices in requests:
-            task = Task.of(config, source, record=record)
+            task = Task.of(config, source, record=record, training=self._training)
             waiting += ((task, i, pool.submit(_play_in_worker, task, i)) for i in indices)
         try:
             for *_, indices in requests:
@@ -380,7 +406,9 @@ def _worker_runner(task: Task) -> EpisodeRunner:
     if _runner is None or _runner[0] != task.number:
         plugins.load(task.plugin_paths)
         config = parse(EnvConfig, task.config)
-        runner = EpisodeRunner(config, task.source, task.seed, record=task.record)
+        runner = EpisodeRunner(
+            config, task.source, task.seed, record=task.record, training=task.training
+        )
         _runner = task.number, runner
     return _runner[1]
 

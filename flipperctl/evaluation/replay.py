@@ -84,7 +84,7 @@ class RecordedPolicy(_Frozen):
         if self.controller is not None:
             if chosen is not None:
                 raise RequestError(f"{where}: its policy is a controller; leave --checkpoint out")
-            source = PolicySource(settings=self.controller)
+            source = PolicySource(settings=self.controller, name=self.label)
             if _digests(source) != self.files:
                 raise CheckpointError(
                     f"{where}: a file that controller {self.label} reads is missing or has another "

@@ -24,7 +24,7 @@ from flipperctl.api import Controller, ObservationLayout, Perception, Policy, Ro
 from flipperctl.api.plugin import registered_names
 from flipperctl.checkpoint import LAST, find, hub, read_policy, shipped_policies
 from flipperctl.checkpoint.recording import drive_files
-from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, parse, resolver
+from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, parse, policy_file, resolver
 from flipperctl.config.models import with_stand_ins
 from flipperctl.core.risk import RiskSign
 from flipperctl.core.targets import turns
@@ -78,8 +78,9 @@ def load_policy(
     """Return the policy that a word names: the rule of all commands, settings and functions.
 
     The name of a registered controller means it, though a folder is called so; ``./okada`` is the
-    folder. Else the word is a run, a checkpoint or an exported file, the name of a shipped policy,
-    or ``hf:user/name[@revision]`` for one of the Hugging Face Hub. A controller has its
+    folder. A ``.yaml`` file of ``flipperctl tune`` means its controller with its settings. Else the
+    word is a run, a checkpoint or an exported file, the name of a shipped policy, or
+    ``hf:user/name[@revision]`` for one of the Hugging Face Hub. A controller has its
     ``reference_settings``, or the ``fields`` if they are given. ``tell`` is called with a line if
     no validation has chosen the best policy of a run. Errors begin with ``where``, the option or
     setting that holds the word.
@@ -93,6 +94,11 @@ def load_policy(
         return PolicySource(settings=resolver.to_dict(resolver.create("controller", own, where)))
     if takes in ("any", "controller") and drive_files(Path(name)):
         return PolicySource(settings={"name": "operator", "drives": name})
+    if policy_file.is_policy_file(name) and takes in ("any", "controller"):
+        tuned = policy_file.read(name, where)
+        own = {**tuned.settings, **(fields or {}), "name": tuned.controller}
+        settings = resolver.to_dict(resolver.create("controller", own, prefix + name))
+        return PolicySource(settings=settings, name=name)
     if takes == "controller":
         shared = name in shipped_policies() or name.startswith(hub.PREFIX)
         if shared or os.path.exists(name):  # noqa: PTH110  # of any length
@@ -124,6 +130,8 @@ class PolicySource:
     """A checkpoint, or a file of ``flipperctl export onnx``."""
     settings: dict[str, Any] | None = None
     """``name`` and fields of a controller plugin."""
+    name: str = ""
+    """Path of the policy file that the settings are from; empty for none."""
 
     @property
     def is_exported(self) -> bool:
@@ -147,7 +155,7 @@ class PolicySource:
             known = shipped.get(self.checkpoint) or hub.label(self.checkpoint)
             return known or str(self.checkpoint)
         settings = self.settings or {}
-        return str(settings.get("drives") or settings["name"])
+        return self.name or str(settings.get("drives") or settings["name"])
 
     @property
     def controller_name(self) -> str | None:

@@ -31,6 +31,7 @@ from flipperctl.api import (
 )
 from flipperctl.cli.hydra.compose import with_preset
 from flipperctl.config import EnvConfig
+from flipperctl.config.policy_file import is_policy_file
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import NonFiniteError, PolicyError, RequestError
 from flipperctl.evaluation.conditions import read_config
@@ -57,7 +58,7 @@ def load(policy: str | os.PathLike[str], *, plugins: Paths = (), **fields: objec
         RequestError: fields are given for a file, whose settings are fixed.
     """
     begin(plugins)
-    if ("controller", str(policy)) in registry:
+    if ("controller", str(policy)) in registry or is_policy_file(str(policy)):
         own = with_preset({"name": str(policy), **fields}, "controller")
         return LoadedPolicy(load_policy(policy, "controller", fields=own), None, fields)
     source = load_policy(policy, "policy", tell=print_note)

@@ -146,6 +146,17 @@ map okada terrain=uplift --over terrain.height=0.2:0.5:2,sim.friction=0.5:1.0:2 
     -> map takes one scene; the settings give 2
 map okada terrain=uplift --over terrain.height=0.2:0.5:2,sim.friction=0.5:1.0:2 generalist \
     -> map takes one policy; okada, generalist are given
+tune -> tune takes one controller, as in: flipperctl tune okada
+tune okada level -> tune takes one controller | okada, level is given
+tune okda terrain=stair -> tune: there is no controller plugin 'okda'; did you mean 'okada'
+tune level terrain=stair -> level: this controller has no number between two bounds to tune
+tune okada budget=0 -> budget: one number of episodes from 1 on is allowed | is 0
+tune okada budget=100 terrain=stair -> budget: at least 187 episodes are needed | is 100
+tune okada --for speed -> --for: pitch or reward is allowed; the value is 'speed'
+tune okada --output file -> file: a policy file is a .yaml or .yml file
+tune okada controller.rear_gain=0,1 -> controller: one value of each setting
+tune okada --for reward '~rewards' -> --for reward: there is no reward term
+tune okada eval.ray=auto -> eval.ray: a search is played here
 inspect reward --regret -> give either --checkpoint RUN_OR_FILE or --controller NAME
 inspect reward --against level -> add --regret
 inspect reward --regret --compare level,okada -> omit --regret

@@ -1,0 +1,146 @@
+"""``flipperctl tune``: search a controller's own numeric settings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from flipperctl.cli import options
+from flipperctl.errors import InterruptedRunError, RequestError
+from flipperctl.terminal.streams import print_note, show
+
+if TYPE_CHECKING:
+    from flipperctl.evaluation.views import tune as view
+
+
+def tune(
+    words: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="CONTROLLER [SETTING...]", help="A controller; key=value, and budget=EPISODES."
+        ),
+    ] = None,
+    objective: Annotated[
+        str, typer.Option("--for", metavar="pitch|reward", help="What is searched for.")
+    ] = "pitch",
+    episodes: Annotated[
+        str | None,
+        typer.Option(metavar="N", help="Episodes of a candidate on each scene [20 / scenes]."),
+    ] = None,
+    seed: Annotated[
+        str | None, typer.Option(metavar="N", help="Seed of the search and its episodes [0].")
+    ] = None,
+    jobs: options.Jobs = None,
+    output: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The policy file [CONTROLLER_tuned.yaml].")
+    ] = None,
+    as_json: options.AsJson = False,
+    plugins: options.PluginPaths = None,
+) -> None:
+    """Tune a controller: search its bounded numbers by CMA-ES on episodes of trainings.
+
+    Evaluations play other episodes. All candidates of a generation meet the same ground, and each
+    generation meets new ground. The best few are then compared on fresh episodes, beside the
+    settings of the start, which stay unless they are beaten beyond chance. The score is the pitch
+    variation. A failed episode costs as much as the roughest crossing, and 6.28 rad at least;
+    --for reward takes the configured rewards.
+
+    The result is a policy file, which stands wherever a POLICY is named. budget=5000 is the default
+    number of episodes. terrain=a,b and suite=NAME tune for several scenes, and controller.key=value
+    chooses where the search begins. Repeat an interrupted command to resume it.
+
+    [bold]Examples[/]
+
+      flipperctl tune okada terrain=stair --output okada_stair.yaml
+
+      flipperctl tune okada terrain=step,stair budget=20000 --jobs 2
+
+      flipperctl tune okada suite=families --for reward
+    """
+    from flipperctl.cli.plan import make_plan
+    from flipperctl.config import policy_file, resolver
+    from flipperctl.config.words import key_of, with_flags
+    from flipperctl.evaluation.plan import NamedPolicy, split_policies
+    from flipperctl.evaluation.views import tune as view
+    from flipperctl.files import check_output, write_bytes
+    from flipperctl.show import console, print_table
+
+    names, settings = split_policies(words)
+    if len(names) != 1:
+        raise RequestError(
+            "tune takes one controller, as in: flipperctl tune okada terrain=stair; "
+            f"{', '.join(names) or 'none'} is given"
+        )
+    (name,) = names
+    if not policy_file.is_policy_file(name):
+        resolver.get("controller", name, "tune")
+    if objective not in ("pitch", "reward"):
+        raise RequestError(f"--for: pitch or reward is allowed; the value is {objective!r}")
+    given = [word.partition("=")[2] for word in settings if key_of(word) == "budget"]
+    others = [word for word in settings if key_of(word) != "budget"]
+    if len(given) > 1 or not all(one.isdecimal() and int(one) > 0 for one in given):
+        raise RequestError(
+            f"budget: one number of episodes from 1 on is allowed, as in budget=5000; the value is "
+            f"{' '.join(given)}"
+        )
+    output = output or Path(f"{Path(name).stem.removesuffix('_tuned')}_tuned.yaml")
+    check_output(output, policy_file.POLICY_FILE)
+    flagged = with_flags(others, episodes=episodes, seed=seed, jobs=jobs)
+    entries = make_plan(flagged, [NamedPolicy(name)], "none", print_note).entries
+    config = entries[0].config
+    if any(entry.source != entries[0].source for entry in entries):
+        raise RequestError("controller: one value of each setting is allowed, where it begins")
+    if config.eval.ray is not None:
+        raise RequestError("eval.ray: a search is played here; leave it out")
+    if objective == "reward" and not all(entry.config.rewards for entry in entries):
+        raise RequestError("--for reward: there is no reward term; leave ~rewards out")
+    asked = any(key_of(word) == "eval.episodes" for word in flagged)
+    request = view.Request(
+        entries,
+        others,
+        "reward" if objective == "reward" else "pitch",
+        int(given[0]) if given else view.BUDGET,
+        config.eval.seed,
+        config.eval.episodes if asked else None,
+    )
+    tuned = _tune(request, output.with_suffix(".search.json"))
+    file = request.policy_file(tuned)
+    write_bytes(output, file.text().encode())
+    found = file.model_dump(mode="json") | {"before": tuned.start, "p": tuned.p}
+    show(found, lambda: print_table(request.table(tuned), console()), as_json=as_json)
+    print_note(f"wrote {output}")
+
+
+def _tune(request: view.Request, state: Path) -> view.Tuned:
+    """Search with progress; Ctrl-C ends the running generation."""
+    from flipperctl import session
+    from flipperctl.evaluation.play import Player
+    from flipperctl.terminal.progress import EvaluationProgress
+
+    progress = EvaluationProgress()
+    progress.plan(request.budget)
+    size = 1
+
+    def tell_size(episodes: int) -> None:
+        nonlocal size
+        size = episodes
+
+    @contextmanager
+    def shown(label: str, requests: int) -> Iterator[Callable[[float], None]]:
+        with progress(label, requests * size) as report:
+            yield lambda done: report(done * size)
+
+    notice = "stopping; Ctrl-C again stops at once"
+    with session.interrupts(notice) as stop, Player(None, shown, stop, training=True) as player:
+        try:
+            return request.tune(player, tell_size, state)
+        except InterruptedRunError as error:
+            raise InterruptedRunError(
+                f"interrupted; repeat the command to resume after the generations in {state}"
+                if state.exists()
+                else "interrupted before the end of the first generation"
+            ) from error

@@ -1,0 +1,93 @@
+"""Policy files: a controller with the settings that ``flipperctl tune`` found, and how it did.
+
+In: a YAML file. Out: a checked ``PolicyFile``; its text, which reads back as the same.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from flipperctl.config import strict_yaml
+from flipperctl.config.resolver import create
+from flipperctl.errors import ConfigError
+from flipperctl.files import OutputKind
+from flipperctl.messages import explain
+
+FORMAT: Literal["flipperctl policy 1"] = "flipperctl policy 1"
+_SUFFIXES = (".yaml", ".yml")
+POLICY_FILE = OutputKind(
+    "a policy file", _SUFFIXES, re.compile(rb"^format: " + FORMAT.encode(), re.MULTILINE)
+)
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, strict=True)
+
+
+class Score(_Part):
+    """A mean over episodes that the search did not meet, with its 95 % interval."""
+
+    mean: float = Field(description="mean score, less is better [rad], or minus the reward [-]")
+    low: float | None = Field(None, description="lower end of the interval [rad or -]")
+    high: float | None = Field(None, description="upper end of the interval [rad or -]")
+
+
+class Tuning(_Part):
+    """What the settings were tuned on."""
+
+    words: list[str] = Field(description="words of the command, such as terrain=stair [-]")
+    objective: Literal["pitch", "reward"] = Field(description="what was searched for [-]")
+    seed: int = Field(ge=0, description="seed of the search and of its training episodes [-]")
+    budget: int = Field(ge=1, description="episodes that the search might play [-]")
+    played: int = Field(ge=1, description="episodes that it played [-]")
+    before: Score = Field(description="score of the settings that the search began with")
+    after: Score = Field(description="score of the settings of this file, on equal episodes")
+    difference: Score = Field(description="score after minus before")
+    version: str = Field(description="version of flipperctl [-]")
+
+
+class PolicyFile(_Part):
+    """A controller, its settings and their origin."""
+
+    format: Literal["flipperctl policy 1"] = Field(FORMAT, description="version of the file [-]")
+    controller: str = Field(description="name of the controller plugin [-]")
+    settings: dict[str, Any] = Field(description="all fields of the controller [-]")
+    tuning: Tuning = Field(description="what they were tuned on")
+
+    def text(self) -> str:
+        """Return the content of the file."""
+        plain = self.model_dump(mode="json")
+        found: str = yaml.safe_dump(plain, sort_keys=False, default_flow_style=None, width=90)
+        return found
+
+
+def is_policy_file(name: str) -> bool:
+    """Return whether a word names a policy file, by its suffix."""
+    return name.lower().endswith(_SUFFIXES)
+
+
+def read(path: str, where: str = "") -> PolicyFile:
+    """Return a policy file, whose controller takes its settings.
+
+    Raises:
+        ConfigError: it cannot be read, is no policy file, or has a key, a setting or a value that
+            is not allowed; the text begins with ``where``, the option or setting that names it.
+    """
+    name = f"{where}: {path}" if where else path
+    found = strict_yaml.read(Path(path), name)
+    if not isinstance(found, dict) or found.get("format") != FORMAT:
+        raise ConfigError(
+            f"{name}: a policy file of flipperctl tune is allowed, whose first line is "
+            f"format: {FORMAT}"
+        )
+    try:
+        file = PolicyFile(**found)
+    except ValidationError as error:
+        raise ConfigError(explain(error, name, PolicyFile)) from error
+    create("controller", {**file.settings, "name": file.controller}, f"{name}: settings")
+    return file

@@ -1,0 +1,154 @@
+"""The search for a controller's settings: a bowl with noise, episodes of trainings, one real."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flipperctl.config import EvalConfig
+from flipperctl.errors import InterruptedRunError, RequestError
+from flipperctl.evaluation.plan import Entry
+from flipperctl.evaluation.play import Player
+from flipperctl.evaluation.rows import Episodes
+from flipperctl.evaluation.views.tune import Playing, Setting, Spending, search
+from flipperctl.policies.source import PolicySource
+from flipperctl.rollout.episode import EvaluationSeeds, training_seed
+from tests.cli.call import call, refused
+
+SPACE = [Setting("x", 0.0, 10.0, whole=False), Setting("n", 0.0, 4.0, whole=True)]
+START = {"x": 8.0, "n": 0}
+SPENDING = Spending(candidates=6, generations=25, episodes=2, final=5)
+
+
+class Bowl:
+    """(x - 3)² + (n - 2)², on draws that shift all candidates alike."""
+
+    def __init__(self, stop: int | None = None) -> None:
+        self.played: list[tuple[int, int, int]] = []
+        self._stop = stop
+
+    def __call__(
+        self, candidates: Sequence[dict[str, float]], draws: int, episodes: int, label: str
+    ) -> list[Any]:
+        if draws == self._stop:
+            raise InterruptedRunError("interrupted")
+        self.played.append((draws, len(candidates), episodes))
+        shift = np.random.default_rng(draws).uniform(0.0, 100.0, (1, episodes))
+        return [{"0": (c["x"] - 3) ** 2 + (c["n"] - 2) ** 2 + shift} for c in candidates]
+
+
+def find(measure: Any, **more: Any) -> Any:
+    def valid(fields: dict[str, float]) -> bool:
+        return fields["x"] != 10.0
+
+    return search(SPACE, START, valid, SPENDING, measure, seed=3, **more)
+
+
+def test_a_search_finds_the_minimum_and_measures_it_on_draws_of_its_own() -> None:
+    found = find(bowl := Bowl())
+    assert found.found["n"] == 2
+    assert found.found["x"] == pytest.approx(3.0, abs=0.2)
+    expected = (found.found["x"] - 3) ** 2 - (5**2 + 2**2)  # shifts cancel in pairs
+    assert found.difference.mean == pytest.approx(expected)
+    assert found.before.mean - found.after.mean == pytest.approx(-expected)
+    generations = [(number, 6, 2) for number in range(25)]
+    *searched, (choice, finalists, five), scores = bowl.played
+    assert searched == generations  # each on draws of its own
+    assert (choice, five) == (25, 5)
+    assert 2 <= finalists <= 5
+    assert scores == (26, 2, 5)
+
+
+def test_luck_in_the_search_does_not_choose() -> None:
+    def lucky(candidates: Sequence[Any], draws: int, episodes: int, label: str) -> list[Any]:
+        if draws < SPENDING.generations:
+            return [{"0": np.full((1, episodes), c["x"])} for c in candidates]
+        others = np.array([[0.0, 2.5, 0.0, 1.0, 1.4]])  # 0.98 on average, the start 1.0
+        return [{"0": np.ones((1, 5)) if c == START else others} for c in candidates]
+
+    assert find(lucky).found == START
+
+
+def test_an_interrupted_search_goes_on_where_it_stopped() -> None:
+    kept: list[list[list[float]]] = []
+
+    def keep(costs: list[list[float]]) -> None:
+        kept.append([list(one) for one in costs])
+
+    with pytest.raises(InterruptedRunError):
+        find(Bowl(stop=4), keep=keep)
+    assert len(kept[-1]) == 4
+    again = Bowl()
+    assert find(again, earlier=kept[-1]) == find(Bowl())
+    assert again.played[0] == (4, 6, 2)
+
+
+def test_a_budget_is_divided_and_is_enough_for_one_generation() -> None:
+    # 4 + ⌊3 ln 3⌋ candidates; ⌊5000 / 4 / 7⌋ = 178 at the end, five times and twice;
+    # (5000 - 1246) / (7 · 20) generations
+    assert Spending.of(5000, 3, 1, None) == Spending(7, 26, 20, 178)
+    assert Spending.of(5000, 1, 10, 3) == Spending(6, 21, 3, 17)  # (5000 - 1190) // 180
+    with pytest.raises(RequestError, match=r"budget: at least 187 episodes are needed.* is 100"):
+        Spending.of(100, 3, 1, None)
+    assert Spending.of(187, 3, 1, None).generations == 1
+
+
+OKADA = PolicySource(settings={"name": "okada"})
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_episodes_are_those_of_trainings_alone(jobs: int) -> None:
+    config = EvalConfig(terrain={"name": "flat"}, eval={"jobs": jobs})
+    with Player(training=True) as player:
+        playing = Playing([Entry(config, OKADA)], "pitch", 5, player, lambda size: None)
+        ours = playing([{"far": 0.5}, {"far": 0.6}], 2, 3, "")
+        rows = [row for held in player.store._rows.values() for row in held.values()]
+    assert [score["0"].shape for score in ours] == [(1, 3), (1, 3)]
+    expected = {training_seed(training_seed(5, 2), episode) for episode in range(3)}
+    assert {row["seed"] for row in rows} == expected
+    evaluated = EvaluationSeeds.of(5, config.terrain).first(100)
+    assert max(expected) < 2**32 < min(evaluated)
+
+
+class Played:
+    """A player of four episodes: of two candidates on one scene, two each."""
+
+    def play_many(self, requests: Any, label: str) -> Any:
+        assert [source.settings["far"] for _, source in requests] == [0.5, 0.6]
+        for parts in ((("reached", 1.5), ("stuck", 0.2)), (("reached", 7.0), ("reached", 2.0))):
+            yield Episodes(
+                tuple(
+                    {"outcome": outcome, "pitch_variation_100hz": value, "return": 10 * value}
+                    for outcome, value in parts
+                )
+            )
+
+
+def test_a_failure_costs_the_roughest_crossing_and_a_reward_counts_as_it_is() -> None:
+    entry, fields = Entry(EvalConfig(terrain={"name": "flat"}), OKADA), [{"far": 0.5}, {"far": 0.6}]
+
+    def costs(objective: Any) -> list[list[float]]:
+        player: Any = Played()
+        playing = Playing([entry], objective, 0, player, lambda size: None)
+        return [score["0"][0].tolist() for score in playing(fields, 0, 2, "")]
+
+    assert costs("pitch") == [[1.5, 7.0], [7.0, 2.0]]
+    assert costs("reward") == [[-15.0, -2.0], [-70.0, -20.0]]
+
+
+def test_a_rule_is_tuned_and_evaluated_by_its_file(tmp_path: Path) -> None:
+    words = ["tune", "okada", "terrain=step", "budget=80", "--episodes", "2", "--output", "a.yaml"]
+    other = {"search": {}, "costs": []}
+    (tmp_path / "a.search.json").write_text(json.dumps(other))
+    assert "a.search.json is of another search" in refused(*words, cwd=tmp_path)
+    (tmp_path / "a.search.json").unlink()
+    done = call(*words, cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert "over 5 fresh training episodes" in done.out
+    assert [file.name for file in tmp_path.iterdir()] == ["a.yaml"]
+    played = call("eval", "okada", "a.yaml", "terrain=step", "--episodes", "2", cwd=tmp_path)
+    assert played.code == 0, played.err
+    assert "a.yaml" in played.out
