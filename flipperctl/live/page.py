@@ -6,18 +6,16 @@ decision is simulated whole and then shown at the chosen speed, so that pausing 
 
 from __future__ import annotations
 
-import io
 import math
 import time
 from collections.abc import Callable, Sequence
-from contextlib import redirect_stdout
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from flipperctl.api import ACTIONS
-from flipperctl.errors import MissingExtraError, RequestError
+from flipperctl.live.gate import Gate
 from flipperctl.live.lanes import PERIOD, Entrant, Lane, Moment
 from flipperctl.live.scene import WIDTH, LiveScene
 from flipperctl.sim.outline import CHASSIS, FRONT, REAR
@@ -310,33 +308,6 @@ class WatchPage:
             time.sleep(min(left, 0.02))
 
 
-def serve(port: int, host: str = "127.0.0.1") -> Any:
-    """Return a viser server that only this machine reaches.
-
-    Raises:
-        RequestError: viser is not installed, or the port is taken.
-    """
-    import socket
-
-    try:
-        import viser
-    except ImportError as error:
-        raise MissingExtraError(
-            "watching in a browser needs viser: pip install 'flipperctl[live]'; --terminal does not"
-        ) from error
-    with socket.socket() as probe:
-        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        try:
-            probe.bind((host, port))
-        except OSError as error:
-            raise RequestError(
-                f"--port {port}: {error.strerror}; another number is allowed, or 0 for a free one"
-            ) from error
-        port = probe.getsockname()[1]
-    with redirect_stdout(io.StringIO()):  # it prints a banner, whatever ``verbose`` is
-        return viser.ViserServer(host=host, port=port, verbose=False)
-
-
 def watch(
     entrants: Sequence[Entrant],
     *,
@@ -349,11 +320,7 @@ def watch(
 
     ``span``: the first episode, and how many are shown; None: one after the other.
     """
-    server = serve(port)
-    page = WatchPage(server, entrants, speed=speed, episode=span[0])
-    ready(f"http://{server.get_host()}:{server.get_port()}")
-    try:
+    with Gate(port, what="watching without --terminal") as gate:
+        page = WatchPage(gate.server, entrants, speed=speed, episode=span[0])
+        ready(gate.address)
         page.run(span[1])
-    finally:
-        with redirect_stdout(io.StringIO()):
-            server.stop()

@@ -15,6 +15,7 @@ import pytest
 from flipperctl.api import ACTIONS, Profile, Robot, RobotState
 from flipperctl.config import EvalConfig
 from flipperctl.live import lanes, page, scene, terminal
+from flipperctl.live.gate import Gate
 from flipperctl.live.lanes import Entrant, Episode, Lane
 from flipperctl.plugins import load
 from flipperctl.policies.source import load_policy
@@ -111,23 +112,23 @@ CHROMIUM = (
 
 
 @pytest.fixture
-def served() -> Iterator[page.WatchPage]:
-    server = page.serve(0)
-    shown = page.WatchPage(server, [entrant("generalist"), entrant("level")], speed=10)
-    thread = threading.Thread(target=shown.run, daemon=True)
-    thread.start()
-    yield shown
-    shown.stop()
-    thread.join(20)
-    server.stop()
+def served() -> Iterator[tuple[Gate, page.WatchPage]]:
+    with Gate(0) as gate:
+        shown = page.WatchPage(gate.server, [entrant("generalist"), entrant("level")], speed=10)
+        thread = threading.Thread(target=shown.run, daemon=True)
+        thread.start()
+        yield gate, shown
+        shown.stop()
+        thread.join(20)
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
-def test_the_page_is_driven_by_keys_and_buttons(served: page.WatchPage) -> None:
+def test_the_page_is_driven_by_keys_and_buttons(served: tuple[Gate, page.WatchPage]) -> None:
     from playwright.sync_api import expect, sync_playwright
 
-    address = f"http://127.0.0.1:{served._server.get_port()}"
+    gate, shown = served
+    address = f"http://127.0.0.1:{gate.server.get_port()}"
     arguments = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
     arguments += ["--disable-background-networking", "--disable-component-update", "--no-first-run"]
     problems: list[str] = []
@@ -142,7 +143,7 @@ def test_the_page_is_driven_by_keys_and_buttons(served: page.WatchPage) -> None:
         tab.on("request", check)
         tab.on("pageerror", lambda error: problems.append(str(error)))
         tab.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)
-        tab.goto(address)
+        tab.goto(gate.address)
         expect(tab.get_by_text("Q-values").first).to_be_visible(timeout=60_000)
         tab.get_by_role("button", name="Pause").click()
         expect(tab.get_by_role("button", name="Play")).to_be_visible(timeout=20_000)
@@ -151,11 +152,11 @@ def test_the_page_is_driven_by_keys_and_buttons(served: page.WatchPage) -> None:
         before = _time(numbers.inner_text())
         tab.get_by_text("Step", exact=True).click()
         expect(numbers).not_to_contain_text(f"time {before:.1f} s", timeout=20_000)
-        lane = served._lanes[0][0]
+        lane = shown._lanes[0][0]
         state = lane.env.state
         tab.wait_for_timeout(500)
         assert _time(numbers.inner_text()) == pytest.approx(state.time, abs=0.6)
-        after = served._episode + 1
+        after = shown._episode + 1
         tab.get_by_text("Next", exact=True).click()
         expect(tab.get_by_text(f"episode {after}").first).to_be_visible(timeout=20_000)
         shot = tab.screenshot()

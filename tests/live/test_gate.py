@@ -1,0 +1,278 @@
+"""Who gets through the gate of a live page, and what hostile and slow clients cannot do."""
+
+from __future__ import annotations
+
+import http.client
+import logging
+import queue
+import socket
+from collections.abc import Iterator
+from contextlib import ExitStack, suppress
+from typing import Any
+
+import pytest
+import viser
+import websockets.asyncio.server
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from flipperctl.errors import FlipperctlError, RequestError
+from flipperctl.live.gate import Gate
+
+PAGE = "<!doctype html><title>ours ö</title>".encode()
+WAIT = 60
+"""Time after which a missing message fails a test [s]."""
+
+
+class Recorder:
+    """A control that notes its calls, and fails on the message "fail"."""
+
+    def __init__(self) -> None:
+        self.calls: queue.Queue[tuple[Any, ...]] = queue.Queue()
+
+    def opened(self, client: int) -> None:
+        self.calls.put(("opened", client))
+
+    def received(self, client: int, message: str) -> None:
+        if message == "fail":
+            raise ArithmeticError(message)
+        self.calls.put(("received", client, message))
+
+    def closed(self, client: int) -> None:
+        self.calls.put(("closed", client))
+
+    def next(self) -> tuple[Any, ...]:
+        return self.calls.get(timeout=WAIT)
+
+
+class Site:
+    """A gate, its control and ways to reach it."""
+
+    def __init__(self, gate: Gate, control: Recorder) -> None:
+        self.gate, self.control = gate, control
+        self.place = gate.address.removeprefix("http://").partition("/")[0]
+        self.query = "?" + gate.address.partition("?")[2]
+
+    def get(
+        self, path: str, headers: dict[str, str] | None = None
+    ) -> tuple[http.client.HTTPResponse, bytes]:
+        plain = http.client.HTTPConnection(self.place, timeout=WAIT)
+        plain.request("GET", path, headers=headers or {})
+        answer = plain.getresponse()
+        body = answer.read()
+        plain.close()
+        return answer, body
+
+    def socket(self, path: str, **options: Any) -> ClientConnection:
+        return connect(f"ws://{self.place}{path}", proxy=None, open_timeout=WAIT, **options)
+
+    def client(self, **options: Any) -> tuple[ClientConnection, int]:
+        connection = self.socket("/control" + self.query, **options)
+        kind, number = self.control.next()
+        assert kind == "opened"
+        return connection, number
+
+
+@pytest.fixture
+def site() -> Iterator[Site]:
+    control = Recorder()
+    with Gate(0, page=PAGE, control=control) as gate:
+        yield Site(gate, control)
+
+
+def test_only_requests_with_the_token_from_this_page_are_answered(site: Site) -> None:
+    right, port = site.query, site.place.partition(":")[2]
+    wrong: tuple[tuple[str, dict[str, str]], ...] = (
+        ("", {}),
+        ("?token=", {}),
+        ("?token=guess", {}),
+        ("?token=%FF%00%C3%B6", {}),
+        ("", {"Cookie": f"flipperctl_{port}=guess"}),
+        ("", {"Cookie": f"flipperctl_1={right.removeprefix('?token=')}"}),
+        (right, {"Origin": "http://example.org"}),
+        (right, {"Origin": "null"}),
+        (right, {"Origin": f"https://127.0.0.1:{port}"}),
+        (right, {"Origin": f"http://127.0.0.1:{port}.example.org"}),
+        (right, {"Host": "example.org"}),
+        (right, {"Host": f"example.org:{port}"}),
+        (right, {"Host": "127.0.0.1:1"}),
+    )
+    upgrade = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
+    upgrade["Sec-WebSocket-Key"] = "MDEyMzQ1Njc4OWFiY2RlZg=="
+    for query, headers in wrong:
+        for path in ("/", "/scene", "/nothing"):
+            answer, body = site.get(path + query, headers)
+            assert answer.status == 403, (path, query, headers)
+            assert answer.getheader("Set-Cookie") is None
+            assert PAGE not in body
+        for path in ("/", "/scene", "/control"):
+            answer, _ = site.get(path + query, headers | upgrade)
+            assert answer.status == 403, (path, query, headers)
+    assert site.control.calls.empty()
+    for path in ("/", "/scene", "/control"):  # the same handshake passes without the fault
+        answer, _ = site.get(path + right, upgrade | {"Origin": f"http://localhost:{port}"})
+        assert answer.status == 101
+
+
+def test_the_cookie_of_the_first_answer_lets_a_browser_in(site: Site) -> None:
+    answer, body = site.get("/" + site.query)
+    assert (answer.status, body) == (200, PAGE)
+    assert answer.getheader("Cache-Control") == "no-store"
+    assert answer.getheader("Referrer-Policy") == "no-referrer"
+    cookie, *rest = (answer.getheader("Set-Cookie") or "").split("; ")
+    assert {"HttpOnly", "SameSite=Strict"} <= set(rest)
+    headers = {"Cookie": f'other={{"a": 1}}; {cookie}'}
+    assert site.get("/", headers)[1] == PAGE
+    answer, scene = site.get("/scene", headers)
+    assert answer.status == 200
+    assert b"viser" in scene.lower()
+    with site.socket("/control", additional_headers=headers):
+        assert site.control.next()[0] == "opened"
+    protocol = f"viser-v{viser.__version__}"
+    with site.socket("/scene", additional_headers=headers, subprotocols=[protocol]) as drawn:
+        assert isinstance(drawn.recv(WAIT), bytes)
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["/../_viser.py", "/%2e%2e/index.html", "/..%2f..%2f_viser.py", "/..\\_viser.py",
+     "//etc/passwd", "/%2Fetc/passwd", "/index.html/..", "/scene/../../_viser.py",
+     "/control"],
+)  # fmt: skip
+def test_no_path_leads_to_another_file(site: Site, path: str) -> None:
+    answer, body = site.get(path + site.query)
+    assert (answer.status, b"import" in body or b"root" in body) == (404, False)
+
+
+def test_without_a_page_viser_answers_and_no_control_is_found() -> None:
+    with Gate(0) as gate:
+        site = Site(gate, Recorder())
+        answer, body = site.get("/" + site.query)
+        assert answer.status == 200
+        assert b"viser" in body.lower()
+        assert answer.getheader("Set-Cookie") is not None
+        with pytest.raises(InvalidStatus, match="404"):
+            site.socket("/control" + site.query)
+        gate.post("nobody listens")
+
+
+def test_hostile_and_slow_clients_do_not_disturb_the_others(site: Site) -> None:
+    post, control = site.gate.post, site.control
+    with ExitStack() as stack:
+        good = [stack.enter_context(site.client()[0]) for _ in range(4)]
+        slow, _ = site.client(max_queue=1)
+        stack.enter_context(slow)
+        bad = [site.client() for _ in range(5)]
+        huge, long, binary, flood, garbage = (connection for connection, _ in bad)
+
+        def every_state(count: int) -> None:
+            for i in range(count):
+                post(f"{i:06} {'.' * 1000}", key="state")
+                for client in good:
+                    while int(str(client.recv(WAIT)).split()[0]) != i:
+                        pass
+
+        every_state(3)
+        huge.send("x" * 10_000_000)
+        long.send("ö" * 301)
+        binary.send(b"\xff\x00")
+        garbage.send(b"\xff\xfe\x80", text=True)
+        with suppress(ConnectionClosed):
+            for _ in range(1000):
+                flood.send("hurry")
+        every_state(3000)  # more than the buffers of the slow client take
+        codes = [1009, 1009, 1008, 1008, 1007]
+        for (connection, _), code in zip(bad, codes, strict=True):
+            with suppress(ConnectionClosed):
+                for _ in connection:
+                    pass  # states that were sent before
+            assert connection.close_code == code
+        calls = [control.next() for _ in range(5 + 100)]
+        flooding = bad[3][1]
+        assert sorted(c for c in calls if c[0] == "closed") == [("closed", n) for _, n in bad]
+        assert [c for c in calls if c[0] == "received"] == [("received", flooding, "hurry")] * 100
+        got = [int(str(slow.recv(WAIT)).split()[0])]
+        while got[-1] != 2999:
+            got.append(int(str(slow.recv(WAIT)).split()[0]))
+        assert len(got) < 2900
+
+
+def test_messages_without_a_key_keep_their_order_and_are_not_hoarded(site: Site) -> None:
+    first, number = site.client()
+    second, other = site.client(max_queue=1, close_timeout=1)
+    with first, second:
+        for i in range(50):
+            site.gate.post(f"all {i}")
+            site.gate.post(bytes([i]), client=number)
+        got = [first.recv(WAIT) for _ in range(100)]
+        assert got == [m for i in range(50) for m in (f"all {i}", bytes([i]))]
+        for _ in range(3000):  # what is neither read nor in the buffers is pending
+            site.gate.post("x" * 100_000, client=other)
+        assert site.control.next() == ("closed", other)
+        site.gate.post("more")
+        assert first.recv(WAIT) == "more"
+
+
+def test_a_lost_connection_and_a_failing_control_end_one_client(
+    site: Site, caplog: pytest.LogCaptureFixture
+) -> None:
+    stays, _ = site.client()
+    lost, number = site.client()
+    lost.socket.shutdown(socket.SHUT_RDWR)  # no closing handshake
+    assert site.control.next() == ("closed", number)
+    failing, number = site.client()
+    with caplog.at_level(logging.ERROR, "flipperctl"):
+        failing.send("fail")
+        assert site.control.next() == ("closed", number)
+    (record,) = [r for r in caplog.records if r.name.startswith("flipperctl")]
+    assert record.exc_info is not None
+    with stays:
+        stays.send("still here")
+        assert site.control.next()[2] == "still here"
+
+
+def test_sixteen_clients_are_served(site: Site) -> None:
+    with ExitStack() as stack:
+        clients = [site.client() for _ in range(16)]
+        for client, _ in clients:
+            stack.enter_context(client)
+        with pytest.raises(ConnectionClosed, match="16 clients"):
+            site.socket("/control" + site.query).recv(WAIT)
+        clients[0][0].close()
+        assert site.control.next() == ("closed", clients[0][1])
+        stack.enter_context(site.client()[0])
+
+
+def test_stop_closes_every_client_and_the_port() -> None:
+    control = Recorder()
+    with Gate(0, control=control) as gate:
+        site = Site(gate, control)
+        client, number = site.client()
+        deaf, other = site.client(max_queue=1)
+        for _ in range(100):
+            gate.post("x" * 100_000, client=other)
+    assert sorted(control.next() for _ in range(2)) == [("closed", number), ("closed", other)]
+    deaf.socket.close()
+    with pytest.raises(ConnectionClosed):
+        client.recv(WAIT)
+    with pytest.raises(ConnectionRefusedError):
+        site.get("/")
+    gate.stop()
+    gate.post("to nobody")
+
+
+def test_what_cannot_be_served_is_one_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    with (
+        socket.create_server(("127.0.0.1", 0)) as other,
+        pytest.raises(RequestError, match="--port"),
+    ):
+        Gate(other.getsockname()[1])
+    with pytest.raises(ValueError, match=r"0\.0\.0\.0"):
+        Gate(0, host="0.0.0.0")
+    plain = websockets.asyncio.server.serve
+    fixed = property(lambda module: plain, lambda module, value: None)
+    kind = type(websockets.asyncio.server)
+    guarded = type("Guarded", (kind,), {"serve": fixed})
+    monkeypatch.setattr(websockets.asyncio.server, "__class__", guarded)
+    with pytest.raises(FlipperctlError, match=f"viser {viser.__version__}"):
+        Gate(0)
