@@ -27,6 +27,12 @@ def tune(
     objective: Annotated[
         str, typer.Option("--for", metavar="pitch|reward", help="What is searched for.")
     ] = "pitch",
+    chosen: Annotated[
+        str | None,
+        typer.Option(
+            "--settings", metavar="NAMES", help="Numbers to search, as in near,far; else all."
+        ),
+    ] = None,
     episodes: Annotated[
         str | None,
         typer.Option(metavar="N", help="Episodes of a candidate on each scene [20 / scenes]."),
@@ -106,6 +112,7 @@ def tune(
         int(given[0]) if given else view.BUDGET,
         config.eval.seed,
         config.eval.episodes if asked else None,
+        None if chosen is None else [one.strip() for one in chosen.split(",")],
     )
     tuned = _tune(request, output.with_suffix(".search.json"))
     file = request.policy_file(tuned)

@@ -41,7 +41,7 @@ from flipperctl.evaluation.seeds import (
 )
 from flipperctl.evaluation.statistics import Interval
 from flipperctl.files import write_json
-from flipperctl.messages import bounds, unit
+from flipperctl.messages import bounds, close_match, unit
 from flipperctl.rollout.episode import training_seed
 from flipperctl.show import Column, Table, interval_text
 
@@ -52,6 +52,7 @@ _RECENT = 3  # generations whose best candidate is compared at the end
 _FINALISTS = _RECENT + 2
 _FINAL = 0.25  # share of the budget that the comparisons at the end take
 _SPREAD = 0.2  # standard deviation of the first generation, as a fraction of each setting's range
+_WIDE = 20  # range from which on a setting is searched on a logarithmic scale, in starts [-]
 _TRIES = 1000  # samples after which a controller's own rules leave no valid candidate
 _COLUMNS = (
     Column("setting", "setting", named=True),
@@ -75,32 +76,50 @@ class Setting:
     low: float
     high: float
     whole: bool
+    scale: float = 0.0
+    """Distance from ``low`` at which a logarithmic scale begins; 0 for a linear one."""
 
     def at(self, share: float) -> float:
         """Return the value at a fraction of the range, 0 to 1."""
-        value = self.low + share * (self.high - self.low)
+        width = self.high - self.low
+        if self.scale:
+            above = self.scale * math.expm1(share * math.log1p(width / self.scale))
+        else:
+            above = share * width
+        value = min(self.low + above, self.high)
         return round(value) if self.whole else float(f"{value:.6g}")
 
     def share(self, value: float) -> float:
         """Return the fraction of the range at a value."""
-        return (value - self.low) / (self.high - self.low)
+        above, width = value - self.low, self.high - self.low
+        if self.scale:
+            return math.log1p(above / self.scale) / math.log1p(width / self.scale)
+        return above / width
 
 
-def settings_of(controller: type[Controller]) -> list[Setting]:
-    """Return the numbers of a controller that have a lower and an upper bound."""
-    found = []
-    for name, info in controller.model_fields.items():
+def settings_of(controller: Controller, names: Sequence[str] | None = None) -> list[Setting]:
+    """Return the numbers of a controller that have two bounds, or the named ones among them."""
+    found = {}
+    for name, info in type(controller).model_fields.items():
         ends = {}
-        for side, names in (("low", ("ge", "gt")), ("high", ("le", "lt"))):
-            given = (getattr(one, key, None) for one in info.metadata for key in names)
+        for side, keys in (("low", ("ge", "gt")), ("high", ("le", "lt"))):
+            given = (getattr(one, key, None) for one in info.metadata for key in keys)
             ends[side] = next((bound for bound in given if bound is not None), math.inf)
         if info.annotation in (int, float) and all(map(math.isfinite, ends.values())):
-            found.append(Setting(name, **ends, whole=info.annotation is int))
+            above, width = getattr(controller, name) - ends["low"], ends["high"] - ends["low"]
+            scale = above if 0 < above < width / _WIDE else 0.0
+            found[name] = Setting(name, **ends, whole=info.annotation is int, scale=scale)
     if not found:
         raise RequestError(
             f"{controller.plugin_name}: this controller has no number between two bounds to tune"
         )
-    return found
+    for name in names or ():
+        if name not in found:
+            raise RequestError(
+                f"--settings: {controller.plugin_name} has no number {name!r} between two bounds"
+                f"{close_match(name, found)}; known: {', '.join(found)}"
+            )
+    return [found[name] for name in dict.fromkeys(names or found)]
 
 
 @dataclass(frozen=True)
@@ -298,6 +317,8 @@ class Request:
     seed: int
     episodes: int | None
     """Of a candidate on each scene; None for the default."""
+    names: Sequence[str] | None = None
+    """Settings to search; None for all."""
 
     @property
     def controller(self) -> Controller:
@@ -312,11 +333,11 @@ class Request:
             OutputError: ``state`` is of another search.
         """
         controller = self.controller
-        settings = settings_of(type(controller))
+        settings = settings_of(controller, self.names)
         spending = self.spending(settings)
         start = {one.name: getattr(controller, one.name) for one in settings}
         fixed = resolver.to_dict(controller)
-        asked: dict[str, Any] = {"controller": fixed, "words": list(self.words)}
+        asked: dict[str, Any] = {"controller": fixed, "start": start, "words": list(self.words)}
         asked |= {"spending": asdict(spending), "version": __version__}
         asked |= {"objective": self.objective, "seed": self.seed}
 
@@ -384,12 +405,10 @@ class Request:
             interval_text(one.to_dict(), 3, sign=sign)
             for one, sign in ((tuned.before, ""), (tuned.after, ""), (tuned.difference, "+"))
         )
-        notes = [
-            f"{measured}, over {tuned.episodes} fresh training episodes:",
-            f"before {old}, after {new}, difference {change}",
-        ]
+        scores = f"before {old}, after {new}, difference {change}"
         if tuned.found == tuned.start:
-            notes.append("nothing was better beyond chance: the settings are those of the start")
+            scores = f"{old}; nothing was better beyond chance, so the settings stay"
+        notes = [f"{measured}, over {tuned.episodes} fresh training episodes:", scores]
         return Table(_COLUMNS, rows, notes=notes)
 
 

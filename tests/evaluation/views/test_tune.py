@@ -13,7 +13,8 @@ from flipperctl.errors import InterruptedRunError, RequestError
 from flipperctl.evaluation.plan import Entry
 from flipperctl.evaluation.play import Player
 from flipperctl.evaluation.rows import Episodes
-from flipperctl.evaluation.views.tune import Playing, Setting, Spending, search
+from flipperctl.evaluation.views.tune import Playing, Setting, Spending, search, settings_of
+from flipperctl.lookahead import Mpc
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import EvaluationSeeds, training_seed
 from tests.cli.call import call, refused
@@ -38,6 +39,18 @@ class Bowl:
         self.played.append((draws, len(candidates), episodes))
         shift = np.random.default_rng(draws).uniform(0.0, 100.0, (1, episodes))
         return [{"0": (c["x"] - 3) ** 2 + (c["n"] - 2) ** 2 + shift} for c in candidates]
+
+
+def test_wide_ranges_are_searched_on_a_logarithmic_scale() -> None:
+    wide = Setting("swing", 1.0, 1025.0, whole=False, scale=1.0)
+    # 1 + (1025^½ - 1) with 1025 = 1 + 1024 / 1
+    assert wide.at(0.5) == pytest.approx(1025**0.5, rel=1e-5)
+    assert wide.share(1025**0.5) == pytest.approx(0.5)
+    assert [wide.at(0), wide.at(1)] == [1.0, 1025.0]
+    mpc = {one.name: one for one in settings_of(Mpc(), ["swing", "beam"])}
+    assert list(mpc) == ["swing", "beam"]
+    assert mpc["beam"].at(mpc["beam"].share(Mpc().beam)) == Mpc().beam
+    assert settings_of(Mpc(horizon=1), ["horizon"])[0].scale == 0.0  # at its bound
 
 
 def find(measure: Any, **more: Any) -> Any:
