@@ -78,10 +78,11 @@ def evaluate(
 ) -> None:
     """Evaluate policies on any terrain, with 95 % intervals.
 
-    A POLICY is a run, a checkpoint, an .onnx file, the folder of a sweep, a shipped policy or a
-    controller. Give several to compare them on the same episodes; a sweep counts as one method per
-    setting, with its training seeds. SETTINGS apply to the evaluation, not to the trained network;
-    terrain=a,b evaluates on both. A trained policy is evaluated on its own terrain by default.
+    A POLICY is a run, a checkpoint, an .onnx file, the folder of a sweep, a shipped policy, a
+    controller or a file of tune. Give several to compare them on the same episodes; a sweep counts
+    as one method per setting, with its training seeds. SETTINGS apply to the evaluation, not to the
+    trained network; terrain=a,b evaluates on both. A trained policy is evaluated on its own terrain
+    by default.
 
     conditions=… chooses physics, sensing, start and randomisation: nominal (the default), varied,
     wide, or trained (those of the checkpoint). Other settings are applied on top.

@@ -94,7 +94,11 @@ def load_policy(
         return PolicySource(settings=resolver.to_dict(resolver.create("controller", own, where)))
     if takes in ("any", "controller") and drive_files(Path(name)):
         return PolicySource(settings={"name": "operator", "drives": name})
-    if policy_file.is_policy_file(name) and takes in ("any", "controller"):
+    if policy_file.is_policy_file(name):
+        if takes in ("file", "checkpoint"):
+            raise CheckpointError(
+                f"{prefix}{name}: a policy file is that of a controller; a trained policy is needed"
+            )
         tuned = policy_file.read(name, where)
         own = {**tuned.settings, **(fields or {}), "name": tuned.controller}
         settings = resolver.to_dict(resolver.create("controller", own, prefix + name))

@@ -47,8 +47,9 @@ if TYPE_CHECKING:
 def load(policy: str | os.PathLike[str], *, plugins: Paths = (), **fields: object) -> LoadedPolicy:
     """Load a policy to call.
 
-    ``policy``: a run, a checkpoint, an exported ``.onnx`` file, or the name of a shipped policy or
-    of a controller, whose settings are the ``fields``. ``plugins``: files or folders of plugins.
+    ``policy``: a run, a checkpoint, an exported ``.onnx`` file, the name of a shipped policy or of
+    a controller, or a file of ``flipperctl tune``; ``fields`` are settings of a controller.
+    ``plugins``: files or folders of plugins.
 
     Raises:
         CheckpointError: the run or checkpoint is missing or damaged, or lacks a plugin.

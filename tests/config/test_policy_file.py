@@ -8,7 +8,7 @@ from flipperctl.cli.hydra.compose import compose_train, only_one
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import policy_file
 from flipperctl.config.policy_file import PolicyFile, Score, Tuning
-from flipperctl.errors import ConfigError
+from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.policies.source import load_policy
 
 FOUND = PolicyFile(
@@ -68,5 +68,7 @@ def test_what_no_search_wrote_is_refused(tmp_path: Path, old: str, new: str, err
     (file := tmp_path / "mine.yaml").write_text(FOUND.text().replace(old, new, 1))
     with pytest.raises(ConfigError, match=error):
         load_policy(file)
+    with pytest.raises(CheckpointError, match=r"greedy.policy: .*that of a controller; a trained"):
+        load_policy(file, "greedy.policy", "file")
     with pytest.raises(ConfigError, match=r"absent.yaml cannot be read: No such file"):
         load_policy("absent.yaml")
