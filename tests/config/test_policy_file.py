@@ -19,7 +19,6 @@ FOUND = PolicyFile(
         objective="pitch",
         seed=0,
         budget=1000,
-        played=980,
         before=Score(mean=1.3, low=1.2, high=1.4),
         after=Score(mean=1.1),
         difference=Score(mean=-0.2),

@@ -183,11 +183,8 @@ def search(
     ``earlier``: costs of the candidates of the first generations, which an interrupted search gave
     to ``keep``; equal arguments propose equal candidates.
     """
-    strategy, costs, bests = (
-        _strategy(settings, start, spending, seed),
-        list(map(list, earlier)),
-        [],
-    )
+    strategy = _strategy(settings, start, spending, seed)
+    costs, bests = list(map(list, earlier)), list[Fields]()
 
     def values(x: Sequence[float]) -> Fields:
         return {s.name: s.at(float(share)) for s, share in zip(settings, x, strict=False)}
@@ -334,7 +331,7 @@ class Request:
         """
         controller = self.controller
         settings = settings_of(controller, self.names)
-        spending = self.spending(settings)
+        spending = Spending.of(self.budget, len(settings), len(self.entries), self.episodes)
         start = {one.name: getattr(controller, one.name) for one in settings}
         fixed = resolver.to_dict(controller)
         asked: dict[str, Any] = {"controller": fixed, "start": start, "words": list(self.words)}
@@ -362,14 +359,8 @@ class Request:
         state.unlink(missing_ok=True)
         return found
 
-    def spending(self, settings: Sequence[Setting]) -> Spending:
-        """Return how the budget is spent."""
-        return Spending.of(self.budget, len(settings), len(self.entries), self.episodes)
-
     def policy_file(self, tuned: Tuned) -> PolicyFile:
         """Return the file of the settings that were found."""
-        spent = self.spending(tuned.settings)
-        playing = spent.candidates * spent.episodes * spent.generations
         before, after, difference = (
             Score(**one.to_dict()) for one in (tuned.before, tuned.after, tuned.difference)
         )
@@ -379,7 +370,6 @@ class Request:
             objective=self.objective,
             seed=self.seed,
             budget=self.budget,
-            played=len(self.entries) * (playing + (_FINALISTS + 2) * spent.final),
             before=before,
             after=after,
             difference=difference,
