@@ -1,7 +1,9 @@
 """Rules that need no training: baselines, and one that follows the terrain."""
 
+import math
 from typing import Self
 
+import numpy as np
 from pydantic import Field, model_validator
 
 from flipperctl.api import (
@@ -20,7 +22,7 @@ class Level(Controller):
 
     def act(self, p: Perception) -> int:
         """Return the action that turns both pairs one step towards 0, or holds them."""
-        return _towards(p, 0.0, 0.0)
+        return towards(p, 0.0, 0.0)
 
 
 @controller("random")
@@ -70,11 +72,11 @@ class Okada(Controller):
 
     def act(self, p: Perception) -> int:
         """Turn each pair one step towards its target; hold it within half an angle step of it."""
-        front, rear = (
-            candidate_angle(p.points, p.pitch, p.robot, near=self.near, far=self.far, rear=behind)
-            for behind in (False, True)
-        )
-        return _towards(p, front, self.rear_gain * rear)
+        return towards(p, self.angle(p, rear=False), self.rear_gain * self.angle(p, rear=True))
+
+    def angle(self, p: Perception, *, rear: bool) -> float:
+        """Return the angle along the ground ahead, or behind for ``rear``, in frame R [rad]."""
+        return candidate_angle(p.points, p.pitch, p.robot, near=self.near, far=self.far, rear=rear)
 
 
 @controller("okada_published")
@@ -86,7 +88,71 @@ class OkadaPublished(Okada):
     )
 
 
-def _towards(p: Perception, front: float, rear: float) -> int:
+@controller("ohno")
+class Ohno(Okada):
+    """Turn both pairs to the slope of the ground ahead and behind, so that the tracks touch it.
+
+    Ohno et al. (IROS 2007) and Nagatani et al. (IROS 2008) let the flippers follow the ground that
+    sensors see beside them. Here the slope is that of the least-squares line through the points
+    between ``near`` and ``far`` from the hinge, along the level.
+    """
+
+    rear_gain: float = Field(
+        1.0, ge=-2, le=2, description=Okada.model_fields["rear_gain"].description
+    )
+    lift: float = Field(
+        0.0, ge=-1, le=1, description="front flipper angle above the slope ahead [rad]"
+    )
+
+    def angle(self, p: Perception, *, rear: bool) -> float:
+        """Return the angle of the slope, 0 where fewer than two points show it [rad]."""
+        x, z = p.points.T
+        outward = (-x if rear else x) - p.robot.hinge_offset * math.cos(p.pitch)
+        chosen = (outward >= self.near) & (outward <= self.far)
+        x, z = outward[chosen], z[chosen]
+        spread = x - x.mean() if x.size else x
+        square = float(spread @ spread)
+        if square == 0.0:
+            return 0.0
+        slope = math.atan2(float(spread @ z), square)
+        return p.robot.clip(slope + p.pitch if rear else slope - p.pitch + self.lift)
+
+
+@controller("linear")
+class Linear(Controller):
+    """Turn each pair to a linear function of the pitch and of one height of the ground.
+
+    Pecka, Zimmermann and Svoboda (IROS 2016) search such numbers by policy search with safety
+    constraints. Here the height is that of the highest point within a track radius of the tip of
+    front flippers that are level, above the ground on which a level robot stands.
+    """
+
+    front: float = Field(0.0, ge=-2, le=2, description="ω₁, constant of the front pair [rad]")
+    front_pitch: float = Field(0.0, ge=-4, le=4, description="ω₂, front angle per pitch [-]")
+    front_height: float = Field(
+        1.5, ge=-10, le=10, description="ω₃, front angle per height of the ground [rad/m]"
+    )
+    rear: float = Field(0.0, ge=-2, le=2, description="ω₄, constant of the rear pair [rad]")
+    rear_pitch: float = Field(0.0, ge=-4, le=4, description="ω₅, rear angle per pitch [-]")
+    rear_height: float = Field(
+        0.0, ge=-10, le=10, description="ω₆, rear angle per height of the ground [rad/m]"
+    )
+
+    def act(self, p: Perception) -> int:
+        """Turn each pair one step towards its target; hold it within half an angle step of it."""
+        robot, height = p.robot, 0.0
+        tip = robot.hinge_offset + robot.flipper_axle + robot.track_radius
+        near = np.abs(p.points[:, 0] - tip) <= robot.track_radius
+        if near.any():
+            height = float(p.points[near, 1].max()) + robot.track_radius
+        return towards(
+            p,
+            robot.clip(self.front + self.front_pitch * p.pitch + self.front_height * height),
+            robot.clip(self.rear + self.rear_pitch * p.pitch + self.rear_height * height),
+        )
+
+
+def towards(p: Perception, front: float, rear: float) -> int:
     """Return the action that turns each pair one step towards its target [rad].
 
     A pair within half an angle step of it is held.
