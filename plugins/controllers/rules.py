@@ -1,6 +1,7 @@
 """Rules that need no training: baselines, and one that follows the terrain."""
 
 import math
+from dataclasses import replace
 from typing import Self
 
 import numpy as np
@@ -90,32 +91,25 @@ class OkadaPublished(Okada):
 
 @controller("ohno")
 class Ohno(Okada):
-    """Turn both pairs to the slope of the ground ahead and behind, so that the tracks touch it.
+    """Lay both pairs on the ground as if the chassis lay along the ground below it.
 
     Ohno et al. (IROS 2007) and Nagatani et al. (IROS 2008) let the flippers follow the ground that
-    sensors see beside them. Here the slope is that of the least-squares line through the points
-    between ``near`` and ``far`` from the hinge, along the level.
+    sensors see, and the chassis the plane of that ground, so that all tracks keep contact. Here
+    the pitch of that plane is the slope of the least-squares line through the points from ``far``
+    behind the rear hinge to ``far`` ahead of the front one. The angles to the ground count from
+    it, not from the sensed pitch: a chassis that stands steeper pushes its rear pair down.
     """
 
     rear_gain: float = Field(
         1.0, ge=-2, le=2, description=Okada.model_fields["rear_gain"].description
     )
-    lift: float = Field(
-        0.0, ge=-1, le=1, description="front flipper angle above the slope ahead [rad]"
-    )
 
     def angle(self, p: Perception, *, rear: bool) -> float:
-        """Return the angle of the slope, 0 where fewer than two points show it [rad]."""
-        x, z = p.points.T
-        outward = (-x if rear else x) - p.robot.hinge_offset * math.cos(p.pitch)
-        chosen = (outward >= self.near) & (outward <= self.far)
-        x, z = outward[chosen], z[chosen]
+        """Return the angle to the ground from the plane of the ground [rad]."""
+        x, z = p.points[np.abs(p.points[:, 0]) <= p.robot.hinge_offset + self.far].T
         spread = x - x.mean() if x.size else x
-        square = float(spread @ spread)
-        if square == 0.0:
-            return 0.0
-        slope = math.atan2(float(spread @ z), square)
-        return p.robot.clip(slope + p.pitch if rear else slope - p.pitch + self.lift)
+        plane = math.atan2(float(spread @ z), max(float(spread @ spread), 1e-9))
+        return super().angle(replace(p, pitch=plane), rear=rear)
 
 
 @controller("linear")

@@ -1,0 +1,63 @@
+"""Rules from the literature, each in cases that were worked by hand."""
+
+import math
+
+import numpy as np
+import pytest
+from flipperctl_plugins.controllers.rules import Linear, Ohno
+from numpy.typing import NDArray
+
+from flipperctl.api import ACTIONS, ObservationLayout, Perception, Robot
+
+LAYOUT = ObservationLayout()
+ROBOT = Robot()  # hinges at ±0.28 m, radius 0.1 m, flipper's axle 0.336 m
+X = np.arange(-150, 151) * 0.01
+
+
+def perceive(
+    z: NDArray[np.floating], *, pitch: float = 0.0, front: float = 0.0, rear: float = 0.0
+) -> Perception:
+    """Return a perception of the ground z at each of ``X``, relative to the chassis centre [m]."""
+    zeros = np.zeros(LAYOUT.size, np.float32)
+    points = np.column_stack([X, z])
+    rng = np.random.default_rng(0)
+    return Perception(zeros, points, pitch, front, rear, ROBOT, LAYOUT, rng, recent=(zeros,))
+
+
+def turns(action: int) -> tuple[int, ...]:
+    """Return the turns of the front and the rear pair."""
+    return tuple(ACTIONS[action])
+
+
+def test_ohno_lays_both_pairs_on_the_ground_from_its_plane() -> None:
+    # Along an even slope both pairs are straight, however the chassis is pitched: its axis is
+    # 0.1 m above the ground, as the flippers' axles are.
+    slope = 0.3
+    z = slope * X - 0.1 * math.hypot(1, slope)
+    for pitch in (0.0, 0.29, 0.6):
+        p = perceive(z, pitch=pitch)
+        assert [Ohno().angle(p, rear=r) for r in (False, True)] == pytest.approx([0, 0], abs=1e-6)
+    # A wall of h = 0.3 m at s = 0.575 m: the plane through the points up to a = 0.73 m has the
+    # slope 3/4 · h (a² - s²) / a³ = 0.117 (6.7°). Seen from there the wall's edge lies 0.32 m ahead
+    # of the hinge and 0.13 m up: 22.2° + asin(0.1 / 0.345) = 39.0°. Behind, the nearest point of
+    # the level counts, 0.109 m away and 0.054 m down: -26.5° + asin(0.1 / 0.122) = 28.6°.
+    p = perceive(np.where(X > 0.575, 0.2, -0.1), pitch=0.5)
+    angles = [math.degrees(Ohno().angle(p, rear=rear)) for rear in (False, True)]
+    assert angles == pytest.approx([39.0, 28.6], abs=0.3)
+    assert turns(Ohno().act(p)) == (1, 1)
+    assert turns(Ohno(rear_gain=0).act(p)) == (1, 0)
+
+
+def test_linear_weighs_the_pitch_and_the_height_at_the_tip() -> None:
+    # The tips of level flippers end at 0.28 + 0.336 + 0.1 = 0.716 m: a step of 0.2 m begins there.
+    z = np.where(X > 0.75, 0.1, -0.1)
+    rule = Linear(
+        front=0.1, front_pitch=-1, front_height=2, rear=-0.2, rear_pitch=2, rear_height=-1
+    )
+    p = perceive(z, pitch=0.1)
+    # front 0.1 - 0.1 + 2 · 0.2 = 0.4 rad, rear -0.2 + 0.2 - 0.2 = -0.2 rad, steps of 0.26 rad
+    assert turns(rule.act(p)) == (1, -1)
+    assert turns(rule.act(perceive(z, pitch=0.1, front=0.4, rear=-0.2))) == (0, 0)
+    assert turns(rule.act(perceive(z, pitch=0.1, front=0.26, rear=-0.05))) == (1, -1)
+    # Past a tip 0.1 m away the step is not seen: front 0 rad, rear 0 rad.
+    assert turns(rule.act(perceive(np.where(X > 0.83, 0.1, -0.1), pitch=0.1))) == (0, 0)
