@@ -46,16 +46,21 @@ _FRAME = 2**16
 """Largest message that is received at all, by viser's socket as well [bytes]."""
 _SEND_BUFFER = 2**16
 """The system's buffer for a control client; it bounds how old a slow client's messages are."""
+_MOST_UNREAD = 2**22
+"""Answers to pings, above all, that a client may leave unread [bytes]."""
 _PATIENCE = 1.0
 """Time that a client has to answer the end of its connection [s]."""
 _REFUSED, _TOO_BIG, _FAILED, _LATER = 1008, 1009, 1011, 1013  # close codes of RFC 6455 and IANA
 _HEADERS = {
     "Cache-Control": "no-store",
-    "Content-Security-Policy": "frame-ancestors 'self'",
     "Referrer-Policy": "no-referrer",
     "X-Content-Type-Options": "nosniff",
 }
+_POLICY = "default-src 'self' data: blob: 'unsafe-inline' 'unsafe-eval' {}; frame-ancestors 'self'"
+"""Pages load nothing from elsewhere; the place is for WebSockets."""
 _log = logging.getLogger(__name__)
+_handshakes = logging.getLogger(f"{__name__}.handshakes")
+_handshakes.setLevel(logging.CRITICAL)  # whoever reaches the port could fill the terminal
 _starting = threading.Lock()
 
 
@@ -89,7 +94,9 @@ class _Client:
     def hurry(self) -> None:
         """Send what is pending, or close the connection if that became too much."""
         self.wake.set()
-        if self.full and self.ending is None:
+        if self.connection.transport.get_write_buffer_size() > _MOST_UNREAD:
+            self.connection.transport.abort()
+        elif self.full and self.ending is None:
             closing = _close(self.connection, _REFUSED, "too many pending messages")
             self.ending = asyncio.ensure_future(closing)
 
@@ -212,7 +219,8 @@ class Gate:
             del place
             options = {k: v for k, v in options.items() if k not in ("host", "port")}
             options["process_request"] = self._checked(options.get("process_request"))
-            options |= {"sock": listener, "max_size": _FRAME, "close_timeout": _PATIENCE}
+            options |= {"sock": listener, "logger": _handshakes}
+            options |= {"max_size": _FRAME, "close_timeout": _PATIENCE}
             return plain(self._routed(handler), **options)
 
         # A banner is printed, whatever ``verbose`` is.
@@ -235,7 +243,8 @@ class Gate:
         def answer(connection: ServerConnection, request: Request) -> Response | None:
             path, _, query = request.path.partition("?")
             given = parse_qs(query).get("token", ())
-            handshake = request.headers.get("Upgrade", "").lower() == "websocket"
+            upgrades = [value.lower() for value in request.headers.get_all("Upgrade")]
+            handshake = upgrades == ["websocket"]
             response: Response | None
             if refusal := self._refusal(request.headers, given):
                 response = connection.respond(403, refusal + "\n")
@@ -252,8 +261,9 @@ class Gate:
                 response = viser_answer(connection, scene if path == "/scene" else request)
             if response is None:
                 return None
-            for name, value in _HEADERS.items():
-                response.headers[name] = value
+            sockets = " ".join(f"ws://{host}" for host in sorted(self._hosts))
+            policy = {"Content-Security-Policy": _POLICY.format(sockets)}
+            response.headers.update(_HEADERS | policy)
             if given and response.status_code != 403:
                 response.headers["Set-Cookie"] = (
                     f"{self._cookie}={self._token}; HttpOnly; SameSite=Strict; Path=/"
@@ -330,15 +340,17 @@ class Gate:
         assert self._control is not None
         times: deque[float] = deque(maxlen=_PER_SECOND)  # [s]
         while True:
-            message = await client.connection.recv()
-            now = asyncio.get_running_loop().time()
-            if len(times) == _PER_SECOND and now - times[0] < 1:
-                return _REFUSED, f"more than {_PER_SECOND} messages a second"
-            times.append(now)
-            if not isinstance(message, str):
-                return _REFUSED, "binary messages are not understood"
-            if len(message.encode()) > _LONGEST:
-                return _TOO_BIG, f"longer than {_LONGEST} bytes"
+            message = ""
+            async for part in client.connection.recv_streaming():  # mostly one part
+                now = asyncio.get_running_loop().time()
+                if len(times) == _PER_SECOND and now - times[0] < 1:
+                    return _REFUSED, f"more than {_PER_SECOND} messages a second"
+                times.append(now)
+                if not isinstance(part, str):
+                    return _REFUSED, "binary messages are not understood"
+                message += part
+                if len(message.encode()) > _LONGEST:
+                    return _TOO_BIG, f"longer than {_LONGEST} bytes"
             self._control.received(number, message)
 
     async def _send(self, client: _Client) -> None:

@@ -23,6 +23,13 @@ PAGE = "<!doctype html><title>ours ö</title>".encode()
 WAIT = 60
 """Time after which a missing message fails a test [s]."""
 
+UPGRADE = {
+    "Connection": "Upgrade",
+    "Upgrade": "websocket",
+    "Sec-WebSocket-Version": "13",
+    "Sec-WebSocket-Key": "MDEyMzQ1Njc4OWFiY2RlZg==",
+}
+
 
 class Recorder:
     """A control that notes its calls, and fails on the message "fail"."""
@@ -63,11 +70,16 @@ class Site:
         plain.close()
         return answer, body
 
-    def socket(self, path: str, **options: Any) -> ClientConnection:
+    def open(self, path: str, **options: Any) -> ClientConnection:
         return connect(f"ws://{self.place}{path}", proxy=None, open_timeout=WAIT, **options)
 
+    def raw(self) -> socket.socket:
+        """Return a bare connection."""
+        host, _, port = self.place.partition(":")
+        return socket.create_connection((host, int(port)), timeout=WAIT)
+
     def client(self, **options: Any) -> tuple[ClientConnection, int]:
-        connection = self.socket("/control" + self.query, **options)
+        connection = self.open("/control" + self.query, **options)
         kind, number = self.control.next()
         assert kind == "opened"
         return connection, number
@@ -97,8 +109,6 @@ def test_only_requests_with_the_token_from_this_page_are_answered(site: Site) ->
         (right, {"Host": f"example.org:{port}"}),
         (right, {"Host": "127.0.0.1:1"}),
     )
-    upgrade = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
-    upgrade["Sec-WebSocket-Key"] = "MDEyMzQ1Njc4OWFiY2RlZg=="
     for query, headers in wrong:
         for path in ("/", "/scene", "/nothing"):
             answer, body = site.get(path + query, headers)
@@ -106,11 +116,11 @@ def test_only_requests_with_the_token_from_this_page_are_answered(site: Site) ->
             assert answer.getheader("Set-Cookie") is None
             assert PAGE not in body
         for path in ("/", "/scene", "/control"):
-            answer, _ = site.get(path + query, headers | upgrade)
+            answer, _ = site.get(path + query, headers | UPGRADE)
             assert answer.status == 403, (path, query, headers)
     assert site.control.calls.empty()
     for path in ("/", "/scene", "/control"):  # the same handshake passes without the fault
-        answer, _ = site.get(path + right, upgrade | {"Origin": f"http://localhost:{port}"})
+        answer, _ = site.get(path + right, UPGRADE | {"Origin": f"http://localhost:{port}"})
         assert answer.status == 101
 
 
@@ -119,6 +129,7 @@ def test_the_cookie_of_the_first_answer_lets_a_browser_in(site: Site) -> None:
     assert (answer.status, body) == (200, PAGE)
     assert answer.getheader("Cache-Control") == "no-store"
     assert answer.getheader("Referrer-Policy") == "no-referrer"
+    assert "default-src 'self'" in (answer.getheader("Content-Security-Policy") or "")
     cookie, *rest = (answer.getheader("Set-Cookie") or "").split("; ")
     assert {"HttpOnly", "SameSite=Strict"} <= set(rest)
     headers = {"Cookie": f'other={{"a": 1}}; {cookie}'}
@@ -126,10 +137,10 @@ def test_the_cookie_of_the_first_answer_lets_a_browser_in(site: Site) -> None:
     answer, scene = site.get("/scene", headers)
     assert answer.status == 200
     assert b"viser" in scene.lower()
-    with site.socket("/control", additional_headers=headers):
+    with site.open("/control", additional_headers=headers):
         assert site.control.next()[0] == "opened"
     protocol = f"viser-v{viser.__version__}"
-    with site.socket("/scene", additional_headers=headers, subprotocols=[protocol]) as drawn:
+    with site.open("/scene", additional_headers=headers, subprotocols=[protocol]) as drawn:
         assert isinstance(drawn.recv(WAIT), bytes)
 
 
@@ -152,18 +163,20 @@ def test_without_a_page_viser_answers_and_no_control_is_found() -> None:
         assert b"viser" in body.lower()
         assert answer.getheader("Set-Cookie") is not None
         with pytest.raises(InvalidStatus, match="404"):
-            site.socket("/control" + site.query)
+            site.open("/control" + site.query)
         gate.post("nobody listens")
 
 
-def test_hostile_and_slow_clients_do_not_disturb_the_others(site: Site) -> None:
+def test_hostile_and_slow_clients_do_not_disturb_the_others(
+    site: Site, caplog: pytest.LogCaptureFixture
+) -> None:
     post, control = site.gate.post, site.control
     with ExitStack() as stack:
         good = [stack.enter_context(site.client()[0]) for _ in range(4)]
         slow, _ = site.client(max_queue=1)
         stack.enter_context(slow)
-        bad = [site.client() for _ in range(5)]
-        huge, long, binary, flood, garbage = (connection for connection, _ in bad)
+        bad = [site.client() for _ in range(6)]
+        huge, long, binary, flood, garbage, parts = (connection for connection, _ in bad)
 
         def every_state(count: int) -> None:
             for i in range(count):
@@ -178,16 +191,18 @@ def test_hostile_and_slow_clients_do_not_disturb_the_others(site: Site) -> None:
         binary.send(b"\xff\x00")
         garbage.send(b"\xff\xfe\x80", text=True)
         with suppress(ConnectionClosed):
+            parts.send([""] * 1000)
+        with suppress(ConnectionClosed):
             for _ in range(1000):
                 flood.send("hurry")
         every_state(3000)  # more than the buffers of the slow client take
-        codes = [1009, 1009, 1008, 1008, 1007]
+        codes = [1009, 1009, 1008, 1008, 1007, 1008]
         for (connection, _), code in zip(bad, codes, strict=True):
             with suppress(ConnectionClosed):
                 for _ in connection:
                     pass  # states that were sent before
             assert connection.close_code == code
-        calls = [control.next() for _ in range(5 + 100)]
+        calls = [control.next() for _ in range(6 + 100)]
         flooding = bad[3][1]
         assert sorted(c for c in calls if c[0] == "closed") == [("closed", n) for _, n in bad]
         assert [c for c in calls if c[0] == "received"] == [("received", flooding, "hurry")] * 100
@@ -195,6 +210,28 @@ def test_hostile_and_slow_clients_do_not_disturb_the_others(site: Site) -> None:
         while got[-1] != 2999:
             got.append(int(str(slow.recv(WAIT)).split()[0]))
         assert len(got) < 2900
+        for noise in (b"\x00\xff\r\n\r\n", b"HEAD / HTTP/1.1\r\n\r\n", b"GET /" + b"a" * 10_000):
+            with site.raw() as bare:
+                bare.sendall(noise)
+                bare.shutdown(socket.SHUT_WR)
+                assert bare.recv(1) == b""
+    assert caplog.records == []  # nothing for the terminal
+
+
+def test_a_client_that_sends_pings_and_reads_nothing_is_closed(site: Site) -> None:
+    head = (
+        f"GET /control{site.query} HTTP/1.1",
+        f"Host: {site.place}",
+        *map(": ".join, UPGRADE.items()),
+    )
+    with site.raw() as pinging:
+        pinging.sendall("\r\n".join((*head, "", "")).encode())
+        assert site.control.next()[0] == "opened"
+        with suppress(ConnectionError):
+            while site.control.calls.empty():
+                pinging.sendall((b"\x89\xfd\0\0\0\0" + b"p" * 125) * 1000)
+                site.gate.post("state", key="state")
+        assert site.control.next()[0] == "closed"
 
 
 def test_messages_without_a_key_keep_their_order_and_are_not_hoarded(site: Site) -> None:
@@ -237,7 +274,7 @@ def test_sixteen_clients_are_served(site: Site) -> None:
         for client, _ in clients:
             stack.enter_context(client)
         with pytest.raises(ConnectionClosed, match="16 clients"):
-            site.socket("/control" + site.query).recv(WAIT)
+            site.open("/control" + site.query).recv(WAIT)
         clients[0][0].close()
         assert site.control.next() == ("closed", clients[0][1])
         stack.enter_context(site.client()[0])
