@@ -1,10 +1,11 @@
-"""The commands that show policies while they drive: ``watch`` and ``demo``."""
+"""The commands that show robots while they drive: ``watch``, ``demo`` and ``drive``."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -13,6 +14,7 @@ from flipperctl.errors import RequestError
 from flipperctl.terminal.streams import print_note
 
 if TYPE_CHECKING:
+    from flipperctl.config import EvalConfig
     from flipperctl.evaluation.plan import Entry
     from flipperctl.live.lanes import Entrant, Episode
 
@@ -102,6 +104,147 @@ def demo(
     """
     entrants = _entrants(["generalist", "okada"], ["terrain=course"])
     _show(entrants, (0, episodes), port, speed, terminal=terminal, browser=browser)
+
+
+def drive(
+    settings: options.Overrides = None,
+    person: Annotated[
+        str, typer.Option("--as", metavar="NAME", help="Name or code of who drives.")
+    ] = "me",
+    output: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of the drives [drives/NAME].", show_default=False),
+    ] = None,
+    helper: Annotated[
+        str | None,
+        typer.Option("--with", metavar="POLICY", help="A policy that turns what you do not turn."),
+    ] = None,
+    study: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="A study: who drives what how often.")
+    ] = None,
+    episode: First = 0,
+    episodes: Annotated[int, typer.Option(metavar="N", min=1, help="Episodes per scene.")] = 1,
+    seed: options.Seed = None,
+    bag: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Also write the last drive as a bag, MCAP.")
+    ] = None,
+    script: Annotated[
+        bool, typer.Option("--script", help="A script drives the page; the files say so.")
+    ] = False,
+    port: Port = 8080,
+    browser: Opens = True,
+    plugins: options.PluginPaths = None,
+) -> None:
+    """Drive the robot yourself, in a browser.
+
+    The page shows the robot in 3-D, what it perceives, its cameras in 3-D, and its gauges. Arrow
+    keys drive; Q and A turn the front flippers, E and D the rear ones; ? shows all keys. A gamepad
+    and buttons on the page do the same. If the browser is gone, the robot stops.
+
+    Each drive is an episode that eval, compare, film and replay play again, and from which a policy
+    learns. Episode 0 is the first one of eval with the same settings. With --with, a policy turns
+    the flippers until you take them; P gives them back.
+
+    [bold]Examples[/]
+
+      flipperctl drive terrain=step
+
+      flipperctl drive terrain=stair sim=mujoco perception=lidar --as anna
+
+      flipperctl drive terrain=stair --with generalist
+
+      flipperctl drive --study study.yaml --as anna
+
+      flipperctl eval drives/me generalist level terrain=step --episodes 1
+    """
+    from flipperctl.checkpoint.recording import drive_files
+    from flipperctl.config.words import with_flags
+    from flipperctl.evaluation import drives
+    from flipperctl.live.drive import DrivePage
+    from flipperctl.policies.source import load_policy
+
+    if not re.fullmatch(r"[\w-][\w.-]{0,39}", person):
+        raise RequestError(f"--as {person}: up to 40 letters, digits, - and _ are allowed")
+    driver = f"{'script' if script else 'person'}: {person}"
+    words = with_flags(settings or [], seed=seed)
+    if study is None:
+        root = output or Path("drives")
+        own = drives.DriveFolder(output or root / person, driver)
+        source = None if helper is None else load_policy(helper, "--with", tell=print_note)
+        tasks = [
+            drives.Task(config.terrain.plugin_name, config, index, own, source)
+            for config in _configs(words)
+            for index in range(episode, episode + episodes)
+        ]
+        for task in tasks:
+            own.check(task.config)
+            if source is not None:
+                source.build(task.config)
+    else:
+        if words or helper is not None:
+            raise RequestError("--study: its file has the scenes and helpers; leave others out")
+        read = drives.read_study(study, person)
+        root = output or study.with_suffix("")
+
+        def folder(name: str) -> drives.DriveFolder:
+            return drives.DriveFolder(
+                root / (person if name == "none" else f"{person}+{name}"),
+                driver if name == "none" else f"{driver}, with {name}",
+            )
+
+        def compose(text: str) -> EvalConfig:
+            return _configs(text.split())[0]
+
+        tasks = list(
+            drives.tasks_of(read, person, compose, lambda n: load_policy(n, "helpers"), folder)
+        )
+        if not tasks:
+            print_note(f"{person} has driven everything of {study}")
+            return
+
+    def driven(task: drives.Task, row: dict[str, Any], late: float) -> None:
+        print_note(
+            f"{task.title}, episode {task.index}: {row['outcome']} after {row['t_cost']:.1f} s, "
+            f"pitch variation {row['pitch_variation_100hz']:.2f} rad; {late:.1%} of ticks late"
+        )
+
+    def answered(task: drives.Task, answers: tuple[int, ...]) -> None:
+        name = "none" if task.helper is None else task.helper.label()
+        drives.add_answers(root, person, name, task.asks, answers)
+
+    page = DrivePage(port, person)
+    with page.gate as gate:
+        _announce(gate.address, browser)
+        drives.drive(page, tasks, driven, answered)
+    where = ", ".join(
+        dict.fromkeys(str(t.folder.path) for t in tasks if drive_files(t.folder.path))
+    )
+    print_note(f"drives: {where}; flipperctl eval takes them as policies")
+    if bag is not None:
+        from flipperctl.ros.episode import export_bag
+
+        last = tasks[-1]
+        source = load_policy(last.folder.path)
+        export_bag(last.config, source, bag, last.index)
+        print_note(f"wrote {bag}")
+
+
+def _configs(words: list[str]) -> list[EvalConfig]:
+    """Return the scenes that the words name."""
+    from flipperctl.cli.plan import make_plan
+    from flipperctl.evaluation.plan import entrants
+
+    plan = make_plan(words, entrants(["level"], print_note), "none", lambda line: None)
+    return [entry.config for entry in plan.entries]
+
+
+def _announce(address: str, browser: bool) -> None:
+    """Tell the address of a page, and open it."""
+    import webbrowser
+
+    print_note(f"open {address} in a browser; Ctrl-C ends")
+    if browser:
+        webbrowser.open(address)
 
 
 def _entrants(names: list[str], settings: list[str]) -> list[Entrant]:

@@ -1,0 +1,196 @@
+"""Scripts that drive the page of ``flipperctl drive`` in a browser, and what it measures.
+
+    python -m benchmarks.drive [--scene step|stair] [--sim planar|mujoco] [--by keys|buttons]
+    python -m benchmarks.drive --study study.yaml --as fixed
+
+It opens the page in a headless Chromium of this machine and drives it by keys or by the buttons
+alone, after a fixed plan with a reaction time and with waiting, as people do; it presses nothing
+that a person could not press, and its drives are labelled as those of a script. It prints how each
+drive ended, the rate of commands, and the time from a key to the motion that the page shows.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import statistics
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from benchmarks.browser import chromium
+
+SCENES = {
+    "step": ("terrain=step", "terrain.low=0.4", "terrain.high=0.4"),
+    "stair": ("terrain=paper_stair",),
+}
+
+
+class Way(NamedTuple):
+    """From this place on the flippers shall have these angles."""
+
+    x: float
+    """World x of the chassis centre [m]."""
+    front: int
+    """Target of the front flippers [steps]."""
+    rear: int
+    """Target of the rear flippers [steps]."""
+
+
+PLANS = {
+    "step": (
+        *(Way(-2.0, 2, 0), Way(-0.70, 3, 0), Way(-0.61, 1, -2), Way(-0.57, 0, -3)),
+        *(Way(-0.43, -1, -4), Way(-0.05, -1, -3), Way(0.07, -1, -2), Way(0.21, -1, 0)),
+    ),
+    "stair": (
+        *(Way(-2.0, 1, 0), Way(-0.80, 2, 0), Way(-0.66, 3, 0), Way(-0.54, 2, -1)),
+        *(Way(-0.25, 1, -2), Way(0.08, 1, -1), Way(0.21, 0, -1), Way(0.29, 0, 0)),
+        *(Way(1.10, -1, 0), Way(1.20, -2, 0), Way(1.30, -3, -1), Way(1.42, -4, -1)),
+        *(Way(1.53, -4, 0), Way(1.65, -4, 1), Way(1.90, -3, 2), Way(2.38, -2, 1)),
+        *(Way(3.15, -3, 1), Way(3.40, -4, 1), Way(3.65, -3, 1), Way(3.73, -2, 1)),
+        *(Way(3.79, -1, 1), Way(3.91, -1, 0), Way(4.30, 0, 1), Way(4.36, 1, 1)),
+        *(Way(4.44, 2, 0), Way(4.60, 2, -1), Way(4.76, 1, -2), Way(5.40, 1, -1)),
+    ),
+}
+"""Plans of the two scenes; the turns of the shipped policy on them, in the order of its places."""
+STEP = 0.2618
+"""Turn of one press [rad]."""
+_NEAR = 0.09
+"""Angle within which a flipper has arrived [rad]."""
+
+
+class ScriptedOperator:
+    """Drives one episode by a plan, through the page alone."""
+
+    def __init__(self, tab: Any, plan: Sequence[Way], *, keys: bool, reaction: float) -> None:
+        """``keys``: by keys, else by the buttons; ``reaction``: time before it acts [s]."""
+        self.tab, self.plan, self.keys, self.reaction = tab, plan, keys, reaction
+        self.latencies: list[float] = []
+        self._driving = False
+
+    def value(self, name: str) -> float:
+        """Return what a gauge shows, in SI units."""
+        return float(self.tab.locator(f"#{name}").get_attribute("data-value") or "nan")
+
+    def _forward(self, on: bool) -> None:
+        if on == self._driving:
+            return
+        self._driving = on
+        if self.keys:
+            (self.tab.keyboard.down if on else self.tab.keyboard.up)("ArrowUp")
+        elif on:
+            box = self.tab.locator("#forward").bounding_box()
+            self.tab.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+            self.tab.mouse.down()
+        else:
+            self.tab.mouse.up()
+
+    def _press(self, pair: str, up: bool) -> None:
+        if self.keys:
+            self.tab.keyboard.press({"front": "qa", "rear": "ed"}[pair][0 if up else 1])
+            return
+        moving = self._driving
+        self._forward(False)  # a mouse has one pointer
+        self.tab.locator(f"#{pair}-{'up' if up else 'down'}").click()
+        self._forward(moving)
+
+    def drive(self, limit: float = 240.0) -> str:
+        """Drive from the start to the end of an episode; return how it ended."""
+        tab = self.tab
+        tab.locator("#begin").click() if not self.keys else tab.keyboard.press("Enter")
+        steps = {"front": 0, "rear": 0}
+        begun = time.monotonic()
+        while time.monotonic() - begun < limit:
+            phase = tab.locator("#phase").get_attribute("data-value")
+            if phase == "over":
+                self._forward(False)
+                return str(tab.locator("#phase").get_attribute("data-outcome"))
+            x = self.value("x")
+            way = max((w for w in self.plan if w.x <= x), default=self.plan[0])
+            wanted = {"front": way.front, "rear": way.rear}
+            if latency := self.value("latency"):
+                self.latencies.append(latency)
+            # It stands while a flipper is more than a step away from where it shall be.
+            self._forward(all(abs(self.value(n) - STEP * wanted[n]) < 1.5 * STEP for n in wanted))
+            due = [n for n in wanted if steps[n] != wanted[n]]
+            if not due:
+                tab.wait_for_timeout(50)
+                continue
+            tab.wait_for_timeout(1000 * self.reaction)
+            for name in due:
+                up = wanted[name] > steps[name]
+                self._press(name, up)
+                steps[name] += 1 if up else -1
+            tab.wait_for_timeout(400)  # until a flipper has turned most of a step
+        self._forward(False)
+        return "given up"
+
+
+@contextmanager
+def driving(words: Sequence[str], folder: Path) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """Run ``flipperctl drive`` with these words in a folder; yield its address."""
+    command = [sys.executable, "-m", "flipperctl", "drive", *words, "--script", "--no-open"]
+    run = subprocess.Popen([*command, "--port", "0"], cwd=folder, stderr=subprocess.PIPE, text=True)
+    assert run.stderr is not None
+    address = ""
+    for line in run.stderr:
+        print(line, end="", file=sys.stderr)
+        if found := re.search(r"http://\S+", line):
+            address = found[0]
+            break
+    printing = threading.Thread(target=_pass_on, args=(run.stderr,), daemon=True)
+    printing.start()
+    try:
+        yield address, run
+        run.wait(30)
+    finally:
+        run.kill()
+        printing.join(5)
+
+
+def _pass_on(lines: Any) -> None:
+    for line in lines:
+        print(line, end="", file=sys.stderr)
+
+
+def main() -> None:
+    """Drive, and print what was measured."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scene", choices=PLANS, default="step")
+    parser.add_argument("--sim", choices=("planar", "mujoco"), default="mujoco")
+    parser.add_argument("--by", choices=("keys", "buttons"), default="keys")
+    parser.add_argument("--perception", default="lidar")
+    parser.add_argument("--as", dest="name", default="fixed")
+    parser.add_argument("--episodes", type=int, default=1)
+    parser.add_argument("--reaction", type=float, default=0.2, help="[s]")
+    parser.add_argument("--folder", type=Path, default=Path())
+    parser.add_argument("--picture", type=Path, help="a picture of the page, half way")
+    given = parser.parse_args()
+    words = [*SCENES[given.scene], f"sim={given.sim}", f"perception={given.perception}"]
+    words += ["--as", given.name, "--episodes", str(given.episodes)]
+    with driving(words, given.folder) as (address, _), chromium() as browser:
+        tab = browser.new_page(viewport={"width": 1280, "height": 800})
+        tab.goto(address)
+        for episode in range(given.episodes):
+            plan = PLANS[given.scene]
+            keys = given.by == "keys"
+            operator = ScriptedOperator(tab, plan, keys=keys, reaction=given.reaction)
+            tab.locator("#phase[data-value=ready]").wait_for(timeout=60_000)
+            outcome = operator.drive()
+            print(
+                f"{given.scene}, {given.sim}, {given.by}, episode {episode}: {outcome}; key to "
+                f"motion {statistics.median(operator.latencies):.0f} ms (median), "
+                f"{operator.value('rate'):.1f} commands a second"
+            )
+            if given.picture:
+                tab.screenshot(path=given.picture)
+            tab.locator("#begin").click()
+
+
+if __name__ == "__main__":
+    main()

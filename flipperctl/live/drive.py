@@ -1,0 +1,319 @@
+"""``flipperctl drive``: a person drives the simulated robot from a page, in real time.
+
+In: an environment, a gate to browsers, and a policy that may help. Out: a policy of 20 commands a
+second, which waits for the clock, shows the state of the robot, and asks ``hands`` what to do. The
+simulation runs in the thread that plays the episode; browsers are heard in the gate's.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Collection
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from flipperctl.api import (
+    ACTIONS,
+    CameraWorld,
+    Command,
+    FloatArray,
+    Perception,
+    Policy,
+    RobotState,
+    Simulator,
+    View,
+    World,
+    action_index,
+)
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import FlipperctlError
+from flipperctl.live.gate import Gate
+from flipperctl.live.hands import Answers, Asked, Hands, parse
+from flipperctl.live.scene import LiveScene
+
+PERIOD = 0.05
+"""Time between two commands [s]."""
+_VIEWS: tuple[View, ...] = ("front", "rear")
+_SIZE = 320, 240  # width and height of the cameras' pictures [px]
+_QUALITY = 70  # of their JPEGs, of 100
+_DRAWING = 0.4
+"""Largest share of the time for the cameras' pictures [-]."""
+_WAITS = 2.0
+"""Time for which a robot without a driver stands before its clock stops, too [s]."""
+_SHOWN = 2.0  # time of which the rate is shown [s]
+_MARGIN = 2.0  # length of the level ground that is drawn before and past the profile [m]
+
+
+class AgainError(Exception):
+    """The operator begins the episode anew."""
+
+
+class DrivePage:
+    """The page: one browser drives, the others watch. Implements ``gate.Control``."""
+
+    def __init__(self, port: int, operator: str) -> None:
+        """Serve on ``port``; ``operator``: name that the page shows."""
+        self._operator = operator
+        self._lock = threading.Lock()
+        self._clients: list[int] = []
+        self._driver: int | None = None
+        self._wishes: deque[str] = deque(maxlen=10)
+        self._answers: tuple[int, ...] | None = None
+        self._about: dict[str, Any] = {}
+        self._state: dict[str, Any] = {}
+        self.hands: Hands | None = None
+        """Of the running episode."""
+        page = files("flipperctl.live").joinpath("drive.html").read_bytes()
+        self.gate = Gate(port, page=page, control=self, what="driving")
+        server = self.gate.server
+        server.gui.configure_theme(show_logo=False, show_share_button=False)
+        server.scene.set_up_direction("+z")
+        server.scene.world_axes.visible = False
+        server.initial_camera.position = (0.2, -3.0, 1.1)
+        server.initial_camera.look_at = (0.2, 0.2, 0.05)
+        self.follower = server.scene.add_frame("/drive", show_axes=False)
+        """Frame of the scene, which moves so that the robot stays in view."""
+
+    def opened(self, client: int) -> None:
+        """Show a browser the episode; the only one drives."""
+        with self._lock:
+            self._clients.append(client)
+            if self._driver is None:
+                self._driver = client
+            about, state = self._about, self._state
+        if about:
+            self.gate.post(json.dumps(about), client=client)
+            self._send(state, [client])
+
+    def closed(self, client: int) -> None:
+        """Hold everything if the browser that drove is gone."""
+        with self._lock:
+            if client in self._clients:
+                self._clients.remove(client)
+            if client == self._driver:
+                self._leave(None)
+
+    def _leave(self, driver: int | None) -> None:
+        self._driver = driver
+        if self.hands is not None:
+            self.hands.leave()
+
+    def received(self, client: int, message: str) -> None:
+        """Take a message; ``ValueError`` if it is none, which closes the connection."""
+        found = parse(message)
+        with self._lock:
+            if not isinstance(found, Asked | Answers) and found.what == "take":
+                if client != self._driver:
+                    self._leave(client)
+            elif client != self._driver or self.hands is None:
+                return
+            elif isinstance(found, Asked):
+                self.hands.hear(found)
+            elif isinstance(found, Answers):
+                self._answers = found.values
+            elif found.what == "release":
+                self.hands.release()
+            else:
+                self._wishes.append(found.what)
+
+    def begin(self, hands: Hands, about: dict[str, Any], state: dict[str, Any]) -> None:
+        """Show a new episode."""
+        with self._lock:
+            self.hands = hands
+            self._wishes.clear()
+            self._about = {"kind": "scene", "operator": self._operator, **about}
+        self.gate.post(json.dumps(self._about))
+        self.show(state)
+
+    def show(self, state: dict[str, Any]) -> None:
+        """Show the numbers of the gauges."""
+        with self._lock:
+            self._state = {"kind": "state", **state}
+            clients = list(self._clients)
+        self._send(self._state, clients)
+
+    def _send(self, state: dict[str, Any], clients: Collection[int]) -> None:
+        driver = self._driver
+        rest = {"driver": driver is not None, "watchers": max(0, len(self._clients) - 1)}
+        texts = [json.dumps({**state, **rest, "you": you}) for you in (False, True)]
+        for client in clients:
+            self.gate.post(texts[client == driver], "state", client)
+
+    def picture(self, view: int, pixels: Any) -> None:
+        """Show a camera's picture, (H, W, 3), of the front (0) or the rear (1)."""
+        from PIL import Image
+
+        data = io.BytesIO()
+        Image.fromarray(pixels).save(data, "JPEG", quality=_QUALITY)
+        self.gate.post(bytes([view]) + data.getvalue(), f"camera {view}")
+
+    def wished(self) -> str | None:
+        """Return and forget the oldest button that was pressed: begin, again or next."""
+        with self._lock:
+            return self._wishes.popleft() if self._wishes else None
+
+    def wait(self, done: Callable[[str | None], bool]) -> str:
+        """Show the last state until ``done`` is true of the button that was pressed, or None."""
+        while not done(wish := self.wished()):
+            self.show({name: value for name, value in self._state.items() if name != "kind"})
+            time.sleep(PERIOD)
+        return wish or ""
+
+    def end(self, outcome: str, note: str) -> str:
+        """Show how the episode ended; return ``next`` or ``again`` once it was pressed."""
+        self.show({**self._state, "phase": "over", "outcome": outcome, "note": note})
+        return self.wait(lambda wish: wish in ("next", "again", "begin")).replace("begin", "next")
+
+    def ask(self) -> tuple[int, ...]:
+        """Ask the questions of NASA-TLX; return the six answers, 0 to 100."""
+        self._answers = None
+        self.gate.post(json.dumps({"kind": "questions"}))
+        self.wait(lambda wish: self._answers is not None)
+        assert self._answers is not None  # waited for
+        return self._answers
+
+
+class Operator:
+    """The policy of one episode that a person drives; see ``flipperctl.api.Policy``."""
+
+    command_period = PERIOD
+
+    def __init__(
+        self, page: DrivePage, env: FlipperEnv, helper: Policy | None, about: dict[str, Any]
+    ) -> None:
+        """Drive ``env``; ``helper`` commands the flippers that the person does not take.
+
+        ``about``: title, episode and whether it is for practice, as the page shows them.
+        """
+        self._page, self._env, self._helper, self._about = page, env, helper, about
+        self._hands = Hands(env.robot, PERIOD, helped=helper is not None)
+        self._scene = LiveScene(page.gate.server.scene, "/drive/0", 0.0)
+        self._proposed = 0, 0
+        self._pitch: float | None = None
+        self._variation = 0.0
+        self._heard: float | None = None
+        self._ticks: deque[float] = deque()
+        self._due = self._alone = self._next_picture = 0.0
+        self._view = 0
+        self._phase = "ready"
+        self.late = self.count = 0
+        """Ticks that came more than half a period late, and all."""
+
+    def remove(self) -> None:
+        """Remove the scene from the page."""
+        self._scene.remove()
+
+    def reset(self, simulator: Simulator) -> None:
+        """Show the episode, and begin it once the person asks for it."""
+        env, robot = self._env, self._env.robot
+        if self._helper is not None:
+            self._helper.reset(simulator)
+        self._hands = Hands(robot, PERIOD, helped=self._helper is not None)
+        env.drive.report_poses(self._moved)
+        shown = env.scene
+        self._scene.begin(env.profile, robot, shown.finish, "")
+        self._scene.show(env.state)
+        world = env.drive.world
+        about = {
+            **{"robot": {"hinge": robot.hinge_offset, "flipper": robot.flipper_axle}},
+            **{"ground": env.profile.extended(_MARGIN, _MARGIN).tolist()},
+            **{"start": shown.start, "finish": shown.finish, "shared": self._helper is not None},
+            **{"cameras": isinstance(getattr(world, "unguarded", world), CameraWorld)},
+            **{"step": robot.angle_step, "limit": robot.angle_limit},
+            **{"flipper_speed": robot.flipper_speed, "track_speed": robot.track_speed},
+        }
+        about["robot"]["radius"] = robot.track_radius
+        self._cameras = bool(about["cameras"])
+        self._page.begin(self._hands, {**self._about, **about}, self._gauges(env.state))
+        self._draw(world)
+        self._page.wait(lambda wish: wish == "begin")
+        self._phase = "driving"
+        self._due = self._alone = time.monotonic()
+
+    def _moved(self, time: float, poses: FloatArray) -> None:
+        pitches = poses[:, 2] if self._pitch is None else np.append(self._pitch, poses[:, 2])
+        self._variation += float(np.abs(np.diff(pitches)).sum())
+        self._pitch = float(poses[-1, 2])
+
+    def act(self, p: Perception) -> int:
+        """Show what is perceived, and ask the helper; the action has no effect."""
+        if self._helper is not None:
+            self._proposed = ACTIONS[self._helper.act(p)]
+        self._scene.perceive(p, self._env.state)
+        return action_index(0, 0)
+
+    def command(self, world: World) -> Command:
+        """Show the world, wait for the next tick, and return what the person commands."""
+        page, state = self._page, world.state()
+        page.show(self._gauges(state))
+        with page.gate.server.atomic():
+            self._scene.show(state)
+            page.follower.position = (-float(state.position[0]), 0.0, 0.0)
+        if time.monotonic() >= self._next_picture:
+            self._draw(world)
+        self._wait()
+        if page.wished() == "again":
+            raise AgainError
+        proposed, self._proposed = self._proposed, (0, 0)  # a turn of a decision counts once
+        command, self._heard = self._hands.command(self._env.drive.targets, state, proposed)
+        self._phase = "held" if self._heard is None else "driving"
+        now = time.monotonic()
+        if self._heard is not None:
+            self._alone = now
+        elif now - self._alone > _WAITS:
+            page.show(self._gauges(state))
+            page.wait(lambda wish: self._hands.present)
+            self._due = self._alone = time.monotonic()
+        return command
+
+    def _wait(self) -> None:
+        now = time.monotonic()
+        self.count += 1
+        if (left := self._due - now) > 0:
+            time.sleep(left)
+        else:
+            self.late += left < -PERIOD / 2
+            if left < -PERIOD:
+                self._due = now  # what is late stays late: the robot does not hurry
+        self._due += PERIOD
+        self._ticks.append(time.monotonic())
+        while self._ticks[-1] - self._ticks[0] > _SHOWN:
+            self._ticks.popleft()
+
+    def _draw(self, world: Any) -> None:
+        """Draw one of the cameras, and let enough time pass before the next one."""
+        if not self._cameras:
+            return
+        begun = time.monotonic()
+        self._view = 1 - self._view
+        try:
+            image = world.look(_VIEWS[self._view], *_SIZE)
+        except FlipperctlError as error:
+            self._cameras = False
+            self._about["note"] = f"no cameras: {error}"
+            return
+        self._page.picture(self._view, image.pixels)
+        self._next_picture = begun + (time.monotonic() - begun) / _DRAWING
+
+    def _gauges(self, state: RobotState) -> dict[str, Any]:
+        drive, robot = self._env.drive, self._env.robot
+        x, z = state.position.tolist()
+        owned = dict(zip(("front", "rear"), self._hands.owned, strict=True))
+        speed = robot.track_speed if state.belts is None else float(state.belts.mean())
+        span = self._ticks[-1] - self._ticks[0] if len(self._ticks) > 1 else 0.0
+        return {
+            **{"phase": self._phase, "outcome": None, "note": self._about.get("note", "")},
+            **{"time": state.time, "x": x, "z": z, "pitch": state.pitch, "roll": state.roll},
+            **{"front": state.front, "rear": state.rear, "belts": speed / robot.track_speed},
+            **{"front_target": drive.targets[0], "rear_target": drive.targets[1]},
+            **{"variation": self._variation, "left": max(0.0, drive.termination.finish - x)},
+            **{"who": {name: "person" if mine else "policy" for name, mine in owned.items()}},
+            **{"risk": getattr(self._helper, "risk", None), "heard": self._heard},
+            **{"rate": (len(self._ticks) - 1) / span if span else 0.0},
+        }
