@@ -26,9 +26,10 @@ from typing import Any, NamedTuple
 from benchmarks.browser import chromium
 
 SCENES = {
-    "step": ("terrain=step", "terrain.low=0.4", "terrain.high=0.4"),
-    "stair": ("terrain=paper_stair",),
+    "step": (("terrain=step", "terrain.low=0.4", "terrain.high=0.4"), 1.0),
+    "stair": (("terrain=paper_stair",), 5.5),
 }
+"""Words of each scene, and its finish [m]."""
 
 
 class Way(NamedTuple):
@@ -67,9 +68,12 @@ _NEAR = 0.09
 class ScriptedOperator:
     """Drives one episode by a plan, through the page alone."""
 
-    def __init__(self, tab: Any, plan: Sequence[Way], *, keys: bool, reaction: float) -> None:
+    def __init__(
+        self, tab: Any, plan: Sequence[Way], finish: float, *, keys: bool, reaction: float
+    ) -> None:
         """``keys``: by keys, else by the buttons; ``reaction``: time before it acts [s]."""
         self.tab, self.plan, self.keys, self.reaction = tab, plan, keys, reaction
+        self._finish = finish
         self.latencies: list[float] = []
         self._driving = False
 
@@ -110,7 +114,7 @@ class ScriptedOperator:
             if phase == "over":
                 self._forward(False)
                 return str(tab.locator("#phase").get_attribute("data-outcome"))
-            x = self.value("x")
+            x = self._finish - self.value("left")
             way = max((w for w in self.plan if w.x <= x), default=self.plan[0])
             wanted = {"front": way.front, "rear": way.rear}
             if latency := self.value("latency"):
@@ -135,7 +139,9 @@ class ScriptedOperator:
 def driving(words: Sequence[str], folder: Path) -> Iterator[tuple[str, subprocess.Popen[str]]]:
     """Run ``flipperctl drive`` with these words in a folder; yield its address."""
     command = [sys.executable, "-m", "flipperctl", "drive", *words, "--script", "--no-open"]
-    run = subprocess.Popen([*command, "--port", "0"], cwd=folder, stderr=subprocess.PIPE, text=True)
+    run = subprocess.Popen(  # noqa: S603
+        [*command, "--port", "0"], cwd=folder, stderr=subprocess.PIPE, text=True
+    )
     assert run.stderr is not None
     address = ""
     for line in run.stderr:
@@ -171,7 +177,8 @@ def main() -> None:
     parser.add_argument("--folder", type=Path, default=Path())
     parser.add_argument("--picture", type=Path, help="a picture of the page, half way")
     given = parser.parse_args()
-    words = [*SCENES[given.scene], f"sim={given.sim}", f"perception={given.perception}"]
+    scene, finish = SCENES[given.scene]
+    words = [*scene, f"sim={given.sim}", f"perception={given.perception}"]
     words += ["--as", given.name, "--episodes", str(given.episodes)]
     with driving(words, given.folder) as (address, _), chromium() as browser:
         tab = browser.new_page(viewport={"width": 1280, "height": 800})
@@ -179,7 +186,7 @@ def main() -> None:
         for episode in range(given.episodes):
             plan = PLANS[given.scene]
             keys = given.by == "keys"
-            operator = ScriptedOperator(tab, plan, keys=keys, reaction=given.reaction)
+            operator = ScriptedOperator(tab, plan, finish, keys=keys, reaction=given.reaction)
             tab.locator("#phase[data-value=ready]").wait_for(timeout=60_000)
             outcome = operator.drive()
             print(

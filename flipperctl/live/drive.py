@@ -44,6 +44,8 @@ _SIZE = 320, 240  # width and height of the cameras' pictures [px]
 _QUALITY = 70  # of their JPEGs, of 100
 _DRAWING = 0.4
 """Largest share of the time for the cameras' pictures [-]."""
+_SCENE = 2
+"""Ticks for each new state of the 3-D scene [-]."""
 _WAITS = 2.0
 """Time for which a robot without a driver stands before its clock stops, too [s]."""
 _SHOWN = 2.0  # time of which the rate is shown [s]
@@ -73,6 +75,8 @@ class DrivePage:
         self.gate = Gate(port, page=page, control=self, what="driving")
         server = self.gate.server
         server.gui.configure_theme(show_logo=False, show_share_button=False)
+        server.gui.main_panel.minimize()
+        server.scene.configure_default_lights(cast_shadow=False)  # a browser may draw in software
         server.scene.set_up_direction("+z")
         server.scene.world_axes.visible = False
         server.initial_camera.position = (0.2, -3.0, 1.1)
@@ -252,9 +256,10 @@ class Operator:
         """Show the world, wait for the next tick, and return what the person commands."""
         page, state = self._page, world.state()
         page.show(self._gauges(state))
-        with page.gate.server.atomic():
-            self._scene.show(state)
-            page.follower.position = (-float(state.position[0]), 0.0, 0.0)
+        if self.count % _SCENE == 0:
+            with page.gate.server.atomic():
+                self._scene.show(state)
+                page.follower.position = (-float(state.position[0]), 0.0, 0.0)
         if time.monotonic() >= self._next_picture:
             self._draw(world)
         self._wait()

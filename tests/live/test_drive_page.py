@@ -21,7 +21,7 @@ CHROMIUM = (
 PAGE = Path(__file__).parents[2] / "flipperctl" / "live" / "drive.html"
 POLICY = (  # nothing but the page's own code and its own server
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
-    "img-src blob: data:; connect-src 'self'; frame-src 'self'"
+    "img-src blob: data:; connect-src 'self'; frame-src 'self'; worker-src blob:"
 )
 SCENE = {
     "kind": "scene", "title": "stair", "episode": 0, "operator": "anna", "practice": False,
@@ -80,12 +80,13 @@ class Tab:
         self.page, self.server = page, server
 
     def run(self, milliseconds: int = 20) -> list[dict[str, Any]]:
-        """Return what the page sends while its clock runs."""
+        """Return what the page sends while its clock runs, without what its worker repeats."""
         self.page.clock.run_for(milliseconds)
         self.page.evaluate("act('again')")  # a last message, after all that the page has sent
         sent = []
         while (message := self.server.received.get(timeout=30)) != {"kind": "do", "what": "again"}:
-            sent.append(message)
+            if message not in sent:
+                sent.append(message)
         return sent
 
     def hands(self, milliseconds: int = 60) -> tuple[float, ...]:
