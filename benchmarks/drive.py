@@ -79,7 +79,7 @@ class ScriptedOperator:
 
     def value(self, name: str) -> float:
         """Return what a gauge shows, in SI units."""
-        return float(self.tab.locator(f"#{name}").get_attribute("data-value") or "nan")
+        return float(self.tab.locator(f"#{name}").get_attribute("data-value") or 0.0)
 
     def _forward(self, on: bool) -> None:
         if on == self._driving:
@@ -108,14 +108,16 @@ class ScriptedOperator:
         tab = self.tab
         tab.locator("#begin").click() if not self.keys else tab.keyboard.press("Enter")
         steps = {"front": 0, "rear": 0}
-        begun = time.monotonic()
+        begun, at = time.monotonic(), 0
         while time.monotonic() - begun < limit:
             phase = tab.locator("#phase").get_attribute("data-value")
             if phase == "over":
                 self._forward(False)
                 return str(tab.locator("#phase").get_attribute("data-outcome"))
             x = self._finish - self.value("left")
-            way = max((w for w in self.plan if w.x <= x), default=self.plan[0])
+            while at + 1 < len(self.plan) and self.plan[at + 1].x <= x:
+                at += 1  # and never back, where the robot slides
+            way = self.plan[at]
             wanted = {"front": way.front, "rear": way.rear}
             if latency := self.value("latency"):
                 self.latencies.append(latency)
@@ -191,7 +193,7 @@ def main() -> None:
             outcome = operator.drive()
             print(
                 f"{given.scene}, {given.sim}, {given.by}, episode {episode}: {outcome}; key to "
-                f"motion {statistics.median(operator.latencies):.0f} ms (median), "
+                f"motion {1000 * statistics.median(operator.latencies):.0f} ms (median), "
                 f"{operator.value('rate'):.1f} commands a second"
             )
             if given.picture:

@@ -153,14 +153,13 @@ def drive(
             try:
                 keep = not task.practice
                 row = task.folder.drive(config, env, operator, task.index, keep=keep)
+                driven(task, row, operator.late / max(1, operator.count))
+                left = len(tasks) - number - 1
+                word = page.end(row["outcome"], f"{left} to go" if left else "the last one")
             except AgainError:
                 continue
             finally:
                 operator.remove()
-            driven(task, row, operator.late / max(1, operator.count))
-            left = len(tasks) - number - 1
-            note = "the last one" if not left else f"{left} to go"
-            word = page.end(row["outcome"], note)
             if not (task.repeatable or task.practice):
                 word = "next"
         if task.asks:
