@@ -61,8 +61,6 @@ PLANS = {
 """Plans of the two scenes; the turns of the shipped policy on them, in the order of its places."""
 STEP = 0.2618
 """Turn of one press [rad]."""
-_NEAR = 0.09
-"""Angle within which a flipper has arrived [rad]."""
 
 
 class ScriptedOperator:
@@ -107,7 +105,6 @@ class ScriptedOperator:
         """Drive from the start to the end of an episode; return how it ended."""
         tab = self.tab
         tab.locator("#begin").click() if not self.keys else tab.keyboard.press("Enter")
-        steps = {"front": 0, "rear": 0}
         begun, at = time.monotonic(), 0
         while time.monotonic() - begun < limit:
             phase = tab.locator("#phase").get_attribute("data-value")
@@ -123,15 +120,15 @@ class ScriptedOperator:
                 self.latencies.append(latency)
             # It stands while a flipper is more than a step away from where it shall be.
             self._forward(all(abs(self.value(n) - STEP * wanted[n]) < 1.5 * STEP for n in wanted))
+            targets = tab.evaluate("[state.front_target, state.rear_target]")  # its dashed lines
+            steps = {n: round(t / STEP) for n, t in zip(wanted, targets, strict=True)}
             due = [n for n in wanted if steps[n] != wanted[n]]
             if not due:
                 tab.wait_for_timeout(50)
                 continue
             tab.wait_for_timeout(1000 * self.reaction)
             for name in due:
-                up = wanted[name] > steps[name]
-                self._press(name, up)
-                steps[name] += 1 if up else -1
+                self._press(name, wanted[name] > steps[name])
             tab.wait_for_timeout(400)  # until a flipper has turned most of a step
         self._forward(False)
         return "given up"

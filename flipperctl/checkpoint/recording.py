@@ -16,7 +16,6 @@ other:
 from __future__ import annotations
 
 import json
-import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -43,6 +42,7 @@ from flipperctl.checkpoint.document import (
     validated,
 )
 from flipperctl.config import EnvConfig, to_dict
+from flipperctl.config.policy_file import drive_files
 from flipperctl.errors import CheckpointError, ConfigError, OldVersionError
 from flipperctl.files import OutputKind, write_bytes
 from flipperctl.sim.versions import engine_versions
@@ -223,17 +223,6 @@ def _joined(
     import torch
 
     return torch.from_numpy(np.concatenate([np.empty((0, *shape), kind), *arrays], dtype=kind))
-
-
-DRIVES = "drive_*.safetensors"
-"""Names of files that each hold one drive of an operator."""
-
-
-def drive_files(path: Path) -> list[Path]:
-    """Return the files of drives in a folder, or the file itself; none of another path."""
-    if os.path.isdir(path):  # noqa: PTH112  # false for any text, however long
-        return sorted(path.glob(DRIVES))
-    return [path] if path.match(DRIVES) and os.path.isfile(path) else []  # noqa: PTH113
 
 
 def read(path: Path) -> Recording:

@@ -157,7 +157,7 @@ def drive(
 
       flipperctl eval drives/me generalist level terrain=step --episodes 1
     """
-    from flipperctl.checkpoint.recording import drive_files
+    from flipperctl.config.policy_file import drive_files
     from flipperctl.config.words import with_flags
     from flipperctl.evaluation import drives
     from flipperctl.live.drive import DrivePage

@@ -96,7 +96,7 @@ def one_scene(
     (policy,) = policies
     if any(key_of(word) == "suite" for word in settings):
         raise RequestError(f"suite=…: {command} takes one scene; leave it out")
-    found = scenes(settings, policy.run, policy.method)
+    found = scenes(settings, policy.run, policy.controller)
     if len(found) != 1:
         raise RequestError(f"{command} takes one scene; the settings give {len(found)}")
     return Entry(*found[0])
@@ -142,7 +142,7 @@ def make_plan(
     arguments, engines = _split_engines(arguments)
     if suite is None and len(entrants) == 1:
         (policy,) = entrants
-        found = scenes(arguments, policy.run, policy.method, tell)
+        found = scenes(arguments, policy.run, policy.controller, tell)
         source = found[0][1]
         against = controllers(baseline, "--baseline", source.baselines())
         entries = [Entry(*scene) for scene in found]
@@ -223,7 +223,7 @@ def _entries(
     _tell_unlike([entry for rows in found.values() for entry in rows], tell)
     keys = [key_of(word).rpartition("@")[2] for _, part in sections for word in part]
     chosen = any(key.startswith("rewards") for key in keys)
-    controllers = [(e, load_policy(e.method, "--baseline")) for e in beside]
+    controllers = [(e, load_policy(e.controller, "--baseline")) for e in beside]
     for rows in list(found.values()):
         configs = _of_each_reward(rows)
         if not chosen:  # as when they are asked for by name, so that the same blocks serve
@@ -289,14 +289,14 @@ def _composed(
         maker = entrant if entrant.run or host is None else host
         inherited = brought.get(maker)
         source = sources.get(entrant) or load_policy(
-            entrant.method, "--controller", "controller", fields={}
+            entrant.controller, "--controller", "controller", fields={}
         )
         equal = next((configs for who, configs in known if who == inherited), None)
         if equal is None or (own and not entrant.run):
             composed = [
                 (name, *scene)
                 for name, words in sections
-                for scene in scenes(words, maker.run, maker.method, once)
+                for scene in scenes(words, maker.run, maker.controller, once)
             ]
             if entrant.run or not own:
                 known.append((inherited, [(name, config) for name, config, _ in composed]))

@@ -1,10 +1,12 @@
-"""Policy files: a controller with the settings that ``flipperctl tune`` found, and how it did.
+"""Paths that stand for a controller: files of ``flipperctl tune``, folders of drives.
 
-In: a YAML file. Out: a checked ``PolicyFile``; its text, which reads back as the same.
+In: a YAML file. Out: a checked ``PolicyFile``, with the settings that were found and how they did;
+its text, which reads back as the same. In: a folder. Out: the files of drives that it holds.
 """
 
 from __future__ import annotations
 
+import os
 import re
 from pathlib import Path
 from typing import Any, Literal
@@ -65,9 +67,28 @@ class PolicyFile(_Part):
         return found
 
 
+DRIVES = "drive_*.safetensors"
+"""Names of files that each hold one drive of an operator."""
+
+
+def drive_files(path: Path) -> list[Path]:
+    """Return the files of drives in a folder, or the file itself; none of another path."""
+    if os.path.isdir(path):  # noqa: PTH112  # false for any text, however long
+        return sorted(path.glob(DRIVES))
+    return [path] if path.match(DRIVES) and os.path.isfile(path) else []  # noqa: PTH113
+
+
 def is_policy_file(name: str) -> bool:
-    """Return whether a word names a policy file, by its suffix."""
-    return name.lower().endswith(_SUFFIXES)
+    """Return whether a word names a controller's settings: a file by its suffix, or drives."""
+    return name.lower().endswith(_SUFFIXES) or bool(name and drive_files(Path(name)))
+
+
+def settings_of(path: str, where: str = "") -> dict[str, Any]:
+    """Return the name and the fields of the controller that a path stands for; see ``read``."""
+    if not path.lower().endswith(_SUFFIXES):
+        return {"name": "operator", "drives": path}
+    file = read(path, where)
+    return {**file.settings, "name": file.controller}
 
 
 def read(path: str, where: str = "") -> PolicyFile:

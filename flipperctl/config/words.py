@@ -176,9 +176,9 @@ def _expand(word: str, given: Collection[str]) -> Iterator[str]:
         yield f"+reward@{key}={name}"
         return
     if key in _CONTROLLERS and policy_file.is_policy_file(name):
-        file = policy_file.read(name, key)
-        yield f"{key}={file.controller}"
-        for field, setting in file.settings.items():
+        own = policy_file.settings_of(name, key)
+        yield f"{key}={own.pop('name')}"
+        for field, setting in own.items():
             if (path := f"{_CONTROLLERS[key]}.{field}") not in given:
                 yield f"{path}={_literal(setting)}"
         return

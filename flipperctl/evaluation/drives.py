@@ -19,8 +19,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from flipperctl.api import Policy
 from flipperctl.checkpoint import recording
-from flipperctl.checkpoint.recording import RecordedEpisode, drive_files
+from flipperctl.checkpoint.recording import RecordedEpisode
 from flipperctl.config import EvalConfig
+from flipperctl.config.policy_file import drive_files
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.play import EpisodeDigest

@@ -21,10 +21,9 @@ from typing import Any
 from flipperctl import checkpoint as checkpoints
 from flipperctl import plugins
 from flipperctl.api import Robot, registry
-from flipperctl.checkpoint.recording import drive_files
 from flipperctl.config import EvalConfig, strict_yaml, to_dict
 from flipperctl.config.identity import differences
-from flipperctl.config.policy_file import is_policy_file
+from flipperctl.config.policy_file import drive_files, is_policy_file
 from flipperctl.config.words import check_different, check_words, key_of
 from flipperctl.errors import ConfigError, FlipperctlError, RequestError
 from flipperctl.evaluation.conditions import Conditions
@@ -379,7 +378,14 @@ class NamedPolicy:
     run: Path | None = None
     """A run, a file or a shipped policy; None for a controller."""
     training_seed: int | None = None
-    """Seed of the training; None for a controller."""
+    """Seed of the training, or number of the person; None for a controller."""
+    settings: str = ""
+    """Path that a controller's settings are from; empty: the method is a controller's name."""
+
+    @property
+    def controller(self) -> str:
+        """The word that names the controller, if there is no ``run``."""
+        return self.settings or self.method
 
 
 def entrants(names: Sequence[str], tell: Callable[[str], None]) -> list[NamedPolicy]:
@@ -388,7 +394,8 @@ def entrants(names: Sequence[str], tell: Callable[[str], None]) -> list[NamedPol
     A name is that of a controller or a shipped policy, or the path of a run, a checkpoint or an
     exported file; names of controllers may be joined by commas, and a path of such a name begins
     with ``./``. A folder with the runs of a sweep stands for them all: for one method, if they
-    differ in their seeds alone. ``tell`` is called with a line for each run that has no
+    differ in their seeds alone; a folder with the drives of several people is one method, whose
+    people count like seeds. ``tell`` is called with a line for each run that has no
     checkpoint, repeats another one, or is not finished.
     """
     found: dict[NamedPolicy, None] = {}
@@ -432,8 +439,13 @@ def standing(baseline: str | None, present: Sequence[NamedPolicy]) -> list[Named
 
 def _of_path(path: Path, tell: Callable[[str], None]) -> Iterator[NamedPolicy]:
     # False for any text, however long.
-    if drive_files(path):
-        yield NamedPolicy(str(path))
+    if people := drives_in(path):
+        helpers = dict.fromkeys(folder.name.partition("+")[2] for folder in people)
+        for helper in helpers:
+            name = f"{path}+{helper}" if helper else str(path)
+            own = [folder for folder in people if folder.name.partition("+")[2] == helper]
+            for number, folder in enumerate(own):
+                yield NamedPolicy(name, None, number, str(folder))
         return
     sweep = os.path.isdir(path) and not checkpoints.holds(path)  # noqa: PTH112
     if not sweep or not checkpoints.runs_in(path):
@@ -470,6 +482,13 @@ def _of_path(path: Path, tell: Callable[[str], None]) -> Iterator[NamedPolicy]:
         name = f"{path}/{values}" if telling else str(members[0][0])
         for run, seed in members:
             yield NamedPolicy(str(path) if len(groups) == 1 else name, run, seed)
+
+
+def drives_in(path: Path) -> list[Path]:
+    """Return the folders of people's drives in that of a study; none of another path."""
+    if not os.path.isdir(path):  # noqa: PTH112  # false for any text, however long
+        return []
+    return sorted(folder for folder in path.iterdir() if drive_files(folder))
 
 
 def _swept(run: Path) -> str:

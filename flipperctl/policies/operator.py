@@ -16,9 +16,10 @@ from pydantic import Field
 from flipperctl.api import Command, Controller, Perception, Policy, Simulator, World, controller
 from flipperctl.api import action_index as index_of
 from flipperctl.checkpoint import recording
-from flipperctl.checkpoint.recording import PartialEnvironment, RecordedEpisode, drive_files
+from flipperctl.checkpoint.recording import PartialEnvironment, RecordedEpisode
 from flipperctl.config import EnvConfig, to_dict
 from flipperctl.config.identity import ABSENT, differences
+from flipperctl.config.policy_file import drive_files
 from flipperctl.errors import ConfigError, PolicyError
 
 HOLD = index_of(0, 0)

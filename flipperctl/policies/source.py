@@ -23,7 +23,6 @@ from flipperctl.agent.frames import stacked
 from flipperctl.api import Controller, ObservationLayout, Perception, Policy, Robot, Simulator
 from flipperctl.api.plugin import registered_names
 from flipperctl.checkpoint import LAST, find, hub, read_policy, shipped_policies
-from flipperctl.checkpoint.recording import drive_files
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, parse, policy_file, resolver
 from flipperctl.config.models import with_stand_ins
 from flipperctl.core.risk import RiskSign
@@ -78,12 +77,12 @@ def load_policy(
     """Return the policy that a word names: the rule of all commands, settings and functions.
 
     The name of a registered controller means it, though a folder is called so; ``./okada`` is the
-    folder. A ``.yaml`` file of ``flipperctl tune`` means its controller with its settings. Else the
-    word is a run, a checkpoint or an exported file, the name of a shipped policy, or
-    ``hf:user/name[@revision]`` for one of the Hugging Face Hub. A controller has its
-    ``reference_settings``, or the ``fields`` if they are given. ``tell`` is called with a line if
-    no validation has chosen the best policy of a run. Errors begin with ``where``, the option or
-    setting that holds the word.
+    folder. A ``.yaml`` file of ``flipperctl tune`` means its controller with its settings, a folder
+    of ``flipperctl drive`` the drives in it. Else the word is a run, a checkpoint or an exported
+    file, the name of a shipped policy, or ``hf:user/name[@revision]`` for one of the Hugging Face
+    Hub. A controller has its ``reference_settings``, or the ``fields`` if they are given. ``tell``
+    is called with a line if no validation has chosen the best policy of a run. Errors begin with
+    ``where``, the option or setting that holds the word.
     """
     if not isinstance(word, str | os.PathLike):
         raise ConfigError(f"{where}: a path or a name is allowed; the value is {word!r}")
@@ -92,15 +91,13 @@ def load_policy(
     if name in known:
         own = resolver.reference(name, where) if fields is None else {"name": name, **fields}
         return PolicySource(settings=resolver.to_dict(resolver.create("controller", own, where)))
-    if takes in ("any", "controller") and drive_files(Path(name)):
-        return PolicySource(settings={"name": "operator", "drives": name})
     if policy_file.is_policy_file(name):
         if takes in ("file", "checkpoint"):
             raise CheckpointError(
                 f"{prefix}{name}: a policy file is that of a controller; a trained policy is needed"
             )
-        tuned = policy_file.read(name, where)
-        own = {**tuned.settings, **(fields or {}), "name": tuned.controller}
+        found = policy_file.settings_of(name, where)
+        own = {**found, **(fields or {}), "name": found["name"]}
         settings = resolver.to_dict(resolver.create("controller", own, prefix + name))
         return PolicySource(settings=settings, name=name)
     if takes == "controller":
@@ -135,7 +132,7 @@ class PolicySource:
     settings: dict[str, Any] | None = None
     """``name`` and fields of a controller plugin."""
     name: str = ""
-    """Path of the policy file that the settings are from; empty for none."""
+    """Path of the policy file or the drives that the settings are from; empty for none."""
 
     @property
     def is_exported(self) -> bool:
@@ -158,8 +155,7 @@ class PolicySource:
             shipped = {file: name for name, file in shipped_policies().items()}
             known = shipped.get(self.checkpoint) or hub.label(self.checkpoint)
             return known or str(self.checkpoint)
-        settings = self.settings or {}
-        return self.name or str(settings.get("drives") or settings["name"])
+        return self.name or str((self.settings or {})["name"])
 
     @property
     def controller_name(self) -> str | None:
