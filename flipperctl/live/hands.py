@@ -123,10 +123,14 @@ class Hands:
         turns = []
         rates = asked.front, asked.rear
         for i, (step, before, rate) in enumerate(zip(now, steps, rates, strict=True)):
-            turned = (step - before) * robot.angle_step
-            turned += rate * robot.flipper_speed * self._period
-            if turned:
+            turn = (step - before) * robot.angle_step
+            turn += rate * robot.flipper_speed * self._period
+            if turn:
                 self.owned[i] = True
-            turns.append(turned if self.owned[i] else proposed[i] * robot.angle_step)
-        front, rear = self._rule.next_targets(targets, (state.front, state.rear), turns)
+            turns.append(turn if self.owned[i] else proposed[i] * robot.angle_step)
+        angles = state.front, state.rear
+        turned = self._rule.next_targets(targets, angles, turns)
+        front, rear = (
+            new if turn else old for new, old, turn in zip(turned, targets, turns, strict=True)
+        )
         return Command(front, rear, asked.belts, *map(float, self.owned)), asked.at

@@ -1,0 +1,241 @@
+"""``flipperctl drive``: what its page's socket makes the robot do, in real time."""
+
+import json
+import socket
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks import browser
+from benchmarks.drive import ScriptedOperator, Way
+from flipperctl.checkpoint import recording
+from flipperctl.config import EvalConfig
+from flipperctl.evaluation.drives import DriveFolder, Task, drive
+from flipperctl.evaluation.replay import replay
+from flipperctl.evaluation.rows import Row
+from flipperctl.live.drive import DrivePage
+from flipperctl.plugins import load
+from flipperctl.policies.source import load_policy
+from tests.cli.call import call
+
+pytestmark = pytest.mark.slow
+
+
+class Session:
+    """An episode on a step that waits for somebody to drive it."""
+
+    def __init__(self, folder: Path, helper: str | None = None, **settings: Any) -> None:
+        load(())
+        low = {"name": "step", "low": 0.1, "high": 0.1, "platform": 1.0}
+        self.config = EvalConfig(
+            terrain=low, episode={"run_up": 0.8, "run_out": 0.4, "start_noise": 0}, **settings
+        )
+        self.folder = DriveFolder(folder / "anna", "script: test")
+        self.page = DrivePage(0, "anna")
+        self.rows: list[Row] = []
+        source = None if helper is None else load_policy(helper)
+        task = Task("step", self.config, 0, self.folder, source)
+        self._thread = threading.Thread(
+            target=drive, args=(self.page, [task], lambda task, row, late: self.rows.append(row))
+        )
+        self._thread.daemon = True
+        self._thread.start()
+
+    @property
+    def address(self) -> str:
+        return self.page.gate.address
+
+    def over(self) -> Row:
+        self._thread.join(60)
+        assert not self._thread.is_alive()
+        (row,) = self.rows
+        return row
+
+    def episode(self) -> recording.RecordedEpisode:
+        (found,) = recording.read(self.folder.path).episodes
+        return found
+
+
+class Client:
+    """A browser's socket without the browser."""
+
+    def __init__(self, session: Session) -> None:
+        from websockets.sync.client import connect
+
+        http, token = session.address.split("/?")
+        self.socket = connect(f"{http.replace('http', 'ws')}/control?{token}", max_size=None)
+        self.at = 0.0
+        self.state: dict[str, Any] = {}
+        self.scene: dict[str, Any] = {}
+        self.pictures: dict[int, bytes] = {}
+        self.next(lambda s: bool(self.scene))
+
+    def next(self, until: Any, **hands: float) -> dict[str, Any]:
+        """Say what the hands do at each state, until a condition of a state is true."""
+        for message in self.socket:
+            if isinstance(message, bytes):
+                self.pictures[message[0]] = message[1:]
+                continue
+            found = json.loads(message)
+            if found["kind"] == "scene":
+                self.scene = found
+            elif found["kind"] == "state":
+                self.state = found
+                if until(found):
+                    return found
+                if hands:
+                    self.hands(**hands)
+        raise AssertionError("closed")
+
+    def hands(self, **hands: float) -> None:
+        self.at += 1
+        plain = {"front": 0, "rear": 0, "belts": 0, "front_steps": 0, "rear_steps": 0}
+        self.send({"kind": "hands", "at": self.at, **plain, **hands})
+
+    def do(self, what: str) -> None:
+        self.send({"kind": "do", "what": what})
+
+    def send(self, document: dict[str, Any]) -> None:
+        self.socket.send(json.dumps(document))
+
+
+@pytest.fixture
+def session(tmp_path: Path) -> Iterator[Session]:
+    opened = Session(tmp_path)
+    with opened.page.gate:
+        yield opened
+
+
+def test_a_drive_from_start_to_finish_is_an_episode(session: Session) -> None:
+    client, watcher = Client(session), Client(session)
+    assert client.scene["operator"] == "anna"
+    assert client.state["phase"] == "ready"
+    client.do("begin")
+    client.next(lambda s: s["time"] > 0.5, belts=1)
+    watcher.next(lambda s: s["time"] > 0.5)
+    assert (client.state["you"], watcher.state["you"]) == (True, False)
+    watcher.hands(belts=-1, front_steps=4)  # who watches cannot drive
+    client.next(lambda s: s["time"] > 1.5, belts=1, front_steps=2)
+    assert client.state["front_target"] == pytest.approx(2 * client.scene["step"])
+    client.next(lambda s: s["phase"] == "over", belts=1, front_steps=2)
+    assert client.state["outcome"] == "reached"
+    client.do("next")
+    row = session.over()
+    assert client.state["variation"] == pytest.approx(row["pitch_variation_100hz"], abs=0.02)
+    assert client.state["time"] == pytest.approx(row["t_cost"], abs=0.051)
+    (record,) = session.folder.path.glob("*.json")
+    assert replay(record).differences == []
+    assert row["taken"] == 1.0
+    commands = session.episode().commands
+    assert commands is not None
+    assert (commands[:, 2] >= 0).all()
+
+
+def test_a_lost_connection_holds_the_robot(session: Session) -> None:
+    client = Client(session)
+    client.do("begin")
+    client.next(lambda s: s["time"] > 1.0, belts=1, front=1)
+    lost = client.state["time"]
+    client.socket.socket.shutdown(socket.SHUT_RDWR)  # without a word
+    again = Client(session)
+    again.next(lambda s: s["phase"] == "held")
+    again.next(lambda s: s["phase"] == "driving", belts=1)  # nobody drove: it drives
+    again.next(lambda s: s["phase"] == "over", belts=1)
+    again.do("next")
+    session.over()
+    commands = session.episode().commands
+    assert commands is not None
+    stood = np.flatnonzero(commands[:, 2] == 0.0) * 0.05
+    stood = stood[stood > 0.9]
+    assert stood[0] <= lost + 0.3
+    held = commands[commands[:, 2] == 0.0]
+    held = held[-len(stood) :]
+    assert np.ptp(held[:, 0]) < 1e-9  # the flipper is not driven on, nor let sag
+
+
+def test_a_policy_turns_what_the_person_leaves(tmp_path: Path) -> None:
+    session = Session(tmp_path, "okada")
+    with session.page.gate:
+        client = Client(session)
+        assert client.scene["shared"]
+        client.do("begin")
+        client.next(lambda s: s["time"] > 1.0, belts=1)
+        assert client.state["who"] == {"front": "policy", "rear": "policy"}
+        client.next(lambda s: s["time"] > 2.0, belts=1, rear_steps=1)
+        assert client.state["who"] == {"front": "policy", "rear": "person"}
+        client.do("release")
+        client.next(lambda s: s["who"]["rear"] == "policy", belts=1, rear_steps=1)
+        client.next(lambda s: s["phase"] == "over", belts=1, rear_steps=1)
+        client.do("next")
+        row = session.over()
+    assert 0 < row["taken"] < 0.5
+    (record,) = session.folder.path.glob("*.json")
+    assert replay(record).differences == []
+
+
+def test_cameras_show_what_is_there(tmp_path: Path) -> None:
+    pytest.importorskip("mujoco")
+    from PIL import Image
+
+    session = Session(tmp_path, sim="mujoco", perception="lidar")
+    with session.page.gate:
+        client = Client(session)
+        assert client.scene["cameras"]
+        client.do("begin")
+        client.next(lambda s: len(client.pictures) == 2, belts=1)
+        for data in client.pictures.values():
+            (tmp_path / "p.jpg").write_bytes(data)
+            pixels = np.asarray(Image.open(tmp_path / "p.jpg"))
+            assert pixels.shape == (240, 320, 3)
+            assert pixels.std() > 10
+        client.do("again")
+        client.next(lambda s: s["phase"] == "ready")
+        assert not session.folder.path.exists()  # a drive that was broken off leaves nothing
+
+
+@pytest.mark.skipif(browser.installed() is None, reason="no Chromium is installed")
+def test_a_browser_drives_by_keys(session: Session) -> None:
+    problems: list[str] = []
+    http = session.address.split("/?")[0]
+    own = http, http.replace("http", "ws"), "data:", "blob:"
+    with browser.chromium() as opened:
+        tab = opened.new_page(viewport={"width": 1280, "height": 800})
+        tab.on("request", lambda r: None if r.url.startswith(own) else problems.append(r.url))
+        tab.on("pageerror", lambda error: problems.append(str(error)))
+        tab.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)
+        tab.goto(session.address)
+        tab.locator("#phase[data-value=ready]").wait_for(timeout=60_000)
+        operator = ScriptedOperator(
+            tab, [Way(-2, 1, 0), Way(0, 0, 0)], 0.4, keys=True, reaction=0.1
+        )
+        assert operator.drive() == "reached"
+        shown = {name: operator.value(name) for name in ("time", "variation", "front", "pitch")}
+        tab.keyboard.press("Enter")
+        row = session.over()
+    assert shown["time"] == pytest.approx(row["t_cost"], abs=0.051)
+    assert shown["variation"] == pytest.approx(row["pitch_variation_100hz"], abs=0.05)
+    assert problems == []
+    assert operator.latencies
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["--as", "../x"], "--as ../x"),
+        (["--with", "generalis"], "did you mean 'generalist'"),
+        (["--study", "none.yaml"], "--study none.yaml: it cannot be read"),
+        (["terrain=stare"], "stair"),
+        (["--port", "99999"], "--port"),
+        (["--output", "file.txt"], "it is a file"),
+    ],
+)
+def test_a_wrong_request_is_one_error(words: list[str], text: str, tmp_path: Path) -> None:
+    (tmp_path / "file.txt").write_text("")
+    done = call("drive", *words, "--no-open", cwd=tmp_path)
+    assert done.code == 2
+    assert text in done.err
+    assert len(done.err.strip().splitlines()) <= 2
