@@ -38,7 +38,7 @@ class _Drive(NamedTuple):
 
 @controller("operator")
 class Operator(Controller):
-    """Repeat recorded drives of a person or a script, each on the draw on which it was driven.
+    """Repeat the recorded drives of a person or a script, each on its own draw.
 
     Only draws that were driven can be played: the episodes of ``eval`` are those of ``flipperctl
     drive`` with equal settings. Where the robot perceives something else than when it was driven,

@@ -12,9 +12,9 @@ _STANDS = 0.05
 
 @measure("taken", operated_only=True)
 def taken(episode: Sequence[Transition]) -> float:
-    """Share of the time for which the operator commands a flipper pair, mean of both pairs [-].
+    """Share of the time for which the operator commands a pair of flippers [-].
 
-    It is 1 without shared control; a policy that helps commands the rest.
+    It is the mean of both pairs: 1 without shared control, where no policy commands the rest.
     """
     return float(
         np.concatenate([t.commands[:, 3:] for t in episode if t.commands is not None]).mean()
