@@ -101,8 +101,11 @@ class ScriptedOperator:
         self.tab.locator(f"#{pair}-{'up' if up else 'down'}").click()
         self._forward(moving)
 
-    def drive(self, limit: float = 240.0) -> str:
-        """Drive from the start to the end of an episode; return how it ended."""
+    def drive(self, limit: float = 240.0, picture: Path | None = None) -> str:
+        """Drive from the start to the end of an episode; return how it ended.
+
+        ``picture``: file for a picture of the page, a third of the way.
+        """
         tab = self.tab
         tab.locator("#begin").click() if not self.keys else tab.keyboard.press("Enter")
         begun, at = time.monotonic(), 0
@@ -115,6 +118,9 @@ class ScriptedOperator:
             while at + 1 < len(self.plan) and self.plan[at + 1].x <= x:
                 at += 1  # and never back, where the robot slides
             way = self.plan[at]
+            if picture is not None and at > len(self.plan) // 3:
+                tab.screenshot(path=picture)
+                picture = None
             wanted = {"front": way.front, "rear": way.rear}
             if latency := self.value("latency"):
                 self.latencies.append(latency)
@@ -135,12 +141,10 @@ class ScriptedOperator:
 
 
 @contextmanager
-def driving(words: Sequence[str], folder: Path) -> Iterator[tuple[str, subprocess.Popen[str]]]:
-    """Run ``flipperctl drive`` with these words in a folder; yield its address."""
-    command = [sys.executable, "-m", "flipperctl", "drive", *words, "--script", "--no-open"]
-    run = subprocess.Popen(  # noqa: S603
-        [*command, "--port", "0"], cwd=folder, stderr=subprocess.PIPE, text=True
-    )
+def served(*command: str, folder: Path = Path()) -> Iterator[tuple[str, subprocess.Popen[str]]]:
+    """Run a command of flipperctl that serves a page; yield the page's address."""
+    whole = [sys.executable, "-m", "flipperctl", *command, "--no-open", "--port", "0"]
+    run = subprocess.Popen(whole, cwd=folder, stderr=subprocess.PIPE, text=True)  # noqa: S603
     assert run.stderr is not None
     address = ""
     for line in run.stderr:
@@ -152,7 +156,6 @@ def driving(words: Sequence[str], folder: Path) -> Iterator[tuple[str, subproces
     printing.start()
     try:
         yield address, run
-        run.wait(30)
     finally:
         run.kill()
         printing.join(5)
@@ -163,6 +166,33 @@ def _pass_on(lines: Any) -> None:
         print(line, end="", file=sys.stderr)
 
 
+def drive_all(tab: Any, run: subprocess.Popen[str], given: argparse.Namespace) -> None:
+    """Drive each episode that the page offers, answer its questions, and print what came."""
+    while run.poll() is None:
+        tab.wait_for_timeout(200)
+        if tab.locator("#asking").evaluate("form => form.open"):
+            for slider in tab.locator("#questions input").all():
+                slider.fill("50")  # a script has no opinion
+            tab.locator("#answer").click()
+            continue
+        if tab.locator("#phase").get_attribute("data-value") != "ready":
+            continue
+        title = tab.locator("#title").get_attribute("data-value") or ""
+        scene = next(name for name in PLANS if name in title)
+        operator = ScriptedOperator(
+            *(tab, PLANS[scene], SCENES[scene][1]), keys=given.by == "keys", reaction=given.reaction
+        )
+        outcome = operator.drive(picture=given.picture)
+        print(
+            f"{title}, {given.by}: {outcome} after {operator.value('time'):.1f} s, pitch variation "
+            f"{operator.value('variation'):.2f} rad; key to motion "
+            f"{1000 * statistics.median(operator.latencies):.0f} ms (median), "
+            f"{operator.value('rate'):.1f} commands a second"
+        )
+        tab.locator("#begin").click()
+        tab.wait_for_timeout(1000)
+
+
 def main() -> None:
     """Drive, and print what was measured."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -170,32 +200,22 @@ def main() -> None:
     parser.add_argument("--sim", choices=("planar", "mujoco"), default="mujoco")
     parser.add_argument("--by", choices=("keys", "buttons"), default="keys")
     parser.add_argument("--perception", default="lidar")
+    parser.add_argument("--study", help="a study whose scenes are called step or stair")
     parser.add_argument("--as", dest="name", default="fixed")
     parser.add_argument("--episodes", type=int, default=1)
     parser.add_argument("--reaction", type=float, default=0.2, help="[s]")
     parser.add_argument("--folder", type=Path, default=Path())
-    parser.add_argument("--picture", type=Path, help="a picture of the page, half way")
+    parser.add_argument("--picture", type=Path, help="a picture of the page, in the first half")
     given = parser.parse_args()
-    scene, finish = SCENES[given.scene]
-    words = [*scene, f"sim={given.sim}", f"perception={given.perception}"]
-    words += ["--as", given.name, "--episodes", str(given.episodes)]
-    with driving(words, given.folder) as (address, _), chromium() as browser:
+    words = [*SCENES[given.scene][0], f"sim={given.sim}", f"perception={given.perception}"]
+    words += ["--episodes", str(given.episodes)]
+    if given.study:
+        words = ["--study", given.study]
+    command = ["drive", *words, "--as", given.name, "--script"]
+    with served(*command, folder=given.folder) as (address, run), chromium() as browser:
         tab = browser.new_page(viewport={"width": 1280, "height": 800})
         tab.goto(address)
-        for episode in range(given.episodes):
-            plan = PLANS[given.scene]
-            keys = given.by == "keys"
-            operator = ScriptedOperator(tab, plan, finish, keys=keys, reaction=given.reaction)
-            tab.locator("#phase[data-value=ready]").wait_for(timeout=60_000)
-            outcome = operator.drive()
-            print(
-                f"{given.scene}, {given.sim}, {given.by}, episode {episode}: {outcome}; key to "
-                f"motion {1000 * statistics.median(operator.latencies):.0f} ms (median), "
-                f"{operator.value('rate'):.1f} commands a second"
-            )
-            if given.picture:
-                tab.screenshot(path=given.picture)
-            tab.locator("#begin").click()
+        drive_all(tab, run, given)
 
 
 if __name__ == "__main__":

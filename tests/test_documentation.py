@@ -15,12 +15,16 @@ import pytest
 
 from flipperctl import checkpoint
 from flipperctl.api import ACTIONS, Outcome
+from flipperctl.config import EvalConfig
 from flipperctl.env import flipper_env
+from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.evaluation.drives import DriveFolder
 from flipperctl.lookahead import Mpc, Planner, planner
 from flipperctl.testing import checks
 from tests.cli.call import EXACT, GROUPS, RUN, call
 from tests.cli.test_compare import write
 from tests.cli.test_sweeps import JOBLIB, RAY
+from tests.evaluation.test_drives import Script
 
 pytestmark = pytest.mark.slow
 
@@ -95,9 +99,21 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "examples").symlink_to(ROOT / "examples")
     for name, text in saved().items():
         (folder / name).write_text(text)
+    for who, terrain in (
+        ("drives/me", "step"),
+        ("drives/me", "uplift"),
+        ("study/anna", "paper_stair"),
+    ):
+        driven(folder / who, terrain)
     with contextlib.chdir(folder):
         exec(example("mound.npy"), {})
     return folder
+
+
+def driven(folder: Path, terrain: str) -> None:
+    """Write the drive of a script."""
+    config = EvalConfig(terrain=terrain)
+    DriveFolder(folder, "script: test").drive(config, FlipperEnv(config=config), Script(), 0)
 
 
 def example(word: str) -> str:
@@ -151,7 +167,7 @@ def with_budget(command: list[str]) -> list[str]:
         return re.sub(r"--draws \d+", "--draws 2", " ".join(command)).split()
     if command[0] in ("watch", "demo"):
         return [*command, "--terminal", "--episodes", "1"]
-    if command[:2] == ["export", "mcap"]:
+    if command[:2] == ["export", "mcap"] and "perception=lidar" in command:
         return [*command, *SPARSE]
     if command[0] == "bench":
         words = re.sub(r"--repeats \d+", "", " ".join(command)).split()
@@ -205,7 +221,7 @@ def cases() -> Iterator[Any]:
         shown = command in first or name not in seen or name in AT_ONCE
         long = name in NIGHTLY or not shown
         seen.add(name)
-        if command not in LAUNCHED:
+        if command not in LAUNCHED and name != "drive":  # tests/live drives
             yield pytest.param(command, id=" ".join(command), marks=[pytest.mark.long] * long)
 
 

@@ -172,6 +172,7 @@ def export(
     overrides: options.Overrides = None,
     controller: options.DefaultOkada = None,
     seed: options.Seed = None,
+    episode: Annotated[int, typer.Option(metavar="N", min=0, help="Episode; mcap.")] = 0,
     output: Annotated[
         Path | None,
         typer.Option(
@@ -188,7 +189,7 @@ def export(
     rollouts; a mismatch is an error. OVERRIDES are then the robot, as in robot.angle_limit=0.9, if
     it is another than that of the training; the command prints the changes.
 
-    A scene or an episode is the first one of eval with the same OVERRIDES, checkpoint and seed.
+    A scene or an episode is the first one of eval with the same policy, OVERRIDES and seed.
 
     [bold]Examples[/]
 
@@ -200,7 +201,7 @@ def export(
 
       flipperctl export urdf terrain=stair robot=absolem --output absolem.urdf
 
-      flipperctl export mcap --controller okada sim=mujoco perception=lidar
+      flipperctl export mcap okada sim=mujoco perception=lidar
     """  # noqa: D205  # the summary, which help prints, has two lines
     words = list(overrides or [])
     if kind in (Kind.onnx, Kind.pt2):
@@ -212,10 +213,9 @@ def export(
             raise RequestError(f"{kind}: name a policy, as in: flipperctl export {kind} runs/first")
         _export_policy(kind, checkpoint, words, output, as_json=as_json)
         return
-    from flipperctl.cli.hydra.compose import only_one
-    from flipperctl.cli.plan import scenes
+    from flipperctl.cli.plan import one_scene
     from flipperctl.config.words import with_engine, with_flags
-    from flipperctl.evaluation.plan import controller_or_okada
+    from flipperctl.evaluation.plan import split_policies
     from flipperctl.export.scene import export_scene
     from flipperctl.ros.episode import export_bag
     from flipperctl.terminal.tables import print_bag, print_scene
@@ -223,11 +223,13 @@ def export(
     words = with_flags(words, seed=seed)
     if kind is not Kind.mcap:
         words = with_engine(words)
-    named = controller_or_okada(checkpoint, controller)
-    config, source = only_one(scenes(words, checkpoint, named))
+    if checkpoint is None and controller is None and not split_policies(words)[0]:
+        controller = "okada"
+    entry = one_scene(words, checkpoint, controller, f"export {kind}")
+    config, source = entry.config, entry.source
     name = config.terrain.plugin_name
     if kind is Kind.mcap:
-        bag = export_bag(config, source, output or Path(name))
+        bag = export_bag(config, source, output or Path(name), episode)
         show(bag, lambda: print_bag(bag), as_json=as_json)
         return
     target = output or Path(f"{name}.xml" if kind is Kind.mjcf else f"{name}.urdf")

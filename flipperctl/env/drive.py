@@ -38,7 +38,7 @@ from flipperctl.sim.versions import samples_in, simulated
 
 _TURN, _SAMPLE, _PERCEIVE, _END = range(4)
 """Events within a decision; those of one sample happen in this order."""
-_DRIVEN = 0.5
+_DRIVEN = 0.9
 """Mean share of the belts' speed from which a decision counts as driven ahead [-]."""
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Annotated
 
 import yaml
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from flipperctl.api import Policy
 from flipperctl.checkpoint import recording
@@ -184,6 +184,14 @@ class Study(BaseModel):
     """Episodes before them, on other draws, which do not count."""
     questions: bool = True
     """Whether NASA-TLX is asked after each block."""
+
+    @field_validator("people", "helpers")
+    @classmethod
+    def _named_once(cls, names: tuple[str, ...]) -> tuple[str, ...]:
+        for name in names:
+            if names.count(name) > 1:
+                raise ValueError(f"{name!r} is named twice")
+        return names
 
     def blocks(self, person: str) -> list[tuple[str, str]]:
         """Return helper and scene of each block, in the order of this person.

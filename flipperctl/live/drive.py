@@ -42,8 +42,10 @@ PERIOD = 0.05
 _VIEWS: tuple[View, ...] = ("front", "rear")
 _SIZE = 320, 240  # width and height of the cameras' pictures [px]
 _QUALITY = 70  # of their JPEGs, of 100
-_DRAWING = 0.4
+_DRAWING = 0.6
 """Largest share of the time for the cameras' pictures [-]."""
+_OLDEST = 1.0
+"""Time after which a picture is drawn although the next tick then comes late [s]."""
 _SCENE = 2
 """Ticks for each new state of the 3-D scene [-]."""
 _WAITS = 2.0
@@ -203,7 +205,9 @@ class Operator:
         self._variation = 0.0
         self._heard: float | None = None
         self._ticks: deque[float] = deque()
-        self._due = self._alone = self._next_picture = 0.0
+        self._due = self._alone = 0.0
+        self._drawing = self._drawn = 0.0
+        """How long the last picture took, and when it was drawn [s]."""
         self._view = 0
         self._phase = "ready"
         self.late = self.count = 0
@@ -260,8 +264,7 @@ class Operator:
             with page.gate.server.atomic():
                 self._scene.show(state)
                 page.follower.position = (-float(state.position[0]), 0.0, 0.0)
-        if time.monotonic() >= self._next_picture:
-            self._draw(world)
+        self._draw(world)
         self._wait()
         if page.wished() == "again":
             raise AgainError
@@ -292,10 +295,12 @@ class Operator:
             self._ticks.popleft()
 
     def _draw(self, world: Any) -> None:
-        """Draw one of the cameras, and let enough time pass before the next one."""
-        if not self._cameras:
-            return
+        """Draw one of the cameras, if the time until the next tick is enough for it."""
         begun = time.monotonic()
+        soon, old = self._due - begun < self._drawing, begun - self._drawn > _OLDEST
+        rested = begun - self._drawn > self._drawing / _DRAWING
+        if not self._cameras or not (old or (rested and not soon)):
+            return
         self._view = 1 - self._view
         try:
             image = world.look(_VIEWS[self._view], *_SIZE)
@@ -304,7 +309,8 @@ class Operator:
             self._about["note"] = f"no cameras: {error}"
             return
         self._page.picture(self._view, image.pixels)
-        self._next_picture = begun + (time.monotonic() - begun) / _DRAWING
+        self._drawn = time.monotonic()
+        self._drawing = self._drawn - begun
 
     def _gauges(self, state: RobotState) -> dict[str, Any]:
         drive, robot = self._env.drive, self._env.robot

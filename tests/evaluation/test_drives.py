@@ -1,7 +1,9 @@
 """Operators: commands between decisions, and drives that are repeated from their files."""
 
 import math
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,13 +14,22 @@ from flipperctl.config import EvalConfig
 from flipperctl.env.drive import Operator
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError, PolicyError, RequestError
-from flipperctl.evaluation.drives import DriveFolder
+from flipperctl.evaluation.drives import (
+    PRACTICE,
+    DriveFolder,
+    Task,
+    add_answers,
+    read_study,
+    tasks_of,
+)
 from flipperctl.evaluation.play import EpisodeRunner, Player
 from flipperctl.evaluation.replay import replay
 from flipperctl.evaluation.rows import RECORDED
 from flipperctl.plugins import load
 from flipperctl.policies.source import load_policy
 from flipperctl.rollout.episode import decisions
+from flipperctl.ros.episode import export_bag
+from flipperctl.ros.messages import typestore
 
 PERIOD = 0.05
 
@@ -160,3 +171,103 @@ def test_drives_teach_and_read_as_one_file(tmp_path: Path) -> None:
         assert np.array_equal(one.actions, by_number[one.number].actions)
         assert np.array_equal(one.labels, by_number[one.number].labels)
     assert math.isfinite(sum(float(one.rewards.sum()) for one in kept))
+
+
+STUDY = """
+scenes:
+  low: terrain=step
+  high: terrain=step terrain.low=0.2
+people: [anna, ben, cleo, dan]
+helpers: [none, okada]
+repeats: 2
+"""
+
+
+def test_a_study_balances_its_blocks_and_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    file = tmp_path / "study.yaml"
+    file.write_text(STUDY)
+    found = read_study(file, "ben")
+    orders = [found.blocks(person) for person in found.people]
+    for place in range(4):  # each block once at each place
+        assert len({order[place] for order in orders}) == 4
+    follows = [pair for order in orders for pair in pairwise(order)]
+    assert len(set(follows)) == 12  # and each after each other one once
+    config = scene("planar")
+
+    def tasks() -> list[Task]:
+        return list(
+            tasks_of(
+                found, "ben", lambda words: config, load_policy,
+                lambda helper: DriveFolder(tmp_path / f"ben+{helper}", "script: ben"),
+            )
+        )  # fmt: skip
+
+    planned = tasks()
+    assert [(t.practice, t.asks != "") for t in planned[:3]] == [
+        (True, False), (False, False), (False, True),
+    ]  # fmt: skip
+    assert planned[0].index >= PRACTICE
+    first = planned[1]
+    first.folder.drive(config, FlipperEnv(config=config), Script(), first.index)
+    assert first.index not in [t.index for t in tasks()[:2]]
+    add_answers(tmp_path, "ben", "none", "low", (0, 10, 20, 30, 40, 50))
+    add_answers(tmp_path, "ben", "okada", "high", (0, 0, 0, 0, 0, 3))
+    lines = (tmp_path / "answers.csv").read_text().splitlines()
+    assert lines[1:] == ["ben,none,low,0,10,20,30,40,50,25.0", "ben,okada,high,0,0,0,0,0,3,0.5"]
+
+
+@pytest.mark.parametrize(
+    ("text", "error"),
+    [
+        ("scenes: [", "no YAML"),
+        ("people: [anna]", "scenes"),
+        (STUDY + "repeat: 3", "repeat"),
+        (STUDY.replace("repeats: 2", "repeats: 0"), "repeats"),
+        (STUDY.replace("ben", "bea"), "no such person; anna, bea, cleo, dan are allowed"),
+        (STUDY.replace("dan", "anna"), "people: 'anna' is named twice"),
+    ],
+)
+def test_a_wrong_study_is_one_error(text: str, error: str, tmp_path: Path) -> None:
+    file = tmp_path / "study.yaml"
+    file.write_text(text)
+    with pytest.raises(RequestError, match=error):
+        read_study(file, "ben")
+
+
+def test_a_bag_of_a_drive_has_its_states(tmp_path: Path) -> None:
+    reader, factory = pytest.importorskip("mcap.reader"), pytest.importorskip("mcap_ros2.decoder")
+    rosbags = pytest.importorskip("rosbags.highlevel")
+    config = EvalConfig(terrain="step", perception={"name": "lidar", "azimuths": 60})
+    folder = DriveFolder(tmp_path / "anna", "script: test")
+    row = folder.drive(config, FlipperEnv(config=config), Script(), 0)
+    bag = tmp_path / "bag"
+    export_bag(config, load_policy(tmp_path / "anna"), bag)
+    topics = ("/joint_states", "/odom", "/belt_speed", "/flipper_controller/commands")
+    (file,) = bag.glob("*.mcap")
+    with file.open("rb") as stream:
+        decoded = reader.make_reader(stream, decoder_factories=[factory.DecoderFactory()])
+        ours = [
+            (channel.topic, message.log_time, numbers(decoded_message))
+            for _, channel, message, decoded_message in decoded.iter_decoded_messages(topics)
+        ]
+    with rosbags.AnyReader([bag], default_typestore=typestore()) as other:
+        chosen = [c for c in other.connections if c.topic in topics]
+        theirs = [
+            (c.topic, time, numbers(other.deserialize(data, c.msgtype)))
+            for c, time, data in other.messages(chosen)
+        ]
+    assert sorted(ours) == sorted(theirs)
+    assert {topic for topic, *_ in ours} == set(topics)
+    belts = [values[0] for topic, _, values in ours if topic == "/belt_speed"]
+    assert min(belts) == pytest.approx(-0.1)  # half of the speed, back
+    assert belts.count(0.0) * 0.01 == pytest.approx(row["belts_stood"], abs=0.1)
+
+
+def numbers(message: Any) -> list[float]:
+    """Return the numbers of a message that both readers know."""
+    if hasattr(message, "data"):
+        return [float(x) for x in np.atleast_1d(message.data)]
+    if hasattr(message, "position"):
+        return [*map(float, message.position)]
+    place = message.pose.pose.position
+    return [place.x, place.y, place.z]
