@@ -6,15 +6,16 @@ python -m benchmarks.live_pictures [--output docs/images]
 from __future__ import annotations
 
 import argparse
+import re
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
 from benchmarks.browser import chromium
-from benchmarks.drive import served
+from benchmarks.drive import dismiss, served
 
-WATCHED = "watch", "generalist", "level", "terrain=pallet", "sim=mujoco", "--speed", "3"
+WATCHED = "watch", "generalist", "level", "terrain=pallet", "sim=mujoco"
 
 
 def main() -> None:
@@ -25,9 +26,9 @@ def main() -> None:
     with served(*WATCHED) as (address, _), chromium() as browser:
         tab = browser.new_page(viewport={"width": 1280, "height": 800})
         tab.goto(address)
-        tab.get_by_text("Q-values").first.wait_for(timeout=60_000)
-        tab.wait_for_timeout(9_000)
+        tab.get_by_text(re.compile(r"time [6-8]\.\d s")).first.wait_for(timeout=60_000)
         tab.keyboard.press("p")
+        dismiss(tab)
         tab.wait_for_timeout(2_000)
         tab.screenshot(path=output / "watch.png")
     with tempfile.TemporaryDirectory() as folder:
