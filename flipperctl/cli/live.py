@@ -122,7 +122,10 @@ def drive(
     study: Annotated[
         Path | None, typer.Option(metavar="FILE", help="A study: who drives what how often.")
     ] = None,
-    episode: First = 0,
+    episode: Annotated[
+        int | None,
+        typer.Option(metavar="N", min=0, help="First episode [the first one not driven yet]."),
+    ] = None,
     episodes: Annotated[int, typer.Option(metavar="N", min=1, help="Episodes per scene.")] = 1,
     seed: options.Seed = None,
     bag: Annotated[
@@ -174,7 +177,7 @@ def drive(
         tasks = [
             drives.Task(config.terrain.plugin_name, config, index, own, source)
             for config in _configs(words)
-            for index in range(episode, episode + episodes)
+            for index in own.next(config, episode, episodes)
         ]
         for task in tasks:
             own.check(task.config)
@@ -204,7 +207,7 @@ def drive(
 
     def driven(task: drives.Task, row: dict[str, Any], late: float) -> None:
         print_note(
-            f"{task.title}, episode {task.index}: {row['outcome']} after {row['t_cost']:.1f} s, "
+            f"{task.title}, {'practice' if task.practice else 'episode'} {task.number}: {row['outcome']} after {row['t_cost']:.1f} s, "
             f"pitch variation {row['pitch_variation_100hz']:.2f} rad; {late:.1%} of ticks late"
         )
 

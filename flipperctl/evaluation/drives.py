@@ -67,6 +67,19 @@ class DriveFolder:
         wanted = range(first, first + count)
         return [i for i in wanted if not self.file(config, seeds(i)).exists()]
 
+    def next(self, config: EvalConfig, first: int | None, count: int) -> list[int]:
+        """Return the episodes to drive from ``first`` on; None: those that were not driven yet."""
+        if first is None:
+            driven = len(drive_files(self.path))
+            return self.missing(config, 0, driven + count)[:count]
+        wanted = list(range(first, first + count))
+        if kept := set(wanted) - set(self.missing(config, first, count)):
+            raise RequestError(
+                f"--episode {min(kept)}: {self.path} holds a drive of it; delete its files to drive "
+                "it again, or leave --episode out for the next one"
+            )
+        return wanted
+
     def drive(
         self,
         config: EvalConfig,
@@ -127,6 +140,11 @@ class Task:
     asks: str = ""
     """Name of the block after which the questions are asked; empty: none are asked."""
 
+    @property
+    def number(self) -> int:
+        """Index that people read, from 0."""
+        return self.index - PRACTICE if self.practice else self.index
+
 
 Answered = Callable[[Task, tuple[int, ...]], None]
 
@@ -145,7 +163,7 @@ def drive(
     for number, task in enumerate(tasks):
         config = task.config
         title = f"{task.title}{', practice' if task.practice else ''}"
-        about = {"title": title, "episode": task.index, "practice": task.practice}
+        about = {"title": title, "episode": task.number, "practice": task.practice}
         word = "again"
         while word == "again":
             env = FlipperEnv(config=config)
