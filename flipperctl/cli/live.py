@@ -206,9 +206,11 @@ def drive(
             return
 
     def driven(task: drives.Task, row: dict[str, Any], late: float) -> None:
+        kind = "practice" if task.practice else "episode"
+        variation = row["pitch_variation_100hz"]
         print_note(
-            f"{task.title}, {'practice' if task.practice else 'episode'} {task.number}: {row['outcome']} after {row['t_cost']:.1f} s, "
-            f"pitch variation {row['pitch_variation_100hz']:.2f} rad; {late:.1%} of ticks late"
+            f"{task.title}, {kind} {task.number}: {row['outcome']} after {row['t_cost']:.1f} s, "
+            f"pitch variation {variation:.2f} rad; {late:.1%} of ticks late"
         )
 
     def answered(task: drives.Task, answers: tuple[int, ...]) -> None:

@@ -75,8 +75,8 @@ class DriveFolder:
         wanted = list(range(first, first + count))
         if kept := set(wanted) - set(self.missing(config, first, count)):
             raise RequestError(
-                f"--episode {min(kept)}: {self.path} holds a drive of it; delete its files to drive "
-                "it again, or leave --episode out for the next one"
+                f"--episode {min(kept)}: {self.path} holds a drive of it; delete its files to "
+                "drive it again, or leave --episode out for the next one"
             )
         return wanted
 

@@ -126,7 +126,7 @@ def test_a_drive_is_repeated_bit_for_bit(sim: str, tmp_path: Path) -> None:
     row = folder.drive(config, FlipperEnv(config=config), Script(), 0)
     assert folder.missing(config, 0, 2) == [1]
     assert folder.next(config, None, 2) == [1, 2]
-    with pytest.raises(RequestError, match="--episode 0: .* holds a drive of it"):
+    with pytest.raises(RequestError, match=r"--episode 0: .* holds a drive of it"):
         folder.next(config, 0, 1)
     source = load_policy(tmp_path / "anna")
     assert EpisodeRunner(config, source, config.eval.seed).play(0) == row
