@@ -54,6 +54,11 @@ class Operator(Controller):
         """The files of drives, in the order of their names."""
         return drive_files(Path(self.drives)) if self.drives else []
 
+    @property
+    def drivers(self) -> list[str]:
+        """Who drove, such as ``person: anna`` or ``script: slow``."""
+        return list(dict.fromkeys(recording.read(file).document.driver for file in self.files))
+
     def build(self) -> Policy:
         """Return a policy that plays the recorded drive of each draw."""
         if not (files := self.files):

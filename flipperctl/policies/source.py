@@ -259,7 +259,9 @@ def learned_value(name: str, path: str) -> LearnedValue:
 def controller_notes(
     controller: Controller, config: EnvConfig, path: str = "controller"
 ) -> Iterator[str]:
-    """Yield a line if ``with_files`` replaces the values of a controller by its own cost."""
+    """Yield a line if ``with_files`` replaces a controller's values, and on who drove drives."""
+    if isinstance(controller, Operator):
+        yield f"{controller.drives}: driven by {', '.join(controller.drivers)}"
     if isinstance(controller, Mpc) and controller.value and controller.fallback:
         learned = learned_value(controller.value, f"{path}.value")
         found = list(learned.misfits(config.robot, config.perception.layout))
