@@ -18,6 +18,7 @@ from typing import Final
 
 import torch
 
+from flipperctl.agent.curiosity import Curiosity
 from flipperctl.agent.learner import Learner
 from flipperctl.agent.losses import (
     mean_value_penalty,
@@ -87,10 +88,14 @@ class D3qn(Learner):
     """A learner with the update from a batch of the replay."""
 
     baselines: Baselines | None = None
+    curiosity: Curiosity | None = None
 
     def _build_beside(
         self, inputs: int, privileged: int
     ) -> list[tuple[torch.nn.Module, torch.nn.Module]]:
+        if self.settings.curiosity:
+            self.curiosity = own = Curiosity(inputs, seed=self._seed, device=self.device)
+            self._parts |= {"curiosity": own.network, "curiosity_optimiser": own.optimiser}
         if not privileged:
             return []
         self._parts["baselines"] = self.baselines = Baselines(inputs, privileged).to(self.device)
@@ -115,6 +120,8 @@ class D3qn(Learner):
         self._target_noise.draw(self.noise_rng)
         with torch.no_grad():
             reward = batch.reward * s.reward_scale
+            if self.curiosity is not None:
+                reward = reward + s.curiosity * self.curiosity.reward(batch)
             targets = (
                 difference_targets(reward, batch, self.online, self.target)
                 if teacher is None or teacher.td_weight or teacher.loss == "values"
@@ -138,6 +145,8 @@ class D3qn(Learner):
             self._descend(loss, rate)
             if self.risk is not None:
                 self.risk.step(step, rate)
+            if self.curiosity is not None:
+                self.curiosity.step(step, rate)
         self._noise.acts()
         return value
 

@@ -121,6 +121,13 @@ class Agent(Settings):
         description="let a second network, which sees the ground ahead and the distance to the "
         "finish, learn what they change in all actions' values alike; policies do without it [-]",
     )
+    curiosity: float = Field(
+        0.0,
+        ge=0,
+        le=1e3,
+        description="weight of a reward for transitions that networks beside the policy cannot "
+        "predict yet (ICM, Pathak et al. 2017); 0: none. It needs agent.n_step=1 [-]",
+    )
     risk: bool = Field(
         False,
         description="let a small network beside the policy learn the probability that the episode "
@@ -219,6 +226,11 @@ class Agent(Settings):
             raise ConfigError(
                 f"agent.escape_temperature: {self.escape_temperature:g} needs warnings; set "
                 "agent.risk=true, or leave it at 0"
+            )
+        if self.curiosity and (self.n_step != 1 or self.is_policy_gradient):
+            raise ConfigError(
+                f"agent.curiosity: {self.curiosity:g} is about single transitions of "
+                "agent.learner=d3qn; set agent.n_step=1, or leave it at 0"
             )
         if not self.is_policy_gradient:
             return self
