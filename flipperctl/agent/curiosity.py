@@ -2,9 +2,10 @@
 
 In: batches of single transitions. Out: what is added to their rewards, and gradient steps of the
 predicting networks. Pathak et al. 2017, "Curiosity-driven exploration by self-supervised
-prediction" (ICM); for flippers Pan et al. 2023, Remote Sensing 15:4616, ICM-D3QN. Features of two observations tell
-the action between them (the inverse model), so that what no action changes does not count; the
-curiosity is the error with which the action and the first features predict the second ones.
+prediction" (ICM); for flippers Pan et al. 2023, Remote Sensing 15:4616 (ICM-D3QN). Features of two
+observations tell the action between them (the inverse model), so that what no action changes does
+not count. The curiosity is the error with which the action and the first features predict the
+second ones.
 """
 
 from __future__ import annotations
