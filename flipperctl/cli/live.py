@@ -80,10 +80,13 @@ def watch(
     if folders:
         if len(names) > 1 or settings:
             raise RequestError(f"{folders[0]}: failures are shown alone, under their own settings")
-        entrants = [_failures(Path(folders[0]))]
+        entrants, find = [_failures(Path(folders[0]))], None
     else:
-        entrants = _entrants(names, with_flags(settings, seed=seed))
-    _show(entrants, (episode, episodes), port, speed, terminal=terminal, browser=browser)
+        entrants, find = (
+            _entrants(names, chosen := with_flags(settings, seed=seed)),
+            _finder(chosen),
+        )
+    _show(entrants, (episode, episodes), port, speed, find, terminal=terminal, browser=browser)
 
 
 def demo(
@@ -102,8 +105,9 @@ def demo(
 
       flipperctl demo --terminal
     """
-    entrants = _entrants(["generalist", "okada"], ["terrain=course"])
-    _show(entrants, (0, episodes), port, speed, terminal=terminal, browser=browser)
+    scene = ["terrain=course"]
+    entrants, find = _entrants(["generalist", "okada"], scene), _finder(scene)
+    _show(entrants, (0, episodes), port, speed, find, terminal=terminal, browser=browser)
 
 
 def drive(
@@ -270,6 +274,18 @@ def _entrants(names: list[str], settings: list[str]) -> list[Entrant]:
     ]
 
 
+def _finder(settings: list[str]) -> Callable[[str], Entrant]:
+    """Return a function of a policy's name: the policy on the same scene."""
+    scene = [word for word in settings if not word.startswith("controller.")]
+
+    def find(name: str) -> Entrant:
+        if not name:
+            raise RequestError("name a policy, such as okada")
+        return _entrants([name], scene)[0]
+
+    return find
+
+
 def _drawn(entry: Entry) -> Callable[[int], Episode]:
     from flipperctl.live.lanes import Episode
     from flipperctl.policies.source import load_policy
@@ -313,6 +329,7 @@ def _show(
     span: tuple[int, int | None],
     port: int,
     speed: float,
+    find: Callable[[str], Entrant] | None,
     *,
     terminal: bool,
     browser: bool,
@@ -335,4 +352,4 @@ def _show(
         if browser:
             webbrowser.open(address)
 
-    serve(entrants, port=port, speed=speed, span=span, ready=ready)
+    serve(entrants, port=port, speed=speed, span=span, find=find, ready=ready)

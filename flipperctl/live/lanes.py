@@ -15,6 +15,7 @@ from flipperctl.api import SAMPLE_PERIOD, FloatArray, Outcome, Policy, RobotStat
 from flipperctl.config import EvalConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.pictures import Observer
+from flipperctl.lookahead.search import Planned
 from flipperctl.rollout.episode import Decision, decisions
 
 _EVERY = 4
@@ -56,6 +57,8 @@ class Moment:
     """Q-values of the observation, (9,); None for a policy without them."""
     risk: float | None = None
     """Probability of a failure, by the policy [-]; None for a policy without it."""
+    planned: Planned | None = None
+    """What the policy planned before the decision; None of one without plans."""
 
 
 @dataclass
@@ -149,4 +152,5 @@ class Lane:
                 decision,
                 None if values is None else np.array(values(decision.perception)),
                 getattr(policy, "risk", None),
+                getattr(policy, "planned", None),
             )

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from flipperctl.api import ACTIONS
+from flipperctl.errors import FlipperctlError
 from flipperctl.live.gate import Gate
 from flipperctl.live.lanes import PERIOD, Entrant, Lane, Moment
 from flipperctl.live.scene import WIDTH, LiveScene
@@ -30,6 +31,8 @@ _BODY = "#46505C"
 _TERMS = (CHASSIS, FRONT, REAR, "#AA4499", "#DDAA33", "#56B4E9", _BODY)
 Line = tuple[str, str]
 """Label and colour of a curve."""
+_LONGEST = 12
+"""Decisions of a plan that are listed [-]."""
 _TURN = {-1: "↓", 0: "·", 1: "↑"}
 
 
@@ -64,6 +67,7 @@ class Gauges:
             )
             self._risk = self._plot("risk of a failure", (("risk", FRONT),), visible=False)
             self._values = gui.add_html("")
+            self._plan = gui.add_markdown("", visible=False)
         self._terms: list[str] = []
         self._rewards: Any = None
 
@@ -118,8 +122,18 @@ class Gauges:
                 np.array(history.times[-len(history.risks) :]),
                 np.array(history.risks),
             )
+        if moment.planned is not None:
+            self._plan.visible = True
+            self._plan.content = f"plan (front rear): {plan_text(moment.planned.actions)}"
         if moment.values is not None and decision is not None:
             self._values.content = value_table(moment.values.tolist(), decision.action)
+
+
+def plan_text(actions: Sequence[int]) -> str:
+    """Return the first turns of a plan, front and rear of each decision."""
+    turns = [f"{_TURN[front]}{_TURN[rear]}" for front, rear in (ACTIONS[a] for a in actions)]
+    more = f" and {len(turns) - _LONGEST} more" if len(turns) > _LONGEST else ""
+    return " ".join(turns[:_LONGEST]) + more
 
 
 def value_table(values: Sequence[float], chosen: int) -> str:
@@ -148,10 +162,19 @@ class WatchPage:
     """Controls and lanes; ``run`` plays until it is stopped."""
 
     def __init__(
-        self, server: Any, entrants: Sequence[Entrant], *, speed: float = 1.0, episode: int = 0
+        self,
+        server: Any,
+        entrants: Sequence[Entrant],
+        *,
+        speed: float = 1.0,
+        episode: int = 0,
+        find: Callable[[str], Entrant] | None = None,
     ) -> None:
-        """``server``: a ``viser.ViserServer``; the first entrants drive at once."""
-        self._server, self._entrants = server, list(entrants)
+        """``server``: a ``viser.ViserServer``; the first entrants drive at once.
+
+        ``find`` returns the entrant of a policy's name, to add it; it may raise FlipperctlError.
+        """
+        self._server, self._entrants, self._find = server, list(entrants), find
         self._wish, self._episode, self._stopped = Wish(), episode, False
         self._lanes: list[tuple[Lane, LiveScene, Gauges]] = []
         server.gui.configure_theme(show_logo=False, show_share_button=False)
@@ -174,11 +197,15 @@ class WatchPage:
             self._difficulty = gui.add_slider("Difficulty", 0.0, 1.0, 0.05, 1.0)
             self._follow = gui.add_checkbox("Follow the robot", initial_value=True)
             self._seen = gui.add_checkbox("Show what is perceived", initial_value=True)
-        labels = [entrant.label for entrant in self._entrants]
-        with gui.add_folder("Policies"):
-            self._shown = [
-                gui.add_checkbox(label, initial_value=i < _MOST) for i, label in enumerate(labels)
-            ]
+        self._policies, self._shown = gui.add_folder("Policies"), list[Any]()
+        for number, entrant in enumerate(self._entrants):
+            self._offer(entrant, shown=number < _MOST)
+        if self._find is not None:
+            with self._policies:
+                name = gui.add_text(
+                    "Another one", "", hint="a controller, run, file or shipped name"
+                )
+                gui.add_button("Add").on_click(lambda event: self._add(name, event))
 
         def pause(_: Any = None) -> None:
             wish.paused = not wish.paused
@@ -200,15 +227,10 @@ class WatchPage:
             if self._number.value != self._episode:
                 wish.episode = int(self._number.value)
 
-        def change(_: Any) -> None:
-            wish.changed, wish.episode = True, self._episode
-
         self._pause.on_click(pause)
         buttons.on_click(go)
         self._number.on_update(jump)
         self._difficulty.on_update(lambda _: setattr(wish, "episode", self._episode))
-        for box in self._shown:
-            box.on_update(change)
         for key, label, call in (
             ("p", "Pause or play", pause),
             ("s", "Step one decision", lambda _: move("Step")),
@@ -217,6 +239,30 @@ class WatchPage:
             ("r", "Restart the episode", lambda _: move("Restart")),
         ):
             gui.add_command(label, hotkey=key).on_trigger(call)
+
+    def _offer(self, entrant: Entrant, *, shown: bool) -> None:
+        """Add a box that shows or hides an entrant."""
+
+        def change(_: Any = None) -> None:
+            self._wish.changed, self._wish.episode = True, self._episode
+
+        with self._policies:
+            box = self._server.gui.add_checkbox(entrant.label, initial_value=shown)
+        box.on_update(change)
+        self._shown.append(box)
+
+    def _add(self, name: Any, event: Any) -> None:
+        """Add the policy of a name, which drives the same episodes at once."""
+        assert self._find is not None  # the button exists
+        try:
+            entrant = self._find(name.value.strip())
+        except FlipperctlError as error:
+            event.client.add_notification("No policy was added", str(error), color="red")
+            return
+        self._entrants.append(entrant)
+        self._offer(entrant, shown=True)
+        name.value = ""
+        self._wish.changed, self._wish.episode = True, self._episode
 
     def stop(self) -> None:
         """End ``run`` soon; it may be called from any thread."""
@@ -243,8 +289,8 @@ class WatchPage:
         for _, scene, gauges in self._lanes:
             scene.remove()
             gauges.remove()
-        chosen = [e for e, box in zip(self._entrants, self._shown, strict=True) if box.value]
-        chosen = chosen[:_MOST] or self._entrants[:1]
+        pairs = list(zip(self._entrants, self._shown, strict=False))  # one may just be added
+        chosen = [entrant for entrant, box in pairs if box.value][-_MOST:] or self._entrants[:1]
         apart = WIDTH + _BETWEEN
         self._lanes = []
         for i, entrant in enumerate(chosen):
@@ -271,6 +317,8 @@ class WatchPage:
                     shown.append((scene, moment))
                     if self._seen.value and moment.decision is not None:
                         scene.perceive(moment.decision.perception, before)
+                        if moment.planned is not None:
+                            scene.plan(moment.planned.path, before)
                     gauges.show(lane, moment)
             self._animate(shown)
             running = [parts for parts in running if parts[0].outcome is None]
@@ -314,13 +362,15 @@ def watch(
     port: int,
     speed: float,
     span: tuple[int, int | None] = (0, None),
+    find: Callable[[str], Entrant] | None = None,
     ready: Callable[[str], None],
 ) -> None:
     """Serve the page until Ctrl-C; ``ready`` is called with its address.
 
-    ``span``: the first episode, and how many are shown; None: one after the other.
+    ``span``: the first episode, and how many are shown; None: one after the other. ``find``: see
+    ``WatchPage``.
     """
     with Gate(port, what="watching without --terminal") as gate:
-        page = WatchPage(gate.server, entrants, speed=speed, episode=span[0])
+        page = WatchPage(gate.server, entrants, speed=speed, episode=span[0], find=find)
         ready(gate.address)
         page.run(span[1])

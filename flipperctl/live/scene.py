@@ -26,7 +26,7 @@ _TRACKS = MujocoSettings()
 """Where the tracks lie beside the chassis."""
 _BESIDE = -WIDTH / 2 - 0.02
 """y of what is perceived, beside the strip [m]."""
-HEIGHTS, HIGHEST, INK, RAY = "#AA4499", "#DDAAD2", "#222222", "#CC3311"
+HEIGHTS, HIGHEST, INK, RAY, PLAN = "#AA4499", "#DDAAD2", "#222222", "#CC3311", "#DDAA33"
 
 
 class LiveScene:
@@ -114,6 +114,11 @@ class LiveScene:
             np.stack([hinge, tip]), 1, -_TRACKS.flipper_offset - _TRACKS.track_width, axis=1
         )
         self._lines("perceived/candidate", ray[None], RAY, 3.0)
+
+    def plan(self, path: FloatArray, state: RobotState) -> None:
+        """Show the places where a policy planned to be, from its place in a state, (K + 1, 2)."""
+        places = np.insert(path + state.position, 1, _BESIDE, axis=1)
+        self._lines("perceived/plan", np.stack([places[:-1], places[1:]], axis=1), PLAN, 4.0)
 
     def _mesh(self, name: str, mesh: Mesh, side: float = 0.0) -> None:
         corners = mesh.triangles.reshape(-1, 3).astype(np.float32)

@@ -36,7 +36,16 @@ from flipperctl.lookahead.model import (
     next_targets,
     nominal,
 )
-from flipperctl.lookahead.search import HOLD, History, Plan, Returns, Scores, Search, none_yet
+from flipperctl.lookahead.search import (
+    HOLD,
+    History,
+    Plan,
+    Planned,
+    Returns,
+    Scores,
+    Search,
+    none_yet,
+)
 from flipperctl.lookahead.settings import LearnedValue, MpcSettings
 from flipperctl.reward_sum import RewardSum
 from flipperctl.sim.ground import kept_points
@@ -141,6 +150,14 @@ class MpcPolicy:
         action = self._plan_from(p).actions[0]
         self.took(action)
         return action
+
+    @property
+    def planned(self) -> Planned | None:
+        """The plan of the last decision, its first action included; None without one."""
+        if self._plan is None:
+            return None
+        path = self._plan.states[:, :2]
+        return Planned(self._plan.actions, path - path[0])
 
     def costs(self, p: Perception) -> FloatArray:
         """Return the cost of the best plan that begins with each action, (9,) [s]."""

@@ -21,7 +21,7 @@ from flipperctl.api import FloatArray, Outcome, Perception, Policy, Robot, Simul
 from flipperctl.config import resolver
 from flipperctl.lookahead.dynamics import MOST_EXACT
 from flipperctl.lookahead.model import FLIPPERS, Model, next_targets, nominal
-from flipperctl.lookahead.search import HOLD, highest_at_finish, moves, target_cell
+from flipperctl.lookahead.search import HOLD, Planned, highest_at_finish, moves, target_cell
 from flipperctl.lookahead.settings import STEEP, STEEP_FROM, PlannerSettings
 
 _ROUNDS = 8  # largest number of decisions of a node in one distance bin
@@ -305,20 +305,40 @@ class PlannerPolicy:
         }
         if trained is not None:
             self._starts["policy"] = trained
-        self._actions: list[int] = []
+        self._actions: tuple[int, ...] = ()
+        self._next = 0
+        self._places = np.empty((0, 2))
+        self._simulator: Simulator | None = None
 
     def reset(self, simulator: Simulator) -> None:
         """Search for the best trajectory and report how it was found."""
         search = _Search(simulator, self._settings)
         search.start(self._starts)
         search.run()
-        self._actions = search.best.actions[::-1]
+        self._actions, self._next = tuple(search.best.actions), 0
+        self._places, self._simulator = np.empty((0, 2)), simulator
         simulator.report_progress(1.0)
         simulator.report_result(**search.result())
 
     def act(self, p: Perception) -> int:
         """Return the next action of the plan, and hold the flippers after its last one."""
-        return self._actions.pop() if self._actions else HOLD
+        self._next += 1
+        return self._actions[self._next - 1] if self._next <= len(self._actions) else HOLD
+
+    @property
+    def planned(self) -> Planned | None:
+        """What was left of the plan at the last decision; it is simulated once it is asked for."""
+        if self._simulator is None or not self._next:
+            return None
+        if not len(self._places):
+            self._simulator.restart()
+            places = [self._simulator.state.position]
+            for action in self._actions:
+                self._simulator.step(action)
+                places.append(self._simulator.state.position)
+            self._places = np.array(places)
+        now = min(self._next - 1, len(self._actions))
+        return Planned(self._actions[now:], self._places[now:] - self._places[now])
 
 
 class _Search:

@@ -105,6 +105,15 @@ class Plan:
     """Number of simulated decisions [-]."""
 
 
+class Planned(NamedTuple):
+    """What a policy plans to do, for viewers: its attribute ``planned``."""
+
+    actions: tuple[int, ...]
+    """Indices into ``ACTIONS`` of the next K decisions."""
+    path: FloatArray
+    """Predicted places of the chassis centre, from the present one, (K + 1, 2): x, z [m]."""
+
+
 @dataclass(frozen=True)
 class _Level:
     """The nodes of one depth, cheapest first."""

@@ -119,6 +119,11 @@ class PluginPolicy:
             raise self._refusal("act", answer, ALLOWED)
         return index
 
+    @property
+    def planned(self) -> Any:
+        """The ``lookahead.search.Planned`` of the last decision; None of a policy without plans."""
+        return getattr(self._policy, "planned", None)
+
     def command(self, world: World) -> Command:
         """Return what the policy commands within a decision."""
         with self._calling("command"):

@@ -168,3 +168,28 @@ def test_the_page_is_driven_by_keys_and_buttons(served: tuple[Gate, page.WatchPa
 def _time(text: str) -> float:
     (found,) = re.findall(r"time (\d+\.\d) s", text)
     return float(found)
+
+
+@pytest.mark.parametrize("name", ["mpc", "planner"])
+def test_a_plan_is_shown_as_it_is_made(name: str) -> None:
+    load(())
+    config = EvalConfig(terrain={"name": "step", "low": 0.1, "high": 0.1}, episode={"run_up": 0.8})
+    small = {"mpc": {"beam": 4, "horizon": 4}, "planner": {"width": 4, "budget": 500}}[name]
+    source = load_policy(name, fields=small)
+    lane = Lane(Entrant(name, lambda index: Episode(config, source.build(config), 3)))
+    lane.begin(0)
+    places, plans = [], []
+    while (moment := lane.step()) is not None:
+        assert moment.decision is not None
+        assert moment.planned is not None
+        assert moment.planned.actions[:1] == (moment.decision.action,)
+        assert moment.planned.path[0].tolist() == [0.0, 0.0]
+        assert len(moment.planned.path) == len(moment.planned.actions) + 1
+        places.append(moment.decision.transition.before.position)
+        plans.append(moment.planned)
+    if name == "planner":  # it knows the ground, so that it comes as it was planned
+        ahead = np.array(places[1:]) - places[0]
+        assert plans[0].path[1 : len(places)] == pytest.approx(ahead, abs=1e-9)
+    else:
+        assert abs(plans[0].path[1, 0] - (places[1] - places[0])[0]) < 0.03
+    assert page.plan_text([0] * 14) == " ".join(["↓↓"] * 12) + " and 2 more"
