@@ -122,8 +122,9 @@ class D3qn(Learner):
             reward = batch.reward * s.reward_scale
             if self.curiosity is not None:
                 reward = reward + s.curiosity * self.curiosity.reward(batch)
+            chooser = self.online if s.double else self.target
             targets = (
-                difference_targets(reward, batch, self.online, self.target)
+                difference_targets(reward, batch, chooser, self.target)
                 if teacher is None or teacher.td_weight or teacher.loss == "values"
                 else reward
             )

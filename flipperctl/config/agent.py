@@ -111,6 +111,11 @@ class Agent(Settings):
     )
     gamma: float = Field(0.99, ge=0, lt=1, description="discount per decision [-]")
     n_step: int = Field(3, ge=1, le=50, description="decisions summed before bootstrapping [-]")
+    double: bool = Field(
+        True,
+        description="let the online network choose the next action and the target network value it "
+        "(double Q-learning); false: the target network does both, which overestimates [-]",
+    )
     cut_at_random: bool = Field(
         False,
         description="end a sum of n_step rewards before the next random action, so that it rates "

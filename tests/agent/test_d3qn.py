@@ -69,10 +69,16 @@ def test_the_loss_of_one_decision_by_hand() -> None:
     observation, next_observation = torch.zeros(1, LAYOUT.size), torch.zeros(1, LAYOUT.size)
     observation[0, 0], next_observation[0, 0] = 2.0, 0.5
     one, half = torch.tensor([1.0]), torch.tensor([0.5])
+    one_hot = torch.nn.functional.one_hot(torch.tensor(0), LAYOUT.size).float()
     batch = Batch(observation, torch.tensor([2]), one, next_observation, half)
     # Q = 2 · 2 = 4; next, the online network prefers action 8, which the target network values
     # at (10 - 8) · 0.5 = 1; so the target is 1 + 0.5 · 1 = 1.5, and 2.5 off costs 2.5 - 0.5.
     assert agent.update(batch, 0.0) == pytest.approx(2.0)
+    single = D3qn(Ramp(), LAYOUT, Agent(reward_scale=1.0, double=False), seed=0)
+    single.online.load_state_dict({"weight": torch.outer(rising, one_hot), "bias": 0 * rising})
+    single.target.load_state_dict({"weight": torch.outer(10 - rising, one_hot), "bias": 0 * rising})
+    # The target network alone prefers action 0 and values it at 10 · 0.5 = 5: 1 + 0.5 · 5 = 3.5.
+    assert single.update(batch, 0.0) == pytest.approx(0.5 * 0.5**2)
 
 
 @pytest.mark.parametrize("network", registered_names("network"))
