@@ -2,6 +2,8 @@
 
 import json
 import socket
+import subprocess
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -256,3 +258,19 @@ def test_a_wrong_request_is_one_error(words: list[str], text: str, tmp_path: Pat
     assert done.code == 2
     assert text in done.err
     assert len(done.err.strip().splitlines()) <= 2
+
+
+@pytest.mark.long
+@pytest.mark.skipif(browser.installed() is None, reason="no Chromium is installed")
+@pytest.mark.parametrize("by", ["keys", "buttons"])
+@pytest.mark.parametrize("sim", ["planar", "mujoco"])
+@pytest.mark.parametrize("name", ["step", "stair"])
+def test_a_script_drives_from_start_to_finish(name: str, sim: str, by: str, tmp_path: Path) -> None:
+    words = ["--scene", name, "--sim", sim, "--by", by, "--folder", str(tmp_path)]
+    done = subprocess.run(
+        [sys.executable, "-m", "benchmarks.drive", *words],
+        capture_output=True, text=True, check=True, timeout=300,
+    )  # fmt: skip
+    assert "reached after" in done.stdout
+    (record,) = tmp_path.glob("drives/fixed/*.json")
+    assert replay(record).differences == []
