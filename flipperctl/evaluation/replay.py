@@ -84,8 +84,11 @@ class RecordedPolicy(_Frozen):
         if self.controller is not None:
             if chosen is not None:
                 raise RequestError(f"{where}: its policy is a controller; leave --checkpoint out")
-            source = PolicySource(settings=self.controller, name=self.label)
-            if _digests(source) != self.files:
+            settings, drive = dict(self.controller), where.with_suffix(".safetensors")
+            if drive.name == Path(self.label).name:
+                settings["drives"] = str(drive)  # beside its record, wherever that lies now
+            source = PolicySource(settings=settings, name=self.label)
+            if [*_digests(source).values()] != [*self.files.values()]:
                 raise CheckpointError(
                     f"{where}: a file that controller {self.label} reads is missing or has another "
                     f"content: {', '.join(self.files)}"
