@@ -118,7 +118,8 @@ class DriveFolder:
         file = self.file(config, episode.seed)
         period = getattr(policy, "command_period", None)
         recording.write(file, self.driver, [(config, [episode])], period)
-        source = PolicySource(settings={"name": "operator", "drives": str(file)})
+        settings = {"name": "operator", "drives": str(file)}
+        source = PolicySource(settings=settings, name=str(file))
         record = EpisodeRecord.of(config, source, row)
         write_json(file.with_suffix(".json"), record.model_dump(mode="json"))
 

@@ -85,7 +85,7 @@ class RecordedPolicy(_Frozen):
             if chosen is not None:
                 raise RequestError(f"{where}: its policy is a controller; leave --checkpoint out")
             settings, drive = dict(self.controller), where.with_suffix(".safetensors")
-            if drive.name == Path(self.label).name:
+            if drive.name == Path(settings.get("drives", "")).name:
                 settings["drives"] = str(drive)  # beside its record, wherever that lies now
             source = PolicySource(settings=settings, name=self.label)
             if [*_digests(source).values()] != [*self.files.values()]:
