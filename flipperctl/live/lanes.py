@@ -7,7 +7,7 @@ the policy perceived, and its values. The simulation never waits for the viewer 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -117,10 +117,12 @@ class Lane:
         self.title = ""
         self._moments: Iterator[Moment] = iter(())
 
-    def begin(self, index: int, difficulty: float = 1.0) -> Moment:
-        """Begin the episode with this index; return its start."""
+    def begin(self, index: int, difficulty: float = 1.0, seed: int | None = None) -> Moment:
+        """Begin the episode with this index, or its scene drawn by ``seed``; return its start."""
         self.history, self.outcome = History(), None
         episode = self.entrant.episode(index)
+        if seed is not None:
+            episode = replace(episode, seed=seed)
         self.env = FlipperEnv(config=episode.config)
         self._moments = self._played(episode, difficulty)
         first = next(self._moments)

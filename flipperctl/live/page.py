@@ -193,6 +193,9 @@ class WatchPage:
             self._pause = gui.add_button("Pause", icon="player-pause")
             buttons = gui.add_button_group("Go", ("Step", "Restart", "Previous", "Next"))
             self._number = gui.add_number("Episode", self._episode, min=0, step=1)
+            self._seed = gui.add_number(
+                "Seed", 0, min=0, step=1, hint="draw by this seed; 0: that of the episode"
+            )
             self._speed = gui.add_slider("Speed", 0.1, 10.0, 0.1, speed)
             self._difficulty = gui.add_slider("Difficulty", 0.0, 1.0, 0.05, 1.0)
             self._follow = gui.add_checkbox("Follow the robot", initial_value=True)
@@ -230,7 +233,8 @@ class WatchPage:
         self._pause.on_click(pause)
         buttons.on_click(go)
         self._number.on_update(jump)
-        self._difficulty.on_update(lambda _: setattr(wish, "episode", self._episode))
+        for field in (self._difficulty, self._seed):
+            field.on_update(lambda _: setattr(wish, "episode", self._episode))
         for key, label, call in (
             ("p", "Pause or play", pause),
             ("s", "Step one decision", lambda _: move("Step")),
@@ -301,12 +305,14 @@ class WatchPage:
     def _play(self) -> None:
         self._number.value = self._episode
         for lane, scene, gauges in self._lanes:
-            first = lane.begin(self._episode, float(self._difficulty.value))
+            difficulty, seed = float(self._difficulty.value), int(self._seed.value)
+            first = lane.begin(self._episode, difficulty, seed or None)
             label = lane.entrant.label
             scene.begin(lane.env.profile, lane.env.robot, lane.env.scene.finish, label)
             scene.show(first.states[0])
             gauges.show(lane, first)
-        self._title.content = f"**{self._lanes[0][0].title}**, episode {self._episode}"
+        drawn = f"seed {self._seed.value}" if self._seed.value else f"episode {self._episode}"
+        self._title.content = f"**{self._lanes[0][0].title}**, {drawn}"
         running = list(self._lanes)
         while running and not self._stopped:
             self._wait_while_paused()

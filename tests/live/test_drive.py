@@ -241,6 +241,38 @@ def test_a_browser_drives_by_keys(session: Session) -> None:
     assert operator.latencies
 
 
+@pytest.mark.skipif(browser.installed() is None, reason="no Chromium is installed")
+def test_a_closed_browser_holds_the_robot(
+    session: Session, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.undo()  # the real limit
+    received, heard = session.page.received, [0.0]
+
+    def note(client: int, message: str) -> None:
+        if '"belts":1' in message:
+            heard[0] = session.page._state["time"]
+        received(client, message)
+
+    monkeypatch.setattr(session.page, "received", note)
+    with browser.chromium() as opened:
+        tab = opened.new_page(viewport={"width": 1280, "height": 800})
+        tab.goto(session.address)
+        tab.locator("#phase[data-value=ready]").wait_for(timeout=60_000)
+        tab.keyboard.press("Enter")
+        tab.keyboard.down("ArrowUp")
+        tab.wait_for_function("state.time > 1.5")
+        opened.close()
+    client = Client(session)
+    client.do("take")
+    client.next(lambda s: s["phase"] == "over", belts=1)
+    client.do("next")
+    session.over()
+    commands = session.episode().commands
+    assert commands is not None
+    stood = np.flatnonzero(commands[:, 2] == 0.0) * 0.05
+    assert stood[stood > heard[0]][0] <= heard[0] + 0.3
+
+
 @pytest.mark.parametrize(
     ("words", "text"),
     [
