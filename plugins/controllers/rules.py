@@ -118,18 +118,19 @@ class Linear(Controller):
 
     Pecka, Zimmermann and Svoboda (IROS 2016) search such numbers by policy search with safety
     constraints. Here the height is that of the highest point within a track radius of the tip of
-    front flippers that are level, above the ground on which a level robot stands.
+    front flippers that are level, above the ground on which a level robot stands. The defaults
+    are what ``flipperctl tune`` found on the ten families.
     """
 
     front: float = Field(0.0, ge=-2, le=2, description="ω₁, constant of the front pair [rad]")
-    front_pitch: float = Field(0.0, ge=-4, le=4, description="ω₂, front angle per pitch [-]")
+    front_pitch: float = Field(-1.3, ge=-4, le=4, description="ω₂, front angle per pitch [-]")
     front_height: float = Field(
-        1.5, ge=-10, le=10, description="ω₃, front angle per height of the ground [rad/m]"
+        2.5, ge=-10, le=10, description="ω₃, front angle per height of the ground [rad/m]"
     )
-    rear: float = Field(0.0, ge=-2, le=2, description="ω₄, constant of the rear pair [rad]")
-    rear_pitch: float = Field(0.0, ge=-4, le=4, description="ω₅, rear angle per pitch [-]")
+    rear: float = Field(-0.05, ge=-2, le=2, description="ω₄, constant of the rear pair [rad]")
+    rear_pitch: float = Field(-0.57, ge=-4, le=4, description="ω₅, rear angle per pitch [-]")
     rear_height: float = Field(
-        0.0, ge=-10, le=10, description="ω₆, rear angle per height of the ground [rad/m]"
+        1.06, ge=-10, le=10, description="ω₆, rear angle per height of the ground [rad/m]"
     )
 
     def act(self, p: Perception) -> int:
