@@ -117,7 +117,9 @@ def drive(
     ] = "me",
     output: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Folder of the drives [drives/NAME].", show_default=False),
+        typer.Option(
+            metavar="DIR", help="Folder of the drives, by default drives/NAME.", show_default=False
+        ),
     ] = None,
     helper: Annotated[
         str | None,
@@ -128,7 +130,7 @@ def drive(
     ] = None,
     episode: Annotated[
         int | None,
-        typer.Option(metavar="N", min=0, help="First episode [the first one not driven yet]."),
+        typer.Option(metavar="N", min=0, help="First episode; by default the next one."),
     ] = None,
     episodes: Annotated[int, typer.Option(metavar="N", min=1, help="Episodes per scene.")] = 1,
     seed: options.Seed = None,
