@@ -162,7 +162,8 @@ def with_budget(command: list[str]) -> list[str]:
         quick = ["train.decisions=160"] if resumed else WORKERS if asked or default else QUICK
         return [*command, *quick, *few, *trials, *own]
     if command[0] == "tune":
-        return [*command, "budget=100", "--episodes", "2"]
+        words = ["terrain=step" if word.startswith("suite=") else word for word in command]
+        return [*words, "budget=100", "--episodes", "2"]  # of a suite, each scene needs some
     if "--draws" in command:
         return re.sub(r"--draws \d+", "--draws 2", " ".join(command)).split()
     if command[0] in ("watch", "demo"):
