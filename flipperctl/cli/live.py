@@ -174,6 +174,10 @@ def drive(
 
     if not re.fullmatch(r"[\w-][\w.-]{0,39}", person):
         raise RequestError(f"--as {person}: up to 40 letters, digits, - and _ are allowed")
+    if bag is not None:
+        from flipperctl.ros.episode import check_bag, export_bag
+
+        check_bag(bag)
     driver = f"{'script' if script else 'person'}: {person}"
     words = with_flags(settings or [], seed=seed)
     if study is None:
@@ -232,8 +236,6 @@ def drive(
     )
     print_note(f"drives: {where}; flipperctl eval takes them as policies")
     if bag is not None:
-        from flipperctl.ros.episode import export_bag
-
         last = tasks[-1]
         source = load_policy(last.folder.path)
         export_bag(last.config, source, bag, last.index)

@@ -6,7 +6,7 @@ draws, so that people stand in tables, films and reports like any controller.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -75,7 +75,7 @@ class Operator(Controller):
             found = [
                 f"{path}={_text(there)} (here {_text(here)})"
                 for section in _SECTIONS
-                for path, here, there in differences(ours[section], theirs[section], section)
+                for path, here, there in _differing(ours[section], theirs[section], section)
                 if path.rpartition(".")[2] not in config.sim.without_effect
             ]
             if found:
@@ -145,6 +145,15 @@ def _drives(files: list[Path]) -> Iterator[_Drive]:
             raise ConfigError(f"{file}: it holds no commands; flipperctl drive records them")
         for entry, episode in zip(found.document.episodes, found.episodes, strict=True):
             yield _Drive(file, episode, found.document.environments[entry.environment], period)
+
+
+def _differing(
+    ours: Mapping[str, Any], theirs: Mapping[str, Any], section: str
+) -> list[tuple[str, Any, Any]]:
+    """Return what differs in a section; of another engine or sensor its name alone."""
+    if (here := ours.get("name")) != (there := theirs.get("name")):
+        return [(section, here, there)]
+    return list(differences(ours, theirs, section))
 
 
 def _counts(labels: list[str]) -> list[tuple[str, int]]:

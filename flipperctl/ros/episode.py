@@ -97,15 +97,20 @@ class _Decided:
     """(4,) targets in the order of ``JOINTS`` and the signs of ROS [rad]."""
 
 
-def export_bag(
-    config: EvalConfig, source: PolicySource, folder: Path, episode: int = 0
-) -> dict[str, Any]:
-    """Play one episode of an evaluation into a new bag; return what it holds."""
-    require_rosbags("export mcap")
+def check_bag(folder: Path) -> None:
+    """Check that a bag can be written to a new folder."""
+    require_rosbags("a bag")
     if folder.exists():
         raise OutputError(f"{folder} cannot be written: a bag is a new folder, and this one exists")
     if not folder.parent.is_dir():
         raise OutputError(f"{folder} cannot be written: there is no folder {folder.parent}")
+
+
+def export_bag(
+    config: EvalConfig, source: PolicySource, folder: Path, episode: int = 0
+) -> dict[str, Any]:
+    """Play one episode of an evaluation into a new bag; return what it holds."""
+    check_bag(folder)
     watch, env = Watch(), FlipperEnv(config=config)
     seed = EvaluationSeeds.of(config.eval.seed, config.terrain)(episode)
     decided, sensed, ending = [], 0.0, None
