@@ -173,7 +173,9 @@ def drive(
     from flipperctl.policies.source import load_policy
 
     if not re.fullmatch(r"[\w-][\w.-]{0,39}", person):
-        raise RequestError(f"--as {person}: up to 40 letters, digits, - and _ are allowed")
+        raise RequestError(
+            f"--as {person!r}: a name of up to 40 letters, digits, -, _ and . is allowed"
+        )
     if bag is not None:
         from flipperctl.ros.episode import check_bag, export_bag
 

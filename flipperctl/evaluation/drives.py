@@ -175,7 +175,7 @@ def drive(
                 row = task.folder.drive(config, env, operator, task.index, keep=keep)
                 driven(task, row, operator.late / max(1, operator.count))
                 left = len(tasks) - number - 1
-                word = page.end(row["outcome"], f"{left} to go" if left else "the last one")
+                word = page.end(row["outcome"], left)
             except AgainError:
                 continue
             finally:
@@ -184,6 +184,7 @@ def drive(
                 word = "next"
         if task.asks:
             answered(task, page.ask())
+    page.finish()
 
 
 class Study(BaseModel):

@@ -50,6 +50,7 @@ _SCENE = 2
 """Ticks for each new state of the 3-D scene [-]."""
 _WAITS = 2.0
 """Time for which a robot without a driver stands before its clock stops, too [s]."""
+_GOODBYE = 0.5  # time for the last state to reach the browsers [s]
 _SHOWN = 2.0  # time of which the rate is shown [s]
 _MARGIN = 2.0  # length of the level ground that is drawn before and past the profile [m]
 
@@ -171,10 +172,20 @@ class DrivePage:
             time.sleep(PERIOD)
         return wish or ""
 
-    def end(self, outcome: str, note: str) -> str:
-        """Show how the episode ended; return ``next`` or ``again`` once it was pressed."""
-        self.show({**self._state, "phase": "over", "outcome": outcome, "note": note})
+    def end(self, outcome: str, left: int) -> str:
+        """Show how the episode ended; return ``next`` or ``again`` once it was pressed.
+
+        ``left``: number of episodes that are still to be driven.
+        """
+        note = f"{left} to go" if left else "the last one"
+        over = {"phase": "over", "outcome": outcome, "note": note, "last": not left}
+        self.show({**self._state, **over})
         return self.wait(lambda wish: wish in ("next", "again", "begin")).replace("begin", "next")
+
+    def finish(self) -> None:
+        """Say that everything was driven, before the page is no longer served."""
+        self.show({**self._state, "phase": "done", "note": ""})
+        time.sleep(_GOODBYE)
 
     def ask(self) -> tuple[int, ...]:
         """Ask the questions of NASA-TLX; return the six answers, 0 to 100."""
@@ -240,7 +251,14 @@ class Operator:
         self._cameras = bool(about["cameras"])
         self._page.begin(self._hands, {**self._about, **about}, self._gauges(env.state))
         self._draw(world)
+        self._begin()
+
+    def _begin(self) -> None:
+        """Wait until the person begins, or goes on."""
+        self._phase = "ready"
+        self._page.show(self._gauges(self._env.state))
         self._page.wait(lambda wish: wish == "begin")
+        self._hands.begin()
         self._phase = "driving"
         self._due = self._alone = time.monotonic()
 
@@ -275,9 +293,7 @@ class Operator:
         if self._heard is not None:
             self._alone = now
         elif now - self._alone > _WAITS:
-            page.show(self._gauges(state))
-            page.wait(lambda wish: self._hands.present)
-            self._due = self._alone = time.monotonic()
+            self._begin()  # the clock stands until somebody is back
         return command
 
     def _wait(self) -> None:

@@ -99,6 +99,12 @@ class Hands:
         """Give both flipper pairs back to the policy that helps."""
         self.owned = [not self._helped, not self._helped]
 
+    def begin(self) -> None:
+        """Forget what was pressed until now, as before a drive begins."""
+        with self._lock:
+            if self._asked is not None:
+                self._steps = self._asked.front_steps, self._asked.rear_steps
+
     def leave(self) -> None:
         """Hold everything: the browser is gone, or another one drives."""
         with self._lock:

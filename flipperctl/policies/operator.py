@@ -63,7 +63,8 @@ class Operator(Controller):
         """Return a policy that plays the recorded drive of each draw."""
         if not (files := self.files):
             raise ConfigError(
-                f"drives: {self.drives!r} holds no drives; a folder of flipperctl drive is allowed"
+                f"operator needs drives, and {self.drives!r} holds none; name a folder of "
+                "flipperctl drive in its place, such as drives/me"
             )
         return _Recorded(self.drives, list(_drives(files)))
 

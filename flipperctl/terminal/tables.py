@@ -166,8 +166,8 @@ def print_scene(found: dict[str, Any]) -> None:
 def print_bag(found: dict[str, Any]) -> None:
     """Print which episode a bag holds, and how many messages of each topic."""
     print(
-        f"{found['output']}: {found['terrain']}, seed {found['seed']}, {found['outcome']} after "
-        f"{found['seconds']:.2f} s"
+        f"wrote {found['output']}: {found['terrain']}, seed {found['seed']}, {found['outcome']} "
+        f"after {found['seconds']:.2f} s"
     )
     for topic, count in sorted(found["messages"].items()):
         print(f"  {topic}: {count}")

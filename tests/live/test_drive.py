@@ -132,6 +132,7 @@ def test_a_drive_from_start_to_finish_is_an_episode(session: Session) -> None:
     client.next(lambda s: s["phase"] == "over", belts=1, front_steps=2)
     assert client.state["outcome"] == "reached"
     client.do("next")
+    client.next(lambda s: s["phase"] == "done")
     row = session.over()
     assert client.state["variation"] == pytest.approx(row["pitch_variation_100hz"], abs=0.02)
     assert client.state["time"] == pytest.approx(row["t_cost"], abs=0.051)
@@ -158,7 +159,11 @@ def test_a_lost_connection_holds_the_robot(
     client.socket.socket.shutdown(socket.SHUT_RDWR)  # without a word
     again = Client(session)
     again.next(lambda s: s["phase"] == "held")
-    again.next(lambda s: s["phase"] == "driving", belts=1)  # nobody drove: it drives
+    again.next(lambda s: s["phase"] == "ready")  # then the clock stands, too
+    again.hands(front_steps=5)
+    again.do("begin")
+    again.next(lambda s: s["phase"] == "driving", belts=1, front_steps=5)
+    assert again.state["front_target"] < 4 * again.scene["step"]  # pressed before it went on
     again.next(lambda s: s["phase"] == "over", belts=1)
     again.do("next")
     session.over()
@@ -264,6 +269,8 @@ def test_a_closed_browser_holds_the_robot(
         opened.close()
     client = Client(session)
     client.do("take")
+    client.next(lambda s: s["phase"] == "ready")
+    client.do("begin")
     client.next(lambda s: s["phase"] == "over", belts=1)
     client.do("next")
     session.over()
