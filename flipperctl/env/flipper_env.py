@@ -20,6 +20,7 @@ from flipperctl.api import (
     ACTIONS,
     SAMPLE_PERIOD,
     DrawingWorld,
+    FloatArray,
     Mounting,
     Outcome,
     Profile,
@@ -219,6 +220,10 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             friction = engine.shared_setting("friction")
             return Perceiver(exact_sensor(sensor), mounting, robot, rngs, friction)
         return Perceiver(sensor, mounting, self.config.robot, rngs)
+
+    def map_points(self) -> FloatArray | None:
+        """Return the points of the sensor's map now, (P, 3) in frame L [m]; None without a map."""
+        return self._perceiver.map_points()
 
     def simulator(
         self, report_progress: Callable[[float], None] = lambda fraction: None

@@ -133,6 +133,11 @@ class Perceiver:
             deviation=_copy(ground.deviation),
         )
 
+    def map_points(self) -> FloatArray | None:
+        """Return the points of the sensor's map, (P, 3) in frame L [m]; None if it keeps none."""
+        told = getattr(getattr(self._estimator, "unguarded", None), "map_points", None)
+        return None if told is None else np.asarray(told())
+
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot of memories, generators and recent observations for ``load``."""
         parts = [(part.save(), rng.bit_generator.state) for _, part, rng in self._parts]

@@ -107,8 +107,11 @@ class _States(Observer):
 class Lane:
     """The episodes of one policy on one scene, one after the other."""
 
-    def __init__(self, entrant: Entrant) -> None:
-        self.entrant = entrant
+    def __init__(
+        self, entrant: Entrant, report: Callable[[float], None] = lambda fraction: None
+    ) -> None:
+        """``report`` is called with the completed fraction of a search before an episode."""
+        self.entrant, self._report = entrant, report
         self.history = History()
         self.outcome: Outcome | None = None
         """How the episode ended; None while it runs."""
@@ -144,7 +147,10 @@ class Lane:
         values = getattr(policy, "q_values", None)
         self.env.reset(seed=episode.seed, options={"difficulty": difficulty})
         yield Moment([self.env.state], None)
-        played = decisions(self.env, policy, episode.seed, difficulty=difficulty, observers=[seen])
+        played = decisions(
+            self.env, policy, episode.seed, difficulty=difficulty, observers=[seen],
+            report_progress=self._report,
+        )  # fmt: skip
         for decision in played:
             states = [state for state in seen.take() if state.time > 0]  # the start was shown
             if decision.ending is not None:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from flipperctl.api import ACTIONS
+from flipperctl.api import ACTIONS, RobotState
 from flipperctl.errors import FlipperctlError
 from flipperctl.live.gate import Gate
 from flipperctl.live.lanes import PERIOD, Entrant, Lane, Moment
@@ -36,8 +36,8 @@ _LONGEST = 12
 _TURN = {-1: "↓", 0: "·", 1: "↑"}
 
 
-class _NextEpisodeError(Exception):
-    """Ends the running episode."""
+class _NextEpisodeError(FlipperctlError):
+    """Ends the running episode, or the search before it; no plugin's fault."""
 
 
 @dataclass
@@ -84,6 +84,10 @@ class Gauges:
         """Remove the panel."""
         self._folder.remove()
 
+    def search(self, fraction: float) -> None:
+        """Show how much of a search before an episode is done."""
+        self._numbers.content = f"searching for a plan: **{fraction:.0%}**"
+
     def show(self, lane: Lane, moment: Moment) -> None:
         """Show a moment and the history up to it."""
         state = moment.states[-1]
@@ -122,8 +126,8 @@ class Gauges:
                 np.array(history.times[-len(history.risks) :]),
                 np.array(history.risks),
             )
+        self._plan.visible = moment.planned is not None
         if moment.planned is not None:
-            self._plan.visible = True
             self._plan.content = f"plan (front rear): {plan_text(moment.planned.actions)}"
         if moment.values is not None and decision is not None:
             self._values.content = value_table(moment.values.tolist(), decision.action)
@@ -298,9 +302,14 @@ class WatchPage:
         apart = WIDTH + _BETWEEN
         self._lanes = []
         for i, entrant in enumerate(chosen):
-            lane = Lane(entrant)
             scene = LiveScene(self._server.scene, f"/drive/{i}", i * apart)
-            self._lanes.append((lane, scene, Gauges(self._server.gui, entrant.label)))
+            gauges = Gauges(self._server.gui, entrant.label)
+
+            def report(fraction: float, gauges: Gauges = gauges) -> None:
+                gauges.search(fraction)
+                self._wait(0.0)  # a search is left like an episode
+
+            self._lanes.append((Lane(entrant, report), scene, gauges))
 
     def _play(self) -> None:
         self._number.value = self._episode
@@ -311,6 +320,7 @@ class WatchPage:
             scene.begin(lane.env.profile, lane.env.robot, lane.env.scene.finish, label)
             scene.show(first.states[0])
             gauges.show(lane, first)
+            self._centre(first.states)
         drawn = f"seed {self._seed.value}" if self._seed.value else f"episode {self._episode}"
         self._title.content = f"**{self._lanes[0][0].title}**, {drawn}"
         running = list(self._lanes)
@@ -318,11 +328,12 @@ class WatchPage:
             self._wait_while_paused()
             shown = []
             for lane, scene, gauges in running:
-                before = lane.env.state
+                before, mapped = lane.env.state, lane.env.map_points()
+                scene.perceived.visible = self._seen.value
                 if (moment := lane.step()) is not None:
                     shown.append((scene, moment))
                     if self._seen.value and moment.decision is not None:
-                        scene.perceive(moment.decision.perception, before)
+                        scene.perceive(moment.decision.perception, before, mapped)
                         if moment.planned is not None:
                             scene.plan(moment.planned.path, before)
                     gauges.show(lane, moment)
@@ -334,15 +345,18 @@ class WatchPage:
         for index in range(longest):
             begun = time.perf_counter()
             with self._server.atomic():
-                ahead = []
-                for scene, moment in shown:
-                    state = moment.states[min(index, len(moment.states) - 1)]
+                states = [m.states[min(index, len(m.states) - 1)] for _, m in shown]
+                for (scene, _), state in zip(shown, states, strict=True):
                     scene.show(state)
-                    ahead.append(float(state.position[0]))
-                if self._follow.value:
-                    self._world.position = (-max(ahead), 0.0, 0.0)
+                self._centre(states)
             spent = time.perf_counter() - begun
             self._wait(PERIOD / max(0.1, float(self._speed.value)) - spent)
+
+    def _centre(self, states: Sequence[RobotState]) -> None:
+        """Keep the foremost robot in view."""
+        if self._follow.value:
+            ahead = max(float(state.position[0]) for state in states)
+            self._world.position = (-ahead, 0.0, 0.0)
 
     def _wait_while_paused(self) -> None:
         while self._wish.paused and not self._stopped:

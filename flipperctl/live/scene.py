@@ -26,7 +26,8 @@ _TRACKS = MujocoSettings()
 """Where the tracks lie beside the chassis."""
 _BESIDE = -WIDTH / 2 - 0.02
 """y of what is perceived, beside the strip [m]."""
-HEIGHTS, HIGHEST, INK, RAY, PLAN = "#AA4499", "#DDAAD2", "#222222", "#CC3311", "#DDAA33"
+HEIGHTS, HIGHEST, INK, RAY = "#AA4499", "#DDAAD2", "#222222", "#CC3311"
+PLAN, MAP = "#DDAA33", "#33BBEE"
 
 
 class LiveScene:
@@ -38,6 +39,11 @@ class LiveScene:
         self._robot: RobotGeometry | None = None
         self._root = scene.add_frame(name, show_axes=False, position=(0.0, side, 0.0))
         self._parts: dict[str, Any] = {}
+        self.perceived = self._add_perceived()
+        """Frame of what is perceived, to hide it."""
+
+    def _add_perceived(self) -> Any:
+        return self._scene.add_frame(f"{self._name}/perceived", show_axes=False)
 
     def remove(self) -> None:
         """Remove everything below the name."""
@@ -45,6 +51,8 @@ class LiveScene:
 
     def begin(self, profile: Profile, robot: RobotGeometry, finish: float, label: str) -> None:
         """Show the ground, a robot at rest and the finish line [m] of a new episode."""
+        self.perceived.remove()  # of the episode before
+        self.perceived = self._add_perceived()
         ground = Strip(-WIDTH / 2, WIDTH / 2, profile.extended(_LEVEL, _LEVEL))
         for mesh in ground_meshes([ground], -WIDTH / 2, WIDTH / 2):
             self._mesh(f"ground/{mesh.colour[1:]}", mesh)
@@ -79,8 +87,11 @@ class LiveScene:
         self._parts["front"].wxyz = _about_y(-state.front)
         self._parts["rear"].wxyz = _about_y(state.rear)
 
-    def perceive(self, p: Perception, state: RobotState) -> None:
-        """Show what the policy perceived in a state: heights, points and the candidate angle."""
+    def perceive(self, p: Perception, state: RobotState, mapped: FloatArray | None = None) -> None:
+        """Show what the policy perceived in a state: heights, points and the candidate angle.
+
+        ``mapped``: points of its map, (P, 3) in frame L [m].
+        """
         assert self._robot is not None  # ``begin`` was called
         place = state.position
         width, bins = p.layout.bin_width, p.layout.bins
@@ -98,14 +109,12 @@ class LiveScene:
                 axis=1,
             )
             self._lines(f"perceived/{name}", bars, colour, thick)
-        cloud = np.insert(p.points + place, 1, _BESIDE, axis=1)
-        self._scene.add_point_cloud(
-            f"{self._name}/perceived/points",
-            cloud.astype(np.float32),
-            rgb(INK),
-            point_size=0.018,
-            point_shape="circle",
-        )
+        self._points("points", np.insert(p.points + place, 1, _BESIDE, axis=1), INK, 0.018)
+        if mapped is not None:
+            ahead = rotation(state)[:2, 0] / np.hypot(*rotation(state)[:2, 0])
+            left = np.array([-ahead[1], ahead[0]])
+            level = mapped[:, :1] * ahead + mapped[:, 1:2] * left + (place[0], state.side)
+            self._points("map", np.column_stack([level, mapped[:, 2] + place[1]]), MAP, 0.012)
         ahead = np.array([math.cos(state.pitch), math.sin(state.pitch)])
         hinge = place + self._robot.hinge_offset * ahead
         angle = state.pitch + candidate(p.points, p.pitch, self._robot)
@@ -119,6 +128,12 @@ class LiveScene:
         """Show the places where a policy planned to be, from its place in a state, (K + 1, 2)."""
         places = np.insert(path + state.position, 1, _BESIDE, axis=1)
         self._lines("perceived/plan", np.stack([places[:-1], places[1:]], axis=1), PLAN, 4.0)
+
+    def _points(self, name: str, points: FloatArray, colour: str, size: float) -> None:
+        self._scene.add_point_cloud(
+            f"{self._name}/perceived/{name}", points.astype(np.float32), rgb(colour),
+            point_size=size, point_shape="circle",
+        )  # fmt: skip
 
     def _mesh(self, name: str, mesh: Mesh, side: float = 0.0) -> None:
         corners = mesh.triangles.reshape(-1, 3).astype(np.float32)

@@ -8,12 +8,14 @@ import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
 
 from flipperctl.api import ACTIONS, Profile, Robot, RobotState
 from flipperctl.config import EvalConfig
+from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.live import lanes, page, scene, terminal
 from flipperctl.live.gate import Gate
 from flipperctl.live.lanes import Entrant, Episode, Lane
@@ -193,3 +195,47 @@ def test_a_plan_is_shown_as_it_is_made(name: str) -> None:
     else:
         assert abs(plans[0].path[1, 0] - (places[1] - places[0])[0]) < 0.03
     assert page.plan_text([0] * 14) == " ".join(["↓↓"] * 12) + " and 2 more"
+
+
+def test_the_map_lies_where_the_ground_is() -> None:
+    load(())
+    step = {"name": "step", "low": 0.2, "high": 0.2}
+    env = FlipperEnv(config=EvalConfig(terrain=step))
+    env.reset(seed=3)
+    assert env.map_points() is None  # points of the true ground are no map
+    exact = {"name": "lidar", "noise": 0.0, "range_bias": 0.0, "dropout": 0.0, "mixed": 0.0}
+    env = FlipperEnv(config=EvalConfig(terrain=step, perception=exact))
+    env.reset(seed=3)
+    for _ in range(3):
+        env.step(4)
+    shown = MagicMock()
+    live = scene.LiveScene(shown, "/drive/0", 0.0)
+    live.begin(env.profile, env.robot, env.scene.finish, "")
+    live.perceive(env.perception, env.state, env.map_points())
+    clouds = {call.args[0]: call.args[1] for call in shown.add_point_cloud.call_args_list}
+    x, y, z = clouds["/drive/0/perceived/map"].T
+    aside = np.abs(x) > 0.05  # from the riser
+    heights = np.array([env.profile.height(place) for place in x[aside]])
+    assert len(x) > 1000
+    assert np.abs(z[aside] - heights).max() < 0.02
+    assert np.ptp(y) > 0.5
+
+
+def test_a_search_tells_how_far_it_is_and_can_be_left() -> None:
+    load(())
+    config = EvalConfig(terrain="step")
+    source = load_policy("planner", fields={"width": 4, "budget": 500})
+    planner = Entrant("planner", lambda index: Episode(config, source.build(config), 3))
+    told: list[float] = []
+    lane = Lane(planner, told.append)
+    lane.begin(0)
+    lane.step()
+    assert told == sorted(told)
+    assert told[-1] == 1.0
+    assert len(told) > 2
+
+    shown = page.WatchPage(MagicMock(), [planner])
+    shown._set_lanes()
+    shown._wish.episode = 3
+    with pytest.raises(page._NextEpisodeError):  # not as a failure of the planner
+        shown._play()
