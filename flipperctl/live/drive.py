@@ -271,7 +271,7 @@ class Operator:
         """Show what is perceived, and ask the helper; the action has no effect."""
         if self._helper is not None:
             self._proposed = ACTIONS[self._helper.act(p)]
-        self._scene.perceive(p, self._env.state)
+        self._scene.perceive(p, self._env.state, self._env.map_points())
         return action_index(0, 0)
 
     def command(self, world: World) -> Command:

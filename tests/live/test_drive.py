@@ -164,7 +164,7 @@ def test_a_lost_connection_holds_the_robot(
     again.do("begin")
     again.next(lambda s: s["phase"] == "driving", belts=1, front_steps=5)
     assert again.state["front_target"] < 4 * again.scene["step"]  # pressed before it went on
-    again.next(lambda s: s["phase"] == "over", belts=1)
+    again.next(lambda s: s["phase"] == "over", belts=1, front_steps=5)
     again.do("next")
     session.over()
     commands = session.episode().commands
@@ -283,7 +283,7 @@ def test_a_closed_browser_holds_the_robot(
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (["--as", "../x"], "--as ../x"),
+        (["--as", "../x"], "--as '../x'"),
         (["--with", "generalis"], "did you mean 'generalist'"),
         (["--study", "none.yaml"], "--study none.yaml: it cannot be read"),
         (["terrain=stare"], "stair"),
