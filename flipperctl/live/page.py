@@ -80,9 +80,9 @@ class Gauges:
             title=title, height=160, visible=visible, scales={"x": uplot.Scale(time=False)},
         )  # fmt: skip
 
-    def remove(self) -> None:
-        """Remove the panel."""
-        self._folder.remove()
+    def appear(self, visible: bool) -> None:
+        """Show or hide the panel; the browser would report late updates of a removed one."""
+        self._folder.visible = visible
 
     def search(self, fraction: float) -> None:
         """Show how much of a search before an episode is done."""
@@ -181,6 +181,7 @@ class WatchPage:
         self._server, self._entrants, self._find = server, list(entrants), find
         self._wish, self._episode, self._stopped = Wish(), episode, False
         self._lanes: list[tuple[Lane, LiveScene, Gauges]] = []
+        self._gauges: dict[int, Gauges] = {}
         server.gui.configure_theme(show_logo=False, show_share_button=False)
         server.gui.main_panel.dock_right()
         server.scene.set_up_direction("+z")
@@ -264,6 +265,7 @@ class WatchPage:
         assert self._find is not None  # the button exists
         try:
             entrant = self._find(name.value.strip())
+            entrant.episode(self._episode)  # errors now, not in the loop, which they would end
         except FlipperctlError as error:
             event.client.add_notification("No policy was added", str(error), color="red")
             return
@@ -296,14 +298,17 @@ class WatchPage:
     def _set_lanes(self) -> None:
         for _, scene, gauges in self._lanes:
             scene.remove()
-            gauges.remove()
+            gauges.appear(False)
         pairs = list(zip(self._entrants, self._shown, strict=False))  # one may just be added
         chosen = [entrant for entrant, box in pairs if box.value][-_MOST:] or self._entrants[:1]
         apart = WIDTH + _BETWEEN
         self._lanes = []
         for i, entrant in enumerate(chosen):
             scene = LiveScene(self._server.scene, f"/drive/{i}", i * apart)
-            gauges = Gauges(self._server.gui, entrant.label)
+            if (number := self._entrants.index(entrant)) not in self._gauges:
+                self._gauges[number] = Gauges(self._server.gui, entrant.label)
+            gauges = self._gauges[number]
+            gauges.appear(True)
 
             def report(fraction: float, gauges: Gauges = gauges) -> None:
                 gauges.search(fraction)

@@ -16,6 +16,7 @@ import pytest
 from flipperctl.api import ACTIONS, Profile, Robot, RobotState
 from flipperctl.config import EvalConfig
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import RequestError
 from flipperctl.live import lanes, page, scene, terminal
 from flipperctl.live.gate import Gate
 from flipperctl.live.lanes import Entrant, Episode, Lane
@@ -239,3 +240,15 @@ def test_a_search_tells_how_far_it_is_and_can_be_left() -> None:
     shown._wish.episode = 3
     with pytest.raises(page._NextEpisodeError):  # not as a failure of the planner
         shown._play()
+
+
+def test_a_policy_that_cannot_drive_is_refused_and_the_page_goes_on() -> None:
+    def broken(index: int) -> Episode:
+        raise RequestError("no drives")
+
+    named, event = MagicMock(), MagicMock()
+    shown = page.WatchPage(MagicMock(), [entrant()], find=lambda name: Entrant(name, broken))
+    shown._add(named, event)
+    assert event.client.add_notification.call_args.args == ("No policy was added", "no drives")
+    assert not shown._wish.changed
+    assert len(shown._entrants) == 1
