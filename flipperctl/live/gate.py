@@ -351,7 +351,10 @@ class Gate:
                 message += part
                 if len(message.encode()) > _LONGEST:
                     return _TOO_BIG, f"longer than {_LONGEST} bytes"
-            self._control.received(number, message)
+            try:
+                self._control.received(number, message)
+            except ValueError:  # no message of the page
+                return _REFUSED, "this is no message of the page"
 
     async def _send(self, client: _Client) -> None:
         """Send what is pending, as fast as the client reads."""
