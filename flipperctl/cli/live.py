@@ -169,6 +169,7 @@ def drive(
     from flipperctl.config.policy_file import drive_files
     from flipperctl.config.words import with_flags
     from flipperctl.evaluation import drives
+    from flipperctl.evaluation import study as studies
     from flipperctl.live.drive import DrivePage
     from flipperctl.policies.source import load_policy
 
@@ -198,7 +199,7 @@ def drive(
     else:
         if words or helper is not None:
             raise RequestError("--study: its file has the scenes and helpers; leave others out")
-        read = drives.read_study(study, person)
+        read = studies.read_study(study, person)
         root = output or study.with_suffix("")
 
         def folder(name: str) -> drives.DriveFolder:
@@ -211,7 +212,7 @@ def drive(
             return _configs(text.split())[0]
 
         tasks = list(
-            drives.tasks_of(read, person, compose, lambda n: load_policy(n, "helpers"), folder)
+            studies.tasks_of(read, person, compose, lambda n: load_policy(n, "helpers"), folder)
         )
         if not tasks:
             print_note(f"{person} has driven everything of {study}")
@@ -227,7 +228,7 @@ def drive(
 
     def answered(task: drives.Task, answers: tuple[int, ...]) -> None:
         name = "none" if task.helper is None else task.helper.label()
-        drives.add_answers(root, person, name, task.asks, answers)
+        studies.add_answers(root, person, name, task.asks, answers)
 
     page = DrivePage(port, person)
     with page.gate as gate:

@@ -78,6 +78,13 @@ def drive_files(path: Path) -> list[Path]:
     return [path] if path.match(DRIVES) and os.path.isfile(path) else []  # noqa: PTH113
 
 
+def drives_in(path: Path) -> list[Path]:
+    """Return the folders of people's drives in that of a study; none of another path."""
+    if not os.path.isdir(path):  # noqa: PTH112  # false for any text, however long
+        return []
+    return sorted(folder for folder in path.iterdir() if drive_files(folder))
+
+
 def is_policy_file(name: str) -> bool:
     """Return whether a word names a controller's settings: a file by its suffix, or drives."""
     return name.lower().endswith(_SUFFIXES) or bool(name and drive_files(Path(name)))

@@ -49,8 +49,8 @@ class DrivenWorld(World, BeltWorld, EndingWorld, RayWorld, CameraWorld, Protocol
         """Return the work of the flippers' motors since the start [J]; None: not measured."""
 
 
-class Operator:
-    """Commands flippers and belts within the decisions of one episode."""
+class Commanding:
+    """The commands of an operator within the decisions of one episode."""
 
     def __init__(
         self, every: int, call: Callable[[World], Command], lag: int, limit: float, step: float
@@ -141,7 +141,7 @@ class Drive:
         self.commands: FloatArray | None = None
         """An operator's commands in the last decision, (K, 5)."""
         self._turn_at = turn
-        self._operator: Operator | None = None
+        self._operator: Commanding | None = None
         self._samples = 0
         self._samplings: tuple[tuple[int, Callable[[World], None]], ...] = ()
         self._movements: list[Callable[[float, FloatArray], None]] = []
@@ -169,7 +169,7 @@ class Drive:
         """
         lag = round(self._turn_at / every)
         limit, step = self.robot.angle_limit, self.robot.angle_step
-        self._operator = Operator(every, call, lag, limit, step)
+        self._operator = Commanding(every, call, lag, limit, step)
 
     def decide(self, action: int) -> Outcome | None:
         """Turn the flippers by one action and simulate one decision; return the outcome, if any.

@@ -23,7 +23,7 @@ from flipperctl import plugins
 from flipperctl.api import Robot, registry
 from flipperctl.config import EvalConfig, strict_yaml, to_dict
 from flipperctl.config.identity import differences
-from flipperctl.config.policy_file import drive_files, is_policy_file
+from flipperctl.config.policy_file import drives_in, is_policy_file
 from flipperctl.config.words import check_different, check_words, key_of
 from flipperctl.errors import ConfigError, FlipperctlError, RequestError
 from flipperctl.evaluation.conditions import Conditions
@@ -440,12 +440,9 @@ def standing(baseline: str | None, present: Sequence[NamedPolicy]) -> list[Named
 def _of_path(path: Path, tell: Callable[[str], None]) -> Iterator[NamedPolicy]:
     # False for any text, however long.
     if people := drives_in(path):
-        helpers = dict.fromkeys(folder.name.partition("+")[2] for folder in people)
-        for helper in helpers:
-            name = f"{path}+{helper}" if helper else str(path)
-            own = [folder for folder in people if folder.name.partition("+")[2] == helper]
-            for number, folder in enumerate(own):
-                yield NamedPolicy(name, None, number, str(folder))
+        for number, folder in enumerate(people):
+            _, plus, helper = folder.name.partition("+")
+            yield NamedPolicy(f"{path}{plus}{helper}", None, number, str(folder))
         return
     sweep = os.path.isdir(path) and not checkpoints.holds(path)  # noqa: PTH112
     if not sweep or not checkpoints.runs_in(path):
@@ -482,13 +479,6 @@ def _of_path(path: Path, tell: Callable[[str], None]) -> Iterator[NamedPolicy]:
         name = f"{path}/{values}" if telling else str(members[0][0])
         for run, seed in members:
             yield NamedPolicy(str(path) if len(groups) == 1 else name, run, seed)
-
-
-def drives_in(path: Path) -> list[Path]:
-    """Return the folders of people's drives in that of a study; none of another path."""
-    if not os.path.isdir(path):  # noqa: PTH112  # false for any text, however long
-        return []
-    return sorted(folder for folder in path.iterdir() if drive_files(folder))
 
 
 def _swept(run: Path) -> str:

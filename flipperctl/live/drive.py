@@ -168,7 +168,7 @@ class DrivePage:
     def wait(self, done: Callable[[str | None], bool]) -> str:
         """Show the last state until ``done`` is true of the button that was pressed, or None."""
         while not done(wish := self.wished()):
-            self.show({name: value for name, value in self._state.items() if name != "kind"})
+            self.show(self._state)
             time.sleep(PERIOD)
         return wish or ""
 
@@ -196,7 +196,7 @@ class DrivePage:
         return self._answers
 
 
-class Operator:
+class Person:
     """The policy of one episode that a person drives; see ``flipperctl.api.Policy``."""
 
     command_period = PERIOD

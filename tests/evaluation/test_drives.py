@@ -11,20 +11,14 @@ import pytest
 from flipperctl.api import ACTIONS, Command, Outcome, Perception, Simulator, World, action_index
 from flipperctl.checkpoint import recording
 from flipperctl.config import EvalConfig
-from flipperctl.env.drive import Operator
+from flipperctl.env.drive import Commanding
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError, PolicyError, RequestError
-from flipperctl.evaluation.drives import (
-    PRACTICE,
-    DriveFolder,
-    Task,
-    add_answers,
-    read_study,
-    tasks_of,
-)
+from flipperctl.evaluation.drives import PRACTICE, DriveFolder, Task
 from flipperctl.evaluation.play import EpisodeRunner, Player
 from flipperctl.evaluation.replay import replay
 from flipperctl.evaluation.rows import RECORDED
+from flipperctl.evaluation.study import add_answers, read_study, tasks_of
 from flipperctl.plugins import load
 from flipperctl.policies.source import load_policy
 from flipperctl.rollout.episode import decisions
@@ -62,7 +56,7 @@ def scene(sim: str, **terrain: float) -> EvalConfig:
 
 
 def test_an_action_comes_closest_to_the_commands_and_carries_the_rest() -> None:
-    operator = Operator(5, lambda world: Command(0.0, 0.0), 0, limit=1.0, step=0.25)
+    operator = Commanding(5, lambda world: Command(0.0, 0.0), 0, limit=1.0, step=0.25)
     operator._followed = (0.0, 0.0)
     ends = [(0.12, 0.0), (0.2, -0.6), (0.2, -0.6), (0.2, -0.6), (0.9, -0.6)]
     moves = [ACTIONS[operator.end(targets)[0]] for targets in ends]
@@ -82,7 +76,7 @@ def test_a_command_waits_for_the_delay_of_the_actuators() -> None:
 
     fronts = iter([0.1, 0.2, 3.0])
     world = Told()
-    operator = Operator(5, lambda world: Command(next(fronts), 0.0, 0.5), 2, limit=1.0, step=0.25)
+    operator = Commanding(5, lambda world: Command(next(fronts), 0.0, 0.5), 2, limit=1.0, step=0.25)
     targets = (0.0, 0.0)
     for _ in range(3):
         targets = operator.command(world, targets)  # type: ignore[arg-type]
