@@ -33,6 +33,7 @@ from flipperctl.evaluation.views.findings import (
     rank,
     table_rows,
 )
+from flipperctl.evaluation.views.published import published
 from flipperctl.evaluation.views.summary import Document, named, short
 from flipperctl.files import OutputKind, write_bytes
 from flipperctl.rollout.trace import Trace, read
@@ -86,8 +87,8 @@ def _page(folder: Path, found: Document, recorded: Sequence[Trace]) -> str:
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
     marks = _marks([*policies, *(trace.policy for trace in recorded)])
     table, *others = evaluation.tables(found, "Policies")
-    published = evaluation.published(found, strict=False)
-    others = [one for one in others if published is None or one.title != published.title]
+    beside = published(found, strict=False)
+    others = [one for one in others if beside is None or one.title != beside.title]
     heat = _heat(rows, policies, scenes, marks) if len(scenes) > 2 and len(policies) > 1 else ""
     template = Template(_text("report.html"))
     return template.substitute(
@@ -98,7 +99,7 @@ def _page(folder: Path, found: Document, recorded: Sequence[Trace]) -> str:
         summary=_summary(found),
         results="\n".join([heat, *(html(one, marks) for one in (table, *others))]),
         figures=_figures(folder, found, policies),
-        published=_section("The paper's numbers", html(published, marks)) if published else "",
+        published=_section("The paper's numbers", html(beside, marks)) if beside else "",
         player=_player(recorded),
         failures=_failures(folder, rows, recorded, marks),
         origin=_origin(folder, found, marks),

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from flipperctl.api import Outcome, Terrain, registry
-from flipperctl.config import EvalConfig, to_dict
+from flipperctl.api import Outcome
+from flipperctl.config import EvalConfig
 from flipperctl.config.words import check_different
 from flipperctl.env.ground import generate_profile
 from flipperctl.env.metrics import heading, other_measures
@@ -26,6 +26,7 @@ from flipperctl.evaluation.names import names as short_names
 from flipperctl.evaluation.plan import is_best_known
 from flipperctl.evaluation.rows import Episodes, Row
 from flipperctl.evaluation.views import engines, summary
+from flipperctl.evaluation.views.published import published
 from flipperctl.evaluation.views.summary import (
     VARIATION,
     Document,
@@ -46,14 +47,6 @@ _STARTS = ("start_shift", "start_front", "start_rear")
 Names = tuple[str, ...]
 """Drawn numbers whose combinations are groups, such as length, height, slope or friction."""
 _SCENE, _POLICY = (Column(name, name, named=True) for name in ("scene", "policy"))
-_PUBLISHED = (
-    Column("terrain", "scene", named=True),
-    Column("policy", "of", named=True),
-    Column("success", "success"),
-    Column("time", "time [s]"),
-    Column("variation", "pitch variation at decisions [rad]"),
-    Column("range", "its range [rad]"),
-)
 
 
 def document(result: Result, by: Sequence[Names] = ()) -> Document:
@@ -370,57 +363,6 @@ def _group_row(group: Mapping[str, Any]) -> dict[str, Any]:
         for other in compared(group)
     }
     return {**group, **drawn, **gaps, "success_text": rate_text(group["success"])}
-
-
-def published(found: Document, *, strict: bool = True) -> Table | None:
-    """Return our results above published ones; None if no scene repeats their experiment.
-
-    ``strict``: only under their conditions; else a note tells which these are.
-    """
-    scenes: dict[type[Terrain], list[Row]] = {}
-    others: dict[str, None] = {}
-    for scene in found["scenes"]:
-        terrain, conditions = registry.get(("terrain", scene["terrain"])), scene["conditions"]
-        if terrain is None or not (issubclass(terrain, Terrain) and terrain.published):
-            continue
-        repeated = terrain.published[0].conditions == conditions["name"]
-        own = {"name": scene["terrain"], **to_dict(terrain())}
-        if conditions["terrain"] != own or not (repeated or not strict):
-            continue
-        if not repeated:
-            others[conditions["name"]] = None
-        rows = scenes.setdefault(terrain, [])
-        for one in (scene, *([] if "method" in scene else compared(scene))):
-            variation = one["pitch_variation"] or {}
-            rows.append(
-                {
-                    "policy": short(scene.get("method") or one["controller"]),
-                    "success": rate_text(one["success"]),
-                    "time": (one["t_cost"] or {}).get("mean"),
-                    "variation": variation.get("mean"),
-                    "range": variation.get("range"),
-                }
-            )
-    table = Table(_PUBLISHED, [], "Beside published results, where reached")
-    for terrain, rows in scenes.items():
-        theirs = [
-            {
-                "policy": one.source,
-                "success": "",
-                "time": one.t_cost,
-                "variation": one.pitch_variation,
-                "range": one.pitch_variation_range,
-            }
-            for one in terrain.published
-        ]
-        every = [{"terrain": "", "line": False, **row} for row in (*rows, *theirs)]
-        table.rows += [every[0] | {"terrain": terrain.plugin_name, "line": True}, *every[1:]]
-    if others:
-        word = next(iter(scenes)).published[0].conditions
-        table.notes.append(
-            f"Played with conditions={','.join(others)}; conditions={word} repeats the experiment."
-        )
-    return table if table.rows else None
 
 
 def print_result(result: Result, found: Document, columns: Sequence[str] = ()) -> None:

@@ -22,6 +22,7 @@ from flipperctl.evaluation.views.evaluation import (
     parse_groups,
     policies,
 )
+from flipperctl.evaluation.views.published import published
 from flipperctl.evaluation.views.summary import named
 from flipperctl.files import write_csv
 from flipperctl.policies.source import PolicySource
@@ -150,7 +151,7 @@ ROWS = episodes([sample(i, "reached", v, t_cost=27.5) for i, v in enumerate((1.0
 def beside_published(*words: str) -> list[Any]:
     entries = [Entry(*scene) for scene in scenes(words, None, "okada")]
     played = tuple(Played(entry, ROWS) for entry in entries)
-    found = evaluation.published(evaluation.document(Result(Plan(tuple(entries)), played)))
+    found = published(evaluation.document(Result(Plan(tuple(entries)), played)))
     return [] if found is None else found.texts()
 
 
