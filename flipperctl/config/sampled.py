@@ -8,6 +8,7 @@ impossible.
 from __future__ import annotations
 
 import math
+import sys
 import types
 from collections import deque
 from collections.abc import Iterator, Mapping
@@ -50,6 +51,11 @@ def _is_number(value: object) -> TypeGuard[int | float]:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
+def _is_finite(value: object) -> TypeGuard[int | float]:
+    """Return whether a value is a number that a float can hold; an integer may be too large."""
+    return _is_number(value) and abs(value) <= sys.float_info.max
+
+
 def _pair(value: object) -> object:
     return [value, value] if _is_number(value) else value
 
@@ -72,7 +78,7 @@ def _of_paths(value: object, info: ValidationInfo) -> object:
 
 def _range_or_number(value: object, where: str) -> tuple[float, float] | float:
     items = list(value) if isinstance(value, list | tuple) else [value]
-    numbers = [float(item) for item in items if _is_number(item) and math.isfinite(item)]
+    numbers = [float(item) for item in items if _is_finite(item)]
     if items == [value] and len(numbers) == 1:
         return numbers[0]
     if len(items) == len(numbers) == 2:

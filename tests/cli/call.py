@@ -5,13 +5,15 @@ import io
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import typer.main
 
 from flipperctl import api, plugins
 from flipperctl.cli.main import app, main
 
-COMMANDS = typer.main.get_command(app).commands
+_PROGRAM: Any = typer.main.get_command(app)
+COMMANDS: dict[str, Any] = _PROGRAM.commands
 GROUPS = {name: list(one.commands) for name, one in COMMANDS.items() if hasattr(one, "commands")}
 SUBCOMMANDS = [
     *([name] for name in COMMANDS if name not in GROUPS),

@@ -259,6 +259,20 @@ def test_a_wrong_request_is_named(command: str, parts: list[str], tmp_path: Path
 
 
 @pytest.mark.parametrize(
+    ("word", "zeros", "text"),
+    [
+        ("randomise.sim.gravity={}", 400, "randomise.sim.gravity: a range [low, high] or one num"),
+        ("randomise.sim.gravity=[1,{}]", 400, "gravity: a range [low, high] or one number is allo"),
+        ("seed={}", 5000, "seed: its number has too many digits"),
+    ],
+)
+def test_a_number_that_no_float_holds_is_named(
+    word: str, zeros: int, text: str, tmp_path: Path
+) -> None:
+    assert text in refused("train", word.format(f"1{'0' * zeros}"), cwd=tmp_path)
+
+
+@pytest.mark.parametrize(
     "typed",
     ["transfer", "inspect engines", "eval --detect", "eval eval.static_bound", "bench latency"],
 )

@@ -16,7 +16,7 @@ from hydra.core.override_parser.types import Override
 from hydra.errors import OverrideParseException
 
 from flipperctl.config.defaults import CHOICES
-from flipperctl.config.words import check_different, check_words, expand_files, unreadable
+from flipperctl.config.words import check_different, check_words, expand_files, key_of, unreadable
 from flipperctl.errors import ConfigError
 from flipperctl.training.search import Interval
 
@@ -48,6 +48,9 @@ class Overrides:
             return cls(tuple(OverridesParser.create().parse_overrides(words)))
         except OverrideParseException as error:
             raise unreadable(str(error.override)) from error
+        except ValueError as error:  # Python reads integers of up to 4300 digits
+            key = key_of(max(words, key=len))
+            raise ConfigError(f"{key}: its number has too many digits") from error
 
     @property
     def words(self) -> list[str]:
