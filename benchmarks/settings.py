@@ -37,7 +37,7 @@ FAMILIES = (
     *("gap", "wave", "rubble", "pallet", "plum"),
 )
 """Terrains of the generalist's training, for benchmarks over all kinds of ground."""
-MISSING = "stable-baselines3 is not installed; install flipperctl[bench]"
+MISSING = "stable-baselines3 is not installed; install flipperctl[sb3]"
 """Why a comparison with another learner was not made."""
 
 SMALL: Mapping[str, Any] = {

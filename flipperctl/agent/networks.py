@@ -21,6 +21,7 @@ from flipperctl.agent.frames import input_size
 from flipperctl.agent.losses import double_q_target, double_quantile_target, huber, quantile_huber
 from flipperctl.agent.replay import Batch
 from flipperctl.api import ACTIONS, MAX_HISTORY, Network, ObservationLayout
+from flipperctl.core.targets import JOINTS, ActionKind
 from flipperctl.errors import ConfigError, FlipperctlError, NonFiniteError, PluginFailedError
 from flipperctl.guard import definition, naming, plugin_label, refusal, short_repr
 
@@ -81,6 +82,26 @@ def build_network(
     with torch.random.fork_rng(devices=[]), torch.no_grad(), _restored_afterwards(module):
         _try(network, module, torch.zeros(2, input_size(network, layout)), n_actions)
     return module
+
+
+def outputs(kind: ActionKind) -> int:
+    """Return the number of outputs of a policy's network: Q-values of actions, or rates."""
+    return len(ACTIONS) if kind == "turns" else len(JOINTS)
+
+
+def build_policy(
+    network: Network, layout: ObservationLayout, kind: ActionKind = "turns"
+) -> torch.nn.Module:
+    """Build a policy's network, from (B, frames · n) to Q-values (B, 9) or rates (B, 2).
+
+    The hyperbolic tangent of what the plugin's network returns makes rates from -1 to 1 of it.
+    """
+    module = build_network(network, layout, outputs(kind))
+    if kind == "turns":
+        return module
+    squashed = torch.nn.Sequential(module, torch.nn.Tanh())
+    record_plugin(squashed, network)
+    return squashed
 
 
 def record_plugin(module: torch.nn.Module, network: Network) -> None:
@@ -235,9 +256,12 @@ def best(values: Sequence[float]) -> int:
 
 
 def q_values(
-    module: torch.nn.Module, observation: NDArray[np.float32], device: torch.device = _CPU
+    module: torch.nn.Module,
+    observation: NDArray[np.float32],
+    device: torch.device = _CPU,
+    kind: ActionKind = "turns",
 ) -> list[float]:
-    """Return the Q-values of one observation, (9,).
+    """Return the Q-values of one observation, (9,), or its rates, (2,), by the ``kind``.
 
     ``module`` is on ``device``. ``observation``: input row of the network, (frames · n,) in
     SI units.
@@ -247,8 +271,8 @@ def q_values(
             output = module(torch.from_numpy(observation).to(device).unsqueeze(0))
         (values,) = output.tolist()
         total = float(sum(values))
-    if len(values) != len(ACTIONS):
-        text = f"returned {len(values)} Q-values for an observation; {len(ACTIONS)} are needed"
+    if len(values) != (needed := outputs(kind)):
+        text = f"returned {len(values)} numbers for an observation; {needed} are needed"
         raise PluginFailedError(describe_fault(module, "forward", text))
     if not math.isfinite(total):
         raise NonFiniteError(

@@ -18,6 +18,7 @@ from flipperctl.api.plugin import Plugin, register
 from flipperctl.api.profile import Profile
 from flipperctl.api.values import ObservationLayout, Outcome, Perception, RobotGeometry, RobotState
 from flipperctl.core import FloatArray
+from flipperctl.core.targets import Action
 
 if TYPE_CHECKING:
     import torch
@@ -111,8 +112,11 @@ class Policy(Protocol):
     def reset(self, simulator: Simulator, /) -> None:
         """Begin an episode; ``simulator`` simulates its scene for policies that look ahead."""
 
-    def act(self, p: Perception, /) -> int:
-        """Return the index into ``ACTIONS`` of the next action."""
+    def act(self, p: Perception, /) -> Action:
+        """Return the next action: an index into ``ACTIONS``, or rates.
+
+        Rates are the turns of the front and the rear pair, each from -1 to 1 angle steps.
+        """
 
 
 @runtime_checkable
@@ -167,8 +171,8 @@ class Controller(Plugin):
         """Return a new policy with these settings; ``reset`` begins each of its episodes."""
         return Rule(self)
 
-    def act(self, p: Perception) -> int:
-        """Return the index into ``ACTIONS`` of the next action, from this perception alone."""
+    def act(self, p: Perception) -> Action:
+        """Return the next action, an index or rates, from this perception alone."""
         raise TypeError(f"controller {type(self).__name__} decides through build() only")
 
 
@@ -191,7 +195,7 @@ class Rule:
     def reset(self, simulator: Simulator) -> None:
         """Begin an episode, of which a rule remembers nothing."""
 
-    def act(self, p: Perception) -> int:
+    def act(self, p: Perception) -> Action:
         """Return the controller's action."""
         return self._controller.act(p)
 

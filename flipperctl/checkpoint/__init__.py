@@ -160,7 +160,9 @@ def describe(
             **engine_versions(config.sim),
         },
         plugins=plugin_references(config),
-        actions=documents.Actions(joints=JOINTS, steps=ACTIONS),
+        actions=documents.Actions(
+            joints=JOINTS, steps=ACTIONS if config.actions == "turns" else ()
+        ),
         decision=decision,
         validation=None if validation is None else documents.Validation(**validation),
         state=state,
@@ -231,6 +233,7 @@ _RUN_PARTS = (
     *("online", "target", "baselines", "optimiser", "risk", "risk_optimiser", "replay"),
     *("anchor", "values", "value_optimiser", "counts"),  # of a policy gradient
     "start",  # of a training that learns its labels anew at the end
+    "sb3",  # of a training by method=sb3
 )
 
 

@@ -86,7 +86,7 @@ class PartialConfig(Partial):
 
 
 class Actions(Record):
-    """The turn of each joint of the robot by each action, in angle steps."""
+    """The turn of each joint of the robot by each action, in angle steps; no steps for rates."""
 
     joints: tuple[Label, ...]
     """Names of the J joints."""
@@ -95,7 +95,7 @@ class Actions(Record):
 
     @model_validator(mode="after")
     def _are_those_of_pairs(self) -> Self:
-        if (self.joints, self.steps) != (JOINTS, ACTIONS):
+        if self.joints != JOINTS or self.steps not in (ACTIONS, ()):
             raise ValueError(
                 f"the actions turn {', '.join(self.joints) or 'nothing'} in {len(self.steps)} ways;"
                 f" this version turns {', '.join(JOINTS)} in {len(ACTIONS)}"

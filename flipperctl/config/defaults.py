@@ -15,6 +15,7 @@ from flipperctl.api import Logger, Measure, Robot, registry
 from flipperctl.api.plugin import registered_names
 from flipperctl.config import resolver
 from flipperctl.config.agent import Teacher
+from flipperctl.config.method import Sb3
 from flipperctl.config.models import EnvConfig, EvalConfig, TrainConfig
 from flipperctl.config.sections import LocalCollector, RayCollector
 from flipperctl.errors import ConfigError
@@ -70,14 +71,28 @@ def notes_on_robot(config: EnvConfig) -> Iterator[str]:
         )
 
 
+_OWN_LEARNER = ("agent.", "collector", "train.mode", "train.workers")
+
+
 def refuse_ineffective(config: EnvConfig, given: Mapping[str, str]) -> None:
     """Refuse an override of a setting that is sampled anew for every episode.
+
+    With another ``method``, settings of our own learner are refused, too.
 
     ``given`` holds the overridden keys, and the override of each as it was typed.
 
     With ``randomise.spread``, samples lie around the value of the setting, which then has one. All
     settings of the robot at once are those of a file, ``robot=FILE``, of which some may be sampled.
     """
+    method: Sb3 | None = getattr(config, "method", None)
+    for key, typed in given.items():
+        if method is None:
+            break
+        if key.startswith(_OWN_LEARNER) and key != "agent.gamma":
+            raise ConfigError(
+                f"{typed}: it has no effect with method={method.name}; its settings are arguments "
+                f"of the algorithm, as in {method.example}"
+            )
     if config.randomise.spread is not None:
         return
     whole = all(f"robot.{field}" in given for field in type(config.robot).model_fields)
@@ -97,7 +112,7 @@ def refuse_ineffective(config: EnvConfig, given: Mapping[str, str]) -> None:
 
 GROUPS = (
     *("terrain", "robot", "rewards", "network", "collector", "teacher", "logger"),
-    *("sim", "perception", "conditions"),
+    *("sim", "perception", "conditions", "method"),
 )
 """Groups whose choice is stored under a key of the same name."""
 CHOICES = (*GROUPS, "controller", "experiment")
@@ -123,6 +138,9 @@ def entries() -> Iterator[tuple[str, str, dict[str, Any]]]:
         if kind == "controller":
             own = getattr(cls, "reference_settings", {})
             yield "teacher", name, {**teaching, "controller": {**defaults, **own}}
+    yield "method", "none", {}
+    own = [{"override /network": "mlp"}, "_self_"]
+    yield "method", "sb3", {"defaults": own, "method": resolver.to_dict(Sb3())}
     for collector in (LocalCollector(), RayCollector()):
         yield "collector", collector.name, resolver.to_dict(collector)
 

@@ -32,6 +32,7 @@ from flipperctl.api import (
     registry,
 )
 from flipperctl.config.agent import Agent, Teacher
+from flipperctl.config.method import Sb3
 from flipperctl.config.resolver import create, loggers_by_name, named_robot, to_dict
 from flipperctl.config.sampled import Randomise, check_ranges, replace_settings, sample
 from flipperctl.config.sections import (
@@ -41,6 +42,7 @@ from flipperctl.config.sections import (
     RayCollector,
     Train,
 )
+from flipperctl.core.targets import ActionKind
 from flipperctl.errors import ConfigError, PluginError
 from flipperctl.messages import close_match, missing_plugin
 
@@ -195,7 +197,13 @@ class EvalConfig(EnvConfig):
 class TrainConfig(EnvConfig):
     """The complete configuration of a training run."""
 
+    actions: ActionKind = Field(
+        "turns",
+        description="turns: one of nine turns by an angle step in each decision; rates: any turn "
+        "up to that, which needs a method of continuous actions [-]",
+    )
     network: AnyNetwork
+    method: Sb3 | None = None
     agent: Agent = Agent()
     train: Train = Train()
     collector: LocalCollector | RayCollector = Field(LocalCollector(), discriminator="name")
@@ -231,6 +239,27 @@ class TrainConfig(EnvConfig):
         return self
 
     def _faults(self) -> Iterator[str]:
+        if (method := self.method) is not None:
+            if self.network.plugin_name != "mlp":
+                yield (
+                    f"network: {self.network.plugin_name} does not go with method={method.name}, "
+                    "which trains perceptrons; network=mlp is allowed"
+                )
+            if self.actions not in method.kinds:
+                yield (
+                    f"actions: {self.actions} does not go with method.algorithm="
+                    f"{method.algorithm}; actions={' or '.join(method.kinds)} is allowed"
+                )
+            agent, kept = self.agent, ("risk", "curiosity", "start_from")
+            for name in kept:
+                if getattr(agent, name):
+                    yield f"agent.{name}: it does not go with method={method.name}; leave it out"
+            if agent.is_policy_gradient:
+                yield f"agent.learner: {agent.learner} does not go with method={method.name}"
+            if self.teacher.teaches or self.train.record:
+                name = "teacher" if self.teacher.teaches else "train.record"
+                yield f"{name}: it does not go with method={method.name}; leave it out"
+            return
         if self.train.mode == "exact" and self.collector.name != "local":
             yield (
                 "train.mode: exact plays episodes in the learner's process; "

@@ -30,7 +30,7 @@ from flipperctl.api import (
     World,
 )
 from flipperctl.config import Episode
-from flipperctl.core.targets import TargetRule, action_index, turns
+from flipperctl.core.targets import Action, Rates, TargetRule, action_index, closest, turns
 from flipperctl.env.guarded import place
 from flipperctl.env.termination import Termination
 from flipperctl.errors import NonFiniteError
@@ -137,7 +137,9 @@ class Drive:
         self._events = sorted([(turn, _TURN), (perceive, _PERCEIVE), (samples, _END)])
         self._undelayed = perceive == samples
         self.action = action_index(0, 0)
-        """Index of the last action; of an operator, the one that came closest."""
+        """Index of the last action; of rates and of an operator, the one that came closest."""
+        self.rates: Rates | None = None
+        """Rates of the last action; None of an index and of an operator."""
         self.commands: FloatArray | None = None
         """An operator's commands in the last decision, (K, 5)."""
         self._turn_at = turn
@@ -171,15 +173,19 @@ class Drive:
         limit, step = self.robot.angle_limit, self.robot.angle_step
         self._operator = Commanding(every, call, lag, limit, step)
 
-    def decide(self, action: int) -> Outcome | None:
+    def decide(self, action: Action) -> Outcome | None:
         """Turn the flippers by one action and simulate one decision; return the outcome, if any.
 
         An operator's commands replace the action.
         """
         state, begun = self.state, self._work
-        self.action, operator, driven = action, self._operator, True
+        operator, driven = self._operator, True
+        if isinstance(action, tuple):
+            self.action, self.rates = closest(action), action
+            turned = [rate * self.robot.angle_step for rate in action]
+        else:
+            self.action, self.rates, turned = action, None, self._turns[action]
         if operator is None:
-            turned = self._turns[action]
             self.targets = self._rule.next_targets(self.targets, (state.front, state.rear), turned)
         outcome = self._run()
         if operator is not None:

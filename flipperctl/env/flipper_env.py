@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import Any, get_args
 
 import gymnasium
 import numpy as np
@@ -29,6 +29,7 @@ from flipperctl.api import (
 )
 from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.config.identity import foreign_plugins
+from flipperctl.core.targets import ALLOWED, Action, ActionKind, as_action
 from flipperctl.env import ground, repeating, start
 from flipperctl.env.drive import Drive
 from flipperctl.env.guarded import exact as exact_sensor
@@ -48,7 +49,6 @@ from flipperctl.env.pictures import (
 )
 from flipperctl.env.repeating import require_unmoved
 from flipperctl.env.start import run_out_of
-from flipperctl.env.termination import ALLOWED, action_index
 from flipperctl.errors import ConfigError, PluginFailedError, TerrainError
 from flipperctl.messages import close_match
 from flipperctl.randomness import global_states
@@ -57,13 +57,14 @@ from flipperctl.reward_sum import RewardSum
 Observation = NDArray[np.float32]
 
 
-class FlipperEnv(gymnasium.Env[Observation, np.int64]):
+class FlipperEnv(gymnasium.Env[Observation, Any]):
     """One robot drives across one terrain in each episode; the policy turns its flippers.
 
-    Observations are (n,) float32 in SI units in the order of ``layout``; actions are indices
-    into ``flipperctl.api.ACTIONS``. ``info`` holds ``rewards`` (the weighted value of each term)
-    and, at the end, ``outcome`` and ``metrics``. A timeout truncates the episode; every other
-    outcome terminates it.
+    Observations are (n,) float32 in SI units in the order of ``layout``. Actions are indices into
+    ``flipperctl.api.ACTIONS`` or rates: the turns of the front and the rear pair, each from -1 to 1
+    angle steps. ``step`` takes both; ``actions`` chooses the action space. ``info`` holds
+    ``rewards`` (the weighted value of each term) and, at the end, ``outcome`` and ``metrics``. A
+    timeout truncates the episode; every other outcome terminates it.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012  # as gymnasium.Env declares it
@@ -76,6 +77,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         terrain: Any = "stair",
         *,
         config: EnvConfig | None = None,
+        actions: ActionKind = "turns",
         render_mode: str | None = None,
         renderer: Renderer | None = None,
         **overrides: Any,
@@ -84,7 +86,8 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
 
         ``terrain``: a name, a mapping with ``name`` and fields, or an instance. ``overrides``:
         sections, nested (``episode={"slack": 2}``) or dotted (``**{"rewards.pitch.lambda_2": 8}``);
-        ``rewards={}`` removes every term. ``renderer`` draws the scenes of engines that draw no
+        ``rewards={}`` removes every term. ``actions``: ``"turns"`` for ``Discrete(9)``, ``"rates"``
+        for ``Box(-1, 1, (2,))``. ``renderer`` draws the scenes of engines that draw no
         pictures themselves; by default it is the installed one.
 
         Raises:
@@ -113,7 +116,14 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         self.observation_space = gymnasium.spaces.Box(
             -high.astype(np.float32), high.astype(np.float32)
         )
-        self.action_space = gymnasium.spaces.Discrete(len(ACTIONS))
+        if actions not in get_args(ActionKind):
+            raise ConfigError(f"actions: {actions!r}; turns or rates is allowed")
+        self.actions = actions
+        self.action_space: gymnasium.Space[Any] = (
+            gymnasium.spaces.Box(-1.0, 1.0, (2,))
+            if actions == "rates"
+            else gymnasium.spaces.Discrete(len(ACTIONS))
+        )
         self.renderer = self._renderer = renderer
         self._generated: Profile | None = None  # before thinning
         self._prepared: Profile  # after it
@@ -265,7 +275,7 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
         """Number of points in the generated profile, before thinning for the tracks [-]."""
         return 0 if self._generated is None else len(self._generated.points)
 
-    def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Turn the flippers by one action and simulate one decision.
 
         Raises:
@@ -274,15 +284,15 @@ class FlipperEnv(gymnasium.Env[Observation, np.int64]):
             PluginFailedError: the code of a reward term, measure, engine or sensor failed.
             NonFiniteError: the state or a reward is not a finite number.
         """
-        index = action_index(action)
-        if index is None:
+        taken: Action | None = as_action(action)
+        if taken is None:
             raise ValueError(f"there is no action {action!r}; {ALLOWED}")
         if not self.running or self._replayed is None:
             raise ResetNeeded("no episode is running: call reset before step")
         states = global_states() if self.foreign else None
-        self._replayed.actions.append(index)
+        self._replayed.actions.append(taken)
         before = self.state
-        outcome = self.drive.decide(index)
+        outcome = self.drive.decide(taken)
         after, move = self.state, ACTIONS[self.drive.action]
         previous, self._last_move, self._outcome = self._last_move or (0, 0), move, outcome
         pitches, poses = self._pitches.append(after.pitch), self.drive.poses

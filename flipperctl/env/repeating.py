@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 
 from flipperctl.api import Plugin, action_index
+from flipperctl.core.targets import Action
 from flipperctl.errors import FlipperctlError, PluginFailedError
 from flipperctl.guard import definition, plugin_label
 from flipperctl.randomness import moved_since
 
-_OPTIONS = ("config", "render_mode", "renderer")
+_OPTIONS = ("config", "actions", "render_mode", "renderer")
 _OF_GYMNASIUM = ("spec", "_np_random_seed")
 
 
@@ -29,8 +30,8 @@ class Replayed:
     spawned: int
     """Children that the environment's generator had before the episode."""
     difficulty: float
-    actions: list[int] = field(default_factory=list)
-    """Indices of the actions so far."""
+    actions: list[Action] = field(default_factory=list)
+    """The actions so far."""
 
 
 def state_of(env: Any, replayed: Replayed | None) -> dict[str, Any]:

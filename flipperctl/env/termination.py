@@ -1,37 +1,17 @@
-"""Checks an action, and determines how an episode ends: reached, overturned, stuck or timeout.
+"""Determines how an episode ends: reached, overturned, stuck or timeout.
 
-In: an action; the robot's pose at each sample and after each decision. Out: its index; the outcome,
-or None.
+In: the robot's pose at each sample and after each decision. Out: the outcome, or None.
 """
 
 from __future__ import annotations
 
 import math
-import operator
 from collections import deque
-from typing import Any
 
-from flipperctl.api import ACTIONS, Limits, Outcome, Profile, Robot
+from flipperctl.api import Limits, Outcome, Profile, Robot
 from flipperctl.config import Episode
 from flipperctl.env.start import finish_of
 from flipperctl.errors import ConfigError, TerrainError
-
-ALLOWED = f"an integer from 0 to {len(ACTIONS) - 1} is allowed"
-
-
-def action_index(value: Any) -> int | None:
-    """Return a value as an action index, or None if it is not one.
-
-    Python's and numpy's integers and integer arrays without a dimension are accepted. Other
-    numbers, booleans and arrays with a dimension are not, as for Gymnasium's Discrete.
-    """
-    if isinstance(value, bool):
-        return None
-    try:
-        index = operator.index(value)
-    except TypeError:
-        return None
-    return index if 0 <= index < len(ACTIONS) else None
 
 
 class Termination:

@@ -76,6 +76,8 @@ class EpisodeDigest:
     def add(self, decision: Decision) -> None:
         """Add the action and the poses (S + 1, 5) of a decision, as little-endian numbers."""
         self._hash.update(int(decision.action).to_bytes(1, "little"))
+        if decision.rates is not None:
+            self._hash.update(np.array(decision.rates, "<f8").tobytes())
         self._hash.update(np.ascontiguousarray(decision.poses, dtype="<f8").tobytes())
 
 

@@ -29,8 +29,9 @@ from torch import nn
 
 from flipperctl import __version__
 from flipperctl.agent.frames import input_size, stacked
+from flipperctl.agent.networks import outputs as outputs_of
 from flipperctl.agent.risk import Risk
-from flipperctl.api import ACTIONS, ObservationLayout, Perception, Robot
+from flipperctl.api import ObservationLayout, Perception, Robot
 from flipperctl.checkpoint import Checkpoint, plugin_references
 from flipperctl.config import EnvConfig, TrainConfig, to_dict, with_overrides
 from flipperctl.config.identity import differences
@@ -40,7 +41,7 @@ from flipperctl.core.lidar.ground import MEANING as MEANING_OF_MAP
 from flipperctl.core.risk import ESCAPE_MEANING as MEANING_OF_ESCAPE
 from flipperctl.core.risk import LAGS, SCALE, RiskSign
 from flipperctl.core.risk import MEANING as MEANING_OF_RISK
-from flipperctl.core.targets import JOINTS, MEANING, turns
+from flipperctl.core.targets import JOINTS, MEANING, Action, ActionKind, turns
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import (
     ConfigError,
@@ -53,7 +54,14 @@ from flipperctl.files import OutputKind, check_output, write_bytes
 from flipperctl.guard import naming
 from flipperctl.policies.trained import TrainedPolicy, policy_module, policy_risk
 from flipperctl.rollout.episode import EvaluationSeeds, play
-from flipperctl.runtime.interface import CHECKSUM, FORMAT_VERSION, PLACEHOLDER, PREFIX, add_checksum
+from flipperctl.runtime.interface import (
+    CHECKSUM,
+    FORMAT_VERSION,
+    OUTPUTS,
+    PLACEHOLDER,
+    PREFIX,
+    add_checksum,
+)
 from flipperctl.sim.lidar import LidarSensor
 
 Format = Literal["onnx", "pt2"]
@@ -118,11 +126,14 @@ def export(
     }
 
 
-def save_network(network: nn.Module, env: EnvConfig, output: Path, seed: int) -> dict[str, Any]:
+def save_network(
+    network: nn.Module, env: EnvConfig, output: Path, seed: int, kind: ActionKind = "turns"
+) -> dict[str, Any]:
     """Write a module of any origin as an ONNX policy; return the result of the comparison.
 
-    ``network``: observations (B, n) in SI units → (B, 9), whose largest number is the action;
-    ``env``: the environment in which it was trained; ``seed``: that of the training.
+    ``network``: observations (B, n) in SI units → (B, 9), whose largest number is the action, or by
+    the ``kind`` rates from -1 to 1, (B, 2); ``env``: the environment in which it was trained;
+    ``seed``: that of the training.
 
     Raises:
         RequestError: the module takes or returns other numbers.
@@ -131,25 +142,34 @@ def save_network(network: nn.Module, env: EnvConfig, output: Path, seed: int) ->
     """
     check_output(output, KINDS["onnx"])
     sections = {name: getattr(env, name) for name in EnvConfig.model_fields if name != "rewards"}
-    config = TrainConfig(network={"name": "mlp"}, seed=seed, **sections)
+    config = TrainConfig(network={"name": "mlp"}, actions=kind, seed=seed, **sections)
     module = copy.deepcopy(network).cpu().eval()
     size = config.perception.layout.size
     try:
         with torch.inference_mode():
-            shape = tuple(module(torch.zeros(2, size)).shape)
+            found = module(torch.zeros(2, size))
+            shape = tuple(found.shape)
     except (RuntimeError, TypeError, AttributeError, ValueError) as error:
         raise RequestError(
             f"network: it does not take observations (B, {size}): {error}"
         ) from error
-    if shape != (2, len(ACTIONS)):
+    if shape != (2, count := outputs_of(kind)):
+        other: ActionKind = "rates" if kind == "turns" else "turns"
+        hint = f"; environment(actions={other!r}) has such actions"
         raise RequestError(
-            f"network: it returns the shape {shape} for (2, {size}); (2, {len(ACTIONS)}) is allowed"
+            f"network: it returns the shape {shape} for (2, {size}); (2, {count}) is allowed"
+            f"{hint if shape == (2, outputs_of(other)) else ''}"
+        )
+    if kind == "rates" and not bool((found.abs() <= 1).all()):
+        raise RequestError(
+            f"network: it returns {found[0].tolist()} for zeros; rates from -1 to 1 are allowed, "
+            "as those of a last layer torch.nn.Tanh()"
         )
     metadata = policy_metadata(config) | {f"{PREFIX}network": type(network).__name__}
     data, outputs = _as_onnx(module, config, {**metadata, CHECKSUM: PLACEHOLDER})
-    found = compare(module, outputs, rollout_observations(config, module, OBSERVATIONS))
+    compared = compare(module, outputs, rollout_observations(config, module, OBSERVATIONS))
     write_bytes(output, add_checksum(data))
-    return found
+    return compared
 
 
 def robot_fields(changes: Mapping[str, Any], command: str = "export") -> dict[str, Any]:
@@ -251,7 +271,7 @@ def policy_metadata(config: TrainConfig, risk: RiskSign | None = None) -> dict[s
         "highest": layout.highest,
         "frames": config.network.frames,
         "joints": JOINTS,
-        "actions": turns(robot.angle_step).tolist(),
+        "actions": turns(robot.angle_step, config.actions).tolist(),
         "targets": {"meaning": MEANING, "window": robot.angle_step, "limit": robot.angle_limit},
         "decision_period": robot.decision_period,
         "robot": robot.model_dump(mode="json", exclude_none=True),
@@ -300,7 +320,7 @@ def export_onnx(
     onnx, runtime = (_import_package(name) for name in ("onnx", "onnxruntime"))
     _import_package("onnxscript")
     example = torch.zeros(2, input_size(config.network, config.perception))
-    names = ["q_values"]
+    names = [OUTPUTS[config.actions]]
     if isinstance(module, PolicyWithRisk):
         names += ["risk", "risk_recurrence"]
     with _silent_exporter():
@@ -381,11 +401,11 @@ def export_pt2(
 class _RecordingPolicy(TrainedPolicy):
     """Acts like a trained policy and keeps the inputs of its network."""
 
-    def __init__(self, module: nn.Module, frames: int) -> None:
-        super().__init__(module, frames)
+    def __init__(self, module: nn.Module, frames: int, kind: ActionKind) -> None:
+        super().__init__(module, frames, kind=kind)
         self.inputs: list[NDArray[np.float32]] = []
 
-    def act(self, p: Perception) -> int:
+    def act(self, p: Perception) -> Action:
         self.inputs.append(stacked(p.recent, self.frames))
         return super().act(p)
 
@@ -393,7 +413,7 @@ class _RecordingPolicy(TrainedPolicy):
 def rollout_observations(config: TrainConfig, module: nn.Module, count: int) -> NDArray[np.float32]:
     """Return at least ``count`` network inputs from the policy's own episodes, (M, F · n)."""
     env = FlipperEnv(config=config.environment())
-    policy = _RecordingPolicy(module, config.network.frames)
+    policy = _RecordingPolicy(module, config.network.frames, config.actions)
     seeds, episode = EvaluationSeeds.of(config.seed, config.terrain), 0
     while len(policy.inputs) < count:
         play(env, policy, seeds(episode))
@@ -407,7 +427,7 @@ def compare(
     observations: NDArray[np.float32],
     risk: nn.Module | None = None,
 ) -> dict[str, Any]:
-    """Return the largest difference of the Q-values and the agreement of the chosen actions.
+    """Return the largest difference of the outputs and the agreement of the chosen actions.
 
     ``risk``: the network of the risk, if it was exported too; the result then has the largest
     difference of the risks.
@@ -419,10 +439,13 @@ def compare(
     if actual.shape != expected.shape:
         raise ExportError(f"the exported policy returns {actual.shape}, torch {expected.shape}")
     difference, largest, limit = _difference([expected], [actual])
-    agreement = float((expected.argmax(1) == actual.argmax(1)).mean())
+    agree = expected.argmax(1) == actual.argmax(1)
+    if expected.shape[1] != outputs_of("turns"):  # rates
+        agree = (np.abs(expected - actual) <= limit).all(axis=1)
+    agreement = float(agree.mean())
     ordered = np.sort(expected, axis=1)
     decided = ordered[:, -1] - ordered[:, -2] > 2 * limit  # no tie within rounding
-    differs = decided & (expected.argmax(1) != actual.argmax(1))
+    differs = decided & ~agree
     if not difference <= limit or differs.any():
         raise ExportError(
             f"the exported policy disagrees with torch: Q-values differ by up to {difference:g} "

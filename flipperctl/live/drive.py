@@ -211,7 +211,7 @@ class Person:
         self._page, self._env, self._helper, self._about = page, env, helper, about
         self._hands = Hands(env.robot, PERIOD, helped=helper is not None)
         self._scene = LiveScene(page.gate.server.scene, "/drive/0", 0.0)
-        self._proposed = 0, 0
+        self._proposed: tuple[float, float] = 0, 0
         self._pitch: float | None = None
         self._variation = 0.0
         self._heard: float | None = None
@@ -270,7 +270,8 @@ class Person:
     def act(self, p: Perception) -> int:
         """Show what is perceived, and ask the helper; the action has no effect."""
         if self._helper is not None:
-            self._proposed = ACTIONS[self._helper.act(p)]
+            action = self._helper.act(p)
+            self._proposed = action if isinstance(action, tuple) else ACTIONS[action]
         self._scene.perceive(p, self._env.state, self._env.map_points())
         return action_index(0, 0)
 

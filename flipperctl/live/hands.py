@@ -111,7 +111,10 @@ class Hands:
             self._asked = None
 
     def command(
-        self, targets: tuple[float, float], state: RobotState, proposed: tuple[int, int] = (0, 0)
+        self,
+        targets: tuple[float, float],
+        state: RobotState,
+        proposed: tuple[float, float] = (0, 0),
     ) -> tuple[Command, float | None]:
         """Return the next command, and the time of the message that it is made from [ms].
 

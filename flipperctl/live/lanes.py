@@ -144,7 +144,8 @@ class Lane:
 
     def _played(self, episode: Episode, difficulty: float) -> Iterator[Moment]:
         seen, policy = _States(), episode.policy
-        values = getattr(policy, "q_values", None)
+        rates = getattr(policy, "kind", "turns") == "rates"
+        values = None if rates else getattr(policy, "q_values", None)
         self.env.reset(seed=episode.seed, options={"difficulty": difficulty})
         yield Moment([self.env.state], None)
         played = decisions(

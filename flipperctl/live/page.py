@@ -98,6 +98,8 @@ class Gauges:
         if decision is not None:
             front, rear = ACTIONS[decision.action]
             action = f"front {_TURN[front]} rear {_TURN[rear]}"
+            if decision.rates is not None:
+                action = "front {:+.2f} rear {:+.2f}".format(*decision.rates)
         self._numbers.content = (
             f"time **{state.time:.1f} s** · x **{state.position[0]:.2f} m** · "
             f"pitch variation **{history.variation:.2f} rad**{outcome}\n\n"

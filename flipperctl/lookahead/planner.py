@@ -274,7 +274,9 @@ def play(
     begin = played.x
     policy.reset(simulator)
     while played.outcome is None:
-        played.step(policy.act(simulator.perceive()))
+        action = policy.act(simulator.perceive())
+        assert isinstance(action, int)  # of the controllers that it starts from
+        played.step(action)
         report(min(1.0, max(0.0, (played.x - begin) / (simulator.finish - begin))))
     return played
 

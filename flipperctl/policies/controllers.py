@@ -29,8 +29,8 @@ from flipperctl.api.controllers import Rule
 from flipperctl.config import Teacher
 from flipperctl.config.identity import foreign_plugins
 from flipperctl.core.risk import RiskSign
+from flipperctl.core.targets import ALLOWED, Action, as_action
 from flipperctl.env.repeating import require_unmoved
-from flipperctl.env.termination import ALLOWED, action_index
 from flipperctl.errors import ConfigError, FlipperctlError
 from flipperctl.guard import naming, refusal, short_repr
 from flipperctl.randomness import global_states
@@ -110,14 +110,14 @@ class PluginPolicy:
         with self._calling("reset"):
             self._policy.reset(simulator)
 
-    def act(self, p: Perception) -> int:
+    def act(self, p: Perception) -> Action:
         """Return the controller's action."""
         with self._calling("act"):
             answer: object = self._policy.act(p)
-            index = action_index(answer)
-        if index is None:
+            action = as_action(answer)
+        if action is None:
             raise self._refusal("act", answer, ALLOWED)
-        return index
+        return action
 
     @property
     def planned(self) -> Any:
@@ -308,6 +308,7 @@ class DaggerPolicy:
 
     def _student_action(self, p: Perception) -> int:
         action = self._student.act(p)
+        assert isinstance(action, int)  # of our own learners
         self.explored = getattr(self._student, "explored", False)
         return action
 

@@ -49,6 +49,9 @@ class Greedy(Controller):
 
     def starting_from(self, policies: Sequence[FilePolicy]) -> Greedy:
         """Return these settings with the loaded policies that ``named`` names, in its order."""
+        for (setting, name), policy in zip(self.named.items(), policies, strict=True):
+            if policy.kind == "rates":
+                raise ConfigError(f"{setting}: {name} has rates; a policy of Q-values is allowed")
         settings = self.model_copy()
         settings._trained = tuple(policies)
         return settings

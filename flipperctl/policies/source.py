@@ -26,7 +26,7 @@ from flipperctl.checkpoint import LAST, find, hub, read_policy, shipped_policies
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, parse, policy_file, resolver
 from flipperctl.config.models import with_stand_ins
 from flipperctl.core.risk import RiskSign
-from flipperctl.core.targets import turns
+from flipperctl.core.targets import Action, turns
 from flipperctl.errors import CheckpointError, ConfigError, PolicyError, RequestError
 from flipperctl.lookahead import Mpc, ValueIteration
 from flipperctl.lookahead.settings import LearnedValue
@@ -195,7 +195,8 @@ class PolicySource:
         checkpoint = read_policy(self.file)
         own = checkpoint.policy_config()
         module, risk = policy_module(checkpoint), policy_risk(checkpoint)
-        policy = TrainedPolicy(module, own.network.frames, risk, own.agent.escape)
+        escape, frames = own.agent.escape, own.network.frames
+        policy = TrainedPolicy(module, frames, risk, escape, own.actions)
         check_layout(self.file, own.perception.layout, config)
         return policy
 
@@ -287,12 +288,13 @@ def layout_of(interface: Interface) -> ObservationLayout:
 
 
 class ExportedPolicy:
-    """Acts greedily on the Q-values of an exported file."""
+    """Acts greedily on the Q-values of an exported file, or by its rates."""
 
     def __init__(self, file: Path) -> None:
         """Read the file."""
         self._policy = OnnxPolicy(file)
         self.interface = self._policy.interface
+        self.kind = self.interface.kind
         self.risk_sign: RiskSign | None = self.interface.risk
         """When the risk is a warning; None without one in the file."""
 
@@ -305,8 +307,8 @@ class ExportedPolicy:
         """Forget the observations of the previous episode."""
         self._policy.reset()
 
-    def act(self, p: Perception) -> int:
-        """Return the index of the action with the largest Q-value, 0 to 8."""
+    def act(self, p: Perception) -> Action:
+        """Return the index of the action with the largest Q-value, 0 to 8, or rates."""
         return self._policy.act(p.observation, p.position)
 
     def q_values(self, p: Perception) -> list[float]:
@@ -314,7 +316,7 @@ class ExportedPolicy:
         values = self._policy.q_values(stacked(p.recent, self.interface.frames))
         return [float(value) for value in values]
 
-    def act_on(self, recent: Sequence[NDArray[np.float32]]) -> int:
+    def act_on(self, recent: Sequence[NDArray[np.float32]]) -> Action:
         """Return the action for the newest observation; the file's session keeps those before."""
         return self._policy.act(recent[-1])
 
@@ -366,7 +368,7 @@ def _disagreements(interface: Interface, robot: Robot) -> Iterator[str]:
     """Yield a description of each value that the file applies instead of the robot's."""
     rule = interface.targets
     step, limit, period = robot.angle_step, robot.angle_limit, robot.decision_period
-    if not np.allclose(interface.actions, turns(step), rtol=0.0, atol=_CLOSE):
+    if not np.allclose(interface.actions, turns(step, interface.kind), rtol=0.0, atol=_CLOSE):
         largest = np.abs(interface.actions).max()
         yield f"turns of {largest:.6g} rad (robot.angle_step asks for {step:.6g})"
     elif math.isfinite(rule.window) and not _close(rule.window, step):

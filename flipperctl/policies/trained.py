@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from flipperctl.agent.frames import input_size, stacked
-from flipperctl.agent.networks import Noise, best, build_network, q_values
+from flipperctl.agent.networks import Noise, best, build_policy, q_values
 from flipperctl.agent.risk import Risk, RiskNetwork, uncalibrated
 from flipperctl.api import (
     ACTIONS,
@@ -31,16 +31,17 @@ from flipperctl.checkpoint import Checkpoint, read_policy
 from flipperctl.checkpoint.document import require_equal_layout
 from flipperctl.config import TrainConfig
 from flipperctl.core.risk import EpisodeRisk, Escape, EscapeRule, RiskCalibration, drawn
+from flipperctl.core.targets import Action, ActionKind, rates_of
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.lookahead.settings import TOLERANCE, LearnedValue
 from flipperctl.policies.controllers import from_costs, no_label
 
 
 class _NetworkPolicy:
-    """A policy that acts on the Q-values of a network, which takes ``frames`` observations."""
+    """A policy that acts on the outputs of a network, which takes ``frames`` observations."""
 
-    def __init__(self, module: torch.nn.Module, frames: int) -> None:
-        self.module, self.frames = module, frames
+    def __init__(self, module: torch.nn.Module, frames: int, kind: ActionKind = "turns") -> None:
+        self.module, self.frames, self.kind = module, frames, kind
         self._device = next(module.parameters(), torch.empty(0)).device
 
     def q_values(self, p: Perception) -> list[float]:
@@ -49,7 +50,10 @@ class _NetworkPolicy:
 
 
 class TrainedPolicy(_NetworkPolicy):
-    """Acts on the Q-values of a network in ``eval()`` mode: greedily, except while it escapes."""
+    """Acts on the outputs of a network in ``eval()`` mode: its rates, or the best Q-value.
+
+    While it escapes, it draws its actions by the Q-values.
+    """
 
     def __init__(
         self,
@@ -57,12 +61,13 @@ class TrainedPolicy(_NetworkPolicy):
         frames: int = 1,
         risk: Risk | None = None,
         escape: EscapeRule | None = None,
+        kind: ActionKind = "turns",
     ) -> None:
         """``risk``: the network of its risk on the CPU, if there is one.
 
         ``escape``: how it draws its actions while that warns; None: it never does.
         """
-        super().__init__(module, frames)
+        super().__init__(module, frames, kind)
         self._risk = risk
         self.risk_sign = None if risk is None else risk.sign
         """When its risk is a warning; None without a risk."""
@@ -77,13 +82,13 @@ class TrainedPolicy(_NetworkPolicy):
         if self._escape is not None:
             self._escape.reset()
 
-    def act(self, p: Perception) -> int:
-        """Return the index of an action, 0 to 8."""
+    def act(self, p: Perception) -> Action:
+        """Return the index of an action, 0 to 8, or rates."""
         return self.act_on(p.recent, p.position)
 
     def act_on(
         self, recent: Sequence[NDArray[np.float32]], position: FloatArray | None = None
-    ) -> int:
+    ) -> Action:
         """Return the action for the newest observations, each (n,) in SI units.
 
         ``position``: see ``Perception``.
@@ -94,7 +99,9 @@ class TrainedPolicy(_NetworkPolicy):
                 self._episode = self._risk.begin(len(recent[-1]))
             place = None if position is None else position.tolist()
             self.risk = self._risk.of_one(observation, self._episode, place)
-        values = q_values(self.module, observation, self._device)
+        values = q_values(self.module, observation, self._device, self.kind)
+        if self.kind == "rates":
+            return rates_of(values)
         escape, sign = self._escape, self.risk_sign
         if escape is not None and sign is not None and escape.due(warns=sign.warns(self.risk)):
             return escape.draw(values)
@@ -180,11 +187,11 @@ class SamplingPolicy(_NetworkPolicy):
 def policy_module(checkpoint: Checkpoint) -> torch.nn.Module:
     """Return the network of a checkpoint with its trained weights, on the CPU, in ``eval()`` mode.
 
-    It maps observations (B, F · n) of F frames in SI units to Q-values (B, 9).
+    It maps observations (B, F · n) of F frames in SI units to Q-values (B, 9) or rates (B, 2).
     """
     config = checkpoint.policy_config()
     try:
-        module = build_network(config.network, config.perception, len(ACTIONS))
+        module = build_policy(config.network, config.perception, config.actions)
     except ConfigError as error:
         raise CheckpointError(f"{checkpoint.path}: {error}") from error
     weights = checkpoint.part("policy" if checkpoint.document.kind == "best" else "target")
@@ -249,6 +256,11 @@ def read_value(file: Path, name: str, path: str) -> LearnedValue:
         fault = (
             "it only imitated its teacher, so that its values estimate no return; train with "
             "teacher.td_weight above 0, or with experiment=searched"
+        )
+    elif config.method is not None:
+        fault = (
+            f"it learnt by method={config.method.name}, whose networks are not read as values; "
+            "train with the default method"
         )
     elif config.agent.is_policy_gradient:
         fault = (

@@ -25,9 +25,9 @@ from safetensors.numpy import load_file, save_file
 
 from flipperctl import plugins
 from flipperctl.agent.frames import input_size
-from flipperctl.agent.networks import build_network, naming_network
+from flipperctl.agent.networks import build_policy, naming_network
 from flipperctl.agent.risk import RiskNetwork, plain_risk, split_weights
-from flipperctl.api import ACTIONS, Policy
+from flipperctl.api import Policy
 from flipperctl.config import RayCollector, TrainConfig, parse
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.controllers import DaggerPolicy, PluginPolicy
@@ -124,10 +124,10 @@ class GreedyPlayer:
 
     def __init__(self, config: TrainConfig, env: FlipperEnv) -> None:
         """``env`` plays the episodes."""
-        self._env, self._frames = env, config.network.frames
+        self._env, self._frames, self._kind = env, config.network.frames, config.actions
         self._risk = None
         with torch.random.fork_rng(devices=[]):  # the weights will come
-            self.module = build_network(config.network, env.layout, len(ACTIONS))
+            self.module = build_policy(config.network, env.layout, config.actions)
             if config.agent.risk:
                 network = RiskNetwork(input_size(config.network, env.layout))
                 self._risk = plain_risk(network, config.agent.risk_horizon)
@@ -143,7 +143,8 @@ class GreedyPlayer:
 
     def play(self, seed: int) -> Row:
         """Play the greedy episode of a seed; return its row."""
-        return play(self._env, TrainedPolicy(self.module.eval(), self._frames, self._risk), seed)
+        policy = TrainedPolicy(self.module.eval(), self._frames, self._risk, kind=self._kind)
+        return play(self._env, policy, seed)
 
 
 _actor: Actor

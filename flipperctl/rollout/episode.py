@@ -30,10 +30,10 @@ from flipperctl.api import (
 from flipperctl.checkpoint.recording import RecordedEpisode
 from flipperctl.config import identity
 from flipperctl.core.risk import RiskSign
+from flipperctl.core.targets import ALLOWED, Rates, as_action
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.pictures import Observer
 from flipperctl.env.privileged import PrivilegedStates
-from flipperctl.env.termination import ALLOWED, action_index
 from flipperctl.errors import FlipperctlError
 from flipperctl.sim.versions import samples_in
 
@@ -154,6 +154,9 @@ class Decision:
 
     perception: Perception
     action: int
+    """Index of the action; of rates and of an operator, the one that came closest."""
+    rates: Rates | None
+    """Rates of the action; None of an index and of an operator."""
     reward: float
     """Sum of ``rewards``, the weighted value of each reward term."""
     rewards: Mapping[str, float]
@@ -201,7 +204,7 @@ def decisions(
             pace(env.state.time)
         perception = env.perception
         action = policy.act(perception)
-        if action_index(action) is None:
+        if as_action(action) is None:
             raise FlipperctlError(f"{type(policy).__name__}.act returned {action!r}; {ALLOWED}")
         if sign is not None and (risk := getattr(policy, "risk", None)) is not None:
             told.append(risk)
@@ -214,6 +217,7 @@ def decisions(
         yield Decision(
             perception=perception,
             action=env.drive.action,
+            rates=env.drive.rates,
             reward=reward,
             rewards=info["rewards"],
             transition=env.transition,

@@ -45,8 +45,7 @@ def describe(interface: Interface) -> str:
     import numpy as np
 
     from flipperctl.core.risk import LAGS
-    from flipperctl.core.targets import ACTIONS
-    from flipperctl.runtime.interface import INPUT, OUTPUT, RECURRENCE, RISK
+    from flipperctl.runtime.interface import INPUT, RECURRENCE, RISK
 
     rows = [("", "name", "unit", "frame", "within", "meaning")]
     for index, (q, limit) in enumerate(zip(interface.observation, interface.limits, strict=True)):
@@ -63,14 +62,15 @@ def describe(interface: Interface) -> str:
             "at the start of an episode the first one also fills the frames before it"
         )
     lines.append(f"input: {INPUT}, float32 [batch, {interface.inputs}], {frame}")
-    lines.append(f"output: {OUTPUT}, float32 [batch, {len(ACTIONS)}]")
+    lines.append(f"output: {interface.output}, float32 [batch, {len(interface.actions)}]")
     if sign is not None:
         lines.append(f"output: {RISK}, float32 [batch, 1], of the input alone")
         lines.append(
             f"output: {RECURRENCE}, float32 [batch, {len(LAGS)}], what resembling the observations "
             f"{', '.join(map(str, LAGS))} decisions before adds to its log-odds"
         )
-    lines.append("actions: turns of the front and the rear flippers [°]")
+    each = " by a rate of 1 of each" if interface.kind == "rates" else ""
+    lines.append(f"actions: turns of the front and the rear flippers{each} [°]")
     for index, turns in enumerate(np.degrees(interface.actions)):
         lines.append(f"  {index}  {' '.join(f'{turn:+6.1f}' for turn in turns)}")
     lines.append(f"decision period: {interface.decision_period:g} s")

@@ -24,6 +24,7 @@ from flipperctl.core.lidar.matching import ScanMatcher
 from flipperctl.core.lidar.messages import Belts
 from flipperctl.core.lidar.outline import accuracy_of
 from flipperctl.core.sensing import Measured
+from flipperctl.core.targets import Action
 from flipperctl.errors import MissingExtraError, PolicyError
 from flipperctl.runtime.intake import Fault, Intake
 from flipperctl.runtime.interface import Interface
@@ -63,8 +64,8 @@ class Answer:
     """Stable name of the fault, as ``cloud_age``; empty without one."""
     reason: str = ""
     """What was found and what is allowed, of a fault or in standby; otherwise empty."""
-    action: int | None = None
-    """The action, if this step decided; a row of ``interface.actions``."""
+    action: Action | None = None
+    """The action, if this step decided: a row of ``interface.actions``, or rates."""
     risk: float | None = None
     """Probability of a failure soon, at the last decision; None before one, while the flippers are
     not driven, and for a file without a risk."""
@@ -308,7 +309,7 @@ class FlipperController:
         if not self._standing:
             self._due = min(self._due, now)
 
-    def _decide(self, now: float) -> int | None:
+    def _decide(self, now: float) -> Action | None:
         """Return the action; None if there is none, and ``_undecided`` says why.
 
         It is tried once in a period, since an estimate also corrects the map. In standby it is
@@ -359,7 +360,7 @@ class FlipperController:
         )
         self._setpoints = front, rear
 
-    def _say(self, now: float, fault: Fault | None, action: int | None) -> Answer:
+    def _say(self, now: float, fault: Fault | None, action: Action | None) -> Answer:
         """Return the answer, and log it if it is a decision or another state."""
         state = self._state(fault)
         reason = self._standby.reason() if state == "standby" else ""

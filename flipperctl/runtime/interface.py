@@ -25,7 +25,7 @@ from flipperctl.core.lidar.ground import MapQuality
 from flipperctl.core.observation import ANGLES
 from flipperctl.core.reading import read_whole
 from flipperctl.core.risk import LAGS, SCALE, EscapeRule, RiskSign
-from flipperctl.core.targets import ACTIONS, JOINTS, TargetRule
+from flipperctl.core.targets import ACTIONS, JOINTS, ActionKind, TargetRule
 from flipperctl.errors import MissingExtraError, OldVersionError, PolicyError
 
 if TYPE_CHECKING:
@@ -37,7 +37,8 @@ PREFIX = "flipperctl."
 CHECKSUM = f"{PREFIX}sha256"
 PLACEHOLDER = "0" * 64
 """Value of the checksum entry while the checksum is computed."""
-INPUT, OUTPUT, RISK, RECURRENCE = "observation", "q_values", "risk", "risk_recurrence"
+INPUT, RISK, RECURRENCE = "observation", "risk", "risk_recurrence"
+OUTPUTS: dict[ActionKind, str] = {"turns": "q_values", "rates": "rates"}
 """Names of the network's input and outputs."""
 LARGEST_ANGLE = math.pi
 """Largest angle of an observation, both ways [rad]; a larger one is probably in degrees."""
@@ -87,7 +88,8 @@ class Interface:
     frames: int
     """Number of consecutive observations that form one input of the network, oldest first."""
     actions: NDArray[np.float64]
-    """Turns of the front and rear pairs by each action, (9, 2) in frame R [rad]."""
+    """Turns of the front and rear pairs by each action, (9, 2), or by a rate of 1 of each pair,
+    (2, 2), in frame R [rad]."""
     targets: TargetRule
     """How an action turns the flippers."""
     decision_period: float
@@ -110,6 +112,16 @@ class Interface:
     """How actions are drawn on a warning; None for a policy that never draws them."""
     map_quality: MapQuality | None = None
     """Settings of the map in the training; None for a policy that was trained without a LiDAR."""
+
+    @property
+    def kind(self) -> ActionKind:
+        """Whether the outputs are Q-values of actions, or rates from -1 to 1."""
+        return "turns" if len(self.actions) == len(ACTIONS) else "rates"
+
+    @property
+    def output(self) -> str:
+        """Name of the output with a number for each row of ``actions``."""
+        return OUTPUTS[self.kind]
 
     @property
     def size(self) -> int:
@@ -233,7 +245,7 @@ def interface_of(session: InferenceSession, where: str) -> Interface:
     except (UnicodeDecodeError, RuntimeError) as error:
         raise PolicyError(f"{where} is damaged: its names or metadata are not text") from error
     interface = read_interface(metadata, where)
-    sizes = {INPUT: interface.inputs, OUTPUT: len(ACTIONS)}
+    sizes = {INPUT: interface.inputs, interface.output: len(interface.actions)}
     if interface.risk is not None:
         sizes |= {RISK: 1, RECURRENCE: len(LAGS)}
     fits = {name for name, *_ in tensors} == sizes.keys() and all(
@@ -350,8 +362,11 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
     )
     table = entry(
         "actions",
-        f"a table of {len(ACTIONS)} pairs of angles",
-        lambda v: _is_list(v, lambda row: _is_list(row, _is_number, len(JOINTS)), len(ACTIONS)),
+        f"a table of {len(ACTIONS)} pairs of angles, or of {len(JOINTS)} for rates,",
+        lambda v: (
+            _is_list(v, lambda row: _is_list(row, _is_number, len(JOINTS)))
+            and len(v) in (len(ACTIONS), len(JOINTS))
+        ),
     )
     actions = np.array(table, dtype=np.float64)
     actions.setflags(write=False)

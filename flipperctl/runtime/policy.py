@@ -7,7 +7,6 @@ computed as in the simulator. Out: Q-values, actions and the risk, in about ten 
 from __future__ import annotations
 
 import math
-import operator
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -17,12 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 from flipperctl.core import observation as layout
 from flipperctl.core.observation import ANGLES, bin_heights
 from flipperctl.core.risk import LAGS, EpisodeRisk, Escape, Place, RiskSign
-from flipperctl.core.targets import ACTIONS
+from flipperctl.core.targets import ACTIONS, Action, as_action, rates_of
 from flipperctl.errors import FlipperctlError, NonFiniteError, PolicyError
 from flipperctl.runtime.interface import (
     INPUT,
     LARGEST_ANGLE,
-    OUTPUT,
     RECURRENCE,
     RISK,
     interface_of,
@@ -91,7 +89,7 @@ class OnnxPolicy:
         # The buffers are bound once: a decision then takes 10.5 µs inside onnxruntime, against
         # 12.9 µs with session.run and 46 µs with OrtValues (an at_d3qn policy, one core).
         self._input = np.zeros((1, size), np.float32)
-        self._output = np.zeros((1, len(ACTIONS)), np.float32)
+        self._output = np.zeros((1, len(self.interface.actions)), np.float32)
         self._frames = self._input.reshape(self.interface.frames, -1)
         self._row, self._q = self._frames[-1], self._output[0]
         self._older, self._newer = self._input[0, :-one], self._input[0, one:]
@@ -101,7 +99,9 @@ class OnnxPolicy:
         self._bound = self._session.io_binding()
         pointers = self._input.ctypes.data, self._output.ctypes.data
         self._bound.bind_input(INPUT, "cpu", 0, np.float32, (1, size), pointers[0])
-        self._bound.bind_output(OUTPUT, "cpu", 0, np.float32, (1, len(ACTIONS)), pointers[1])
+        shape = self._output.shape
+        self._bound.bind_output(self.interface.output, "cpu", 0, np.float32, shape, pointers[1])
+        self._rates = self.interface.kind == "rates"
         sign, speed = self.interface.risk, float(self.interface.robot.get("track_speed", 0.0))
         stride = speed * self.interface.decision_period
         self._risk = None if sign is None else _BoundRisk(self._bound, one, sign, stride)
@@ -183,12 +183,13 @@ class OnnxPolicy:
         heights = bin_heights(near, bins, bin_width, highest=self.interface.highest)
         return layout.assemble(heights, front=front, rear=rear, pitch=pitch)
 
-    def act(self, observation: ArrayLike, position: ArrayLike | None = None) -> int:
-        """Return the index of an action, a row of ``interface.actions``.
+    def act(self, observation: ArrayLike, position: ArrayLike | None = None) -> Action:
+        """Return the index of an action, a row of ``interface.actions``, or rates.
 
-        It is that with the largest Q-value, unless ``interface.escape`` has it drawn. Call it only
-        while the belts drive ahead, as in training: a parked robot looks like a stuck one. After a
-        stop, call ``reset`` first.
+        An index is that of the largest Q-value, unless ``interface.escape`` has it drawn. Rates are
+        those of the front and the rear pair, each from -1 to 1. Call it only while the belts drive
+        ahead, as in training: a parked robot looks like a stuck one. After a stop, call ``reset``
+        first.
 
         ``observation``: (n,) in SI units, in the order of ``interface.observation``.
         ``position``: x and z, or x, y and z, of the chassis centre by odometry that does not take
@@ -217,17 +218,19 @@ class OnnxPolicy:
             self._session.run_with_iobinding(self._bound)
         except Exception as error:  # onnxruntime's errors share no base class
             raise self._run_error(error) from error
-        action = int(self._q.argmax())
+        action: Action = int(self._q.argmax())
         if not math.isfinite(self._q.item(action)):  # argmax returns a NaN before any number
             raise self._non_finite_error(self._output)
         if self._risk is not None:
             self._risk.update(self._row, place, self.path)
+        if self._rates:
+            return rates_of(self._q.tolist())
         if self._escape is not None and self._escape.due(warns=self.warning):
             return self._escape.draw(self._q.tolist())
         return action
 
     def next_targets(
-        self, targets: ArrayLike, angles: ArrayLike, action: int
+        self, targets: ArrayLike, angles: ArrayLike, action: Action
     ) -> NDArray[np.float64]:
         """Return the angles to which an action turns the front and the rear flippers, (2,) [rad].
 
@@ -239,17 +242,19 @@ class OnnxPolicy:
             PolicyError: an argument is not two numbers within ±π, or there is no such action.
             NonFiniteError: an angle is NaN or infinite.
         """
-        try:
-            row = operator.index(action)
-        except TypeError:  # any content is possible
-            row = -1
-        if not 0 <= row < len(ACTIONS):
+        given = as_action(action)
+        if given is None or isinstance(given, tuple) is not self._rates:
+            allowed = (
+                "two rates from -1 to 1 are"
+                if self._rates
+                else f"a whole number from 0 to {len(ACTIONS) - 1} is"
+            )
             raise PolicyError(
-                f"{self.path}: there is no action {str(action)[:40]}; a whole number from 0 to "
-                f"{len(ACTIONS) - 1} is allowed"
+                f"{self.path}: there is no action {str(action)[:40]}; {allowed} allowed"
             )
         last, measured = self._pair("targets", targets), self._pair("angles", angles)
-        turns = self.interface.actions[row].tolist()
+        table = self.interface.actions
+        turns = (table[given] if isinstance(given, int) else np.array(given) @ table).tolist()
         return np.array(self.interface.targets.next_targets(last, measured, turns))
 
     def _place(self, position: ArrayLike) -> Place:
@@ -277,6 +282,8 @@ class OnnxPolicy:
     def q_values(self, observation: ArrayLike) -> NDArray[np.float32]:
         """Return the Q-values (9,) of one input (frames · n,), or (B, 9) of a batch of B.
 
+        A file with rates returns these, (2,) or (B, 2).
+
         An input is ``interface.frames`` observations, oldest first; the observations stored by
         ``act`` are neither read nor changed.
 
@@ -294,7 +301,7 @@ class OnnxPolicy:
         batch = np.ascontiguousarray(array.reshape(-1, size))
         values: NDArray[np.float32]
         try:
-            values = self._session.run([OUTPUT], {INPUT: batch})[0]
+            values = self._session.run([self.interface.output], {INPUT: batch})[0]
         except Exception as error:  # onnxruntime's errors share no base class
             raise self._run_error(error) from error
         if not np.isfinite(values).all():

@@ -21,6 +21,7 @@ import numpy as np
 
 from flipperctl.core.lidar.body import mounting
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Scan
+from flipperctl.core.targets import closest
 from flipperctl.errors import PolicyError, RequestError
 from flipperctl.runtime.controller import Answer, FlipperController
 from flipperctl.runtime.intake import Intake
@@ -290,7 +291,8 @@ class Shadow:
             elapsed, before = max(0.0, now - self._last[0]), self._last[1].fault
             self._states[self._last[1].state] += elapsed
         if answer.action is not None:
-            self._actions[answer.action] += 1
+            taken = answer.action
+            self._actions[closest(taken) if isinstance(taken, tuple) else taken] += 1
             self._warnings += answer.warning
         if answer.fault:
             one = self._faults.setdefault(

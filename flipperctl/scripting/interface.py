@@ -193,11 +193,12 @@ def environment(
     overrides: Sequence[str] = (),
     plugins: Paths = (),
     **settings: object,
-) -> Env[NDArray[np.float32], np.int64]:
+) -> Env[NDArray[np.float32], Any]:
     """Return the environment in which ``train`` would train, for a method of your own.
 
     ``settings``, ``overrides`` and ``plugins`` are as in ``train``, presets included
-    (``rewards="paper"``); those of the learner have no effect. ``render_mode``: None,
+    (``rewards="paper"``); those of the learner have no effect. ``actions="rates"`` has continuous
+    actions, ``Box(-1, 1, (2,))``. ``render_mode``: None,
     ``"rgb_array"``, or ``"human"`` for Gymnasium's window, which needs pygame.
 
     Raises:
@@ -210,7 +211,8 @@ def environment(
     for key in every.swept:
         raise ConfigError(f"{key}: several values make several environments; one is allowed")
     (config,) = compose_train(every)
-    return gymnasium.make(FLIPPER, config=config.environment(), render_mode=render_mode)
+    own: dict[str, Any] = {"config": config.environment(), "actions": config.actions}
+    return gymnasium.make(FLIPPER, **own, render_mode=render_mode)
 
 
 def _composed(

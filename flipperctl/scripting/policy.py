@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, SupportsIndex, cast
 from uuid import uuid4
@@ -32,6 +32,7 @@ from flipperctl.api import (
 from flipperctl.cli.hydra.compose import with_preset
 from flipperctl.config import EnvConfig
 from flipperctl.config.policy_file import is_policy_file
+from flipperctl.core.targets import Action
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import NonFiniteError, PolicyError, RequestError
 from flipperctl.evaluation.conditions import read_config
@@ -70,8 +71,8 @@ def load(policy: str | os.PathLike[str], *, plugins: Paths = (), **fields: objec
     return LoadedPolicy(source, read_config(source, (), print_note))
 
 
-Function = Callable[[NDArray[np.float32]], SupportsIndex]
-"""From an observation, (n,) in SI units, to an action, an index into ``ACTIONS``."""
+Function = Callable[[NDArray[np.float32]], SupportsIndex | Sequence[float]]
+"""From an observation, (n,) in SI units, to an index into ``ACTIONS``, or to two rates."""
 
 
 class _FunctionController(Controller):
@@ -79,9 +80,9 @@ class _FunctionController(Controller):
 
     function: ClassVar[Function]
 
-    def act(self, p: Perception) -> int:
+    def act(self, p: Perception) -> Any:
         """Return what the function returns for the observation."""
-        return type(self).function(p.observation).__index__()
+        return type(self).function(p.observation)
 
 
 def function_policy(function: Function) -> str:
@@ -122,8 +123,9 @@ def save(
 
     The file is evaluated, compared and run on a robot like that of a run. ``network``: a module of
     torch from observations (B, n) in SI units to (B, 9), whose largest number is the action, such
-    as Q-values or logits. ``env``: the environment of its training, which names layout and robot.
-    ``seed``: that of the training, which tells the training seeds of one method apart.
+    as Q-values or logits; with ``actions="rates"`` to two rates from -1 to 1, (B, 2). ``env``: the
+    environment of its training, which names layout and robot. ``seed``: that of the training, which
+    tells the training seeds of one method apart.
 
     Raises:
         ExportError: torch cannot export the network; nothing is written.
@@ -132,7 +134,8 @@ def save(
     """
     from flipperctl.export.policy import save_network
 
-    save_network(network, _task(env).config, Path(output), seed)
+    task = _task(env)
+    save_network(network, task.config, Path(output), seed, task.actions)
     return load(output)
 
 
@@ -199,8 +202,8 @@ class LoadedPolicy:
         assert self._policy is not None
         self._policy.reset(task.simulator())
 
-    def __call__(self, observation: ArrayLike) -> int:
-        """Return the action, an index into ``flipperctl.api.ACTIONS``, for an observation.
+    def __call__(self, observation: ArrayLike) -> Action:
+        """Return the action, an index into ``flipperctl.api.ACTIONS`` or rates, for an observation.
 
         ``observation``: (n,) in SI units, in the order of ``layout``. Earlier observations
         since ``reset`` are remembered for networks that take several.
@@ -226,8 +229,8 @@ class LoadedPolicy:
         self._recent.append(array)
         return policy.act_on(tuple(self._recent))
 
-    def act(self, perception: Perception) -> int:
-        """Return the action, an index into ``flipperctl.api.ACTIONS``, for a perception.
+    def act(self, perception: Perception) -> Action:
+        """Return the action, an index into ``flipperctl.api.ACTIONS`` or rates, for a perception.
 
         ``perception``: ``env.unwrapped.perception``, which holds the earlier observations as well.
 

@@ -135,7 +135,9 @@ def way_text(validation: Mapping[str, Any]) -> str:
 def state_text(row: Mapping[str, Any], rate: float | None) -> str:
     """Return the state of a training after an episode; ``rate`` in decisions per second [1/s]."""
     words = [] if rate is None else [f"{rate:.0f}/s"]
-    words += [f"success {row['success_rate']:.0%}", f"ε {row['epsilon']:.2f}"]
+    words.append(f"success {row['success_rate']:.0%}")
+    if row["epsilon"] is not None:  # of a learner with random actions
+        words.append(f"ε {row['epsilon']:.2f}")
     if row["loss"] is not None:  # as it is before the first update
         words.append(f"loss {row['loss']:.4f}")
     return "  ".join(words)

@@ -138,7 +138,7 @@ def print_export(target: Path, source: Path, found: dict[str, Any]) -> None:
     print(
         f"{target}: {found['bytes']} bytes, from {source}\n"
         f"compared with torch on {found['observations']} observations of rollouts: "
-        f"Q-values of up to {found['largest_q_value']:.2g} differ by at most "
+        f"outputs of up to {found['largest_q_value']:.2g} differ by at most "
         f"{found['largest_difference']:.2g} (allowed {found['allowed_difference']:.2g}), "
         f"the chosen action agrees on {found['action_agreement']:.2%}"
     )

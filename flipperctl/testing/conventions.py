@@ -205,7 +205,7 @@ def probe_sensing(config: EnvConfig) -> Iterator[Probe]:
 
 def probe_export(interface: Interface, robot: Robot, file: str) -> Iterator[Probe]:
     """Yield the probes of an exported policy's actions, targets and timing against a robot's."""
-    for index, row in enumerate(turns(robot.angle_step).tolist()):
+    for index, row in enumerate(turns(robot.angle_step, interface.kind).tolist()):
         for side, (pair, expected) in enumerate(zip(JOINTS, row, strict=True)):
             found = float(interface.actions[index, side])
             yield Probe(

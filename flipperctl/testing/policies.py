@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from flipperctl.api import ACTIONS, Controller, Network, ObservationLayout, Perception, Simulator
+from flipperctl.core.targets import ALLOWED, Action, as_action
 from flipperctl.errors import (
     ConformanceError,
     ExportError,
@@ -155,7 +156,7 @@ def _observations(network: Network, layout: ObservationLayout = LAYOUTS[-1]) -> 
 
 @of("controller", "actions")
 def actions(controller: Controller) -> None:
-    """Check that every action is an index into ``ACTIONS``.
+    """Check that every action is an index into ``ACTIONS``, or rates.
 
     A slow controller plays fewer scenes at its outermost settings; ``same_again`` plays all.
     """
@@ -212,10 +213,10 @@ class _Player:
 
         self._env = _scenes(controller)[scene].environment()
         self._policy, self._scene = with_files(controller, self._env.config).build(), scene
-        self._actions: list[int] = []
+        self._actions: list[Action] = []
         self._times: list[float] = []  # [s]
 
-    def play(self) -> tuple[list[int], list[float]]:
+    def play(self) -> tuple[list[Action], list[float]]:
         """Play the scene; return the actions and the computing time of each [s].
 
         The episode is left once these times exceed ``ENOUGH``, since planners are slow at their
@@ -231,15 +232,15 @@ class _Player:
         """Begin an episode of the controller's policy."""
         self._policy.reset(simulator)
 
-    def act(self, p: Perception) -> int:
+    def act(self, p: Perception) -> Action:
         """Return the action of the controller's policy."""
         begun = perf_counter()
         action = self._policy.act(p)
         self._times.append(perf_counter() - begun)
         require(
-            isinstance(action, int) and action in range(len(ACTIONS)),
+            as_action(action) is not None,
             f"act returned {action!r} at decision {len(self._actions)} of scene {self._scene}; "
-            f"an int from 0 to {len(ACTIONS) - 1} is allowed",
+            f"{ALLOWED}",
         )
         self._actions.append(action)
         return action

@@ -1,16 +1,13 @@
 """The training loop: act → step → store → learn, with validations and checkpoints.
 
-In: a validated configuration and the directory of a new or resumed run. Out: checkpoints and
-summary.json. The first checkpoint is written before the first decision, so that a killed run can
-always be resumed. When the budget is spent, the rest of the running episodes is not learnt from.
+When the budget is spent, the rest of the running episodes is not learnt from.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -20,23 +17,18 @@ from flipperctl.agent.contract import check_demand
 from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.learner import join
 from flipperctl.agent.policy_gradient import PolicyGradient
-from flipperctl.api import ACTIONS, Listener, Outcome
+from flipperctl.api import ACTIONS, Listener
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.checkpoint.document import Generators, RequestState, State
 from flipperctl.config import TrainConfig
 from flipperctl.config.defaults import notes_on_budget
-from flipperctl.config.identity import all_files_read, content_digest
-from flipperctl.env import ground
-from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.env.metrics import DRAWN
 from flipperctl.env.privileged import SIZE
 from flipperctl.errors import CheckpointError, ConfigError
-from flipperctl.files import write_json
 from flipperctl.rollout.collect import Collector
 from flipperctl.rollout.episode import RolloutRequest, Row
+from flipperctl.training.base import BaseTrainer, Stop, closer
 from flipperctl.training.episodes import (
     EpisodeSource,
-    Progress,
     TrainingRecorder,
     ValueTargets,
     arrays,
@@ -44,39 +36,18 @@ from flipperctl.training.episodes import (
     run_arrays,
     store,
 )
-from flipperctl.training.listeners import Stopwatch
 from flipperctl.training.recorded import add_recorded
 from flipperctl.training.starting import FinalFit, start
-from flipperctl.training.validation import Validator
-
-_COUNTERS = ("decision", "episode", "started", "lost", "updates", "loss", "difficulty")
-"""Numbers of ``Progress`` that a checkpoint holds."""
 
 
-def closer(opened: Listener | Collector) -> Callable[..., None]:
-    """Return an ``ExitStack`` callback that closes; of several errors, the first is raised."""
-
-    def close(kind: object, error: BaseException | None, trace: object) -> None:
-        try:
-            opened.close()
-        except BaseException:
-            if error is None:
-                raise
-
-    return close
-
-
-class Trainer:
-    """One training run."""
+class Trainer(BaseTrainer):
+    """A run of our own learners."""
 
     def __init__(
         self, config: TrainConfig, directory: Path, listeners: Sequence[Listener] = ()
     ) -> None:
-        torch.set_num_threads(config.train.threads)
-        self.config, self.directory = config, directory
-        self.listeners = list(listeners)
-        env = FlipperEnv(config=config.environment())
-        layout, agent = env.layout, config.agent
+        super().__init__(config, directory, listeners)
+        layout, agent = self.env.layout, config.agent
         privileged = SIZE if config.learns_privileged_value else 0
         check_demand(
             *(config.network, layout, len(ACTIONS), agent, config.train.decisions),
@@ -98,51 +69,31 @@ class Trainer:
         exploring, self._sample_rng = np.random.default_rng(explore), np.random.default_rng(sample)
         self._generators = {"explore": exploring, "sample": self._sample_rng}
         self._generators["noise"] = self.agent.noise_rng
-        self.progress = Progress(ground.first_difficulty(config.terrain))
         self.episodes = EpisodeSource(config, self.agent, self.progress, exploring, self._report)
-        self.validator = Validator(config, self.agent, env)
-        self._files = all_files_read(checkpoint.plugged(config))
-        self._digests = tuple(map(content_digest, self._files))
-        self._stopwatch = Stopwatch(directory)
+        self._validating(self.agent)
         self._outstanding: list[RolloutRequest] = []
-        self._restored = False
         self._recorder = TrainingRecorder(config, directory)
 
-    def run(
-        self,
-        stop: Callable[[], bool] = lambda: False,
-        regret: Callable[[], dict[str, Any] | None] = lambda: None,
-    ) -> dict[str, Any]:
-        """Train until the budget is spent or ``stop`` returns True.
+    def _exploring(self) -> tuple[float, int]:
+        return self.episodes.epsilon, self.episodes.lag
 
-        ``stop`` is called between episodes, in validations, and while waiting for workers.
-        ``regret`` is called once if the budget is spent, after the last checkpoint; its result
-        is part of the summary. Returns the summary, which is also written to ``summary.json``. The
-        listeners are closed even after an error.
-        """
-        with ExitStack() as opened:
-            for listener in self.listeners:
-                opened.push(closer(listener))
-            self._stopwatch.start()
-            if not self._restored:  # else the checkpoint has what follows
-                self._recorder.restore(0)
-                self._final_fit.begin(start(self.config, self.agent))
-                add_recorded(self.replay, self.config, self._report)
-            self._save_all(self._outstanding)
-            collector = self.episodes.start_collector(self._outstanding, stop, self.replay.kept)
-            opened.push(closer(collector))
-            if not self.progress.decision:
-                for text in notes_on_budget(self.config):
-                    self._report(text)
-            finished = self._train(collector, stop)
-            self._save_all(collector.outstanding())
-            self._recorder.finish()
-            summary = self.summary(finished)
-            summary["regret"] = regret() if finished else None
-            write_json(self.directory / "summary.json", summary)
-            return summary
+    def _run(self, stop: Stop, opened: ExitStack) -> bool:
+        if not self._restored:  # else the checkpoint has what follows
+            self._recorder.restore(0)
+            self._final_fit.begin(start(self.config, self.agent))
+            add_recorded(self.replay, self.config, self._report)
+        self._save_all(self._outstanding)
+        collector = self.episodes.start_collector(self._outstanding, stop, self.replay.kept)
+        opened.push(closer(collector))
+        if not self.progress.decision:
+            for text in notes_on_budget(self.config):
+                self._report(text)
+        finished = self._train(collector, stop)
+        self._save_all(collector.outstanding())
+        self._recorder.finish()
+        return finished
 
-    def _train(self, collector: Collector, stop: Callable[[], bool]) -> bool:
+    def _train(self, collector: Collector, stop: Stop) -> bool:
         """Train and validate; return whether the budget is spent, False if the run was stopped.
 
         A run that was stopped in a validation, or while it learnt all labels anew, repeats that
@@ -166,14 +117,6 @@ class Trainer:
             passed = progress.decision // settings.checkpoint_every
             if passed > before // settings.checkpoint_every and not self._validation_due():
                 self._save_all(collector.outstanding())
-
-    def _validation_due(self) -> bool:
-        """Return whether a validation is due since the last one, or at the end of the budget."""
-        decision, settings, last = self.progress.decision, self.config.train, self.validator.last
-        if decision >= settings.decisions:
-            return last is None or last.decision != decision
-        before = 0 if last is None else last.decision
-        return decision // settings.validate_every > before // settings.validate_every
 
     def _train_episode(self, collector: Collector) -> None:
         """Collect, store and learn until the episode or the budget ends.
@@ -232,42 +175,6 @@ class Trainer:
             agent.learnt = replay.added
             progress.updates += 1
 
-    def _end_episode(self, ending: Row) -> None:
-        reached = ending["outcome"] == Outcome.REACHED
-        progress, terrain = self.progress, self.config.terrain
-        progress.episode += 1
-        progress.recent.append(reached)
-        progress.difficulty = ground.next_difficulty(terrain, progress.difficulty, reached)
-        row = {**self._common_columns(), "success_rate": progress.success_rate}
-        own = {name: value for name, value in ending.items() if not name.startswith(DRAWN)}
-        for listener in self.listeners:
-            listener.episode({**row, "lag": self.episodes.lag, **own})
-
-    def _validate(self, collector: Collector) -> bool:
-        """Validate the policy; return False if the run is to stop before the result is known."""
-        found = self.validator.validate(collector, self.progress.decision)
-        if found is None:
-            return False
-        means = found.model_dump(exclude={"decision"})
-        for listener in self.listeners:
-            listener.validation({**self._common_columns(), **means})
-        return True
-
-    def _report(self, text: str) -> None:
-        for listener in self.listeners:
-            listener.note(text)
-
-    def _common_columns(self) -> dict[str, Any]:
-        """Return the columns of ``metrics.csv`` that all rows share."""
-        progress = self.progress
-        return {
-            "decision": progress.decision,
-            "episode": progress.episode,
-            "epsilon": self.episodes.epsilon,
-            "loss": progress.loss if progress.updates else None,
-            "seconds": round(self._stopwatch.seconds, 3),
-        }
-
     def save(self, outstanding: Sequence[RolloutRequest] = ()) -> None:
         """Write ``last.safetensors``: all that the run needs to be resumed.
 
@@ -288,51 +195,27 @@ class Trainer:
             RequestState(**{name: getattr(request, name) for name in RequestState.model_fields})
             for request in outstanding
         ]
-        state = State(
-            **{name: getattr(self.progress, name) for name in _COUNTERS},
-            recent=tuple(self.progress.recent),
-            validations=tuple(self.validator.history),
-            best_by=self.validator.best_by,
+        state = self._state(
             orders=tuple(requests),
             replay_added=self.replay.added,
             replay_kept=self.replay.kept,
             groups_added=self.valued.memory.added,
-            files=self._digests,
             generators=Generators.model_validate(generators),
         )
         document = checkpoint.describe(self.config, "last", state=state)
         checkpoint.write(self.directory / checkpoint.LAST, document, tensors)
 
     def _save_all(self, outstanding: Sequence[RolloutRequest]) -> None:
-        """Write ``last.safetensors``, then ``best.safetensors`` if the policy is the best so far.
-
-        In this order, a killed run never leaves a best policy from after its last checkpoint; a
-        resumed run writes a best policy that was not written before.
-        """
         self.save(outstanding)
-        best = self.validator.best
-        if best is None or best.decision != self.progress.decision:
-            return
-        document = checkpoint.describe(
-            self.config, "best", decision=best.decision, validation=best.model_dump()
-        )
+        self._save_best()
+
+    def _policy(self) -> Mapping[str, Mapping[str, torch.Tensor]]:
         networks = {"policy": self.agent.policy.state_dict()}
         if self.agent.risk is not None:
             networks["risk"] = self.agent.risk.network.state_dict()
-        checkpoint.write(self.directory / checkpoint.BEST, document, join(networks))
+        return networks
 
-    def restore(self, saved: Checkpoint) -> None:
-        """Restore the run from a checkpoint that ``save`` wrote."""
-        state = saved.document.state
-        if state is None:
-            raise CheckpointError(f"{saved.path} holds a policy alone, not a run")
-        for file, now, then in zip(self._files, self._digests, state.files, strict=False):
-            if None not in (now, then) and now != then:
-                raise CheckpointError(
-                    f"{file} has changed since the run began, and a resumed run keeps its ground; "
-                    "restore the file, or start a new run from this one's policy: "
-                    f"agent.start_from={self.directory}"
-                )
+    def _restore(self, saved: Checkpoint, state: State) -> None:
         replay, weights = run_arrays(saved, state, self.agent, self.replay)
         self.agent.restore(saved.tensors, state.updates)
         self.replay.restore(replay, state.replay_added, state.replay_kept)
@@ -344,31 +227,8 @@ class Trainer:
         self._final_fit.restore(saved)
         for name, generator in state.generators.model_dump().items():
             self._generators[name].bit_generator.state = generator
-        for name in _COUNTERS:
-            setattr(self.progress, name, getattr(state, name))
-        self.progress.recent.extend(state.recent)
-        self.validator.history[:] = state.validations
         self._outstanding = [
             RolloutRequest(**request.model_dump(), weights=weights[request.version])
             for request in state.orders
         ]
-        self._restored = True
-        self._recorder.restore(self.progress.episode)
-        self._stopwatch.read()
-
-    def summary(self, finished: bool) -> dict[str, Any]:
-        """Return the results of the run, as JSON types."""
-        config, progress = self.config, self.progress
-        validations = {"best": self.validator.best, "last": self.validator.last}
-        return {
-            "finished": finished,
-            "terrain": config.terrain.plugin_name,
-            "network": config.network.plugin_name,
-            "seed": config.seed,
-            "decisions": progress.decision,
-            "episodes": progress.episode,
-            "lost_episodes": progress.lost,
-            "seconds": round(self._stopwatch.seconds, 1),
-            "success_rate": progress.success_rate,
-            **{name: found and found.model_dump() for name, found in validations.items()},
-        }
+        self._recorder.restore(state.episode)

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from flipperctl.agent.learner import Learner
 from flipperctl.agent.risk import POSITIVES
 from flipperctl.api import FloatArray, Outcome
 from flipperctl.checkpoint.document import BestBy, Validation
@@ -119,10 +119,17 @@ _BEST_BY: Final[dict[str, BestBy]] = {
 }
 
 
+class PolicyArrays(Protocol):
+    """A learner with a policy."""
+
+    def policy_arrays(self) -> dict[str, NDArray[np.generic]]:
+        """Return the weights of the policy, and of its risk, as a ``GreedyPlayer`` takes them."""
+
+
 class Validator:
     """Validates the agent's policy and keeps the results."""
 
-    def __init__(self, config: TrainConfig, agent: Learner, env: FlipperEnv) -> None:
+    def __init__(self, config: TrainConfig, agent: PolicyArrays, env: FlipperEnv) -> None:
         self._agent, self._learner = agent, config.agent
         self._greedy = GreedyPlayer(config, env)
         settings = config.train

@@ -86,6 +86,10 @@ def register_defaults() -> None:
     for group, name, node in entries():
         # Several entries of a list may be chosen; an entry without settings adds nothing.
         package = f"{group}.{name}" if group in LISTS and node else None
+        if group == "method":  # which also chooses the network
+            package = "_global_"
+            if "method" in node:  # whose settings take new keys without a +
+                node["method"]["settings"] = OmegaConf.create({}, flags={"struct": False})
         store.store(group=group, name=name, node=node, package=package)
     store.store(name="flipperctl_train", node=_with_paths(sections(TrainConfig)))
     store.store(name="flipperctl_eval", node=_with_paths(sections(EvalConfig)))
