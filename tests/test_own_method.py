@@ -41,7 +41,7 @@ def test_every_method_of_the_page_is_trained_saved_and_evaluated(tmp_path: Path)
                 names["model"] = PPO("MlpPolicy", env, n_steps=64).learn(64)
             exec(fewer(block), names)
     seeds = {file.stem: OnnxPolicy(file).interface.seed for file in tmp_path.glob("*.onnx")}
-    assert seeds == {"sb3_dqn": 1, "sb3_ppo": 1, "loop_dqn": 1, "dqn1": 1, "dqn2": 2}
+    assert seeds == {"sb3_dqn": 1, "sb3_ppo": 1, "sb3_sac": 1, "loop_dqn": 1, "dqn1": 1, "dqn2": 2}
     assert sorted(scene["controller"] for scene in names["result"].scenes) == ["follow", "level"]
     assert all((tmp_path / "dqn" / seed / "episodes.csv").is_file() for seed in "12")
 

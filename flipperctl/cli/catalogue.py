@@ -32,6 +32,7 @@ from flipperctl.config import (
     strict_yaml,
 )
 from flipperctl.config.describe import Field, fields, summary
+from flipperctl.config.method import Sb3
 from flipperctl.config.words import key_of, override_text
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.plan import suite_files
@@ -44,6 +45,7 @@ SECTIONS: Mapping[str, type[Settings]] = {
     "eval": Eval,
     "agent": Agent,
     "agent.policy_gradient": PolicyGradient,
+    "method=sb3": Sb3,
     "robot": Robot,
     "episode": Episode,
     "randomise": Randomise,

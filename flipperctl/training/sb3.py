@@ -398,19 +398,27 @@ class _Following(BaseCallback):
         self._trainer, self._collector, self._stop = trainer, collector, stop
         self.stopped = False
         self._before = trainer.progress.decision
+        self._between = False
 
     def _on_step(self) -> bool:
-        """Return False once the budget is spent, or the run is to stop after an episode."""
+        """Return False once the budget is spent, or the run is to stop after an episode.
+
+        The algorithm stores a transition after this call. What is due between two episodes is done
+        in the first call of the next one, whose first decision then counts as none if the run
+        stops.
+        """
         progress = self._trainer.progress
+        if self._between:
+            going = self._trainer.validate_or_save(self._collector, self._before)
+            self._before, self._between = progress.decision, False
+            self.stopped = not going or self._stop()
+            if self.stopped:
+                return False
         progress.decision += 1
         progress.updates = int(getattr(self.model, "_n_updates", 0))
         told = self.model.logger.name_to_value
         progress.loss = next((told[f"train/{n}"] for n in _LOSSES if f"train/{n}" in told), 0.0)
-        over = progress.decision >= self._trainer.config.train.decisions
         if self.locals["dones"][0]:
             self._trainer.end_episode(self.locals["infos"][0])
-            if not over:
-                going = self._trainer.validate_or_save(self._collector, self._before)
-                self._before = progress.decision
-                self.stopped = not going or self._stop()
-        return not (over or self.stopped)
+            self._between = True
+        return progress.decision < self._trainer.config.train.decisions

@@ -24,6 +24,21 @@ eval level --passable okda -> --passable | 'okada'
 eval okada conditions=varid -> did you mean 'varied'?
 eval okada conditions=trained -> need --checkpoint; known: nominal
 train conditions=null -> null is not allowed
+train method=sb4 -> there is no method 'sb4'; known: none, sb3
+train method=sb3 method.algorithm=trpo -> method.algorithm | 'dqn', 'ppo'
+train method=sb3 method.algorithm=sac -> actions: turns does not go with | actions=rates is allowed
+train method=sb3 actions=rates -> method.algorithm=dqn; actions=turns is allowed
+train actions=rates -> actions: rates needs a method of continuous actions
+train actions=box -> actions | 'turns' or 'rates'
+train method=sb3 network=dueling_mlp -> dueling_mlp does not go with | network=mlp is allowed
+train method=sb3 agent.n_step=2 -> agent.n_step=2: it has no effect with method=sb3
+train method=sb3 teacher=okada -> teacher: it does not go with method=sb3
+train method=sb3 agent.risk=true -> agent.risk: it does not go with method=sb3
+train method=sb3 method.settings.learning_rat=1 -> no such argument; did you mean 'learning_rate'
+train method=sb3 method.settings.gamma=0.9 -> a run sets it by agent.gamma
+train method=sb3 method.settings.learning_rate=many -> method.settings: DQN refuses them
+train method=sb3 method.settings.policy_kwargs={net_arch:[8]} -> network.hidden sets its widths
+train method.algorithm=sac -> method.algorithm | method=sb3
 inspect reward conditions=nominal,varied -> give 2 configurations
 inspect terrain stair eval.seed=4 -> eval.seed=4 | --seed
 eval okada terrain=stair,stair -> is given twice; once is allowed

@@ -12,10 +12,10 @@ import pytest
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError
 
-ACTIONS = [4, 8, 0, 5, 3, 7, 4, 1]
+ACTIONS = [4, 8, (0.25, -1.0), 5, 3, 7, (0.0, 0.3), 1]
 
 
-def went_on(env: Any, actions: list[int]) -> list[bytes]:
+def went_on(env: Any, actions: list[Any]) -> list[bytes]:
     """Return all that an episode and the next one show."""
     steps = [env.step(action) for action in actions]
     found = [step[0].tobytes() + repr(step[1:]).encode() for step in steps]

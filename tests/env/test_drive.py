@@ -2,9 +2,10 @@
 
 import math
 
+import numpy as np
 import pytest
 
-from flipperctl.api import Outcome, Profile, Robot, action_index
+from flipperctl.api import ACTIONS, Outcome, Profile, Robot, action_index
 from flipperctl.config import Episode
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.termination import Termination
@@ -86,3 +87,31 @@ def test_limits_count_the_decisions_as_long_as_they_last() -> None:
     limits, exact = (e.drive.termination for e in (env, whole))
     assert limits.t_max == exact.t_max
     assert limits._trail.maxlen == exact._trail.maxlen
+
+
+def test_rates_of_whole_steps_are_the_nine_actions_and_others_turn_by_parts() -> None:
+    turned, rated = FlipperEnv("step"), FlipperEnv("step", actions="rates")
+    assert rated.action_space.shape == (2,)
+    for env in (turned, rated):
+        env.reset(seed=3)
+    for index, rates in enumerate(ACTIONS):
+        by_index, by_rates = turned.step(index), rated.step(np.array(rates, np.float32))
+        assert by_index[0].tobytes() == by_rates[0].tobytes()
+        assert by_index[1:] == by_rates[1:]
+    front, rear = rated.drive.targets
+    rated.step((0.4, -0.6))
+    step = rated.robot.angle_step
+    assert rated.drive.targets == pytest.approx((front + 0.4 * step, rear - 0.6 * step))
+    assert rated.drive.action == action_index(0, -1)  # the closest of the nine
+    assert rated.drive.rates == (0.4, -0.6)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [(1.1, 0.0), (0.5,), (math.nan, 0.0), (1, 0), np.zeros((2, 1)), 0.5, "00", (True, False), 9],
+)
+def test_other_values_are_no_actions(wrong: object) -> None:
+    env = FlipperEnv("flat")
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="from 0 to 8, or the rates of the front and the rear"):
+        env.step(wrong)

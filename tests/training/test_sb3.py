@@ -1,0 +1,122 @@
+"""A training by Stable-Baselines3 is a run like any other, and its policy that of the library."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from flipperctl import checkpoint
+from flipperctl.api import ACTIONS
+from flipperctl.config import TrainConfig, with_overrides
+from flipperctl.errors import CheckpointError
+from flipperctl.evaluation.play import EpisodeDigest
+from flipperctl.export.policy import export
+from flipperctl.policies.source import ExportedPolicy
+from flipperctl.policies.trained import TrainedPolicy, policy_module
+from flipperctl.rollout.episode import decisions
+from flipperctl.runtime import OnnxPolicy
+from flipperctl.training.sb3 import Sb3Trainer
+from tests.short import few
+
+pytestmark = pytest.mark.slow
+
+SMALL = {"learning_starts": 50, "batch_size": 32}
+METHODS: dict[tuple[str, str], dict[str, Any]] = {
+    ("dqn", "turns"): SMALL,
+    ("ppo", "turns"): {"n_steps": 64, "batch_size": 32, "n_epochs": 2},
+    ("ppo", "rates"): {"n_steps": 64, "batch_size": 32, "learning_rate": [1e-3, 0.0]},
+    ("a2c", "rates"): {},
+    ("sac", "rates"): {**SMALL, "policy_kwargs": {"n_critics": 1}},
+    ("td3", "rates"): {**SMALL, "train_freq": [1, "episode"]},
+    ("ddpg", "rates"): {**SMALL, "buffer_size": 100},
+}
+
+
+def config_of(algorithm: str, actions: str, **more: object) -> TrainConfig:
+    method = {"algorithm": algorithm, "settings": METHODS[algorithm, actions]}
+    network = {"name": "mlp", "hidden": [24, 16]}
+    own = {"method": method, "actions": actions, "network": network}
+    return with_overrides(few(), {**own, "train.decisions": 250, **more})
+
+
+def train(config: TrainConfig, folder: Path, stop: int | None = None) -> Sb3Trainer:
+    (folder / checkpoint.BEST.parent).mkdir(parents=True, exist_ok=True)
+    made = Sb3Trainer(config, folder)
+    made.run(stop=lambda: stop is not None and made.progress.decision >= stop)
+    return made
+
+
+def observations(count: int) -> Any:
+    rng = np.random.default_rng(0)
+    return rng.normal(0.0, 0.2, (count, 33)).astype(np.float32)
+
+
+@pytest.mark.parametrize(("algorithm", "actions"), METHODS)
+def test_the_checkpoint_acts_as_the_library_does(
+    algorithm: str, actions: str, tmp_path: Path
+) -> None:
+    trained = train(config_of(algorithm, actions), tmp_path)
+    saved = checkpoint.read(tmp_path / checkpoint.LAST)
+    module, seen = policy_module(saved), observations(200)
+    theirs, _ = trained.model.predict(seen, deterministic=True)
+    with torch.inference_mode():
+        outputs = module(torch.from_numpy(seen)).numpy()
+    if actions == "rates":
+        assert np.abs(outputs - theirs).max() < 1e-5
+        assert outputs.std() > 1e-3
+    else:
+        assert (outputs.argmax(axis=1) == theirs).all()
+    assert saved.document.actions.steps == (() if actions == "rates" else ACTIONS)
+
+
+@pytest.mark.parametrize("algorithm", ["sac", "ddpg"])
+def test_a_stopped_run_goes_on_with_weights_moments_and_replay(
+    algorithm: str, tmp_path: Path
+) -> None:
+    config = config_of(algorithm, "rates")
+    stopped = train(config, tmp_path, stop=120)
+    saved = checkpoint.read(tmp_path / checkpoint.LAST)
+    assert not any(name.endswith(".pkl") for name in map(str, tmp_path.rglob("*")))
+    resumed = Sb3Trainer(config, tmp_path)
+    resumed.restore(saved)
+    assert resumed.progress.decision == stopped.progress.decision < 250
+    before, after = stopped._held(), resumed._held()
+    assert before.keys() == after.keys()
+    assert all(torch.equal(before[name], after[name]) for name in before)
+    kept, found = stopped._replay(), resumed._replay()
+    assert kept is not None
+    assert found is not None
+    assert len(found["reward"]) == min(
+        stopped.progress.decision, 100 if algorithm == "ddpg" else 250
+    )
+    assert all(torch.equal(kept[name], found[name]) for name in kept)
+    assert resumed.run()["decisions"] == 250
+    more = with_overrides(config, {"network.hidden": [16, 16]})
+    with pytest.raises(CheckpointError, match="its state is not valid"):
+        Sb3Trainer(more, tmp_path).restore(saved)
+
+
+def test_an_exported_file_of_rates_drives_the_same_episode(tmp_path: Path) -> None:
+    config = config_of("sac", "rates")
+    trained = train(config, tmp_path)
+    file = tmp_path / "rates.onnx"
+    saved = checkpoint.read(tmp_path / checkpoint.BEST)
+    assert export(saved, "onnx", file)["action_agreement"] == 1.0
+    digests = []
+    for policy in (TrainedPolicy(policy_module(saved), kind="rates"), ExportedPolicy(file)):
+        digest = EpisodeDigest()
+        for decision in decisions(trained.env, policy, 5):
+            assert decision.rates is not None
+            digest.add(decision)
+        digests.append(digest.hexdigest())
+    assert digests[0] == digests[1]
+    robot = OnnxPolicy(file)
+    step = config.robot.angle_step
+    assert robot.interface.actions.tolist() == [[step, 0], [0, step]]
+    turned = robot.next_targets((0.1, -0.1), (0.1, -0.1), (0.5, -1.0))
+    assert turned.tolist() == pytest.approx([0.1 + 0.5 * step, -0.1 - step])
+    rates = robot.act(observations(1)[0])
+    assert isinstance(rates, tuple)
+    assert max(map(abs, rates)) <= 1
