@@ -29,6 +29,17 @@ def load_offset(robot: RobotGeometry) -> tuple[float, float]:
     return share * (masses.payload_x or 0.0), share * (masses.payload_z or 0.0)
 
 
+def tipping_rise(across: FloatArray, above: FloatArray) -> FloatArray:
+    """Return the rise of a centre of mass until the robot tips over a contact [m].
+
+    The centre is ``across`` from the contact, at least 0, and ``above`` it [m]:
+    √(across² + above²) − above, the energy that tips the robot over its weight (Hirose, Tsukagoshi
+    and Yoneda 1998), in the side plane.
+    """
+    rise: FloatArray = np.hypot(across, above) - above
+    return rise
+
+
 @dataclass(frozen=True)
 class Contacts:
     """Where robots touch the ground in M poses, in each frame L."""

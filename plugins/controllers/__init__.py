@@ -1,5 +1,5 @@
 """Built-in controllers: baselines that need no training."""
 
-from . import rules
+from . import geometric, rules
 
-__all__ = ["rules"]
+__all__ = ["geometric", "rules"]

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray, RobotStates, Transition, measure
 
-from ..posture import contacts, load_offset, with_masses
+from ..posture import contacts, load_offset, tipping_rise, with_masses
 
 _TOUCH = 0.01
 """Largest gap to the ground that counts as contact [m]."""
@@ -31,11 +31,9 @@ def energy_margin_min(episode: Sequence[Transition]) -> float:
 def margins(episode: Sequence[Transition]) -> FloatArray:
     """Return the normalised energy stability margin after each decision, (M,) [m].
 
-    It is the height by which the centre of mass must rise until the robot tips over the foremost
-    or the rearmost point of contact, whichever is less: √(Δx² + Δz²) − Δz with the position
-    (Δx, Δz) of the centre relative to that point. It is the energy that tips the robot over its
-    weight (Hirose, Tsukagoshi and Yoneda 1998), in the side plane. It is 0 without a contact on
-    both sides of the centre. The centre of mass is that of the robot with its load.
+    It is the ``tipping_rise`` over the foremost or the rearmost point of contact, whichever is
+    less, and 0 without a contact on both sides of the centre. The centre of mass is that of the
+    robot with its load.
     """
     t = episode[0]
     robot, states = t.robot, RobotStates.of([t.after for t in episode])
@@ -61,4 +59,4 @@ def _barriers(
     across = side * (x[rows, outermost] - centre[:, 0])
     above = centre[:, 1] - z[rows, outermost]
     stands = touching[rows, outermost] & (across > 0)
-    return np.where(stands, np.hypot(across, above) - above, 0.0)
+    return np.where(stands, tipping_rise(across, above), 0.0)

@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from flipperctl_plugins.controllers.geometric import Geometric, Rest, rest
 from flipperctl_plugins.controllers.rules import Linear, Ohno
 from numpy.typing import NDArray
 
@@ -61,3 +62,48 @@ def test_linear_weighs_the_pitch_and_the_height_at_the_tip() -> None:
     assert turns(rule.act(perceive(z, pitch=0.1, front=0.26, rear=-0.05))) == (1, -1)
     # Past a tip 0.1 m away the step is not seen: front 0 rad, rear 0 rad.
     assert turns(rule.act(perceive(np.where(X > 0.83, 0.1, -0.1), pitch=0.1))) == (0, 0)
+
+
+ANGLES = np.radians([-60.0, 0.0, 30.0])
+
+
+def resting(z: NDArray[np.floating]) -> Rest:
+    """Return the rest at x = 0 on the ground z at each of ``X`` [m], with each of ``ANGLES``."""
+    found = rest(np.column_stack([X, z]), ROBOT, np.zeros(1), ANGLES)
+    return Rest(*(values[0] for values in found))
+
+
+def test_the_robot_rests_on_two_contacts() -> None:
+    # Flat: level, the tips' centres 0.28 + 0.336 = 0.616 m from the robot's, which rises by
+    # √(0.616² + 0.1²) - 0.1 = 0.524 m until it tips over one; over the hinges 0.197 m.
+    flat = resting(np.full(len(X), -0.1))
+    assert flat.pitch[1:, 1:] == pytest.approx(0, abs=1e-6)
+    assert flat.height[1:, 1:] == pytest.approx(0, abs=1e-6)
+    assert flat.margin[1, 1] == pytest.approx(0.524, abs=1e-3)
+    assert flat.margin[2, 2] == pytest.approx(0.197, abs=1e-3)
+    # The front pair 60° down: its tip is 0.336 · sin 60° = 0.291 m below the chassis' axis and
+    # 0.28 + 0.168 m ahead, the level rear tip 0.616 m behind: atan(0.291 / 1.064) = 15.3°.
+    assert math.degrees(flat.pitch[0, 1]) == pytest.approx(15.3, abs=0.1)
+    assert math.degrees(flat.pitch[1, 0]) == pytest.approx(-15.3, abs=0.1)
+    assert math.degrees(flat.pitch[0, 0]) == pytest.approx(0, abs=0.1)
+    # An even slope: along it, whatever the flippers do above the chassis' axis.
+    slope = resting(0.3 * X - 0.1 * math.hypot(1, 0.3))
+    assert slope.pitch[1:, 1:] == pytest.approx(math.atan(0.3), abs=4e-3)
+    assert slope.slope[1:, 1:] == pytest.approx(math.atan(0.3), abs=1e-3)
+    # At 10° the axis of level flippers passes 0.1 m from an edge 0.2 m high and xe ahead, with the
+    # rear tip's centre 0.1 m above the floor: 0.1 + 0.1 · cos 10° = (xe + 0.616 · cos 10°) ·
+    # sin 10° for xe = 0.536 m.
+    step = resting(np.where(X > 0.535, 0.1, -0.1))
+    assert math.degrees(step.pitch[1, 1]) == pytest.approx(10, abs=0.2)
+
+
+def test_geometric_plans_ahead() -> None:
+    flat = np.full(len(X), -0.1)
+    rule = Geometric()
+    assert turns(rule.act(perceive(flat))) == (0, 0)
+    # High on both pairs it comes down by both at once, which keeps the chassis level.
+    high = flat - 0.336 * math.sin(math.radians(45))
+    down = -math.radians(45)
+    assert turns(rule.act(perceive(high, front=down, rear=down))) == (1, 1)
+    # A wall beside the tips: the front pair is raised before it, which level flippers would hit.
+    assert turns(rule.act(perceive(np.where(X > 0.75, 0.2, -0.1))))[0] == 1
