@@ -1,7 +1,7 @@
 """What can be looked up: names by kind, settings by key, words of the field, and a search over all.
 
 In: the registry, the sections' classes, the presets and policies of the package, folders of runs.
-Out: plain values.
+Out: plain values, and the tables that ``list`` and ``explain`` print of them.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from importlib.resources import files
@@ -36,7 +36,17 @@ from flipperctl.config.method import Sb3
 from flipperctl.config.words import key_of, override_text
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.plan import suite_files
+from flipperctl.messages import counted
 from flipperctl.results import CONFIG, SUMMARY, holds_run, read_config
+from flipperctl.show import (
+    NONE,
+    Column,
+    Table,
+    console,
+    print_facts,
+    print_lines,
+    print_table,
+)
 from flipperctl.training.search import SearchSettings
 from flipperctl.training.sweep import of_reached
 
@@ -62,6 +72,34 @@ PLUGIN_KEYS: Mapping[str, str] = {
     "logger": "logger.NAME",
 }
 """Kind of plugin → key of its settings."""
+Row = Mapping[str, Any]
+
+_KIND_COLUMNS = (
+    Column("kind", "kind", named=True),
+    Column("count", "count"),
+    Column("example", "example", wrapped=True),
+)
+_NAME_COLUMNS = (Column("name", "name", named=True), Column("summary", "summary", wrapped=True))
+_RUN_COLUMNS = (
+    Column("name", "run", named=True),
+    Column("terrain", "terrain"),
+    Column("decisions", "decisions"),
+    Column("success", "success"),
+    Column("pitch_variation_100hz", "pitch variation [rad]"),
+    Column("date", "date"),
+)
+_FIELD_COLUMNS = (
+    Column("default", "default", wrapped=True),
+    Column("bounds", "allowed", wrapped=True),
+    Column("unit", "unit"),
+    Column("description", "meaning", wrapped=True),
+)
+_PRESET_COLUMNS = (Column("key", "sets", named=True), Column("value", "to", wrapped=True))
+_HIT_COLUMNS = (
+    Column("name", "name", named=True),
+    Column("kind", "kind"),
+    Column("summary", "meaning", wrapped=True),
+)
 
 
 class Group(NamedTuple):
@@ -235,15 +273,15 @@ def search(words: str, commands: Mapping[str, str], most: int = 10) -> list[Hit]
     scored = []
     for hit in _everything(commands):
         name, text = re.findall(r"[^\W_]+", hit.name.lower()), hit.summary.lower()
-        each = [max(_in_name(t, name), 2 * (f" {t}" in f" {text}")) for t in tokens]
+        each = [
+            8 if t in name
+            else max(4 * any(part.startswith(t) for part in name), 2 * (f" {t}" in f" {text}"))
+            for t in tokens
+        ]  # fmt: skip
         if sum(map(bool, each)) >= needed:
             scored.append((sum(map(bool, each)), sum(each), -len(name), hit))
     scored.sort(key=lambda one: one[:3], reverse=True)
     return list({(hit.name, hit.kind): hit for *_, hit in reversed(scored)}.values())[::-1][:most]
-
-
-def _in_name(token: str, name: list[str]) -> int:
-    return 8 if token in name else 4 * any(part.startswith(token) for part in name)
 
 
 def _everything(commands: Mapping[str, str]) -> Iterator[Hit]:
@@ -337,3 +375,85 @@ def _choices(defaults: Iterable[Any], prefix: str) -> Iterator[tuple[str, str]]:
         for key, value in one.items():
             group = key.removeprefix("override ").lstrip("/").rpartition("@")[2]
             yield (group if "override" in key or "@rewards" in key else prefix + group), value
+
+
+def print_kinds(kinds: Sequence[Row]) -> None:
+    """Print each kind of names with its count and an example."""
+    print_table(Table(_KIND_COLUMNS, [dict(row) for row in kinds]), console())
+    print("One kind: flipperctl list KIND")
+
+
+def print_names(found: Sequence[Row], titles: Mapping[str, str]) -> None:
+    """Print a line for each name, in a table for each group; ``titles``: its command."""
+    for group, title in titles.items():
+        rows = [dict(row) for row in found if row["group"] == group]
+        print_table(Table(_NAME_COLUMNS, rows, title), console())
+    if found:
+        print(f"More about one: flipperctl explain {found[0]['name']}")
+
+
+def print_runs(folder: Path, found: Sequence[Row]) -> None:
+    """Print a line for each run below a folder."""
+    rows = []
+    for row in found:
+        rate, terrain = row["success_rate"], row["terrain"] or NONE
+        success = NONE if rate is None else f"{rate:.0%}"
+        rows.append({**row, "success": success, "terrain": terrain})
+    print_table(Table(_RUN_COLUMNS, rows, f"{folder}: {counted(len(rows), 'run')}"), console())
+
+
+def print_explained(document: Row) -> None:
+    """Print what ``explain`` found: a word's meaning, names, settings, or hits of a search."""
+    out = console()
+    if document["meaning"]:
+        print_lines(out, [f"{document['word']}: {document['meaning']}"])
+    for entry in document["names"]:
+        _print_entry(entry)
+    if len(document["settings"]) == 1:
+        _print_setting(document["settings"][0])
+    elif settings := document["settings"]:
+        columns = Column("key", "setting", named=True), Column("of", "of", named=True)
+        rows = [_cells(one) | {"description": one["short"]} for one in settings]
+        print_table(Table((*columns, *_FIELD_COLUMNS), rows), out)
+        print(f"More about one: flipperctl explain {settings[0]['alias']}")
+    if document["found"]:
+        title = f"found for {document['word']!r}"
+        print_table(Table(_HIT_COLUMNS, [dict(hit) for hit in document["found"]], title), out)
+
+
+def _print_entry(found: Row) -> None:
+    """Print a plugin with its settings, or a preset with what it sets."""
+    out, plugin = console(), found.get("plugin")
+    print_lines(out, [f"{found['name']} ({found['group']}): {found['about'] or found['summary']}"])
+    print_facts(
+        {"write": found["command"], **({"source": plugin["source"]} if plugin else {})}, out
+    )
+    if plugin and plugin["fields"]:
+        columns = (Column("name", "setting", named=True), *_FIELD_COLUMNS)
+        print_table(Table(columns, [_cells(field) for field in plugin["fields"]]), out)
+    if found["settings"]:
+        rows = [{"key": key, "value": value} for key, value in found["settings"].items()]
+        print_table(Table(_PRESET_COLUMNS, rows), out)
+
+
+def _print_setting(one: Row) -> None:
+    out = console()
+    default = override_text(one["default"])
+    if one["train"] not in (None, one["default"]):
+        default += f"; flipperctl train has {override_text(one['train'])}"
+    facts = {
+        "default": default,
+        "allowed": one["bounds"] or "any",
+        "unit": one["unit"] if one["unit"] not in ("-", "") else "none",
+        "part of": f"{one['of']} ({one['class']})",
+        "set by": ", ".join(f"{name} ({value})" for name, value in one["set_by"].items()),
+        "write": one["command"],
+    }
+    print_lines(out, [f"{one['key']}: {one['description']}"])
+    print_facts({name: text for name, text in facts.items() if text}, out)
+
+
+def _cells(found: Row) -> dict[str, Any]:
+    """Return the cells of a row of ``_FIELD_COLUMNS``."""
+    unit = "" if found["unit"] == "-" else found["unit"]
+    return {**found, "default": override_text(found["default"]), "unit": unit}

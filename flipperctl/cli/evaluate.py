@@ -181,18 +181,17 @@ def map_success(
     """
     from flipperctl.cli.plan import one_scene, player
     from flipperctl.config.words import with_default, with_flags
-    from flipperctl.evaluation.views import axes as plane
     from flipperctl.evaluation.views import map as view
     from flipperctl.show import console, print_lines
 
     if over is None:
-        raise RequestError(f"name two settings, as in --over {plane.EXAMPLE}")
+        raise RequestError(f"name two settings, as in --over {view.EXAMPLE}")
     flagged = with_flags(words, episodes=episodes, seed=seed, jobs=jobs)
     flagged = with_default(flagged, "eval.episodes", view.EPISODES)
     entry = one_scene(flagged, checkpoint, controller, "map")
     if entry.config.eval.ray is not None:
         raise RequestError("eval.ray: a map is played here; leave it out")
-    axes = plane.parse_axes(over, entry.config)
+    axes = view.parse_axes(over, entry.config)
     with player(output, "map", view.NAMES) as (plays, folder):
         for note in view.notes(entry, axes):
             print_note(note)

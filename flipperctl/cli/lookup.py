@@ -50,7 +50,6 @@ def list_names(
       flipperctl list experiments --json
     """
     from flipperctl.cli import catalogue
-    from flipperctl.terminal import lookup
 
     if pictures is not None and kind not in ("terrain", "terrains"):
         raise RequestError("--pictures needs terrains: flipperctl list terrains --pictures FILE")
@@ -58,14 +57,14 @@ def list_names(
         raise RequestError(f"{folder}: a folder has a meaning with runs alone: list runs FOLDER")
     if kind is None:
         kinds = _kinds()
-        show(kinds, lambda: lookup.print_kinds(kinds), as_json=as_json)
+        show(kinds, lambda: catalogue.print_kinds(kinds), as_json=as_json)
         return
     chosen = _kind(kind)
     document: dict[str, Any] = {"kind": chosen}
     if chosen == "runs":
         place = folder or Path("runs")
         document["names"] = catalogue.runs(place)
-        show(document, lambda: lookup.print_runs(place, document["names"]), as_json=as_json)
+        show(document, lambda: catalogue.print_runs(place, document["names"]), as_json=as_json)
         return
     if pictures is not None:
         _draw(pictures)
@@ -75,7 +74,7 @@ def list_names(
         for e in found
     ]
     titles = {name: group.command for name, group in catalogue.KINDS[chosen].items()}
-    show(document, lambda: lookup.print_names(document["names"], titles), as_json=as_json)
+    show(document, lambda: catalogue.print_names(document["names"], titles), as_json=as_json)
 
 
 def explain(
@@ -104,7 +103,6 @@ def explain(
     from flipperctl.cli import catalogue
     from flipperctl.cli.glossary import GLOSSARY
     from flipperctl.messages import close_match
-    from flipperctl.terminal import lookup
 
     word = " ".join(words)
     commands = _commands(context)
@@ -130,7 +128,7 @@ def explain(
         "found": [asdict(hit) for hit in hits],
     }
 
-    show(document, lambda: lookup.print_explained(document), as_json=as_json)
+    show(document, lambda: catalogue.print_explained(document), as_json=as_json)
 
 
 def _kind(word: str) -> str:

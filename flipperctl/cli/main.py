@@ -14,7 +14,7 @@ from flipperctl import entry
 from flipperctl.cli import evaluate, inspect, live, lookup, plot, reward, robot, train, tune, write
 from flipperctl.cli.command import App, TrainingCommand
 from flipperctl.errors import InterruptedRunError, RequestError
-from flipperctl.terminal.streams import log_to_stderr, plain_streams, reserved_stdout
+from flipperctl.terminal.streams import begin_notices, log_to_stderr, plain_streams, reserved_stdout
 
 # Without these defaults, Typer imports pydantic to validate absent flags, which delays every
 # subcommand's help by 65 ms.
@@ -89,8 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 def _run(arguments: list[str]) -> int:
-    if notices := sys.modules.get("flipperctl.terminal.notices"):  # loaded by an earlier command
-        notices.begin()
+    begin_notices()
     if arguments == ["--version"]:
         from flipperctl import __version__
 

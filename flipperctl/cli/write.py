@@ -297,7 +297,7 @@ def new(
 
       flipperctl new engine glider
     """
-    from flipperctl.scaffold.draft import Draft, next_commands
+    from flipperctl.scaffold import Draft, next_commands
 
     draft = Draft(kind, name)
     made = draft.write_package(output) if package else draft.write_file(output)

@@ -1,17 +1,18 @@
 """The defaults from which a configuration is composed: of each plugin, variant and section.
 
 In: the registry and the models. Out: entries of groups, of which one is chosen by name, and the
-sections that are not chosen; sentences on budgets of decisions that are too small to learn
-anything, on robots that do not fit their conditions, and on overrides of settings that are sampled
-anew for every episode.
+sections that are not chosen; notices of plugins, and sentences on budgets of decisions that are too
+small to learn anything, on robots that do not fit their conditions, and on overrides of settings
+that are sampled anew for every episode.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping
+from contextlib import suppress
 from typing import Any
 
-from flipperctl.api import Logger, Measure, Robot, registry
+from flipperctl.api import Logger, Measure, Plugin, Robot, registry
 from flipperctl.api.plugin import registered_names
 from flipperctl.config import resolver
 from flipperctl.config.agent import Teacher
@@ -19,6 +20,7 @@ from flipperctl.config.method import Sb3
 from flipperctl.config.models import EnvConfig, EvalConfig, TrainConfig
 from flipperctl.config.sections import LocalCollector, RayCollector
 from flipperctl.errors import ConfigError
+from flipperctl.guard import plugin_label
 from flipperctl.messages import close_match, missing_name
 
 _ALIKE = 0.02
@@ -42,6 +44,16 @@ def notes_on_budget(config: TrainConfig) -> Iterator[str]:
             f"train.decisions={decisions} leaves the policy as it begins: learning starts after "
             f"agent.learning_starts={agent.learning_starts} decisions"
         )
+
+
+def notices(config: EnvConfig) -> Iterator[str]:
+    """Yield what the plugins of a validated configuration say of their data, and of its robot."""
+    for value in (getattr(config, name) for name in type(config).model_fields):
+        for item in value.values() if isinstance(value, dict) else (value,):
+            for plugin in resolver.nested_plugins(item) if isinstance(item, Plugin) else ():
+                with suppress(ValueError):  # the use of the plugin raises it, which says why
+                    yield from (f"{plugin_label(plugin)}: {text}" for text in plugin.notices())
+    yield from notes_on_robot(config)
 
 
 def notes_on_robot(config: EnvConfig) -> Iterator[str]:

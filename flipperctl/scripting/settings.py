@@ -23,7 +23,7 @@ from flipperctl.config.defaults import CHOICES, LISTS
 from flipperctl.config.words import quoted
 from flipperctl.errors import ConfigError, PluginError, RequestError
 from flipperctl.session import remember_plugins
-from flipperctl.terminal import notices
+from flipperctl.terminal.streams import begin_notices
 
 Paths = Sequence[str | os.PathLike[str]]
 
@@ -32,7 +32,7 @@ def begin(plugins: Paths) -> None:
     """Load the installed plugins and those at these paths, ``.py`` files or folders."""
     if isinstance(plugins, str | os.PathLike):
         raise RequestError(f"plugins: a list of paths is allowed; the value is {plugins!r}")
-    notices.begin()
+    begin_notices()
     paths = [os.fspath(path) for path in plugins]
     remember_plugins(paths)
     registered.load(paths)

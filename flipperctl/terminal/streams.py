@@ -1,5 +1,7 @@
 """Print any text on standard output and standard error; with ``--json``, one document alone.
 
+Notices on a configuration, of plugins about their data and on sampled robots, are printed once.
+
 A character that the encoding of a stream lacks (``LANG=C``, an old code page) is replaced by a
 plain spelling, instead of an error.
 """
@@ -12,10 +14,13 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
-from typing import TextIO
+from typing import TYPE_CHECKING, TextIO
 
 from flipperctl import entry
 from flipperctl.spelling import PLAIN
+
+if TYPE_CHECKING:
+    from flipperctl.config import EnvConfig
 
 
 def plain_streams() -> None:
@@ -86,6 +91,24 @@ def _moved(out: TextIO) -> Iterator[TextIO]:
 def print_note(text: str) -> None:
     """Print a line on stderr, which leaves the results on stdout alone."""
     print(text, file=sys.stderr)
+
+
+_printed: set[str] = set()  # notices of this command
+
+
+def begin_notices() -> None:
+    """Forget the printed notices, at the start of a command."""
+    _printed.clear()
+
+
+def print_notices(config: EnvConfig) -> None:
+    """Print the notices on a validated configuration that this command has not printed yet."""
+    from flipperctl.config.defaults import notices
+
+    for notice in notices(config):
+        if notice not in _printed:
+            _printed.add(notice)
+            print_note(f"warning: {notice}")
 
 
 def log_to_stderr() -> None:

@@ -11,9 +11,8 @@ from typing import Any
 from flipperctl.config import TrainConfig
 from flipperctl.evaluation.views import regret, summary
 from flipperctl.session import command
-from flipperctl.terminal.notices import print_notices
 from flipperctl.terminal.progress import TrainingProgress, way_text
-from flipperctl.terminal.streams import print_note
+from flipperctl.terminal.streams import print_note, print_notices
 from flipperctl.training.run import Finished, Reports, check_device
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from flipperctl.agent import replay as memory
-from flipperctl.cli import moved
+from flipperctl.cli import command as commands
 from tests.cli.call import refused
 
 REFUSED = """
@@ -294,7 +294,7 @@ def test_a_number_that_no_float_holds_is_named(
 def test_what_has_moved_is_named(typed: str, tmp_path: Path) -> None:
     """Whoever types a command or an option of an earlier version is told what to type now."""
     error = refused(*typed.split(), cwd=tmp_path)
-    assert error == f"error: {typed} {moved._MOVED[typed]}\n"
+    assert error == f"error: {typed} {commands._MOVED[typed]}\n"
 
 
 def test_values_and_further_words_may_follow(tmp_path: Path) -> None:

@@ -15,13 +15,12 @@ from flipperctl.evaluation.play import EpisodeRunner
 from flipperctl.evaluation.replay import EpisodeRecord, replay_file
 from flipperctl.figures.animation import FILM, LAST, check_film
 from flipperctl.figures.episode import episode_figure
-from flipperctl.figures.film import Part, Take, _Shots, film
-from flipperctl.figures.side import SideView
+from flipperctl.figures.film import Part, SideView, Take, _Shots, film
 from flipperctl.files import check_output, write_json
 from flipperctl.policies.source import load_policy
 from flipperctl.rollout.episode import play
 from flipperctl.rollout.trace import Trace, instants, map_points, mapped
-from flipperctl.sim.mujoco import Mujoco, camera
+from flipperctl.sim.mujoco import Mujoco, shown
 from flipperctl.sim.mujoco.world import MujocoWorld
 
 STEP = Profile([(0.0, 0.0), (0.0, 0.2), (0.5, 0.2)])
@@ -220,7 +219,7 @@ def test_a_driver_that_cannot_draw_is_named_and_pictures_have_a_largest_size(mon
     with pytest.raises(RequestError, match="at most 1920 × 1080 are allowed"):
         draw(1921, 1080)
     monkeypatch.setattr(ctypes.util, "find_library", lambda name: "there")
-    monkeypatch.setattr(camera, "import_module", fail)
+    monkeypatch.setattr(shown, "import_module", fail)
     with pytest.raises(FlipperctlError, match=r"EGL cannot draw .*\(no device\).*MUJOCO_GL=osmesa"):
         draw()
 

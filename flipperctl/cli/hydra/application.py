@@ -38,8 +38,7 @@ from flipperctl.errors import ConfigError, InterruptedRunError
 from flipperctl.files import failure
 from flipperctl.rollout.cluster import shut_down
 from flipperctl.session import CommandProcess, interrupts
-from flipperctl.terminal.notices import print_notices
-from flipperctl.terminal.streams import print_note
+from flipperctl.terminal.streams import print_note, print_notices
 from flipperctl.training import folder as run_folder
 from flipperctl.training import run as training_run
 from flipperctl.training.sweep import stop_of

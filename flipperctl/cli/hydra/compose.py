@@ -44,7 +44,7 @@ from flipperctl.config.defaults import LISTS, entries, missing_entry, refuse_ine
 from flipperctl.config.sampled import OMITTED, PATH_SECTIONS
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import NOMINAL, TRAINED, Inherited, explain_missing_training
-from flipperctl.terminal.notices import print_notices
+from flipperctl.terminal.streams import print_notices
 from flipperctl.training.search import SearchSettings
 
 CONFIGS = str(resources.files("flipperctl.configs"))

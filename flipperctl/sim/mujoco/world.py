@@ -34,8 +34,7 @@ from flipperctl.sim.mujoco.model import ROBOT_GROUP, Model, add_scenery, build, 
 from flipperctl.sim.mujoco.settings import MujocoSettings
 
 if TYPE_CHECKING:
-    from flipperctl.sim.mujoco.camera import Camera
-    from flipperctl.sim.mujoco.shown import Shown
+    from flipperctl.sim.mujoco.shown import Camera, Shown
 
 Axis = tuple[float, float, float]
 
@@ -379,8 +378,7 @@ class MujocoWorld:
 
     def _camera(self, width: int, height: int) -> Camera:
         """Return a camera for pictures of this size, which shows the current state."""
-        from flipperctl.sim.mujoco.camera import Camera
-        from flipperctl.sim.mujoco.shown import Shown
+        from flipperctl.sim.mujoco.shown import Camera, Shown
 
         if self._shown is None:
             self._shown = Shown(self.robot, self.sim, self.strips, self.model)

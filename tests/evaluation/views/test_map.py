@@ -11,13 +11,16 @@ from flipperctl.evaluation.plan import Entry
 from flipperctl.evaluation.play import EpisodeRunner, Player
 from flipperctl.evaluation.rows import Episodes
 from flipperctl.evaluation.store import EpisodeStore
-from flipperctl.evaluation.views.axes import Axis, Index, grid_config, parse_axes
 from flipperctl.evaluation.views.map import (
+    Axis,
     CapabilityMap,
     GridPoint,
+    Index,
     Play,
     _sample,
     capability_map,
+    grid_config,
+    parse_axes,
 )
 from flipperctl.figures.map import boundary, map_figure
 from flipperctl.policies.source import load_policy
