@@ -308,7 +308,7 @@ def measure_in_turn(
     return found
 
 
-def table(name: str, found: Mapping[str, Any]) -> Table:
+def table(name: str, measured: Mapping[str, Any]) -> Table:
     """Return the table of a measure: medians with quartiles, then ratios if it has any.
 
     The text ``unfinished`` of a measure replaces a median that falls on an unfinished run.
@@ -324,10 +324,10 @@ def table(name: str, found: Mapping[str, Any]) -> Table:
         return {"what": what, "median": median, "range": spread, "unit": unit}
 
     rows = [
-        row(what, q, text(q["median"], found.get("unfinished", NONE)), q["unit"])
-        for what, q in found["quantities"].items()
+        row(what, q, text(q["median"], measured.get("unfinished", NONE)), q["unit"])
+        for what, q in measured["quantities"].items()
     ]
-    for at, (what, ratio) in enumerate(found.get("ratios", {}).items()):
+    for at, (what, ratio) in enumerate(measured.get("ratios", {}).items()):
         rows.append(row(what, ratio, text(ratio["ratio"]), "×") | {"line": at == 0})
     columns = (
         Column("what", "quantity", named=True),
@@ -335,7 +335,7 @@ def table(name: str, found: Mapping[str, Any]) -> Table:
         Column("range", "quartiles"),
         Column("unit", "unit"),
     )
-    return Table(columns, rows, f"{name}: {found['about']}")
+    return Table(columns, rows, f"{name}: {measured['about']}")
 
 
 def number(value: float) -> str:

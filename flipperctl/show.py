@@ -88,15 +88,15 @@ def value_text(value: Any, column: Column) -> str:
     return interval_text(value, column.digits, sign=column.sign)
 
 
-def interval_text(found: Mapping[str, Any] | None, digits: int = 2, *, sign: str = "") -> str:
+def interval_text(interval: Mapping[str, Any] | None, digits: int = 2, *, sign: str = "") -> str:
     """Return ``mean [low, high]``.
 
     A mean without an interval is followed by ``[–]``, and ``–`` stands for None.
     ``sign`` as in a format specification: ``+`` shows the sign of positive numbers too.
     """
-    if found is None:
+    if interval is None:
         return NONE
-    mean, low, high = found["mean"], found["low"], found["high"]
+    mean, low, high = interval["mean"], interval["low"], interval["high"]
     if low is None or high is None:
         return f"{mean:{sign}z.{digits}f} [–]"
     mean, low, high = (f"{n:{sign}z.{digits}f}" for n in (mean, low, high))

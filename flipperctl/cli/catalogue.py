@@ -383,19 +383,19 @@ def print_kinds(kinds: Sequence[Row]) -> None:
     print("One kind: flipperctl list KIND")
 
 
-def print_names(found: Sequence[Row], titles: Mapping[str, str]) -> None:
+def print_names(listed: Sequence[Row], titles: Mapping[str, str]) -> None:
     """Print a line for each name, in a table for each group; ``titles``: its command."""
     for group, title in titles.items():
-        rows = [dict(row) for row in found if row["group"] == group]
+        rows = [dict(row) for row in listed if row["group"] == group]
         print_table(Table(_NAME_COLUMNS, rows, title), console())
-    if found:
-        print(f"More about one: flipperctl explain {found[0]['name']}")
+    if listed:
+        print(f"More about one: flipperctl explain {listed[0]['name']}")
 
 
-def print_runs(folder: Path, found: Sequence[Row]) -> None:
+def print_runs(folder: Path, listed: Sequence[Row]) -> None:
     """Print a line for each run below a folder."""
     rows = []
-    for row in found:
+    for row in listed:
         rate, terrain = row["success_rate"], row["terrain"] or NONE
         success = NONE if rate is None else f"{rate:.0%}"
         rows.append({**row, "success": success, "terrain": terrain})

@@ -83,14 +83,14 @@ class Result:
         methods = self.plan.has_methods
         return [one for one in self.played if methods or not one.entry.is_baseline]
 
-    def baselines(self, one: Played) -> list[Played]:
+    def baselines(self, played: Played) -> list[Played]:
         """Return the baselines on the episodes of a policy, of its rewards if there are such."""
         found: dict[str, Played] = {}
-        if one.entry.is_baseline or one.entry.stored:
+        if played.entry.is_baseline or played.entry.stored:
             return []
         for other in self.played:
-            if other.entry.is_baseline and other.entry.ground == one.entry.ground:
-                same = other.entry.config.rewards == one.entry.config.rewards
+            if other.entry.is_baseline and other.entry.ground == played.entry.ground:
+                same = other.entry.config.rewards == played.entry.config.rewards
                 if other.entry.label not in found or same:
                     found[other.entry.label] = other
         return list(found.values())

@@ -349,15 +349,15 @@ def replay_file(
     return found
 
 
-def lines(found: Replay) -> Iterator[str]:
+def lines(replayed: Replay) -> Iterator[str]:
     """Yield outcome and measures of the episode, and whether it is bit-identical."""
-    episode = found.episode
-    yield found.title
+    episode = replayed.episode
+    yield replayed.title
     yield (
         f"{episode['decisions']} decisions, {episode['t_cost']:.2f} s, pitch variation "
         f"{episode['pitch_variation_100hz']:.3f} rad, largest pitch {episode['max_pitch']:.3f} rad"
     )
-    if not found.differences:
+    if not replayed.differences:
         digest = f"bit-identical to the recorded episode, digest {episode[DIGEST]:.16}…"
         none = "equal to the recorded episode by its measures; it has no digest of the poses"
-        yield none if found.record.digest is None else digest
+        yield none if replayed.record.digest is None else digest

@@ -93,15 +93,15 @@ def success_interval(method: SeedSamples) -> Interval:
     return within(found, 0.0, 1.0)
 
 
-def within(found: Interval, least: float, most: float) -> Interval:
+def within(estimate: Interval, least: float, most: float) -> Interval:
     """Return an interval of what lies between two numbers.
 
     Values that do not vary, such as the price of failures alone, have none: they do not tell how
     others would.
     """
-    if found.low is None or found.high is None or found.low == found.high:
-        return Interval(found.mean, None, None)
-    return Interval(found.mean, max(least, found.low), min(most, found.high))
+    if estimate.low is None or estimate.high is None or estimate.low == estimate.high:
+        return Interval(estimate.mean, None, None)
+    return Interval(estimate.mean, max(least, estimate.low), min(most, estimate.high))
 
 
 def success_difference(

@@ -54,11 +54,14 @@ def choose(result: Result, document: Document) -> list[Chosen]:
     first: dict[_Key, Chosen] = {}
     failed: dict[_Key, Chosen] = {}
 
-    def add(one: Played, scene: str, policy: str) -> None:
-        if one.entry.stored:  # another evaluation's policy, which may not be here
+    def add(played: Played, scene: str, policy: str) -> None:
+        if played.entry.stored:  # another evaluation's policy, which may not be here
             return
-        for found, rows in ((first, one.episodes[:1]), (failed, one.episodes.failed[:FAILURES])):
-            chosen = [Chosen(one.entry, row, policy, scene) for row in rows]
+        for found, rows in (
+            (first, played.episodes[:1]),
+            (failed, played.episodes.failed[:FAILURES]),
+        ):
+            chosen = [Chosen(played.entry, row, policy, scene) for row in rows]
             found.update({c.key: c for c in chosen if c.key not in first})
 
     scenes = named(document)

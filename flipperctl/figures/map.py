@@ -28,17 +28,17 @@ _ENDS = ("_low", "_high")  # endings of two settings that are the range of a dra
 
 
 @in_style
-def map_figure(found: Mapping[str, Any], *, width: float = COLUMN) -> Figure:
+def map_figure(mapped: Mapping[str, Any], *, width: float = COLUMN) -> Figure:
     """Draw success and pitch variation where reached; points without a value are grey.
 
     Dots mark the points that were played, if others are interpolated; a line follows a success of
     one half.
     """
-    first, second = found["axes"]
+    first, second = mapped["axes"]
     shape = len(second["values"]), len(first["values"])
     success, variation = np.full((2, *shape), np.nan)
     played = []
-    for cell in found["cells"]:
+    for cell in mapped["cells"]:
         x, y = cell[first["name"]], cell[second["name"]]
         at = second["values"].index(y), first["values"].index(x)
         success[at] = 100 * cell["success_rate"]
@@ -54,13 +54,13 @@ def map_figure(found: Mapping[str, Any], *, width: float = COLUMN) -> Figure:
         (axes[1], variation, VARIATION, "viridis_r", limits),
     ):
         _panel(panel, (first, second), grid, name, colours, ends)
-        if len(played) < len(found["cells"]):
+        if len(played) < len(mapped["cells"]):
             panel.plot(
                 *np.transpose(played), "o", color="white", markeredgecolor=INK,
                 markersize=points(1.8), markeredgewidth=points(0.4),
             )  # fmt: skip
     handles: list[Any] = []
-    if len(played) < len(found["cells"]):
+    if len(played) < len(mapped["cells"]):
         handles.append(
             Line2D([], [], color="white", markeredgecolor=INK, marker="o", ls="", label="played")
         )
@@ -70,7 +70,7 @@ def map_figure(found: Mapping[str, Any], *, width: float = COLUMN) -> Figure:
                 panel.plot(line[:, 0], line[:, 1], **_edge())
         handles.append(Line2D([], [], label="success 50 %", **_edge()))
     if np.isnan(variation).any():
-        count, whole = len(found["cells"]), success.size
+        count, whole = len(mapped["cells"]), success.size
         text = f"none reached, or not played ({count} of {whole} points are)"
         text = text if count < whole else "none reached"
         handles.append(Patch(color=_EMPTY, label=text))

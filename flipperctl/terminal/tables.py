@@ -24,9 +24,9 @@ _CHECKS = (
 )
 
 
-def print_plugins(found: list[dict[str, Any]]) -> None:
+def print_plugins(plugins: list[dict[str, Any]]) -> None:
     """Print a line for each plugin."""
-    print_table(Table(_PLUGINS, found), console())
+    print_table(Table(_PLUGINS, plugins), console())
 
 
 def print_checks(rows: Sequence[dict[str, Any]]) -> None:
@@ -84,23 +84,23 @@ _POSES = {
 }
 
 
-def print_perception(found: dict[str, Any], output: Path | None) -> None:
+def print_perception(perception: dict[str, Any], output: Path | None) -> None:
     """Print how a robot's sensing fared on its recording; ``output`` was written."""
-    rows = {"scans used": str(found["scans"])}
-    rows["scans refused"] = str(sum(one["count"] for one in found["refused"].values()))
-    for name, one in found["refused"].items():
+    rows = {"scans used": str(perception["scans"])}
+    rows["scans refused"] = str(sum(one["count"] for one in perception["refused"].values()))
+    for name, one in perception["refused"].items():
         rows[f"  {name}"] = f"{one['count']}: {one['reason']}"
-    rows["estimates"] = str(found["decisions"])
-    rows |= {f"  would hold: {name}": str(count) for name, count in found["held"].items()}
-    coverage, deviation = found["coverage"], found["deviation"]
+    rows["estimates"] = str(perception["decisions"])
+    rows |= {f"  would hold: {name}": str(count) for name, count in perception["held"].items()}
+    coverage, deviation = perception["coverage"], perception["deviation"]
     rows["bins seen"] = f"{coverage['mean']:.0%}, at least {coverage['least']:.0%}"
-    rows["ground filled"] = f"{found['filled']:.0%}"
+    rows["ground filled"] = f"{perception['filled']:.0%}"
     rows["σ of a height"] = NONE if deviation is None else f"{1000 * deviation:.0f} mm (median)"
     for name, key in (("an estimate", "estimate_ms"), ("a scan", "scan_ms")):
-        times = found[key]
+        times = perception[key]
         rows[f"{name} takes"] = f"{times['p50']:.1f} ms, p99 {times['p99']:.1f} ms"
-    rows["scans enter at"] = _POSES[found["pose"]]
-    if (drift := found["drift"]) is not None:
+    rows["scans enter at"] = _POSES[perception["pose"]]
+    if (drift := perception["drift"]) is not None:
         share = drift["share"]
         of = "" if share is None else f" ({share:.1%} of {drift['way']:.2f} m)"
         rows["drift"] = (
@@ -109,17 +109,17 @@ def print_perception(found: dict[str, Any], output: Path | None) -> None:
             f"{math.degrees(drift['heading'] or 0.0):+.1f}° against the recording"
         )
     last = None if output is None else f"written: {output}"
-    _print_recording("perception", str(found["source"]), found, rows, last)
+    _print_recording("perception", str(perception["source"]), perception, rows, last)
 
 
-def print_shadow(found: dict[str, Any]) -> None:
+def print_shadow(shadow: dict[str, Any]) -> None:
     """Print how a policy fared on a recording in shadow mode, and where its log is."""
-    rows = {"decisions": str(found["decisions"])}
-    rows |= {state: f"{seconds:.1f} s" for state, seconds in found["states"].items()}
-    for name, fault in found["faults"].items():
+    rows = {"decisions": str(shadow["decisions"])}
+    rows |= {state: f"{seconds:.1f} s" for state, seconds in shadow["states"].items()}
+    for name, fault in shadow["faults"].items():
         rows[f"  {name}"] = f"{fault['count']} ×, {fault['seconds']:.1f} s: {fault['reason']}"
-    who = f"{found['policy']} on {found['source']}"
-    _print_recording("shadow mode", who, found, rows, f"log: {found['output']}")
+    who = f"{shadow['policy']} on {shadow['source']}"
+    _print_recording("shadow mode", who, shadow, rows, f"log: {shadow['output']}")
 
 
 def _print_recording(
@@ -133,17 +133,17 @@ def _print_recording(
         print(line)
 
 
-def print_export(target: Path, source: Path, found: dict[str, Any]) -> None:
+def print_export(target: Path, source: Path, exported: dict[str, Any]) -> None:
     """Print how far the file ``target`` agrees with torch, and for which other robot it is."""
     print(
-        f"{target}: {found['bytes']} bytes, from {source}\n"
-        f"compared with torch on {found['observations']} observations of rollouts: "
-        f"outputs of up to {found['largest_q_value']:.2g} differ by at most "
-        f"{found['largest_difference']:.2g} (allowed {found['allowed_difference']:.2g}), "
-        f"the chosen action agrees on {found['action_agreement']:.2%}"
+        f"{target}: {exported['bytes']} bytes, from {source}\n"
+        f"compared with torch on {exported['observations']} observations of rollouts: "
+        f"outputs of up to {exported['largest_q_value']:.2g} differ by at most "
+        f"{exported['largest_difference']:.2g} (allowed {exported['allowed_difference']:.2g}), "
+        f"the chosen action agrees on {exported['action_agreement']:.2%}"
     )
     parts = []
-    for name, values in found["robot_changes"].items():
+    for name, values in exported["robot_changes"].items():
         setting = name in Robot.model_fields
         label = f"robot.{name}" if setting else name.replace("_", " ")
         own, training = ("null" if v is None else f"{v:.6g}"
@@ -153,37 +153,37 @@ def print_export(target: Path, source: Path, found: dict[str, Any]) -> None:
         print(f"for another robot than that of the training: {', '.join(parts)}")
 
 
-def print_scene(found: dict[str, Any]) -> None:
+def print_scene(scene: dict[str, Any]) -> None:
     """Print which files of a scene were written, and where the robot starts in it."""
-    x, y, z = found["start"]
+    x, y, z = scene["start"]
     print(
-        f"{' and '.join(found['output'])}: {found['terrain']}, seed {found['seed']}, "
-        f"{found['boxes']} boxes of ground\n"
+        f"{' and '.join(scene['output'])}: {scene['terrain']}, seed {scene['seed']}, "
+        f"{scene['boxes']} boxes of ground\n"
         f"the robot starts at x {x:.3f}, y {y:.3f}, z {z:.3f} m"
     )
 
 
-def print_bag(found: dict[str, Any]) -> None:
+def print_bag(bag: dict[str, Any]) -> None:
     """Print which episode a bag holds, and how many messages of each topic."""
     print(
-        f"wrote {found['output']}: {found['terrain']}, seed {found['seed']}, {found['outcome']} "
-        f"after {found['seconds']:.2f} s"
+        f"wrote {bag['output']}: {bag['terrain']}, seed {bag['seed']}, {bag['outcome']} "
+        f"after {bag['seconds']:.2f} s"
     )
-    for topic, count in sorted(found["messages"].items()):
+    for topic, count in sorted(bag["messages"].items()):
         print(f"  {topic}: {count}")
 
 
-def print_ground(found: dict[str, Any]) -> None:
+def print_ground(ground: dict[str, Any]) -> None:
     """Print what recorded ground covers, and how to drive over it."""
-    (x0, y0), (x1, y1) = found["start"], found["end"]
-    without = f" ({found['clouds_without_pose']} more have no pose)"
-    each = found["points_per_cloud"]
-    for remark in found["remarks"]:
+    (x0, y0), (x1, y1) = ground["start"], ground["end"]
+    without = f" ({ground['clouds_without_pose']} more have no pose)"
+    each = ground["points_per_cloud"]
+    for remark in ground["remarks"]:
         print(remark)
     print(
-        f"{found['output']}: {found['points']} points of {found['clouds']} clouds"
-        f"{without if found['clouds_without_pose'] else ''} with {each['least']} to "
-        f"{each['most']} points each, along {found['length']:.2f} m\n"
-        f"drive over it with terrain=profile_file terrain.path={found['output']} "
+        f"{ground['output']}: {ground['points']} points of {ground['clouds']} clouds"
+        f"{without if ground['clouds_without_pose'] else ''} with {each['least']} to "
+        f"{each['most']} points each, along {ground['length']:.2f} m\n"
+        f"drive over it with terrain=profile_file terrain.path={ground['output']} "
         f"'terrain.start=[{x0},{y0}]' 'terrain.end=[{x1},{y1}]'"
     )

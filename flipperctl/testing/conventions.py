@@ -67,12 +67,12 @@ def probe(config: EnvConfig, source: PolicySource) -> list[Probe]:
     return found
 
 
-def require_conventions(found: Sequence[Probe]) -> None:
+def require_conventions(probes: Sequence[Probe]) -> None:
     """Raise ``ConformanceError`` for the first of the probes that differs from the contract."""
-    if wrong := [one for one in found if not one.holds]:
+    if wrong := [one for one in probes if not one.holds]:
         first = wrong[0]
         raise ConformanceError(
-            f"{len(wrong)} of {len(found)} conventions do not hold, first {first.of}: "
+            f"{len(wrong)} of {len(probes)} conventions do not hold, first {first.of}: "
             f"{first.meaning} is {first.found:.3f} {first.unit}; {first.expected:.3f} ± "
             f"{first.tolerance:.3f} is allowed"
         )
@@ -87,7 +87,7 @@ _COLUMNS = (
 )
 
 
-def table(found: Sequence[Probe]) -> Table:
+def table(probes: Sequence[Probe]) -> Table:
     """Return a row for each convention."""
     rows = [
         {
@@ -97,7 +97,7 @@ def table(found: Sequence[Probe]) -> Table:
             "expected": f"{probe.expected:.3f} ± {probe.tolerance:.3f}{unit}",
             "holds": "holds" if probe.holds else "WRONG",
         }
-        for probe in found
+        for probe in probes
         for unit in ("" if probe.unit == "-" else f" {probe.unit}",)
     ]
     return Table(_COLUMNS, rows)

@@ -245,14 +245,14 @@ def with_preset(controller: Any, path: str, primary: str = EVAL_CONTROLLER, *wor
     return {**controller, "rewards": composed["rewards"]}
 
 
-def only_one(found: Sequence[Composed]) -> Composed:
+def only_one(composed: Sequence[Composed]) -> Composed:
     """Return the only configuration, for commands that take just one."""
-    if len(found) > 1:
+    if len(composed) > 1:
         raise ConfigError(
-            f"the lists among the overrides give {len(found)} configurations; this command takes "
-            "one configuration"
+            f"the lists among the overrides give {len(composed)} configurations; this command "
+            "takes one configuration"
         )
-    return found[0]
+    return composed[0]
 
 
 def _compositions(primary: str, overrides: Overrides) -> Iterator[tuple[Overrides, DictConfig]]:

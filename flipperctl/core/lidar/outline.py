@@ -89,25 +89,25 @@ def columns(points: FloatArray, cell: float, fewest: int) -> Columns:
     )
 
 
-def polyline(found: Columns, noise: float) -> FloatArray:
+def polyline(columns: Columns, noise: float) -> FloatArray:
     """Return the ground as a polyline with vertical faces, x never decreasing, (V, 2) [m].
 
     ``noise``: standard deviation of the heights of points on level ground [m].
     """
-    steep = found.high - found.low > _SPREAD * noise + _SLOPE * found.cell
-    near = np.diff(found.x) < _APART * found.cell
+    steep = columns.high - columns.low > _SPREAD * noise + _SLOPE * columns.cell
+    near = np.diff(columns.x) < _APART * columns.cell
     line: list[tuple[float, float]] = []
-    i, count = 0, len(found.x)
+    i, count = 0, len(columns.x)
     while i < count:
         j = i
         while steep[i] and j + 1 < count and steep[j + 1] and near[j]:
             j += 1
         if steep[i]:
-            before = float(found.median[i - 1]) if i and near[i - 1] else None
-            after = float(found.median[j + 1]) if j + 1 < count and near[j] else None
-            line += _face(found, i, j, before, after)
+            before = float(columns.median[i - 1]) if i and near[i - 1] else None
+            after = float(columns.median[j + 1]) if j + 1 < count and near[j] else None
+            line += _face(columns, i, j, before, after)
         else:
-            line.append((float(found.x[i]), float(found.median[i])))
+            line.append((float(columns.x[i]), float(columns.median[i])))
         i = j + 1
     vertices = np.array(line).reshape(-1, 2)
     vertices[:, 0] = np.maximum.accumulate(vertices[:, 0])

@@ -118,32 +118,36 @@ def compare(
     return Comparison(stored, measure, found.unit, price or PRICE, against or next(iter(names)))
 
 
-def document(found: Comparison) -> Document:
+def document(comparison: Comparison) -> Document:
     """Return the methods and their differences as plain data."""
-    methods = found.stored.methods
-    rows = [method_row(method, found.prices) for method in methods]
+    methods = comparison.stored.methods
+    rows = [method_row(method, comparison.prices) for method in methods]
     by_name = dict(zip([method.name for method in methods], rows, strict=True))
     pairs = [
         (ours, theirs)
         for at, ours in enumerate(methods)
         for other, theirs in enumerate(methods)
-        if (other < at if found.against == ALL else theirs.name == found.against and other != at)
+        if (
+            other < at
+            if comparison.against == ALL
+            else theirs.name == comparison.against and other != at
+        )
     ]
-    gaps = [difference(*pair, found.prices) for pair in pairs]
+    gaps = [difference(*pair, comparison.prices) for pair in pairs]
     for key in ("p", "p_success"):
         for gap, p in zip(gaps, holm([gap[key] for gap in gaps]), strict=True):
             gap[f"{key}_holm"] = p
     for (ours, _), gap in zip(pairs, gaps, strict=True):
-        if found.against == ALL:
+        if comparison.against == ALL:
             by_name[ours.name].setdefault("comparisons", []).append(gap)
         else:
             by_name[ours.name]["comparison"] = gap
     return {
-        "measure": found.measure,
-        "price": found.price,
-        "prices": found.prices,
-        "episodes": dict(found.stored.episodes),
-        "notices": list(found.stored.notices),
+        "measure": comparison.measure,
+        "price": comparison.price,
+        "prices": comparison.prices,
+        "episodes": dict(comparison.stored.episodes),
+        "notices": list(comparison.stored.notices),
         "methods": rows,
     }
 
@@ -199,17 +203,17 @@ def difference(method: SeedSamples, other: SeedSamples, prices: Mapping[str, flo
     }
 
 
-def tables(found: Document, label: str) -> Iterator[Table]:
+def tables(compared: Document, label: str) -> Iterator[Table]:
     """Yield the table of methods and that of their differences; ``label``: of the measure."""
-    episodes = ", ".join(f"{scene} {count}" for scene, count in found["episodes"].items())
+    episodes = ", ".join(f"{scene} {count}" for scene, count in compared["episodes"].items())
     rows: list[Document] = []
     gaps: list[Document] = []
-    called = shown_names([one["method"] for one in found["methods"]])
-    for one in found["methods"]:
+    called = shown_names([one["method"] for one in compared["methods"]])
+    for one in compared["methods"]:
         name = called[one["method"]]
         seeds = f" ({one['seeds']} seeds)" if one["seeds"] > 1 else ""
         rows.append(one | {"name": f"{name}{seeds}", "success_text": rate_text(one["success"])})
-        parts = one["by_scene"].items() if len(found["episodes"]) > 1 else ()
+        parts = one["by_scene"].items() if len(compared["episodes"]) > 1 else ()
         empty = {"success_text": "", "iqm": "", "reached_mean": "", "dim": True}
         rows += [{"name": f"  {scene}", "score": score, **empty} for scene, score in parts]
         for gap in one.get("comparisons", [one["comparison"]] if one["comparison"] else []):
@@ -217,21 +221,21 @@ def tables(found: Document, label: str) -> Iterator[Table]:
             success = "±0" if mean == 0 else f"{100 * mean:+.3g} (p {p_text(p)})"
             texts = {"p_text": p_text(gap["p_holm"]), "success_text": success}
             gaps.append(gap | {"name": name, "other": called[gap["against"]], **texts})
-    rough = [f"{k} {one:.4g}" for k, one in found["prices"].items() if one > found["price"]]
+    rough = [f"{k} {one:.4g}" for k, one in compared["prices"].items() if one > compared["price"]]
     more = f", or its scene's roughest crossing: {', '.join(rough)}" if rough else ""
-    notes = [f"Score: {label}; a failed episode counts {found['price']:.4g}{more}."]
+    notes = [f"Score: {label}; a failed episode counts {compared['price']:.4g}{more}."]
     yield Table(_METHODS, rows, f"Episodes of each seed: {episodes}", notes)
     if gaps:
         yield Table(_GAPS, gaps, "Differences on the same episodes; a smaller score is better")
 
 
-def paper_table(found: Document, label: str) -> Table:
+def paper_table(compared: Document, label: str) -> Table:
     """Return the table of methods for a paper, pooled over training seeds, with five columns.
 
     The last one is the difference to the method that all are compared with, or else the
     interquartile mean. ``label``: of the measure.
     """
-    methods = found["methods"]
+    methods = compared["methods"]
     called = shown_names([one["method"] for one in methods])
     unit = label[label.rindex("[") :]
     rows: list[Document] = []
@@ -241,7 +245,7 @@ def paper_table(found: Document, label: str) -> Table:
         if rate["mean"] < 1 and rate["low"] is not None:
             success += f" [{100 * rate['low']:.0f}, {100 * rate['high']:.0f}]"
         gap = (one["comparison"] or {}).get("score")
-        parts = one["by_scene"].items() if len(found["episodes"]) > 1 else ()
+        parts = one["by_scene"].items() if len(compared["episodes"]) > 1 else ()
         own = {"name": called[one["method"]], "success": success, "gap": gap or ""}
         rows.append(one | own | {"line": bool(parts)})
         empty = {"seeds": "", "success": "", "gap": "", "iqm": ""}
@@ -258,14 +262,14 @@ def paper_table(found: Document, label: str) -> Table:
         Column("score", f"score {unit}"),
         last,
     )
-    (methods_table, *_) = tables(found, label)
+    (methods_table, *_) = tables(compared, label)
     return Table(columns, rows, methods_table.title, [*methods_table.notes, _INTERVALS])
 
 
-def seed_warnings(found: Document) -> Iterator[str]:
+def seed_warnings(compared: Document) -> Iterator[str]:
     """Yield lines on methods with too few training seeds."""
-    called = shown_names([one["method"] for one in found["methods"]])
-    trained = [one for one in found["methods"] if one["trained"]]
+    called = shown_names([one["method"] for one in compared["methods"]])
+    trained = [one for one in compared["methods"] if one["trained"]]
     if alone := [called[one["method"]] for one in trained if one["seeds"] == 1]:
         yield (
             f"One training seed: {', '.join(alone)}. The interval is over episodes alone, and says "

@@ -154,10 +154,10 @@ _COLUMNS = (
 )
 
 
-def tables(found: Sequence[Mapping[str, Any]]) -> Iterator[Table]:
+def tables(comparisons: Sequence[Mapping[str, Any]]) -> Iterator[Table]:
     """Yield the table of losses; a row for each step of each policy on each terrain."""
     rows = []
-    for one in found:
+    for one in comparisons:
         causes = ", ".join(f"{cause} {count}" for cause, count in one["causes"].items())
         steps = {" → ".join(one["engines"]): one}
         if "sensed" in one:
@@ -179,9 +179,9 @@ def tables(found: Sequence[Mapping[str, Any]]) -> Iterator[Table]:
         yield Table(_COLUMNS, rows, "From engine to engine, same episodes")
 
 
-def failure_lines(found: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+def failure_lines(comparisons: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """Yield a line for each failure in the last step."""
-    for one in found:
+    for one in comparisons:
         for f in one["failures"]:
             yield (
                 f"{one['terrain']}, episode {f['episode']}: {f['cause']} ({f['outcome']} after "

@@ -144,13 +144,13 @@ def _groups(one: Played, others: Sequence[Played], names: Names) -> Iterator[dic
 # Tables of a document
 
 
-def tables(found: Document, title: str, columns: Sequence[str] = ()) -> Iterator[Table]:
+def tables(evaluated: Document, title: str, columns: Sequence[str] = ()) -> Iterator[Table]:
     """Yield the table of policies, that of differences if they are many, and those of groups.
 
     ``title`` names what was evaluated; ``columns``: further ones, of ``known_columns``.
     """
-    table = policies(found, title, columns)
-    rows = list(difference_rows(found, "scene" in {column.key for column in table.columns}))
+    table = policies(evaluated, title, columns)
+    rows = list(difference_rows(evaluated, "scene" in {column.key for column in table.columns}))
     if 0 < len(rows) <= _LINES and not any(row["scene"] for row in rows):
         table.notes += [
             _sentence(row, several=len({r["policy"] for r in rows}) > 1) for row in rows
@@ -166,16 +166,16 @@ def tables(found: Document, title: str, columns: Sequence[str] = ()) -> Iterator
         ]
         shown = [row | {"success_text": gap_text(row["success"])} for row in rows]
         yield Table(head, list(_without_repeats(shown)), "Differences on the same episodes")
-    for name, scene in named(found):
+    for name, scene in named(evaluated):
         yield from group_tables(name, scene)
-    yield from engines.tables(found.get("engines", ()))
-    if beside := published(found):
+    yield from engines.tables(evaluated.get("engines", ()))
+    if beside := published(evaluated):
         yield beside
 
 
-def policies(found: Document, title: str, columns: Sequence[str] = ()) -> Table:
+def policies(evaluated: Document, title: str, columns: Sequence[str] = ()) -> Table:
     """Return a row for each policy and baseline on each scene, methods pooled over their seeds."""
-    rows = list(policy_rows(found))
+    rows = list(policy_rows(evaluated))
     scenes = dict.fromkeys(row["scene"] for row in rows)
     single = len(scenes) == 1 and not any(row.get("dim") for row in rows)
     several = len({row["policy"] for row in rows}) > 1 or any(
@@ -204,8 +204,8 @@ def policies(found: Document, title: str, columns: Sequence[str] = ()) -> Table:
     head = [*(column for column, wanted in columns_if.items() if wanted), *further]
     parts = [title, *([next(iter(scenes))] if single else [])]
     text = " on ".join(part for part in dict.fromkeys(parts) if part)
-    if found.get("interrupted"):
-        finished, planned = found["finished_episodes"], found["planned_episodes"]
+    if evaluated.get("interrupted"):
+        finished, planned = evaluated["finished_episodes"], evaluated["planned_episodes"]
         text += f" (interrupted: {finished} of {planned} episodes)"
     shown = rows if single else list(_without_repeats(rows))
     return Table(head, shown, f"{text} · {', '.join(counts)}" if len(counts) == 1 else text)
@@ -234,9 +234,9 @@ def _policies(found: Document) -> Iterator[tuple[str, str, Document]]:
         shown.add(key)
 
 
-def policy_rows(found: Document) -> Iterator[Row]:
+def policy_rows(evaluated: Document) -> Iterator[Row]:
     """Yield the rows of the table of policies; parts of a mix are dim."""
-    for name, policy, one in _policies(found):
+    for name, policy, one in _policies(evaluated):
         seeds = f" ({one['seeds']} seeds)" if "seeds" in one else ""
         yield _row(name, f"{policy}{seeds}", one)
         for part, inner in one.get("parts", {}).items():
@@ -311,9 +311,9 @@ def parse_columns(text: str | None) -> list[str]:
     return list(dict.fromkeys(names))
 
 
-def difference_rows(found: Document, with_scene: bool = True) -> Iterator[Row]:
+def difference_rows(evaluated: Document, with_scene: bool = True) -> Iterator[Row]:
     """Yield a row for each difference of a policy to a baseline."""
-    for name, policy, one in _policies(found):
+    for name, policy, one in _policies(evaluated):
         for other in compared(one):
             yield {
                 "scene": name if with_scene else "",
@@ -365,18 +365,18 @@ def _group_row(group: Mapping[str, Any]) -> dict[str, Any]:
     return {**group, **drawn, **gaps, "success_text": rate_text(group["success"])}
 
 
-def print_result(result: Result, found: Document, columns: Sequence[str] = ()) -> None:
+def print_result(result: Result, evaluated: Document, columns: Sequence[str] = ()) -> None:
     """Print the tables of a document, with further ``columns``, and the notes of its result."""
     for text in _alike(result):
         print(text, file=sys.stderr)
     out = console()
-    for at, table in enumerate(tables(found, result.plan.title, columns)):
+    for at, table in enumerate(tables(evaluated, result.plan.title, columns)):
         if at:
             out.print()
         print_table(table, out)
-    failures = engines.failure_lines(found.get("engines", ()))
+    failures = engines.failure_lines(evaluated.get("engines", ()))
     more = () if columns else ("95 % intervals. More columns: --columns all",)
-    print_lines(out, (*failures, *_conditions(result), *_risks(found), *more))
+    print_lines(out, (*failures, *_conditions(result), *_risks(evaluated), *more))
 
 
 def _alike(result: Result) -> Iterator[str]:
@@ -419,14 +419,14 @@ def _risks(found: Document) -> Iterator[str]:
 # Files
 
 
-def csv_rows(found: Document, digits: int | None = None) -> Iterator[Row]:
+def csv_rows(evaluated: Document, digits: int | None = None) -> Iterator[Row]:
     """Yield the rows of ``table.csv``: one for each scene and policy, with the ends of intervals.
 
     ``digits``: decimals of the numbers; None leaves them as they are.
     """
     further = [m.plugin_name for m in other_measures()]
     names = ("success", "t_cost", "pitch_variation_100hz", "pitch_variation", "max_pitch")
-    for scene in found["scenes"]:
+    for scene in evaluated["scenes"]:
         method = scene.get("method", "")
         stored = is_best_known(method)
         others = [] if method else compared(scene)

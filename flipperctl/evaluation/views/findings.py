@@ -26,15 +26,15 @@ RULE = (
 """How the sentences are meant."""
 
 
-def findings(found: Document) -> Iterator[tuple[str, str]]:
+def findings(evaluated: Document) -> Iterator[tuple[str, str]]:
     """Yield sentences, each after ``good``, ``bad``, or an empty text for neither."""
-    rows = table_rows(found)
-    yield from (*_best(rows), *_losses(found, rows), *_failed(rows))
+    rows = table_rows(evaluated)
+    yield from (*_best(rows), *_losses(evaluated, rows), *_failed(rows))
 
 
-def table_rows(found: Document) -> list[Row]:
+def table_rows(evaluated: Document) -> list[Row]:
     """Return the rows of the table of policies, without the parts of mixes."""
-    return [row for row in evaluation.policy_rows(found) if not row.get("dim")]
+    return [row for row in evaluation.policy_rows(evaluated) if not row.get("dim")]
 
 
 def rank(row: Row) -> tuple[float, float]:

@@ -251,7 +251,7 @@ def _interpolated(
     return found
 
 
-def write(folder: Path, found: CapabilityMap) -> None:
+def write(folder: Path, mapped: CapabilityMap) -> None:
     """Write all files of a map into an existing folder.
 
     Failures nearest to the boundary come first: at points whose success is closest to one half.
@@ -259,41 +259,41 @@ def write(folder: Path, found: CapabilityMap) -> None:
     from flipperctl.figures.figure import WIDTH, save
     from flipperctl.figures.map import map_figure
 
-    document = found.to_dict()
+    document = mapped.to_dict()
     write_json(folder / "map.json", document)
-    write_csv(folder / "map.csv", found.rows())
-    about = f"{found.title}, conditions {found.entry.conditions.label}"
+    write_csv(folder / "map.csv", mapped.rows())
+    about = f"{mapped.title}, conditions {mapped.entry.conditions.label}"
     save(map_figure(document, width=WIDTH), folder / "map.png", about)
-    points = sorted(found.failures, key=lambda at: (abs(found.points[at].success - 0.5), at))
+    points = sorted(mapped.failures, key=lambda at: (abs(mapped.points[at].success - 0.5), at))
     for i, j in points[:MOST_FAILURES]:
-        row, config = found.failures[i, j], grid_config(found.entry.config, found.axes, (i, j))
-        record = EpisodeRecord.of(config, found.entry.source, row)
+        row, config = mapped.failures[i, j], grid_config(mapped.entry.config, mapped.axes, (i, j))
+        record = EpisodeRecord.of(config, mapped.entry.source, row)
         name = f"failure_map_{i}_{j}_{row['episode']}.json"
         write_json(folder / name, record.model_dump(mode="json"))
 
 
-def lines(found: CapabilityMap) -> Iterator[str]:
+def lines(mapped: CapabilityMap) -> Iterator[str]:
     """Yield the success of each point as text; a dot marks those that are interpolated."""
-    first, second = found.axes
-    columns, rows = found.size
+    first, second = mapped.axes
+    columns, rows = mapped.size
     heads, below = _heads(second.values), _heads(first.values)
     indent, width = max(map(len, heads)), max(4, 1 + max(map(len, below)))
     texts = {
         at: f"{'' if point.episodes else '·'}{100 * point.success:.0f}"
-        for at, point in found.points.items()
+        for at, point in mapped.points.items()
     }
-    yield f"{found.title}: success [%]"
+    yield f"{mapped.title}: success [%]"
     yield f"columns: {first.label}; rows: {second.label}"
     for j in reversed(range(rows)):
         row = "".join(f"{texts.get((i, j), '–'):>{width}}" for i in range(columns))
         yield f"{heads[j]:>{indent}} {row}"
     yield f"{'':{indent}} " + "".join(f"{value:>{width}}" for value in below)
     yield (
-        f"{found.played} of {columns * rows} points played, {found.entry.config.eval.episodes} "
+        f"{mapped.played} of {columns * rows} points played, {mapped.entry.config.eval.episodes} "
         "episodes each; dots: interpolated"
     )
-    if words := found.entry.conditions.line([key for axis in found.axes for key in axis.keys]):
-        yield f"conditions {found.entry.conditions.name}, but for the axes: {words}"
+    if words := mapped.entry.conditions.line([key for axis in mapped.axes for key in axis.keys]):
+        yield f"conditions {mapped.entry.conditions.name}, but for the axes: {words}"
 
 
 def _heads(values: Sequence[float]) -> list[str]:

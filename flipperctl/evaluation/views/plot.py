@@ -146,16 +146,16 @@ def _only_reached(metric: str) -> bool:
 
 
 def differences(
-    found: compare.Comparison, called: Mapping[str, str], metric: str, against: str
+    comparison: compare.Comparison, called: Mapping[str, str], metric: str, against: str
 ) -> Iterator[dict[str, Any]]:
     """Yield a row for each method on each scene: its scores minus those of ``against``.
 
     Scores count failures, as in ``compare``; seeds are averaged within an episode.
     """
-    (other,) = (m for m in found.stored.methods if m.name == against)
-    theirs = other.scores(found.prices)
-    for method in (m for label in called for m in found.stored.methods if m.name == label):
-        for scene, ours in method.scores(found.prices).items():
+    (other,) = (m for m in comparison.stored.methods if m.name == against)
+    theirs = other.scores(comparison.prices)
+    for method in (m for label in called for m in comparison.stored.methods if m.name == label):
+        for scene, ours in method.scores(comparison.prices).items():
             gap, _ = difference_interval({scene: ours}, {scene: theirs[scene]})
             yield {
                 "method": called[method.name],
@@ -166,21 +166,21 @@ def differences(
 
 
 def profiles(
-    found: compare.Comparison, called: Mapping[str, str]
+    comparison: compare.Comparison, called: Mapping[str, str]
 ) -> tuple[FloatArray, dict[str, FloatArray]]:
     """Return levels, (L,), up to the largest score that was reached, and a curve of each method.
 
     A curve is the share of episodes at or below each level, averaged over scenes, with both ends of
     the 95 % band of the bootstrap over seeds and episodes, (3, L).
     """
-    methods = [m for label in called for m in found.stored.methods if m.name == label]
+    methods = [m for label in called for m in comparison.stored.methods if m.name == label]
     largest = [
         float(m.values[scene][reached].max(initial=0.0))
         for m in methods
         for scene, reached in m.reached.items()
     ]
-    levels = np.linspace(0.0, 1.02 * (max(largest) or max(found.prices.values())), _LEVELS)
-    never = dict.fromkeys(found.prices, math.inf)  # reached at no level
+    levels = np.linspace(0.0, 1.02 * (max(largest) or max(comparison.prices.values())), _LEVELS)
+    never = dict.fromkeys(comparison.prices, math.inf)  # reached at no level
     curves = {}
     for method in methods:
         scores = method.scores(never)

@@ -21,14 +21,14 @@ _COLUMNS = (
 )
 
 
-def published(found: Document, *, strict: bool = True) -> Table | None:
+def published(evaluated: Document, *, strict: bool = True) -> Table | None:
     """Return our results above published ones; None if no scene repeats their experiment.
 
     ``strict``: only under their conditions; else a note tells which these are.
     """
     scenes: dict[type[Terrain], list[Row]] = {}
     others: dict[str, None] = {}
-    for scene in found["scenes"]:
+    for scene in evaluated["scenes"]:
         terrain, conditions = registry.get(("terrain", scene["terrain"])), scene["conditions"]
         if terrain is None or not (issubclass(terrain, Terrain) and terrain.published):
             continue

@@ -213,34 +213,34 @@ def _named(scenes: Sequence[Document]) -> Iterator[tuple[str, Document]]:
         yield f"{name}, rewards {scene['rewards']}" if several else name, scene
 
 
-def line(found: Mapping[str, Any] | None) -> str:
+def line(measured: Mapping[str, Any] | None) -> str:
     """Return lines on a training's best policy beside the rules, as in its ``summary.json``.
 
     The first two are on their rewards, the last two on what ``eval`` shows, which may differ in
     sign. Each ends with a line break; the text is empty if nothing was measured.
     """
-    if found is None:
+    if measured is None:
         return ""
-    own, above = found["policy"]["return"], found["policy"]["above_level"]
+    own, above = measured["policy"]["return"], measured["policy"]["above_level"]
     rules = (
         f"{'flippers held still' if name == LEVEL else name} {one['return']['mean']:.2f}"
-        for name, one in found["references"].items()
+        for name, one in measured["references"].items()
     )
     rewards = "; ".join([f"reward {own['mean']:.2f}", *rules])
-    verdict = Verdict(found["verdict"])
+    verdict = Verdict(measured["verdict"])
     be = "is " if verdict is Verdict.UNDECIDED else ""
     return (
-        f"Check on {found['episodes']} new episodes: {rewards}.\n"
+        f"Check on {measured['episodes']} new episodes: {rewards}.\n"
         f"The policy {be}{_WORDS[verdict]} ({interval_text(above, sign='+')}).\n"
-        f"{_level_line(found)}"
+        f"{_level_line(measured)}"
     )
 
 
-def falls_short(found: Mapping[str, Any] | None) -> bool:
+def falls_short(measured: Mapping[str, Any] | None) -> bool:
     """Return whether a policy crosses less than holding the flippers still, or pitches more."""
-    if found is None or LEVEL not in found["references"]:
+    if measured is None or LEVEL not in measured["references"]:
         return False
-    own, level = found["policy"], found["references"][LEVEL]
+    own, level = measured["policy"], measured["references"][LEVEL]
     above = own["pitch_above_level"] or {}
     return own["success_rate"] < level["success_rate"] or (above.get("low") or 0.0) > 0
 

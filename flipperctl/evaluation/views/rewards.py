@@ -105,7 +105,7 @@ def _term(term: RewardTerm, values: FloatArray, total: float) -> Document:
     }
 
 
-def audit_table(found: Document, notes: Sequence[str] = ()) -> Table:
+def audit_table(audited: Document, notes: Sequence[str] = ()) -> Table:
     """Return a row for each term, with lines below the table."""
     rows = [
         {
@@ -114,11 +114,11 @@ def audit_table(found: Document, notes: Sequence[str] = ()) -> Table:
             "share_text": f"{one['share']:.1%}",
             "saturated_text": "–" if one["saturated"] is None else f"{one['saturated']:.1%}",
         }
-        for name, one in found["terms"].items()
+        for name, one in audited["terms"].items()
     ]
     title = (
-        f"{found['controller']} on {found['terrain']} · {found['episodes']} episodes, "
-        f"{found['decisions']} decisions · mean return {found['return']:.2f}"
+        f"{audited['controller']} on {audited['terrain']} · {audited['episodes']} episodes, "
+        f"{audited['decisions']} decisions · mean return {audited['return']:.2f}"
     )
     return Table(_TERMS, rows, title, list(notes))
 

@@ -167,14 +167,14 @@ def correct_all(differences: Iterable[Document]) -> None:
         one["p_holm"] = p
 
 
-def named(found: Document) -> list[tuple[str, Document]]:
+def named(evaluated: Document) -> list[tuple[str, Document]]:
     """Return each scene with its name; those on equal episodes share it.
 
     The name is that within the suite, or the terrain, with what tells several scenes of a terrain
     apart: conditions, engine, sensor, or the hash of all. Scenes of one policy that are equal in
     all of these, as of several of its settings, are numbered.
     """
-    scenes = found["scenes"]
+    scenes = evaluated["scenes"]
     keys = [(s.get("suite_scene", ""), s["terrain"], s["conditions"]["hash"]) for s in scenes]
     distinct = {key: scene["conditions"] for key, scene in zip(keys, scenes, strict=True)}
     several = len({suite for suite, _, _ in distinct}) > 1
@@ -276,14 +276,14 @@ _EDGES = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0)
 """Edges of the bins in which told and true rates are compared; finer where most risks are."""
 
 
-def risk_text(found: Mapping[str, Any]) -> str:
+def risk_text(risk: Mapping[str, Any]) -> str:
     """Return the counts of a summary in one sentence."""
-    failures, announced = found["failures"], found["announced"]
+    failures, announced = risk["failures"], risk["announced"]
     warned = f"warned {AHEAD} or more decisions before {announced:.0f} of {failures:.0f} failures"
     return (
         f"{warned if failures else 'no failure to announce'}; false alarms in "
-        f"{found['false_alarms']:.0f} of {found['reached']:.0f} successes (risk of "
-        f"{found['threshold']:.2g} or more within {found['horizon']:.0f} decisions)"
+        f"{risk['false_alarms']:.0f} of {risk['reached']:.0f} successes (risk of "
+        f"{risk['threshold']:.2g} or more within {risk['horizon']:.0f} decisions)"
     )
 
 
@@ -376,9 +376,9 @@ def short(label: str) -> str:
     )
 
 
-def rate_text(found: Mapping[str, Any]) -> str:
+def rate_text(summarised: Mapping[str, Any]) -> str:
     """Return a rate in percent, with its interval unless all succeeded."""
-    mean, low, high = 100 * found["mean"], found["low"], found["high"]
+    mean, low, high = 100 * summarised["mean"], summarised["low"], summarised["high"]
     if mean == 100 or low is None or high is None:
         return f"{mean:.3g} %"
     return f"{mean:.3g} % [{100 * low:.3g}, {100 * high:.3g}]"
