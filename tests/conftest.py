@@ -13,6 +13,7 @@ import pytest
 from _pytest import runner
 
 from flipperctl import api, plugins
+from flipperctl.evaluation.play import EpisodeRunner
 from tests.short import short_config, trainer
 
 pytest_plugins = ["tests.quick"]
@@ -65,3 +66,17 @@ def short_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("short_run")
     trainer(short_config(), folder).run()
     return folder
+
+
+@pytest.fixture
+def played(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The indices of the episodes of an evaluation that are played in this process."""
+    found: list[int] = []
+    play = EpisodeRunner.play
+
+    def counted(self: EpisodeRunner, index: int) -> object:
+        found.append(index)
+        return play(self, index)
+
+    monkeypatch.setattr(EpisodeRunner, "play", counted)
+    return found

@@ -108,11 +108,6 @@ def test_ground_that_fails_for_some_seeds_alone_names_the_seed(tmp_path: Path) -
     assert refused(*repeat, *mine, cwd=tmp_path) == error
 
 
-def test_a_bad_plugin_file_stops_the_command(tmp_path: Path) -> None:
-    (tmp_path / "bad.py").write_text("\n\ndef broken(:\n")
-    assert "bad.py:3" in refused("train", "--plugins", "bad.py", cwd=tmp_path)
-
-
 def test_a_reward_that_returns_nan_is_named_and_stops(tmp_path: Path) -> None:
     (tmp_path / "r.py").write_text(
         HEADER

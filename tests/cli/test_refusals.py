@@ -115,6 +115,7 @@ train -m seed=1,2 agent.gamma=0.9,7 -> gamma | 7
 train -m seed=1,2 terrain=flat hydra/launcher=joblip -> 'joblip' | 'joblib'
 train --resume nowhere -> nowhere | no such run
 train --plugins nowhere.py -> nowhere.py | does not exist
+replay nowhere.json -> nowhere.json: it cannot be read | No such file
 eval -> name a policy, as in: flipperctl eval generalist terrain=stair
 eval --controller okado -> okado: there is no | 'okada'
 eval --controller okada --baseline levl -> 'levl' | 'level'
@@ -146,11 +147,25 @@ eval okada,level --record e.safetensors terrain=flat -> --record takes one polic
 eval level --record e.safetensors eval.ray=auto terrain=flat \
     -> eval.ray: no meaning beside --record
 eval okada level --film e.gif terrain=flat,step -> --film shows one scene
+eval okada terrain=stair --by step -> --by: no scene draws 'step'; did you mean 'steps'?
+eval okada terrain=stair --by steps, -> --by: names as in
+eval okada terrain=stair --by steps+steps -> --by: names as in
+eval okada --columns max_pich -> no column 'max_pich'; did you mean 'max_pitch'
 eval okada suite=familes -> did you mean 'families'?
+eval okada suite=gone.yaml -> gone.yaml cannot be read
+eval okada suite=paper suite=families -> suite is given twice
 eval suite=families -> name a policy, as in: flipperctl eval generalist
 map okada terrain=uplift -> name two settings, as in --over terrain.height=
 map okada terrain=uplift --over terrain.hight,sim.friction -> did you mean 'terrain.height_low'
-map okada terrain=uplift --over terrain.height=0.1:2,sim.friction -> terrain.height_low
+map okada terrain=uplift --over terrain.height=0.1:2,sim.friction -> terrain.height_low | ≤ 0.8
+map okada terrain=uplift --over terrain.height -> two settings are allowed
+map okada terrain=uplift --over perception.occlusion,sim.friction -> it is no number
+map okada terrain=uplift --over terrain.height,terrain.height_low -> stands in both axes
+map okada terrain=uplift --over terrain.height=1:0,sim.friction -> from a lower to a higher number
+map okada terrain=uplift --over terrain.height=low:1,sim.friction -> LOW:HIGH or LOW:HIGH:VALUES
+map okada terrain=uplift --over terrain.height=0.1:1:1.5,sim.friction -> 2 to 100 values
+map okada terrain=uplift randomise.friction=[0.8,1.2] --over terrain.height,sim.friction \
+    -> --over sim.friction: it has no effect
 map okada terrain=uplift --over terrain.height,sim.iterations=7:7.3:2 \
     -> two different values are needed
 map okada terrain=uplift --over terrain.height=0.2:0.5:2,sim.friction=0.5:1.0:2 suite=paper \

@@ -15,7 +15,7 @@ from flipperctl.cli.plan import make_plan, scenes
 from flipperctl.config import EvalConfig, with_overrides
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
-from flipperctl.evaluation.plan import NamedPolicy, Plan, find_suite, shipped_suites, split_suite
+from flipperctl.evaluation.plan import NamedPolicy, Plan, find_suite, shipped_suites
 from tests.cli.call import call, refused
 
 GENERALIST = Path("generalist")
@@ -142,15 +142,6 @@ def test_a_file_that_is_no_suite_is_refused(tmp_path: Path, text: str, expected:
     with pytest.raises(ConfigError, match=expected) as refused:
         find_suite(str(file))
     assert str(file) in str(refused.value)
-
-
-def test_an_unknown_suite_is_named_with_a_close_match() -> None:
-    with pytest.raises(ConfigError, match="no suite 'robustnes'; did you mean 'robustness'"):
-        find_suite("robustnes")
-    with pytest.raises(ConfigError, match=r"gone\.yaml cannot be read"):
-        find_suite("gone.yaml")
-    with pytest.raises(ConfigError, match="suite is given twice"):
-        split_suite(["suite=paper", "suite=families"])
 
 
 def test_a_scene_whose_words_are_replaced_says_so() -> None:

@@ -15,26 +15,10 @@ from flipperctl.cli.plan import make_plan
 from flipperctl.config import EnvConfig
 from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.plan import Plan, _swept, entrants
-from flipperctl.evaluation.play import EpisodeRunner
-from flipperctl.evaluation.rows import Row
 from flipperctl.policies.source import PolicySource
 from tests.cli.call import Done, call
 
 FLAT = ("terrain=flat", "terrain.length=0.2", "--episodes", "3", "--json")
-
-
-@pytest.fixture
-def played(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """The indices of the episodes that are played."""
-    found: list[int] = []
-    play = EpisodeRunner.play
-
-    def noted(self: EpisodeRunner, index: int) -> Row:
-        found.append(index)
-        return play(self, index)
-
-    monkeypatch.setattr(EpisodeRunner, "play", noted)
-    return found
 
 
 CLIMBER = """

@@ -87,11 +87,6 @@ def test_a_wrong_override_is_named_with_what_is_allowed(
     assert "\n" not in str(error.value)
 
 
-def test_an_unknown_terrain_gives_a_close_match() -> None:
-    with pytest.raises(ConfigError, match=r"'stiar'; did you mean 'stair'\?"):
-        FlipperEnv("stiar")
-
-
 # Wrong use
 
 

@@ -55,20 +55,6 @@ def config(episodes: int = 5, terrain: str = "flat", **more: object) -> EvalConf
     return EvalConfig(terrain=ground, perception=layout, eval=numbers)
 
 
-@pytest.fixture
-def played(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """The indices of the episodes that are played."""
-    found: list[int] = []
-    play = EpisodeRunner.play
-
-    def counted(self: EpisodeRunner, index: int) -> Row:
-        found.append(index)
-        return play(self, index)
-
-    monkeypatch.setattr(EpisodeRunner, "play", counted)
-    return found
-
-
 def contents(folder: Path) -> dict[str, bytes]:
     return {file.name: file.read_bytes() for file in folder.iterdir()}
 

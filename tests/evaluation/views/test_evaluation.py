@@ -10,7 +10,6 @@ import pytest
 
 from flipperctl.cli.plan import scenes
 from flipperctl.config import EvalConfig
-from flipperctl.errors import RequestError
 from flipperctl.evaluation.evaluate import Played, Result
 from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.statistics import Interval
@@ -94,8 +93,6 @@ def test_the_table_has_what_a_reader_needs_and_baselines_are_rows() -> None:
 def test_further_columns_are_chosen_by_name() -> None:
     table = policies(document(result()), "mine", parse_columns("max_pitch,episodes"))
     assert [column.key for column in table.columns][-2:] == ["episodes", "max_pitch"]
-    with pytest.raises(RequestError, match=r"no column 'max_pich'; did you mean 'max_pitch'"):
-        parse_columns("max_pich")
     assert "return" in parse_columns("all")
     assert parse_columns(None) == []
 
@@ -237,8 +234,3 @@ def test_names_are_checked_before_an_episode_is_played() -> None:
     assert parse_groups(None, "--by", scenes) == []
     varied = EvalConfig(terrain="flat", randomise={"friction": (0.6, 1.2)})
     assert parse_groups("friction", "--by", [varied]) == [("friction",)]
-    with pytest.raises(RequestError, match=r"--by: no scene draws 'step'; did you mean 'steps'\?"):
-        parse_groups("step", "--by", scenes)
-    for wrong in ("", "steps,", "steps+steps"):
-        with pytest.raises(RequestError, match="names as in"):
-            parse_groups(wrong, "--by", scenes)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from flipperctl.config import EvalConfig
-from flipperctl.errors import ConfigError, RequestError
 from flipperctl.evaluation.plan import Entry
 from flipperctl.evaluation.play import EpisodeRunner, Player
 from flipperctl.evaluation.rows import Episodes
@@ -136,32 +135,3 @@ def test_default_ranges_surround_the_value_within_the_bounds() -> None:
     below, horizon = parse_axes("perception.dropout,perception.horizon", UPLIFT)
     assert below.values[-1] == 0.95  # 1 itself is not allowed
     assert (horizon.values[0], horizon.values[-1]) == (5.0, 10.0)
-
-
-@pytest.mark.parametrize(
-    ("text", "error", "words"),
-    [
-        ("terrain.height", RequestError, "two settings are allowed"),
-        ("terrain.hight,sim.friction", ConfigError, "did you mean 'terrain.height_low'"),
-        ("perception.occlusion,sim.friction", ConfigError, "it is no number"),
-        ("terrain.height,terrain.height_low", ConfigError, "stands in both axes"),
-        ("terrain.height=1:0,sim.friction", RequestError, "from a lower to a higher number"),
-        ("terrain.height=low:1,sim.friction", RequestError, "LOW:HIGH or LOW:HIGH:VALUES"),
-        ("terrain.height=0.1:1:1.5,sim.friction", RequestError, "2 to 100 values"),
-    ],
-)
-def test_axes_that_are_refused(text: str, error: type[Exception], words: str) -> None:
-    with pytest.raises(error, match=words):
-        parse_axes(text, UPLIFT)
-
-
-def test_a_value_out_of_bounds_is_named() -> None:
-    axes = parse_axes("terrain.height=0.1:2:2,sim.friction", UPLIFT)
-    with pytest.raises(ConfigError, match=r"terrain\.height_low.*≤ 0.8.*2"):
-        grid_config(UPLIFT, axes, (1, 0))
-
-
-def test_a_setting_that_is_sampled_in_each_episode_is_refused() -> None:
-    config = EvalConfig(terrain="uplift", randomise={"friction": [0.8, 1.2]})
-    with pytest.raises(ConfigError, match=r"--over sim\.friction: it has no effect"):
-        parse_axes("terrain.height,sim.friction", config)
