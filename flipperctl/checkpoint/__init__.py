@@ -12,6 +12,7 @@ import os
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -31,6 +32,7 @@ from flipperctl.sim.versions import engine_versions
 if TYPE_CHECKING:
     import torch
 
+_SB3 = "stable-baselines3"
 PLUGINS = Path("plugins")
 """Folder of a run with copies of its plugin files, and their SHA-256 in ``SHA256SUMS``."""
 TRUST = "FLIPPERCTL_TRUST"
@@ -158,6 +160,7 @@ def describe(
             "numpy": np.__version__,
             "gymnasium": gymnasium.__version__,
             **engine_versions(config.sim),
+            **({} if config.method is None else {_SB3: version(_SB3)}),
         },
         plugins=plugin_references(config),
         actions=documents.Actions(

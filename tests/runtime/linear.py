@@ -49,6 +49,8 @@ PAPER = {"highest": False, "observation": HEIGHTS[:15] + ANGLES, "size": 18}
 RISK = {"horizon": 10, "threshold": 0.7, "lags": [1, 2, 4, 8, 16], "scale": 0.03}
 """Metadata of a file with a risk."""
 
+RATES = {"output": "rates", "numbers": 2, "actions": [[STEP, 0], [0, STEP]]}
+"""Arguments of ``write`` for a file whose rates are the first two heights."""
 MAP = {
     **{"cell": 0.05, "lane": 0.2, "keep": 64, "half_width": 0.6, "fewest": 12},
     **{"noise": 0.03, "deskew": False},
@@ -61,6 +63,7 @@ def write(
     *,
     size: int = SIZE,
     output: str = "q_values",
+    numbers: int = 9,
     scale: float = 1.0,
     checksum: bool = True,
     risky: bool = False,
@@ -71,11 +74,13 @@ def write(
     ``risky``: whether it has a risk, whose log-odds are the first height, and twice that height for
     an observation that equals the last one.
     """
-    weights = numpy_helper.from_array(np.eye(size, 9, dtype=np.float32) * np.float32(scale), "w")
+    weights = numpy_helper.from_array(
+        np.eye(size, numbers, dtype=np.float32) * np.float32(scale), "w"
+    )
     nodes, held, outputs = (
         [helper.make_node("MatMul", ["observation", "w"], [output])],
         [weights],
-        {output: 9},
+        {output: numbers},
     )
     if risky:
         first = np.eye(size, 5, dtype=np.float32)

@@ -30,7 +30,7 @@ from flipperctl.runtime import (
     Odometry,
     Signs,
 )
-from tests.runtime.linear import MAP, ROBOT, RULE, write
+from tests.runtime.linear import MAP, RATES, ROBOT, RULE, write
 from tests.runtime.messages import GROUND, IN_CHASSIS, RELAXED, drive, good
 
 
@@ -46,11 +46,12 @@ def controller(file: Path) -> FlipperController:
     return FlipperController(file, IN_CHASSIS, RELAXED)
 
 
+@pytest.mark.parametrize("kind", [{}, RATES], ids=["turns", "rates"])
 def test_an_episode_by_its_messages_has_the_actions_of_the_simulator(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    kind: dict[str, object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stated = {**MAP, "fewest": 2}
-    file = write(tmp_path / "p.onnx", robot=ROBOT, targets=RULE, map=stated)
+    file = write(tmp_path / "p.onnx", robot=ROBOT, targets=RULE, map=stated, **kind)
     recorded: list[Measured] = []
     update = LidarEstimator.update
     with monkeypatch.context() as patch:
@@ -61,7 +62,7 @@ def test_an_episode_by_its_messages_has_the_actions_of_the_simulator(
         env = FlipperEnv(config=EnvConfig(terrain={"name": "step"}, perception=perception))
         policy = PolicySource(file).build(env.config)
         driven = islice(decisions(env, policy, 8), 10)
-        actions = [ACTIONS.index(d.transition.action) for d in driven]
+        actions = [d.rates or ACTIONS.index(d.transition.action) for d in driven]
     controller = FlipperController(file, limits=RELAXED)
     kinds = {Scan: "cloud", Inertial: "attitude", Joints: "joints", Belts: "odometry"}
     taken = []
