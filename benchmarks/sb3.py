@@ -15,7 +15,6 @@ from stable_baselines3 import DQN
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.utils import LinearSchedule, polyak_update
 
 import flipperctl.env  # noqa: F401  # registers the environment
@@ -26,6 +25,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.rows import reached
 from flipperctl.policies.trained import TrainedPolicy
 from flipperctl.rollout.episode import play, validation_seed
+from flipperctl.training.sb3 import Scaled
 
 SETTINGS: Mapping[str, Any] = {
     "net_arch": (128, 128),
@@ -81,20 +81,6 @@ tau 0.01, train_freq 4, learning_rate from 2e-3                6007             
 tau 0.01, reward_scale 1                                       11,005            28
 =============================================================  ================  ==================
 """
-
-
-class Scaled(BaseFeaturesExtractor):
-    """Divide observations by ``ObservationLayout.scale``, as flipperctl's networks do."""
-
-    scale: torch.Tensor
-
-    def __init__(self, observation_space: gymnasium.spaces.Box, scale: tuple[float, ...]) -> None:
-        super().__init__(observation_space, len(scale))
-        self.register_buffer("scale", torch.tensor(scale, dtype=torch.float32))
-
-    def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        """Map (B, n) in SI units to (B, n) [-]."""
-        return observation / self.scale
 
 
 def model(config: TrainConfig, seed: int, **changes: Any) -> DQN:

@@ -73,22 +73,22 @@ A list of two learning rates falls linearly from the first to the second. ``acti
 standard deviation of normal noise, in rates.
 """
 _OURS = {
-    "env": "terrain, robot and the like",
-    "seed": "seed",
-    "device": "device",
-    "gamma": "agent.gamma",
-    "policy": "network=mlp",
-    "verbose": "--progress",
-    "tensorboard_log": "logger",
-    "_init_setup_model": "nothing",
-    "replay_buffer_class": "nothing",
-    "rollout_buffer_class": "nothing",
+    "env": "set terrain, robot and the like",
+    "seed": "set seed",
+    "device": "set device",
+    "gamma": "set agent.gamma",
+    "policy": "set network.hidden",
+    "tensorboard_log": "set logger=tensorboard",
+    **dict.fromkeys(
+        ("verbose", "_init_setup_model", "replay_buffer_class", "rollout_buffer_class"),
+        "leave it out",
+    ),
 }
-"""Arguments that settings of the run replace."""
+"""Arguments that are the run's, and what to do instead of giving them."""
 _ARCHITECTURE = ("net_arch", "activation_fn", "features_extractor_class")
 
 
-class _Scaled(BaseFeaturesExtractor):
+class Scaled(BaseFeaturesExtractor):
     """Divide observations by ``ObservationLayout.scale``, as our networks do."""
 
     scale: torch.Tensor
@@ -124,16 +124,20 @@ def check_settings(config: TrainConfig) -> None:
     method = config.method
     assert method is not None  # else our own learner trains
     cls = _class_of(method.algorithm)
-    allowed = [name for name in inspect.signature(cls).parameters if name not in _OURS]
-    for name in method.settings:
+    parameters = inspect.signature(cls).parameters
+    allowed = [name for name in parameters if name not in _OURS]
+    for name, value in method.settings.items():
         where = f"method.settings.{name}"
         if name in _OURS:
-            raise ConfigError(f"{where}: a run sets it by {_OURS[name]}")
+            raise ConfigError(f"{where}: it is the run's; {_OURS[name]}")
         if name not in allowed:
             raise ConfigError(
                 f"{where}: {cls.__name__} has no such argument{close_match(name, allowed)}; "
                 f"known: {', '.join(allowed)}"
             )
+        is_number = isinstance(parameters[name].default, int | float)
+        if is_number and isinstance(value, str) and "str" not in str(parameters[name].annotation):
+            raise ConfigError(f"{where}: a number is allowed; the value is {value!r}")
     own = method.settings.get("policy_kwargs") or {}
     for name in own if isinstance(own, dict) else ():
         if name in _ARCHITECTURE:
@@ -171,14 +175,14 @@ def _model(config: TrainConfig, env: gymnasium.Env[Any, Any]) -> BaseAlgorithm:
         **(arguments.pop("policy_kwargs", None) or {}),
         "net_arch": list(hidden),
         "activation_fn": nn.LeakyReLU,
-        "features_extractor_class": _Scaled,
+        "features_extractor_class": Scaled,
         "features_extractor_kwargs": {"scale": tuple(config.perception.scale.tolist())},
     }
     cls, gamma = _class_of(method.algorithm), config.agent.gamma
     arguments |= {"policy_kwargs": policy, "gamma": gamma, "device": config.device}
     try:
         made = cls("MlpPolicy", env, **arguments)
-    except (TypeError, ValueError, AssertionError, IndexError) as error:
+    except (TypeError, ValueError, AssertionError, IndexError, MemoryError) as error:
         raise ConfigError(f"method.settings: {cls.__name__} refuses them: {error}") from error
     made.set_logger(Logger(None, []))
     if config.actions == "rates" and isinstance(

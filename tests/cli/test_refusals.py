@@ -35,8 +35,9 @@ train method=sb3 agent.n_step=2 -> agent.n_step=2: it has no effect with method=
 train method=sb3 teacher=okada -> teacher: it does not go with method=sb3
 train method=sb3 agent.risk=true -> agent.risk: it does not go with method=sb3
 train method=sb3 method.settings.learning_rat=1 -> no such argument; did you mean 'learning_rate'
-train method=sb3 method.settings.gamma=0.9 -> a run sets it by agent.gamma
-train method=sb3 method.settings.learning_rate=many -> method.settings: DQN refuses them
+train method=sb3 method.settings.gamma=0.9 -> it is the run's; set agent.gamma
+train method=sb3 method.settings.batch_size=many -> a number is allowed; the value is 'many'
+train method=sb3 method.settings.train_freq=[1,"day"] -> method.settings: DQN refuses them
 train method=sb3 method.settings.policy_kwargs={net_arch:[8]} -> network.hidden sets its widths
 train method.algorithm=sac -> method.algorithm | method=sb3
 inspect reward conditions=nominal,varied -> give 2 configurations
