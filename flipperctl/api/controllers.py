@@ -7,16 +7,24 @@ from __future__ import annotations
 
 import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar, runtime_checkable
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.api.plugin import Plugin, register
 from flipperctl.api.profile import Profile
-from flipperctl.api.values import ObservationLayout, Outcome, Perception, RobotGeometry, RobotState
+from flipperctl.api.robot import Robot
+from flipperctl.api.values import (
+    ObservationLayout,
+    Outcome,
+    Perception,
+    RecordedEpisode,
+    RobotGeometry,
+    RobotState,
+)
 from flipperctl.core import FloatArray
 from flipperctl.core.targets import Action
 
@@ -137,11 +145,41 @@ class CostPolicy(Policy, Protocol):
         """Receive the action that was taken after ``costs``, the cheapest or any other."""
 
 
+class TrainingEpisodes(Protocol):
+    """Episodes from which a controller learns its settings in ``flipperctl tune``."""
+
+    rng: np.random.Generator
+    """Generator for everything random, seeded by ``--seed``."""
+    layout: ObservationLayout
+    """Layout of all observations."""
+    robot: Robot
+    """The robot that drives, before anything is sampled."""
+
+    @property
+    def left(self) -> int:
+        """Number of episodes that may still be played."""
+
+    def play(self, policy: Policy, /) -> RecordedEpisode:
+        """Play the next episode, on each scene in turn, and count it.
+
+        The sum of its ``rewards`` is what ``tune`` maximises: minus the pitch variation of each
+        decision and, after the last one, minus what a failure costs [rad], or with ``--for reward``
+        the configured rewards [-].
+        """
+
+    def demonstrations(self) -> Iterator[RecordedEpisode]:
+        """Yield the episodes of ``from=``: recorded drives, or a policy's until none is left.
+
+        The ``rewards`` of drives are those with which they were recorded.
+        """
+
+
 class Controller(Plugin):
     """The frozen settings from which a policy is built.
 
     A rule without memory implements ``act``. Every other controller implements ``build``, which
-    returns an object that may keep state, as a network's settings build its module.
+    returns an object that may keep state, as a network's settings build its module. One that learns
+    its settings implements ``learn``.
     """
 
     kind: ClassVar[str] = "controller"
@@ -152,6 +190,8 @@ class Controller(Plugin):
     can teach."""
     baselines: ClassVar[tuple[str, ...]] = ()
     """Names of the controllers that ``eval`` compares this one with by default."""
+    imitates: ClassVar[bool] = False
+    """Whether ``learn`` needs demonstrations."""
     reference_settings: ClassVar[Mapping[str, Any]] = {}
     """Fields that differ from their defaults where the controller teaches, or is named beside
     another policy: as a baseline, a reference or one of several that are compared."""
@@ -175,6 +215,10 @@ class Controller(Plugin):
         """Return the next action, an index or rates, from this perception alone."""
         raise TypeError(f"controller {type(self).__name__} decides through build() only")
 
+    def learn(self, episodes: TrainingEpisodes) -> Self:
+        """Return a controller with settings that were learnt; ``flipperctl tune`` calls it."""
+        raise TypeError(f"controller {type(self).__name__} learns nothing")
+
 
 def _implements(cls: type[Controller], method: str) -> bool:
     """Return whether the class overrides the method, which the core may have wrapped."""
@@ -184,6 +228,11 @@ def _implements(cls: type[Controller], method: str) -> bool:
 def is_rule(controller: Controller) -> bool:
     """Return whether the controller decides by each perception alone."""
     return not _implements(type(controller), "build")
+
+
+def learns(controller: Controller) -> bool:
+    """Return whether the controller can learn its settings."""
+    return _implements(type(controller), "learn")
 
 
 class Rule:

@@ -339,3 +339,25 @@ class Transition:
     def reached(self) -> bool:
         """Whether the decision reached the finish."""
         return self.outcome is Outcome.REACHED
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedEpisode:
+    """An episode of T decisions with the observations of its policy."""
+
+    number: int
+    """Number of the episode in its run or evaluation, from 0."""
+    seed: int
+    terrain: str
+    """Label of the sampled profile."""
+    outcome: Outcome
+    observations: NDArray[np.float32]
+    """Observations of single instants, (T + 1, n) in SI units."""
+    actions: NDArray[np.int64]
+    """Indices of the actions taken, (T,)."""
+    rewards: NDArray[np.float64]
+    """Sums of the weighted reward terms, (T,) [-]; see ``TrainingEpisodes`` for others."""
+    labels: NDArray[np.float32]
+    """Target distributions over actions for a student, (T, 9); zeros without a label."""
+    commands: FloatArray | None = None
+    """Fields of an operator's commands, (K, 5); None of a policy that chooses actions."""

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from flipperctl import __version__
-from flipperctl.api import ACTIONS, Command, FloatArray, ObservationLayout, Outcome, Robot
+from flipperctl.api import ACTIONS, Command, ObservationLayout, Outcome, RecordedEpisode, Robot
 from flipperctl.checkpoint import document as sealed
 from flipperctl.checkpoint.document import (
     EPISODES,
@@ -56,28 +56,6 @@ NOUN = "file of recorded episodes"
 KIND = OutputKind(f"a {NOUN}", (".safetensors",), re.compile(rb'\\"kind\\": ?\\"episodes\\"'))
 _SUM = 1e-3  # largest error of a label's sum
 _ENTERED = ("number", "seed", "terrain", "outcome")  # fields of an episode in the document
-
-
-@dataclass(frozen=True, eq=False)
-class RecordedEpisode:
-    """An episode of T decisions with the observations of its policy."""
-
-    number: int
-    """Number of the episode in its run or evaluation, from 0."""
-    seed: int
-    terrain: str
-    """Label of the sampled profile."""
-    outcome: Outcome
-    observations: NDArray[np.float32]
-    """Observations of single instants, (T + 1, n) in SI units."""
-    actions: NDArray[np.int64]
-    """Indices of the actions taken, (T,)."""
-    rewards: NDArray[np.float64]
-    """Sums of the weighted reward terms, (T,) [-]."""
-    labels: NDArray[np.float32]
-    """Target distributions over actions for a student, (T, 9); zeros without a label."""
-    commands: FloatArray | None = None
-    """Fields of an operator's commands, (K, 5); None of a policy that chooses actions."""
 
 
 class PartialPerception(Partial):

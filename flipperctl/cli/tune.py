@@ -1,4 +1,4 @@
-"""``flipperctl tune``: search a controller's own numeric settings."""
+"""``flipperctl tune``: search a controller's own numeric settings, or let it learn them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ def tune(
     words: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="CONTROLLER [SETTING...]", help="A controller; key=value, and budget=EPISODES."
+            metavar="CONTROLLER [SETTING...]",
+            help="A controller; key=value, budget=EPISODES and from=DEMONSTRATOR.",
         ),
     ] = None,
     objective: Annotated[
@@ -47,17 +48,20 @@ def tune(
     as_json: options.AsJson = False,
     plugins: options.PluginPaths = None,
 ) -> None:
-    """Tune a controller: search its bounded numbers by CMA-ES on episodes of trainings.
+    """Tune a controller: search its bounded numbers by CMA-ES, or let it learn its settings.
 
-    Evaluations play other episodes. All candidates of a generation meet the same ground, and each
-    generation meets new ground. The best few are then compared on fresh episodes, beside the
-    settings of the start, which stay unless they are beaten beyond chance. The score is the pitch
-    variation. A failed episode costs as much as the roughest crossing, and 6.28 rad at least;
-    --for reward takes the configured rewards.
+    The episodes are those of trainings; evaluations play others. All candidates of a generation
+    meet the same ground, and each generation meets new ground. The best few are then compared on
+    fresh episodes, beside the settings of the start, which stay unless they are beaten beyond
+    chance. The score is the pitch variation. A failed episode costs as much as the roughest
+    crossing, and 6.28 rad at least; --for reward takes the configured rewards.
 
     The result is a policy file, which stands wherever a POLICY is named. budget=5000 is the default
     number of episodes. terrain=a,b and suite=NAME tune for several scenes, and controller.key=value
-    chooses where the search begins. Repeat an interrupted command to resume it.
+    chooses where the search begins. Repeat an interrupted search to resume it.
+
+    zimmermann and hfc learn instead, and --settings searches their numbers. hfc learns from drives,
+    or from a policy that plays episodes: from=drives/me, from=generalist.
 
     [bold]Examples[/]
 
@@ -66,6 +70,8 @@ def tune(
       flipperctl tune okada terrain=step,stair budget=20000 --jobs 2
 
       flipperctl tune okada suite=families --for reward
+
+      flipperctl tune hfc from=generalist terrain=stair
     """
     from flipperctl.cli.plan import make_plan
     from flipperctl.config import policy_file, resolver
@@ -86,8 +92,13 @@ def tune(
         resolver.get("controller", name, "tune")
     if objective not in ("pitch", "reward"):
         raise RequestError(f"--for: pitch or reward is allowed; the value is {objective!r}")
-    given = [word.partition("=")[2] for word in settings if key_of(word) == "budget"]
-    others = [word for word in settings if key_of(word) != "budget"]
+    given, demonstrators = (
+        [word.partition("=")[2] for word in settings if key_of(word) == key]
+        for key in ("budget", "from")
+    )
+    others = [word for word in settings if key_of(word) not in ("budget", "from")]
+    if len(demonstrators) > 1:
+        raise RequestError(f"from: one demonstrator is allowed; {', '.join(demonstrators)} are")
     if len(given) > 1 or not all(one.isdecimal() and int(one) > 0 for one in given):
         raise RequestError(
             f"budget: one number of episodes from 1 on is allowed, as in budget=5000; the value is "
@@ -107,13 +118,15 @@ def tune(
     asked = any(key_of(word) == "eval.episodes" for word in flagged)
     request = view.Request(
         entries,
-        others,
+        [word for word in settings if key_of(word) != "budget"],
         "reward" if objective == "reward" else "pitch",
         int(given[0]) if given else view.BUDGET,
         config.eval.seed,
         config.eval.episodes if asked else None,
         None if chosen is None else [one.strip() for one in chosen.split(",")],
+        demonstrators[0] if demonstrators else None,
     )
+    request.check()
     tuned = _tune(request, output.with_suffix(".search.json"))
     file = request.policy_file(tuned)
     write_bytes(output, file.text().encode())
@@ -144,8 +157,12 @@ def _tune(request: view.Request, state: Path) -> view.Tuned:
     notice = "stopping; Ctrl-C again stops at once"
     with session.interrupts(notice) as stop, Player(None, shown, stop, training=True) as player:
         try:
+            if request.learns:
+                return request.learn(player, tell_size, progress, stop)
             return request.tune(player, tell_size, state)
         except InterruptedRunError as error:
+            if request.learns:
+                raise InterruptedRunError("interrupted; nothing was written") from error
             raise InterruptedRunError(
                 f"interrupted; repeat the command to resume after the generations in {state}"
                 if state.exists()

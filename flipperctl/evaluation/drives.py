@@ -11,9 +11,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from flipperctl.api import Policy
+from flipperctl.api import Policy, RecordedEpisode
 from flipperctl.checkpoint import recording
-from flipperctl.checkpoint.recording import RecordedEpisode
 from flipperctl.config import EvalConfig
 from flipperctl.config.policy_file import drive_files
 from flipperctl.env.flipper_env import FlipperEnv

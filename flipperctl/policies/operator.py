@@ -13,10 +13,19 @@ from typing import Any, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from flipperctl.api import Command, Controller, Perception, Policy, Simulator, World, controller
+from flipperctl.api import (
+    Command,
+    Controller,
+    Perception,
+    Policy,
+    RecordedEpisode,
+    Simulator,
+    World,
+    controller,
+)
 from flipperctl.api import action_index as index_of
 from flipperctl.checkpoint import recording
-from flipperctl.checkpoint.recording import PartialEnvironment, RecordedEpisode
+from flipperctl.checkpoint.recording import PartialEnvironment
 from flipperctl.config import EnvConfig, to_dict
 from flipperctl.config.identity import ABSENT, differences
 from flipperctl.config.policy_file import drive_files

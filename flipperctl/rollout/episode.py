@@ -23,11 +23,11 @@ from flipperctl.api import (
     Outcome,
     Perception,
     Policy,
+    RecordedEpisode,
     StateGroups,
     Terrain,
     Transition,
 )
-from flipperctl.checkpoint.recording import RecordedEpisode
 from flipperctl.config import identity
 from flipperctl.core.risk import RiskSign
 from flipperctl.core.targets import ALLOWED, Rates, as_action

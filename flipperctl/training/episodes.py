@@ -21,10 +21,9 @@ from flipperctl.agent.frames import input_size
 from flipperctl.agent.learner import Learner, part
 from flipperctl.agent.learner import arrays as weights_of
 from flipperctl.agent.replay import UNKNOWN, GroupBatch, GroupMemory, Replay
-from flipperctl.api import ACTIONS, ObservationLayout, Outcome
+from flipperctl.api import ACTIONS, ObservationLayout, Outcome, RecordedEpisode
 from flipperctl.checkpoint import Checkpoint, recording
 from flipperctl.checkpoint.document import RECENT, State, require_equal_layout
-from flipperctl.checkpoint.recording import RecordedEpisode
 from flipperctl.config import Teacher, TrainConfig, to_dict
 from flipperctl.config.agent import linear
 from flipperctl.env.flipper_env import FlipperEnv

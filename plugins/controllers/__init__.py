@@ -1,5 +1,5 @@
-"""Built-in controllers: baselines that need no training."""
+"""Built-in controllers: baselines that need no training, and rules that learn their numbers."""
 
-from . import geometric, rules
+from . import geometric, hfc, rules, zimmermann
 
-__all__ = ["geometric", "rules"]
+__all__ = ["geometric", "hfc", "rules", "zimmermann"]

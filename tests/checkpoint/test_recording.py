@@ -9,10 +9,9 @@ import pytest
 import torch
 
 from flipperctl import checkpoint
-from flipperctl.api import Outcome
+from flipperctl.api import Outcome, RecordedEpisode
 from flipperctl.checkpoint import document as sealed
 from flipperctl.checkpoint import recording
-from flipperctl.checkpoint.recording import RecordedEpisode
 from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.files import check_output

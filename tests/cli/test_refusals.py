@@ -188,6 +188,12 @@ tune okada --for speed -> --for: pitch or reward is allowed; the value is 'speed
 tune okada --output file -> file: a policy file is a .yaml or .yml file
 tune okada controller.rear_gain=0,1 -> controller: one value of each setting
 tune okada --for reward '~rewards' -> --for reward: there is no reward term
+tune hfc terrain=stair -> hfc learns from demonstrations; add from=POLICY or a folder of drives
+tune hfc from=okda terrain=stair -> from: okda: there is no such | did you mean 'okada'
+tune hfc from=okada from=level -> from: one demonstrator is allowed; okada, level are
+tune okada from=level -> from=level: okada takes no demonstrations here; leave it out
+tune zimmermann --episodes 3 -> --episodes: zimmermann learns; budget=N sets how many it plays
+tune zimmermann budget=5 terrain=step -> budget: at least 11 episodes are needed | is 5
 tune okada eval.ray=auto -> eval.ray: a search is played here
 inspect reward --regret -> give either --checkpoint RUN_OR_FILE or --controller NAME
 inspect reward --against level -> add --regret

@@ -1,4 +1,4 @@
-"""Tune a controller's numeric settings by CMA-ES (Hansen 2016) on episodes of trainings.
+"""Tune a controller's settings on episodes of trainings, by CMA-ES (Hansen 2016) or its ``learn``.
 
 In: scenes with a controller, an objective, a budget of episodes. Out: settings, and their score
 beside that of the start on episodes that neither search nor choice met. All candidates of a
@@ -10,37 +10,37 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from flipperctl import __version__
 from flipperctl.api import Controller
+from flipperctl.api.controllers import learns
 from flipperctl.config import resolver
 from flipperctl.config.policy_file import PolicyFile, Score, Tuning
 from flipperctl.errors import (
     ConfigError,
-    InterruptedRunError,
     MissingExtraError,
     NonFiniteError,
     OutputError,
     RequestError,
 )
+from flipperctl.evaluation.learning import Demonstrator, Objective, PlayedEpisodes, Playing
 from flipperctl.evaluation.plan import Entry
-from flipperctl.evaluation.play import Player
+from flipperctl.evaluation.play import Player, Progress
 from flipperctl.evaluation.seeds import (
     PRICE,
     Scores,
-    SeedSamples,
     difference_interval,
-    failure_prices,
     mean_interval,
     means,
 )
 from flipperctl.evaluation.statistics import Interval
 from flipperctl.files import write_json
+from flipperctl.guard import refusal, short_repr
 from flipperctl.messages import bounds, close_match, unit
 from flipperctl.rollout.episode import training_seed
 from flipperctl.show import Column, Table, interval_text
@@ -61,9 +61,8 @@ _COLUMNS = (
     Column("bounds", "bounds"),
 )
 
-Objective = Literal["pitch", "reward"]
 Fields = dict[str, float]
-Measure = Callable[[Sequence[Fields], int, int, str], list[Scores]]
+Measure = Callable[[Sequence[Mapping[str, Any]], int, int, str], list[Scores]]
 """Plays candidates on the draws of a number, so many episodes on each scene, under a label; returns
 the score of each candidate's episodes by scene, (1, E), of which less is better."""
 
@@ -150,14 +149,24 @@ class Spending:
         return cls(candidates, (budget - ending) // generation, each, final)
 
 
+def learning(budget: int, scenes: int) -> tuple[int, int]:
+    """Divide a budget: episodes from which a controller learns; on each scene for each score."""
+    final = max(_FEWEST, int(_FINAL * budget / 2 / scenes))
+    if (count := budget - 2 * final * scenes) < scenes:
+        raise RequestError(
+            f"budget: at least {(2 * _FEWEST + 1) * scenes} episodes are needed, to learn from and "
+            f"for the comparison at the end; the value is {budget}"
+        )
+    return count, final
+
+
 @dataclass(frozen=True)
 class Tuned:
-    """The settings that a search found, beside those that it began with."""
+    """The settings that a search found or a controller learnt, beside those of the start."""
 
-    settings: Sequence[Setting]
-    start: Fields
-    found: Fields
-    """Equal to ``start`` if nothing was better beyond chance in the comparison at the end."""
+    start: Mapping[str, Any]
+    found: Mapping[str, Any]
+    """Equal to ``start`` if a search found nothing that is better beyond chance at its end."""
     before: Interval
     after: Interval
     difference: Interval
@@ -165,6 +174,21 @@ class Tuned:
     """Of the difference, two-sided [-]."""
     episodes: int
     """Behind the two scores."""
+
+    @classmethod
+    def of(
+        cls,
+        start: Mapping[str, Any],
+        found: Mapping[str, Any],
+        measure: Measure,
+        draws: int,
+        episodes: int,
+    ) -> Tuned:
+        """Score both on equal episodes, so many on each scene."""
+        old, new = measure([start, found], draws, episodes, "scores")
+        difference, p = difference_interval(new, old)
+        ends = mean_interval(old), mean_interval(new)
+        return cls(start, found, *ends, difference, p, episodes * len(old))
 
 
 def search(
@@ -213,10 +237,7 @@ def search(
     gain, _ = difference_interval(final[at], final[0])
     # The best of several is often so by chance; the start stays unless it is beaten beyond that.
     found = start if gain.high is None or gain.high >= 0 else finalists[at]
-    old, new = measure([start, found], end + 1, spending.final, "scores")
-    difference, p = difference_interval(new, old)
-    ends = mean_interval(old), mean_interval(new)
-    return Tuned(settings, start, found, *ends, difference, p, spending.final * len(old))
+    return Tuned.of(start, found, measure, end + 1, spending.final)
 
 
 def _strategy(settings: Sequence[Setting], start: Fields, spending: Spending, seed: int) -> Any:
@@ -250,58 +271,6 @@ def _cost(scores: Scores) -> float:
     return found
 
 
-@dataclass
-class Playing:
-    """Measures candidates by episodes of trainings, which no evaluation plays."""
-
-    entries: Sequence[Entry]
-    """The controller on each scene."""
-    objective: Objective
-    seed: int
-    player: Player
-    """One of ``training``."""
-    tell_size: Callable[[int], None]
-    """Called with the number of episodes of each candidate and scene before they are played."""
-
-    def __call__(
-        self, candidates: Sequence[Fields], draws: int, episodes: int, label: str
-    ) -> list[Scores]:
-        """Return the scores of the candidates; see ``Measure``."""
-        seed = training_seed(self.seed, draws)
-        self.tell_size(episodes)
-        requests = [
-            (_numbered(entry, episodes, seed), replace(entry.source, settings=settings))
-            for fields in candidates
-            for entry in self.entries
-            for settings in [{**(entry.source.settings or {}), **fields}]
-        ]
-        played = list(self.player.play_many(requests, label))
-        if len(played) < len(requests):
-            raise InterruptedRunError("interrupted")
-        count = len(self.entries)
-        parts = [played[at : at + count] for at in range(0, len(played), count)]
-        samples = [SeedSamples("", *self._samples(scenes)) for scenes in parts]
-        prices = failure_prices(samples)
-        return [one.scores(prices) for one in samples]
-
-    def _samples(self, scenes: Sequence[Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Return values and whether the finish was reached, by scene; all count for a reward."""
-        values, reached = {}, {}
-        for at, rows in enumerate(scenes):
-            by_reward = self.objective == "reward"
-            numbers = rows.values("return" if by_reward else "pitch_variation_100hz")
-            values[str(at)] = np.array([numbers]) * (-1 if by_reward else 1)
-            reached[str(at)] = np.array(
-                [[by_reward or row["outcome"] == "reached" for row in rows]]
-            )
-        return values, reached
-
-
-def _numbered(entry: Entry, episodes: int, seed: int) -> Any:
-    numbers = entry.config.eval.model_copy(update={"episodes": episodes, "seed": seed})
-    return entry.config.model_copy(update={"eval": numbers})
-
-
 @dataclass(frozen=True)
 class Request:
     """What a search is asked for."""
@@ -315,12 +284,65 @@ class Request:
     episodes: int | None
     """Of a candidate on each scene; None for the default."""
     names: Sequence[str] | None = None
-    """Settings to search; None for all."""
+    """Settings to search; None for all, or for those that the controller learns."""
+    demonstrator: str | None = None
+    """Word of ``from=``."""
 
     @property
     def controller(self) -> Controller:
         """The controller with the settings of the start."""
         return self.entries[0].source.controller()
+
+    @property
+    def learns(self) -> bool:
+        """Whether the controller learns its settings; otherwise they are searched."""
+        return self.names is None and learns(self.controller)
+
+    def check(self) -> None:
+        """Check that demonstrations are named where they are needed, and there alone."""
+        name, imitates = self.controller.plugin_name, self.learns and self.controller.imitates
+        if imitates and self.demonstrator is None:
+            raise RequestError(
+                f"tune: {name} learns from demonstrations; add from=POLICY or a folder of drives, "
+                "as in from=generalist"
+            )
+        if not imitates and self.demonstrator is not None:
+            raise RequestError(
+                f"from={self.demonstrator}: {name} takes no demonstrations here; leave it out"
+            )
+        if self.learns and self.episodes is not None:
+            raise RequestError(f"--episodes: {name} learns; budget=N sets how many it plays")
+
+    def learn(
+        self,
+        player: Player,
+        tell_size: Callable[[int], None],
+        progress: Progress,
+        stop: Callable[[], bool],
+    ) -> Tuned:
+        """Let the controller learn, and compare what it learnt with the start on fresh episodes.
+
+        Raises:
+            InterruptedRunError: ``stop`` returned True, or the player was stopped.
+        """
+        controller, seed = self.controller, training_seed(self.seed, 0)
+        count, final = learning(self.budget, len(self.entries))
+        word = self.demonstrator
+        shown = None if word is None else Demonstrator(word, self.entries)
+        with progress("learning", count) as report:
+            episodes = PlayedEpisodes(
+                self.entries, self.objective, seed, count, shown, stop, report
+            )
+            learnt: object = controller.learn(episodes)
+        if type(learnt) is not type(controller):
+            raise refusal(
+                controller, "learn", f"returned {short_repr(learnt)}; its own class is allowed"
+            )
+        start, found = resolver.to_dict(controller), resolver.to_dict(learnt)
+        changed = [name for name in start if start[name] != found[name]]
+        playing = Playing(self.entries, self.objective, self.seed, player, tell_size)
+        before, after = ({name: one[name] for name in changed} for one in (start, found))
+        return Tuned.of(before, after, playing, 1, final)
 
     def tune(self, player: Player, tell_size: Callable[[int], None], state: Path) -> Tuned:
         """Search; ``state`` keeps the finished generations until the search ends.
@@ -364,7 +386,7 @@ class Request:
         before, after, difference = (
             Score(**one.to_dict()) for one in (tuned.before, tuned.after, tuned.difference)
         )
-        own = resolver.to_dict(self.controller) | tuned.found
+        own = resolver.to_dict(self.controller) | dict(tuned.found)
         tuning = Tuning(
             words=list(self.words),
             objective=self.objective,
@@ -382,12 +404,12 @@ class Request:
         model = type(self.controller)
         rows = [
             {
-                "setting": f"{one.name} [{unit(model, one.name)}]",
-                "before": tuned.start[one.name],
-                "after": tuned.found[one.name],
-                "bounds": bounds(model, one.name),
+                "setting": f"{name} [{unit(model, name)}]",
+                "before": _shown(tuned.start[name]),
+                "after": _shown(value),
+                "bounds": bounds(model, name),
             }
-            for one in tuned.settings
+            for name, value in tuned.found.items()
         ]
         measured = f"pitch variation [rad], a failed episode at least {PRICE:.2f}"
         measured = measured if self.objective == "pitch" else "minus the reward [-]"
@@ -400,6 +422,11 @@ class Request:
             scores = f"{old}; nothing was better beyond chance, so the settings stay"
         notes = [f"{measured}, over {tuned.episodes} fresh training episodes:", scores]
         return Table(_COLUMNS, rows, notes=notes)
+
+
+def _shown(value: Any) -> Any:
+    """Return a value for a cell; of a table, the number of its numbers."""
+    return f"{np.size(value)} numbers" if isinstance(value, list) else value
 
 
 def _earlier(state: Path, asked: Mapping[str, Any]) -> list[list[float]]:

@@ -1,4 +1,4 @@
-"""The search for a controller's settings: a bowl with noise, episodes of trainings, one real."""
+"""The search for a controller's settings: a bowl with noise, episodes of trainings, real ones."""
 
 import json
 from collections.abc import Sequence
@@ -8,12 +8,15 @@ from typing import Any
 import numpy as np
 import pytest
 
+from flipperctl.checkpoint import recording
 from flipperctl.config import EvalConfig
-from flipperctl.errors import InterruptedRunError, RequestError
+from flipperctl.errors import InterruptedRunError, PluginFailedError, RequestError
+from flipperctl.evaluation.learning import PlayedEpisodes, Playing
 from flipperctl.evaluation.plan import Entry
 from flipperctl.evaluation.play import Player
 from flipperctl.evaluation.rows import Episodes
-from flipperctl.evaluation.views.tune import Playing, Setting, Spending, search, settings_of
+from flipperctl.evaluation.seeds import PRICE
+from flipperctl.evaluation.views.tune import Setting, Spending, search, settings_of
 from flipperctl.lookahead import Mpc
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import EvaluationSeeds, training_seed
@@ -165,3 +168,56 @@ def test_a_rule_is_tuned_and_evaluated_by_its_file(tmp_path: Path) -> None:
     played = call("eval", "okada", "a.yaml", "terrain=step", "--episodes", "2", cwd=tmp_path)
     assert played.code == 0, played.err
     assert "a.yaml" in played.out
+
+
+def test_episodes_to_learn_from_pay_what_is_scored_and_are_those_of_trainings() -> None:
+    slippery = EvalConfig(terrain={"name": "step"}, sim={"name": "planar", "friction": 0.1})
+    whole = EvalConfig(terrain={"name": "step"})
+    policy = OKADA.build(whole)
+    played = PlayedEpisodes([Entry(whole, OKADA), Entry(slippery, OKADA)], "pitch", 7, 2)
+    reached, failed = played.play(policy), played.play(policy)
+    assert (reached.outcome, failed.outcome) == ("reached", "stuck")
+    assert [reached.seed, failed.seed] == [training_seed(7, 0), training_seed(7, 1)]
+    with Player(training=True) as player:
+        config = whole.model_copy(update={"eval": whole.eval.model_copy(update={"seed": 7})})
+        (row,) = player.play(config, OKADA, "", [0])
+    assert row["seed"] == reached.seed
+    assert -reached.rewards.sum() == pytest.approx(row["pitch_variation_100hz"])
+    assert failed.rewards[-1] <= -PRICE < failed.rewards[0]
+    with pytest.raises(PluginFailedError, match="learn played more than its 2 episodes"):
+        played.play(policy)
+
+
+def test_an_interrupted_learner_ends_as_such() -> None:
+    entry = Entry(
+        EvalConfig(terrain={"name": "step"}), PolicySource(settings={"name": "zimmermann"})
+    )
+    stopped = PlayedEpisodes([entry], "pitch", 0, 9, stop=lambda: True)
+    with pytest.raises(InterruptedRunError):
+        entry.source.controller().learn(stopped)
+
+
+def test_rules_learn_and_are_evaluated_by_their_files(tmp_path: Path) -> None:
+    env = EvalConfig(terrain={"name": "step"})
+    driven = PlayedEpisodes([Entry(env, OKADA)], "reward", 0, 1).play(OKADA.build(env))
+    (tmp_path / "me").mkdir()
+    recording.write(tmp_path / "me" / "drive_step_0.safetensors", "person: me", [(env, [driven])])
+    for words in (["zimmermann"], ["hfc", "from=okada"], ["hfc", "from=me"]):
+        file = f"{words[-1].partition('=')[2] or 'z'}.yaml"
+        few = ["terrain=step", "budget=24", "--output", file]
+        done = call("tune", *words, *few, cwd=tmp_path)
+        assert done.code == 0, done.err
+        assert "over 5 fresh training episodes" in done.out
+    assert sorted(file.name for file in tmp_path.iterdir()) == [
+        "me",
+        "me.yaml",
+        "okada.yaml",
+        "z.yaml",
+    ]
+    files = ["z.yaml", "okada.yaml", "me.yaml"]
+    played = call("eval", *files, "terrain=step", "--episodes", "1", cwd=tmp_path)
+    assert played.code == 0, played.err
+    other = ["hfc", "from=me", "terrain=step", "perception.bins=9", "budget=24"]
+    assert "here bins=9" in refused("tune", *other, cwd=tmp_path)
+    other[3] = "robot.track_radius=0.09"
+    assert "driven with robot.track_radius=0.1; here 0.09" in refused("tune", *other, cwd=tmp_path)
