@@ -150,7 +150,7 @@ def entries() -> Iterator[tuple[str, str, dict[str, Any]]]:
         if kind == "controller":
             own = getattr(cls, "reference_settings", {})
             yield "teacher", name, {**teaching, "controller": {**defaults, **own}}
-    yield "method", "none", {}
+    yield "method", "own", {}
     own = [{"override /network": "mlp"}, "_self_"]
     yield "method", "sb3", {"defaults": own, "method": resolver.to_dict(Sb3())}
     for collector in (LocalCollector(), RayCollector()):

@@ -24,7 +24,7 @@ eval level --passable okda -> --passable | 'okada'
 eval okada conditions=varid -> did you mean 'varied'?
 eval okada conditions=trained -> need --checkpoint; known: nominal
 train conditions=null -> null is not allowed
-train method=sb4 -> there is no method 'sb4'; known: none, sb3
+train method=sb4 -> there is no method 'sb4'; known: own, sb3
 train method=sb3 method.algorithm=trpo -> method.algorithm | 'dqn', 'ppo'
 train method=sb3 method.algorithm=sac -> actions: turns does not go with | actions=rates is allowed
 train method=sb3 actions=rates -> method.algorithm=dqn; actions=turns is allowed
