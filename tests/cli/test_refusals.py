@@ -192,7 +192,6 @@ tune hfc terrain=stair -> hfc learns from demonstrations; add from=POLICY or a f
 tune hfc from=okda terrain=stair -> from: okda: there is no such | did you mean 'okada'
 tune hfc from=okada from=level -> from: one demonstrator is allowed; okada, level are
 tune okada from=level -> from=level: okada takes no demonstrations here; leave it out
-tune zimmermann --episodes 3 -> --episodes: zimmermann learns; budget=N sets how many it plays
 tune zimmermann budget=5 terrain=step -> budget: at least 11 episodes are needed | is 5
 tune okada eval.ray=auto -> eval.ray: a search is played here
 inspect reward --regret -> give either --checkpoint RUN_OR_FILE or --controller NAME

@@ -149,12 +149,16 @@ class Spending:
         return cls(candidates, (budget - ending) // generation, each, final)
 
 
-def learning(budget: int, scenes: int) -> tuple[int, int]:
-    """Divide a budget: episodes from which a controller learns; on each scene for each score."""
-    final = max(_FEWEST, int(_FINAL * budget / 2 / scenes))
+def learning(budget: int, scenes: int, episodes: int | None) -> tuple[int, int]:
+    """Divide a budget: episodes from which a controller learns; on each scene for each score.
+
+    ``episodes``: the latter, if they are given.
+    """
+    final = episodes or max(_FEWEST, int(_FINAL * budget / 2 / scenes))
     if (count := budget - 2 * final * scenes) < scenes:
+        least = (2 * (episodes or _FEWEST) + 1) * scenes
         raise RequestError(
-            f"budget: at least {(2 * _FEWEST + 1) * scenes} episodes are needed, to learn from and "
+            f"budget: at least {least} episodes are needed, to learn from and "
             f"for the comparison at the end; the value is {budget}"
         )
     return count, final
@@ -310,8 +314,6 @@ class Request:
             raise RequestError(
                 f"from={self.demonstrator}: {name} takes no demonstrations here; leave it out"
             )
-        if self.learns and self.episodes is not None:
-            raise RequestError(f"--episodes: {name} learns; budget=N sets how many it plays")
 
     def learn(
         self,
@@ -326,7 +328,7 @@ class Request:
             InterruptedRunError: ``stop`` returned True, or the player was stopped.
         """
         controller, seed = self.controller, training_seed(self.seed, 0)
-        count, final = learning(self.budget, len(self.entries))
+        count, final = learning(self.budget, len(self.entries), self.episodes)
         word = self.demonstrator
         shown = None if word is None else Demonstrator(word, self.entries)
         with progress("learning", count) as report:
