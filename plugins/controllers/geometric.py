@@ -26,8 +26,8 @@ _TURNS = sorted(ACTIONS, key=lambda turns: abs(turns[0]) + abs(turns[1]))
 """Turns (front, rear) of the actions; of equally good ones the first is taken."""
 _STEPS = 4
 """Largest number of angle steps each way from 0 among the planned angles [-]."""
-_STEEP = math.pi / 4
-"""Slope of a contact from which it costs [rad]."""
+_STEEP = math.atan(0.75)
+"""Slope of the chassis centre's path, with the flippers held, from which it costs [rad]."""
 _MARGIN_COST = 5.0
 """Cost of each metre that the stability margin lacks, as pitch [rad/m]."""
 
@@ -65,12 +65,12 @@ class Geometric(Controller):
     margin: float = Field(
         0.05, ge=0, le=0.3, description="stability margin below which a pose costs; 0: off [m]"
     )
-    steep: float = Field(
-        0.5,
+    climb: float = Field(
+        2.0,
         ge=0,
-        le=5,
-        description="cost of each radian by which the ground is steeper than 45° where a part "
-        "touches it, which stops the belts [-]",
+        le=20,
+        description="cost of each radian by which the way to the next place is steeper than 37° "
+        "with the flippers held, where belts slip [-]",
     )
 
     def act(self, p: Perception) -> int:
@@ -82,20 +82,18 @@ class Geometric(Controller):
         places = robot.track_speed * robot.decision_period * np.arange(self.horizon + 1.0)
         poses = rest(p.points, robot, places, angles)
         front, rear = (int(np.abs(angles - angle).argmin()) for angle in (p.front, p.rear))
+        costs = self._costs(poses, places[1])
         poses.pitch[0] = p.pitch
-        best = self._options(poses.pitch, self._costs(poses))[:, front, rear].argmin()
+        best = self._options(poses.pitch, costs)[:, front, rear].argmin()
         return action_index(*_TURNS[best])
 
-    def _costs(self, poses: "Rest") -> FloatArray:
-        """Return the costs of the poses at the K places ahead, (K, A, A) [rad]."""
-        lift = poses.height - poses.height.min(axis=(1, 2), keepdims=True)
-        lacking = np.maximum(0.0, self.margin - poses.margin)
-        steep = np.maximum(0.0, poses.slope - _STEEP)
-        # Steep ground must be overcome where the way to a place begins and where it ends.
-        steep = np.maximum(steep[1:], steep[:-1])
-        costs: FloatArray = (self.clearance * lift + _MARGIN_COST * lacking)[
-            1:
-        ] + self.steep * steep
+    def _costs(self, poses: "Rest", stride: float) -> FloatArray:
+        """Return the costs of the poses at the K places ahead, ``stride`` [m] apart, (K, A, A)."""
+        lift = (poses.height - poses.height.min(axis=(1, 2), keepdims=True))[1:]
+        lacking = np.maximum(0.0, self.margin - poses.margin)[1:]
+        slope = np.arctan(np.diff(poses.height, axis=0) / stride)
+        steep = np.maximum(0.0, slope - _STEEP)
+        costs: FloatArray = self.clearance * lift + _MARGIN_COST * lacking + self.climb * steep
         return costs
 
     def _options(self, pitch: FloatArray, costs: FloatArray) -> FloatArray:
@@ -127,8 +125,6 @@ class Rest(NamedTuple):
     """Height of the chassis centre in the frame of the ground's points [m]."""
     margin: FloatArray
     """Energy stability margin: rise of the chassis centre until the robot tips over [m]."""
-    slope: FloatArray
-    """Largest slope of the ground, inflated by the track radius, at a contact [rad]."""
 
 
 def rest(points: FloatArray, robot: RobotGeometry, places: FloatArray, angles: FloatArray) -> Rest:
@@ -158,11 +154,8 @@ def rest(points: FloatArray, robot: RobotGeometry, places: FloatArray, angles: F
     def at_rest(values: FloatArray) -> FloatArray:
         return np.take_along_axis(values, found, axis=1)[:, 0]
 
-    both = [
-        (at_rest(f[..., :, None]), at_rest(r[..., None, :]))
-        for f, r in ((front.barrier, rear.barrier), (front.slope, rear.slope))
-    ]
-    return Rest(pitch[:, 0], at_rest(lowest), np.minimum(*both[0]), np.maximum(*both[1]))
+    barriers = at_rest(front.barrier[..., :, None]), at_rest(rear.barrier[..., None, :])
+    return Rest(pitch[:, 0], at_rest(lowest), np.minimum(*barriers))
 
 
 class _Contacts(NamedTuple):
@@ -172,8 +165,6 @@ class _Contacts(NamedTuple):
     """Height of the chassis centre at which they touch the ground [m]."""
     barrier: FloatArray
     """Rise of the chassis centre until the robot tips over the outermost contact [m]."""
-    slope: FloatArray
-    """Slope of the inflated ground at the first contact [rad]."""
 
 
 def _contacts(
@@ -189,26 +180,23 @@ def _contacts(
     flipper = axis(robot.flipper_axle, pitch + sign * angles, _FLIPPER) + chassis[..., -1:]
     x, z = np.concatenate([chassis, flipper], axis=-1)  # (T, A, S), from the chassis centre
     at = places[:, None, None, None] + x  # (K, T, A, S)
-    heights = np.interp(at, ground[0], ground[1]) - z
-    first = heights.argmax(axis=-1)[..., None]
-    height = np.take_along_axis(heights, first, axis=-1)
-    slope = np.interp(np.take_along_axis(at, first, axis=-1), ground[0], ground[2])
+    heights = np.interp(at, *ground) - z
+    height = heights.max(axis=-1, keepdims=True)
     outward = np.where(heights >= height - _TOUCH, sign * x, -np.inf)
     outermost = outward.argmax(axis=-1)[..., None]
     across = np.maximum(0.0, np.take_along_axis(outward, outermost, axis=-1))
     above = robot.track_radius - np.take_along_axis(
         np.broadcast_to(z, at.shape), outermost, axis=-1
     )
-    return _Contacts(height[..., 0], tipping_rise(across, above)[..., 0], slope[..., 0])
+    return _Contacts(height[..., 0], tipping_rise(across, above)[..., 0])
 
 
 def _inflated(points: FloatArray, radius: float, low: float, high: float) -> FloatArray:
-    """Return x [m], height [m] and slope [rad] of the ground inflated by ``radius``, (3, C)."""
+    """Return x and height of the ground from ``low`` to ``high``, inflated by ``radius`` [m]."""
     x = np.arange(low, high + _CELL, _CELL)
     n = math.floor(radius / _CELL)
     across = _CELL * np.arange(-n, n + 1)
     wide = np.concatenate([x[0] + across[:n], x, x[-1] + across[n + 1 :]])
     z = np.interp(wide, *points.T) if len(points) else np.full(len(wide), -radius)
     windows = np.lib.stride_tricks.sliding_window_view(z, 2 * n + 1)
-    z = (windows + np.sqrt(radius**2 - across**2)).max(axis=-1)
-    return np.stack([x, z, np.arctan(np.gradient(z, _CELL))])
+    return np.stack([x, (windows + np.sqrt(radius**2 - across**2)).max(axis=-1)])
