@@ -29,6 +29,21 @@ def load_offset(robot: RobotGeometry) -> tuple[float, float]:
     return share * (masses.payload_x or 0.0), share * (masses.payload_z or 0.0)
 
 
+def centre_of_mass(
+    robot: RobotGeometry, forward: FloatArray, front: FloatArray, rear: FloatArray
+) -> FloatArray:
+    """Return the centre of mass of M robots with their load, in each frame L, (M, 2) [m].
+
+    ``forward``: unit vectors along the chassis; ``front``, ``rear``: ends of the flippers' axles,
+    each (M, 2). A pair's mass lies halfway along it.
+    """
+    masses = with_masses(robot)
+    load_x, load_z = load_offset(robot)
+    upward = np.column_stack([-forward[:, 1], forward[:, 0]])
+    pairs = masses.flipper_mass / masses.mass * (front + rear) / 2
+    return pairs + (load_x * forward + load_z * upward)
+
+
 def tipping_rise(across: FloatArray, above: FloatArray) -> FloatArray:
     """Return the rise of a centre of mass until the robot tips over a contact [m].
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray, RobotStates, Transition, measure
 
-from ..posture import contacts, load_offset, tipping_rise, with_masses
+from ..posture import centre_of_mass, contacts, tipping_rise
 
 _TOUCH = 0.01
 """Largest gap to the ground that counts as contact [m]."""
@@ -40,12 +40,7 @@ def margins(episode: Sequence[Transition]) -> FloatArray:
     angles = (states.pitch, states.pitch + states.front, states.pitch - states.rear)
     forward, front, rear = (np.column_stack([np.cos(a), np.sin(a)]) for a in angles)  # (M, 2)
     found = contacts(t.profile, robot, states.position, (forward, front, rear), _TOUCH)
-    # Each pair's mass lies halfway along it.
-    masses = with_masses(robot)
-    centre = masses.flipper_mass / masses.mass * (found.front + found.rear) / 2  # (M, 2) [m]
-    load_x, load_z = load_offset(robot)
-    upward = np.column_stack([-forward[:, 1], forward[:, 0]])  # (M, 2)
-    centre += load_x * forward + load_z * upward
+    centre = centre_of_mass(robot, forward, found.front, found.rear)
     barriers = [_barriers(found.touching, found.x, found.z, centre, side) for side in (1.0, -1.0)]
     return np.minimum(*barriers)
 

@@ -1,4 +1,4 @@
-"""Reward terms of the robot's contact with the ground: static stability and clearance."""
+"""Reward terms of the robot's contact with the ground: stability, support and clearance."""
 
 import math
 from typing import ClassVar
@@ -8,7 +8,7 @@ from pydantic import Field
 
 from flipperctl.api import FloatArray, RewardTerm, Transitions, reward
 
-from ..posture import contacts, load_offset, load_share
+from ..posture import centre_of_mass, contacts, load_offset, load_share
 
 
 @reward("stability")
@@ -50,6 +50,39 @@ class Stability(RewardTerm):
         centre += x * forward[:, 0] - z * forward[:, 1]
         margin = np.minimum(centre - first, last - centre)  # minus infinity in the air
         penalty: FloatArray = 1.0 - np.clip(margin, 0.0, self.enough) / self.enough
+        return -penalty
+
+
+@reward("centring")
+class Centring(RewardTerm):
+    """Penalise a centre of mass far from the middle of the support.
+
+    That is the middle between the rearmost and the foremost point at which the robot touches the
+    ground. Mitriakov et al. (IEEE Robotics and Automation Magazine 28(4), 2021) penalise this
+    distance on stairs: from a low centre over the middle the whole length of the tracks pushes. The
+    reward is -1 in the air. The centre of mass is that of the robot with its load.
+    """
+
+    bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
+    far: float = Field(0.5, ge=0.05, le=5, description="distance at which the reward is -1 [m]")
+    touch: float = Field(
+        0.01, gt=0, le=0.1, description="largest gap to the ground that counts as contact [m]"
+    )
+
+    def array(self, ts: Transitions) -> FloatArray:
+        """Return the rewards of M decisions in [-1, 0], (M,)."""
+        robot, state = ts.robot, ts.after
+        angles = (state.pitch, state.pitch + state.front, state.pitch - state.rear)
+        forward, front, rear = map(_directions, angles)
+        found = contacts(ts.profile, robot, state.position, (forward, front, rear), self.touch)
+        rows, middle = np.arange(len(found.x)), np.zeros_like(forward)
+        for side in (1.0, -1.0):
+            outermost = np.where(found.touching, side * found.x, -np.inf).argmax(axis=1)
+            ends = found.x[rows, outermost], found.z[rows, outermost]
+            middle += np.column_stack(ends) / 2
+        away = centre_of_mass(robot, forward, found.front, found.rear) - middle
+        distance = np.where(found.touching.any(axis=1), np.hypot(*away.T), np.inf)
+        penalty: FloatArray = np.minimum(distance / self.far, 1.0)
         return -penalty
 
 

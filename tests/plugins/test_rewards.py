@@ -369,6 +369,16 @@ def test_stability_includes_the_load() -> None:
     assert paid("stability", behind, enough=0.4, touch=1e-6) == pytest.approx(ahead, abs=1e-5)
 
 
+def test_centring_is_the_distance_from_the_middle_of_the_support() -> None:
+    # Level flippers: the support reaches ±0.616 m, and the centre is 0.1 m above its middle. With a
+    # load of 60 kg 0.3 m ahead it is 0.171429 m ahead of that: 0.198463 m in all.
+    t = transition(state())
+    assert paid("centring", t, far=0.5, touch=1e-6) == pytest.approx(-0.2, abs=1e-5)
+    loaded = replace(t, robot=Robot(payload=60, payload_x=0.3))
+    assert paid("centring", loaded, far=0.5, touch=1e-6) == pytest.approx(-0.396926, abs=1e-5)
+    assert paid("centring", transition(state(0.0, 0.2)), far=0.5, touch=1e-6) == -1.0
+
+
 # Clearance: a block 0.1 m high and 0.2 m wide under the chassis' middle
 
 
