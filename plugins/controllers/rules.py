@@ -16,6 +16,9 @@ from flipperctl.api import (
     controller,
 )
 
+from ..posture import with_masses
+from ..resting import rest
+
 
 @controller("level")
 class Level(Controller):
@@ -41,7 +44,9 @@ class Okada(Controller):
 
     Okada et al. (Journal of Field Robotics 28(6), 2011) lay the flippers along the scanned
     terrain. Here each pair takes the largest angle to the inflated terrain, the rear pair a
-    fraction of it.
+    fraction of it. Flippers with which the robot would stand with too small a normalised energy
+    stability margin are inappropriate: with ``margin`` the turns come as near to those angles as
+    the margin allows, where the robot would rest by contact geometry.
     """
 
     near: float = Field(
@@ -65,6 +70,14 @@ class Okada(Controller):
         "smoothest [-]",
     )
 
+    margin: float | None = Field(
+        None,
+        ge=0,
+        le=0.5,
+        description="smallest normalised energy stability margin after a turn, here and a "
+        "decision ahead; null: none [m]",
+    )
+
     @model_validator(mode="after")
     def _near_is_below_far(self) -> Self:
         if self.near >= self.far:
@@ -73,7 +86,22 @@ class Okada(Controller):
 
     def act(self, p: Perception) -> int:
         """Turn each pair one step towards its target; hold it within half an angle step of it."""
-        return towards(p, self.angle(p, rear=False), self.rear_gain * self.angle(p, rear=True))
+        front, rear = self.angle(p, rear=False), self.rear_gain * self.angle(p, rear=True)
+        if self.margin is not None:
+            return self._stable(p, self.margin, front, rear)
+        return towards(p, front, rear)
+
+    def _stable(self, p: Perception, least: float, front: float, rear: float) -> int:
+        """Return the turns closest to the targets that keep the margin, or lack least of it."""
+        robot, limit = with_masses(p.robot), p.robot.angle_limit
+        turns = robot.angle_step * np.array([-1.0, 0.0, 1.0])
+        angles = [np.clip(angle + turns, -limit, limit) for angle in (p.front, p.rear)]
+        places = np.array([0.0, robot.track_speed * robot.decision_period])
+        margin = rest(p.points, robot, places, *angles).margin.min(axis=0)  # (3, 3) [m]
+        away = np.abs(angles[0] - front)[:, None] + np.abs(angles[1] - rear)
+        lacking = np.maximum(0.0, least - margin)
+        best = int(np.where(lacking > 0, 1e3 * (1 + lacking), away).argmin())
+        return action_index(best // 3 - 1, best % 3 - 1)
 
     def angle(self, p: Perception, *, rear: bool) -> float:
         """Return the angle along the ground ahead, or behind for ``rear``, in frame R [rad]."""

@@ -13,7 +13,7 @@ from flipperctl.policies.source import load_policy
 
 FOUND = PolicyFile(
     controller="okada",
-    settings={"near": 0.12345678, "far": 0.6, "rear_gain": -0.5},
+    settings={"near": 0.12345678, "far": 0.6, "rear_gain": -0.5, "margin": None},
     tuning=Tuning(
         words=["terrain=stair"],
         objective="pitch",
@@ -33,7 +33,7 @@ def test_a_file_reads_back_and_is_a_policy_of_its_name(tmp_path: Path) -> None:
     assert policy_file.read(str(file)) == FOUND
     source = load_policy(file)
     assert (source.label(), source.controller_name) == (str(file), "okada")
-    assert source.settings == {"name": "okada", "near": 0.12345678, "far": 0.6, "rear_gain": -0.5}
+    assert source.settings == {"name": "okada", **FOUND.settings}
     assert load_policy(file, takes="controller", fields={"far": 1.0}).settings == {
         **source.settings,
         "far": 1.0,

@@ -4,8 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from flipperctl_plugins.controllers.geometric import Geometric, Rest, rest
-from flipperctl_plugins.controllers.rules import Linear, Ohno
+from flipperctl_plugins.controllers.geometric import Geometric
+from flipperctl_plugins.controllers.rules import Linear, Ohno, Okada
+from flipperctl_plugins.resting import Rest, rest
 from numpy.typing import NDArray
 
 from flipperctl.api import ACTIONS, ObservationLayout, Perception, Robot
@@ -69,7 +70,7 @@ ANGLES = np.radians([-60.0, 0.0, 30.0])
 
 def resting(z: NDArray[np.floating]) -> Rest:
     """Return the rest at x = 0 on the ground z at each of ``X`` [m], with each of ``ANGLES``."""
-    found = rest(np.column_stack([X, z]), ROBOT, np.zeros(1), ANGLES)
+    found = rest(np.column_stack([X, z]), ROBOT, np.zeros(1), ANGLES, ANGLES)
     return Rest(*(values[0] for values in found))
 
 
@@ -106,3 +107,14 @@ def test_geometric_plans_ahead() -> None:
     assert turns(rule.act(perceive(high, front=down, rear=down))) == (1, 1)
     # A wall beside the tips: the front pair is raised before it, which level flippers would hit.
     assert turns(rule.act(perceive(np.where(X > 0.75, 0.2, -0.1))))[0] == 1
+
+
+def test_okada_keeps_its_margin() -> None:
+    # Before a wall the front pair is raised, off the ground: the robot then tips over the front
+    # hinge's arc, after a rise of √(0.28² + 0.1²) - 0.1 = 0.197 m; over level flippers 0.524 m.
+    p = perceive(np.where(X > 0.85, 0.2, -0.1))
+    assert [turns(Okada(far=0.6, margin=m).act(p)) for m in (None, 0.15, 0.25)] == [
+        (1, 0),
+        (1, 0),
+        (0, 0),
+    ]

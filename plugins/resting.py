@@ -1,0 +1,116 @@
+"""How a robot rests on the ground by contact geometry alone, for controllers that predict poses.
+
+In: points of the ground, places of the chassis centre and flipper angles. Out: pitches, heights and
+stability margins.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from flipperctl.api import FloatArray, RobotGeometry
+
+from .posture import tipping_rise
+
+_CELL = 0.01
+"""Distance between the heights of the ground [m]."""
+_PITCHES = np.radians(np.arange(-60.0, 60.1, 1.5))
+"""Pitches among which the rest is sought, (T,) [rad]."""
+_CHASSIS, _FLIPPER = np.linspace(0.0, 1.0, 5), np.linspace(0.125, 1.0, 8)
+"""Where half of the chassis and a flipper may touch, as fractions of their axes, (S,) in all."""
+_TOUCH = 0.01
+"""Largest gap to the ground that counts as contact for the stability margin [m]."""
+
+
+class Rest(NamedTuple):
+    """A robot at rest, each (K, A, B): place, front angle, rear angle."""
+
+    pitch: FloatArray
+    """[rad]"""
+    height: FloatArray
+    """Height of the chassis centre in the frame of the ground's points [m]."""
+    margin: FloatArray
+    """Energy stability margin: rise of the chassis centre until the robot tips over [m]."""
+
+
+def rest(
+    points: FloatArray,
+    robot: RobotGeometry,
+    places: FloatArray,
+    front: FloatArray,
+    rear: FloatArray,
+) -> Rest:
+    """Return how the robot rests on ``points``, (P, 2) [m], x never decreasing.
+
+    ``places``: x of the chassis centre, (K,) [m]; ``front``, ``rear``: flipper angles in frame R,
+    (A,) and (B,) [rad]. Beyond the points, and without any, the ground is level.
+
+    At a given pitch the robot comes down until a part touches on one side of its centre. The weight
+    then turns the other side down until that touches, too: there the centre is lowest. The weight
+    of the flippers and a load are left out.
+    """
+    reach = robot.hinge_offset + robot.flipper_axle + robot.track_radius
+    ground = _inflated(points, robot.track_radius, places[0] - reach, places[-1] + reach)
+    ahead = _contacts(ground, robot, places, front, 1.0)
+    behind = _contacts(ground, robot, places, rear, -1.0)
+    above = ahead.height[..., :, None] - behind.height[..., None, :]  # (K, T, A, B)
+    lowest = np.maximum(above, 0.0) + behind.height[..., None, :]
+    found = lowest.argmin(axis=1, keepdims=True)  # (K, 1, A, B)
+    # The pitch of equal heights lies between the lowest one and the next on the side that is free.
+    here = np.take_along_axis(above, found, axis=1)
+    toward = np.where(here > 0, 1, -1)
+    beside = np.clip(found + toward, 0, len(_PITCHES) - 1)
+    there = np.take_along_axis(above, beside, axis=1)
+    between = np.divide(here, here - there, out=np.zeros_like(here), where=here * there < 0)
+    pitch = _PITCHES[found] + between * (_PITCHES[beside] - _PITCHES[found])
+
+    def at_rest(values: FloatArray) -> FloatArray:
+        return np.take_along_axis(values, found, axis=1)[:, 0]
+
+    barriers = at_rest(ahead.barrier[..., :, None]), at_rest(behind.barrier[..., None, :])
+    return Rest(pitch[:, 0], at_rest(lowest), np.minimum(*barriers))
+
+
+class _Contacts(NamedTuple):
+    """The parts on one side of the chassis centre, each (K, T, A): place, pitch, angle."""
+
+    height: FloatArray
+    """Height of the chassis centre at which they touch the ground [m]."""
+    barrier: FloatArray
+    """Rise of the chassis centre until the robot tips over the outermost contact [m]."""
+
+
+def _contacts(
+    ground: FloatArray, robot: RobotGeometry, places: FloatArray, angles: FloatArray, sign: float
+) -> _Contacts:
+    """Return the contacts ahead of the chassis centre (``sign`` 1) or behind it (-1)."""
+
+    def axis(length: float, angle: FloatArray, along: FloatArray) -> FloatArray:
+        return sign * length * np.stack([np.cos(angle), np.sin(angle)])[..., None] * along
+
+    pitch = np.broadcast_to(_PITCHES[:, None], (len(_PITCHES), len(angles)))
+    chassis = axis(robot.hinge_offset, pitch, _CHASSIS)  # (2, T, A, S)
+    flipper = axis(robot.flipper_axle, pitch + sign * angles, _FLIPPER) + chassis[..., -1:]
+    x, z = np.concatenate([chassis, flipper], axis=-1)  # (T, A, S), from the chassis centre
+    at = places[:, None, None, None] + x  # (K, T, A, S)
+    heights = np.interp(at, *ground) - z
+    height = heights.max(axis=-1, keepdims=True)
+    outward = np.where(heights >= height - _TOUCH, sign * x, -np.inf)
+    outermost = outward.argmax(axis=-1)[..., None]
+    across = np.maximum(0.0, np.take_along_axis(outward, outermost, axis=-1))
+    above = robot.track_radius - np.take_along_axis(
+        np.broadcast_to(z, at.shape), outermost, axis=-1
+    )
+    return _Contacts(height[..., 0], tipping_rise(across, above)[..., 0])
+
+
+def _inflated(points: FloatArray, radius: float, low: float, high: float) -> FloatArray:
+    """Return x and height of the ground from ``low`` to ``high``, inflated by ``radius`` [m]."""
+    x = np.arange(low, high + _CELL, _CELL)
+    n = math.floor(radius / _CELL)
+    across = _CELL * np.arange(-n, n + 1)
+    wide = np.concatenate([x[0] + across[:n], x, x[-1] + across[n + 1 :]])
+    z = np.interp(wide, *points.T) if len(points) else np.full(len(wide), -radius)
+    windows = np.lib.stride_tricks.sliding_window_view(z, 2 * n + 1)
+    return np.stack([x, (windows + np.sqrt(radius**2 - across**2)).max(axis=-1)])
