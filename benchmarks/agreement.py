@@ -2,8 +2,8 @@
 
     python -m benchmarks.agreement --output tests/evaluation/recorded/agreement.json
 
-``tests/evaluation/test_agreement.py`` compares flipperctl with the stored file, to 1e-9. The script
-needs an environment of its own, since rliable 1.2.0 does not import with pandas 3:
+``tests/evaluation/test_statistics.py`` compares flipperctl with the stored file, to 1e-9. The
+script needs an environment of its own, since rliable 1.2.0 does not import with pandas 3:
 
     python -m venv other
     other/bin/pip install rliable==1.2.0 arch==7.0.0 "pandas<3" statsmodels "scipy<1.14"

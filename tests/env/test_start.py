@@ -1,27 +1,35 @@
-"""Starts past the first edge: the robot stands on a slope or a stair."""
+"""Starts and finishes on the obstacle, and grounds that choose their own."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from flipperctl.api import Profile, Robot, Start, World
+from flipperctl.api import Limits, Outcome, Profile, Robot, Start, Terrain, World, registry, terrain
+from flipperctl.config import Episode
 from flipperctl.env import flipper_env
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.start import finish_of, nearest_rest
 from flipperctl.errors import ConfigError, TerrainError
 from flipperctl.sim.ground import height_at, resting
 from flipperctl.sim.mujoco import Mujoco
 from flipperctl.sim.planar import Planar
 
-RADIUS, AXLE, HALF = 0.1, 0.336, 0.28
+RADIUS, AXLE, HALF, CLEARANCE = 0.1, 0.336, 0.28, 0.1
 EXACT = {"start_noise": 0.0}
 STEEPEST = math.pi / 3
+HOLD = 4
+ANGLE = math.radians(20)
 
 
 def slope(degrees: float) -> Profile:
     """Return a slope of 4 m along x."""
     return Profile([(0.0, 0.0), (4.0, 4.0 * math.tan(math.radians(degrees)))])
+
+
+UP = slope(20.0)
 
 
 @pytest.mark.parametrize("degrees", [30.0, -30.0, 12.345])
@@ -95,9 +103,12 @@ def test_a_turned_robot_stands_on_a_slope_in_3d() -> None:
     [
         ({"run_up": -9.0}, "starts past the finish of 'step'"),
         ({"run_up": -0.02}, "the robot cannot stand 0.02 m past the first edge of 'step'"),
+        ({"run_out": -5.0}, r"the finish of 'step' lies 4\.00 m behind the start"),
     ],
 )
-def test_a_start_that_no_robot_can_have_is_named(episode: dict[str, float], text: str) -> None:
+def test_a_start_or_finish_that_no_robot_can_have_is_named(
+    episode: dict[str, float], text: str
+) -> None:
     cliff = {"name": "step", "low": -1.0, "high": -0.9}
     with pytest.raises(TerrainError, match=text):
         FlipperEnv(cliff, episode={**EXACT, **episode}).reset(seed=0)
@@ -129,3 +140,146 @@ def test_a_lifted_start_leaves_later_episodes_on_the_same_profile_their_own(
     assert env.state.position[0] < profile.start
     env.reset(seed=2)
     assert env.state.position[0] > profile.start + 0.5
+
+
+def test_the_finish_on_a_slope_is_as_high_as_a_robot_along_it() -> None:
+    finish = finish_of(UP, Robot(), Episode(run_out=-1.0))
+    assert finish.x == 3.0
+    assert finish.slope == pytest.approx(math.tan(ANGLE), abs=1e-4)
+    centre = 3.0 * math.tan(ANGLE) + RADIUS / math.cos(ANGLE)
+    assert finish.top == pytest.approx(centre + HALF * math.sin(ANGLE) + CLEARANCE, abs=1e-4)
+    # The ground past the edge is higher, and counts from there on.
+    past = 4.0 * math.tan(ANGLE) + RADIUS + CLEARANCE
+    assert (finish.end, finish.level) == (4.0, pytest.approx(past))
+    down = finish_of(Profile(UP.points * (1.0, -1.0)), Robot(), Episode(run_out=-1.0))
+    assert down.slope == pytest.approx(-math.tan(ANGLE), abs=1e-4)
+    assert down.level == pytest.approx(-4.0 * math.tan(ANGLE) + RADIUS + CLEARANCE)
+    level = finish_of(UP, Robot(), Episode())
+    assert level.x == 5.0
+    assert level.top == pytest.approx(4.0 * math.tan(ANGLE) + RADIUS + CLEARANCE)
+    assert (level.slope, level.end, level.level) == (0.0, math.inf, -math.inf)
+
+
+def test_the_allowed_height_follows_the_slope_down_to_the_level_ground() -> None:
+    limits = Limits(angle=1.0, x=2.0, top=1.0, half=0.0, slope=-0.5, end=8.0, level=0.2)
+    assert not limits.reached(1.9, 0.0, 0.0)
+    assert limits.reached(3.0, 0.5, 0.0)
+    assert not limits.reached(3.0, 0.51, 0.0)
+    assert limits.reached(7.0, 0.2, 0.0)  # the line lies below the level ground
+    assert not limits.reached(7.0, 0.21, 0.0)
+    assert not limits.reached(9.0, 0.21, 0.0)
+
+
+def test_past_the_last_edge_higher_ground_counts() -> None:
+    limits = Limits(angle=1.0, x=2.0, top=1.0, half=0.0, slope=0.0, end=8.0, level=1.5)
+    assert limits.reached(7.9, 1.0, 0.0)
+    assert not limits.reached(7.9, 1.01, 0.0)  # as a robot that stands up at the finish
+    assert limits.reached(8.0, 1.5, 0.0)
+    assert not limits.reached(8.0, 1.51, 0.0)
+
+
+@pytest.mark.parametrize(("sim", "direction"), [("planar", "up"), ("mujoco", "down")])
+def test_an_episode_ends_on_a_slope(sim: str, direction: str) -> None:
+    ramp = {"name": "ramp", "direction": direction, "length_low": 2.0, "length_high": 2.0}
+    slope = {"slope_low": 20, "slope_high": 20, "back": False}
+    episode = {**EXACT, "run_up": -0.6, "run_out": -0.7}
+    env = FlipperEnv({**ramp, **slope}, sim=sim, episode=episode)
+    env.reset(seed=1)
+    ended = False
+    while not ended:
+        *_, ended, _, info = env.step(HOLD)
+    assert info["outcome"] is Outcome.REACHED
+    assert env.state.position[0] == pytest.approx(env.profile.end - 0.7, abs=0.01)
+    assert abs(env.state.pitch) == pytest.approx(ANGLE, abs=0.02)
+
+
+@pytest.mark.parametrize("occlusion", [False, True])
+def test_ground_far_inside_the_obstacle_is_sensed_as_it_is(occlusion: bool) -> None:
+    ramp = {"name": "ramp", "direction": "up", "length_low": 10.0, "length_high": 10.0}
+    slope = {"slope_low": 20, "slope_high": 20, "back": False}
+    inside = {**EXACT, "run_up": -4.0, "run_out": -4.0}  # both farther than any sensor reaches
+    exact = {"occlusion": occlusion}
+    env = FlipperEnv({**ramp, **slope}, episode=inside, perception=exact)
+    env.reset(seed=1)
+    points = env.perception.points + env.state.position
+    assert (np.diff(points[:, 0]) >= 0).all()
+    assert points[:, 1] == pytest.approx(env.profile.heights(points[:, 0]))
+    wrong = FlipperEnv({**ramp, **slope}, episode=inside, perception={**exact, "map_error": 0.01})
+    observation, _ = wrong.reset(seed=1)
+    assert np.isfinite(observation).all()
+
+
+def test_a_robot_that_stands_up_has_not_reached_the_finish() -> None:
+    finish = finish_of(UP, Robot(), Episode(run_out=-1.0))
+    limits = Limits(angle=math.pi / 3, half=HALF, **finish._asdict())
+    height = 3.1 * math.tan(ANGLE) + RADIUS / math.cos(ANGLE)
+    assert limits.reached(3.1, height, ANGLE)
+    assert not limits.reached(3.1, height + 0.11, ANGLE)
+
+
+def test_a_finish_where_no_robot_can_stand_is_named() -> None:
+    cliff = Profile([(0.0, 0.0), (3.0, 0.0), (3.0, -3.0), (6.0, -3.0)])
+    with pytest.raises(TerrainError, match=r"cannot stand 2\.95 m before the last edge"):
+        finish_of(cliff, Robot(), Episode(run_out=-2.95))
+    x, pose = nearest_rest(cliff, Robot(), 3.05, (0.0, 0.0), math.pi / 3)
+    assert pose is not None
+    assert x == pytest.approx(2.95)  # its centre of mass is not past the edge
+    own = Profile(cliff.points, run_out=-2.95)
+    assert finish_of(own, Robot(), Episode()).x == x
+
+
+@pytest.fixture
+def chosen() -> Iterator[str]:
+    """Register ground that starts and finishes on itself."""
+
+    @terrain("chosen")
+    class Chosen(Terrain):
+        """A slope of 4 m."""
+
+        run_up: float = -1.0
+
+        def generate(self, rng: np.random.Generator) -> Profile:
+            return Profile(UP.points, run_up=self.run_up, run_out=-1.5)
+
+    yield "chosen"
+    del registry["terrain", "chosen"]
+
+
+def test_a_ground_chooses_its_start_and_finish(chosen: str) -> None:
+    env = FlipperEnv(chosen, episode=EXACT)
+    env.reset(seed=0)
+    assert env.state.position[0] == pytest.approx(1.0)
+    assert env.state.pitch == pytest.approx(ANGLE, abs=1e-4)
+    assert env.scene.start == 1.0
+    assert env.drive.termination.finish == 2.5
+    with pytest.raises(TerrainError, match=r"run_up is -7 m; -4 m to 10 m is allowed"):
+        FlipperEnv({"name": chosen, "run_up": -7.0}).reset(seed=0)
+    with pytest.raises(ValueError, match="run_out is a finite number"):
+        Profile(UP.points, run_out=math.nan)
+
+
+@pytest.mark.parametrize("run_out", [0.0, 0.5])
+def test_past_a_face_down_the_finish_is_on_the_lower_level(run_out: float) -> None:
+    drop = Profile([(0.0, 0.0), (1.0, 0.0), (1.0, -0.5)])
+    finish = finish_of(drop, Robot(), Episode(run_out=run_out))
+    assert finish.top == pytest.approx(-0.5 + RADIUS + CLEARANCE)
+
+
+def test_level_ground_far_from_the_edges_carries_a_robot() -> None:
+    """Reward terms and measures see the ground under a robot that starts or ends far away."""
+    profile = Profile([(0.0, 0.0), (0.0, 0.2), (1.0, 0.2)])
+    for x, z in ((-9.0, 0.0), (10.5, 0.2)):
+        found = profile.around(x, 1.0, far=True)
+        assert found[0, 0] <= x - 0.9
+        assert found[-1, 0] >= x + 0.9
+        assert (found[:, 1] == z).all()
+
+
+def test_a_robot_that_passes_the_finish_on_raised_flippers_finishes_past_the_last_edge() -> None:
+    valley = Profile([(0.0, 0.0), (2.0, 0.0), (2.0, 0.4), (3.0, 0.4)], run_out=-2.0)
+    finish = finish_of(valley, Robot(), Episode())
+    limits = Limits(angle=math.pi / 3, half=HALF, **finish._asdict())
+    on_top = 0.4 + RADIUS
+    assert not limits.reached(2.9, on_top, 0.0)  # the ground has risen past the finish
+    assert limits.reached(3.1, on_top, 0.0)
+    assert not limits.reached(3.1, on_top + CLEARANCE, 0.1)

@@ -1,11 +1,19 @@
-"""Intervals and tests, by hand and against published or exact numbers."""
+"""Intervals and tests, by hand and against published or exact numbers, to 1e-9.
+
+``benchmarks/agreement.py`` made the file of numbers of rliable and statsmodels; its head names the
+versions.
+"""
 
 import itertools
+import json
 import math
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from flipperctl.evaluation import seeds as aggregates
 from flipperctl.evaluation.statistics import (
     FEWEST,
     Interval,
@@ -132,3 +140,44 @@ def test_a_mean_of_rates_without_variation_has_the_width_of_their_intervals() ->
     assert found.low == pytest.approx(2 / 3 - math.sqrt(2 * (1 - (all_of_them.low or 0)) ** 2) / 3)
     assert found.high == pytest.approx(2 / 3 + (none.high or 0) / 3)
     assert mean_of([none]) == none
+
+
+STORED = json.loads((Path(__file__).parent / "recorded" / "agreement.json").read_text())
+OTHERS = STORED["statsmodels"]
+
+
+def same(expected: Any) -> Any:
+    return pytest.approx(expected, abs=1e-9, rel=1e-9)
+
+
+@pytest.mark.parametrize("example", STORED["rliable"])
+def test_aggregates_equal_those_of_rliable(example: dict[str, Any]) -> None:
+    ours, theirs = np.array(example["ours"]), np.array(example["theirs"])
+    assert float(aggregates.interquartile_mean(ours)) == same(example["interquartile_mean"])
+    assert float(aggregates.improvement(ours, theirs)) == same(example["improvement"])
+    found = aggregates.profile(ours, np.array(example["levels"]))
+    assert found == same(np.array(example["profile"]))
+
+
+def test_intervals_and_tests_equal_those_of_statsmodels() -> None:
+    mean = OTHERS["mean"]
+    found = interval(mean["values"])
+    assert [found.low, found.high] == same(mean["ends"])
+    assert mean_p(mean["values"]) == same(mean["p"])
+    for one in OTHERS["wilson"]:
+        found = proportion(one["count"], one["total"])
+        assert [found.low, found.high] == same(one["ends"])
+    for one in OTHERS["mcnemar"]:
+        assert mcnemar_p(one["won"], one["lost"]) == same(one["p"])
+    assert holm(OTHERS["holm"]["p"]) == same(OTHERS["holm"]["corrected"])
+
+
+def test_the_parts_of_the_variance_are_an_analysis_of_variance() -> None:
+    crossed = OTHERS["crossed"]
+    scores = np.array(crossed["scores"])
+    seeds, episodes, rest = aggregates._parts({"stair": scores})
+    assert seeds is not None
+    assert episodes is not None
+    assert seeds.variance * scores.size == same(crossed["seed"])
+    assert episodes.variance * scores.size == same(crossed["episode"])
+    assert rest * scores.size == same(crossed["residual"])

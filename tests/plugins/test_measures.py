@@ -1,17 +1,33 @@
-"""The measures of stability, impacts, roll and standstill against numbers worked by hand."""
+"""Measures against numbers worked by hand.
 
+A measure given with ``--plugins`` appears in rows, files, JSON, tables, comparisons, validations.
+"""
+
+import csv
+import json
 import math
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from pydantic import Field
 
-from flipperctl.api import Measure, Profile, Robot, RobotState, Transition, action_index
+from flipperctl import plugins
+from flipperctl.api import Measure, Profile, Robot, RobotState, Transition, action_index, measure
+from flipperctl.cli.plan import scenes
 from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.errors import NonFiniteError, PluginError, PluginFailedError
+from flipperctl.evaluation.evaluate import evaluate
+from flipperctl.evaluation.plan import Entry, Plan
+from flipperctl.evaluation.views.evaluation import csv_rows, document
+from flipperctl.rollout.episode import play
+from flipperctl.training.listeners import columns
+from tests.cli.call import call
 
 ROBOT = Robot()  # hinges at ±0.28 m, axles of 0.336 m, tracks of radius 0.1 m, 35 kg and 2 × 5 kg
 FLAT = Profile([(0.0, 0.0)])
@@ -127,3 +143,128 @@ def test_the_energy_of_the_flippers_is_torque_times_angle(sim: str) -> None:
     # The last decision holds the flippers, which costs torque but hardly any work.
     assert episode[-1].flipper_work is not None
     assert episode[-1].flipper_work < 0.1 * found
+
+
+MAPPING = {"map_error", "map_error_below", "drift", "unseen"}
+
+
+def measured(**perception: object) -> dict[str, float]:
+    env = FlipperEnv({"name": "flat", "length": 0.5}, perception=perception)
+    env.reset(seed=1)
+    while True:
+        *_, terminated, truncated, info = env.step(4)
+        if terminated or truncated:
+            found: dict[str, float] = info["metrics"]
+            return found
+
+
+def episode(bias: float) -> list[Transition]:
+    """Decisions of a sensor whose heights are wrong by ``bias`` [m], as if it mapped the ground."""
+    env = FlipperEnv("step", perception={"bias": bias})
+    env.reset(seed=1)
+    made = []
+    for _ in range(3):
+        env.step(4)
+        perceived = env.transition.perception
+        assert perceived is not None
+        seen = np.arange(15) >= 3
+        position = env.transition.before.position * 1.5
+        mapped = replace(perceived, seen=seen, position=position)
+        made.append(replace(env.transition, perception=mapped))
+    return made
+
+
+def test_a_constant_error_of_the_heights_is_the_map_error() -> None:
+    made = episode(0.03)
+    assert value("map_error", made) == pytest.approx(0.03, abs=1e-3)
+    assert value("map_error_below", made) == pytest.approx(0.03, abs=1e-3)
+    assert value("unseen", made) == pytest.approx(3 / 15)
+    driven = made[-1].before.position - made[0].before.position
+    assert value("drift", made) == pytest.approx(0.5 * np.hypot(*driven))
+
+
+def test_only_evaluations_of_mapping_sensors_have_them() -> None:
+    words = ["terrain=flat", "terrain.length=0.5", "eval.episodes=1"]
+    chosen = scenes([*words, "perception=planar,lidar"], None, "level")
+    found = document(evaluate(Plan.of_one([Entry(*scene) for scene in chosen])))
+    planar, lidar = found["scenes"]
+    assert not MAPPING & planar.keys()
+    assert lidar.keys() > MAPPING
+    rows = list(csv_rows(found))
+    assert ["map_error" not in row for row in rows] == [True, False]
+    assert not MAPPING & {*columns()}
+    assert measured(name="planar").keys() & MAPPING == set()
+
+
+EXAMPLE = str(Path(__file__).parents[2] / "examples" / "highest.py")
+
+
+def test_eval_shows_it_everywhere(tmp_path: Path) -> None:
+    flat = ["eval", "--controller", "level", "terrain=flat", "--episodes", "5"]
+    more = ["--baseline", "okada", "--output", "out", "--columns", "highest", "--plugins", EXAMPLE]
+    done = call(*flat, *more, cwd=tmp_path)
+    assert done.code == 0, done.err
+    for text in ("highest [m]", "0.100 [0.100, 0.100]"):
+        assert text in done.out
+    out = tmp_path / "out"
+    (scene,) = json.loads((out / "summary.json").read_text())["scenes"]
+    # The chassis rests with its tracks' radius of 0.1 m above the ground.
+    assert scene["highest"]["mean"] == pytest.approx(0.1, abs=1e-3)
+    difference = {"mean": 0.0, "low": 0.0, "high": 0.0, "episodes": 5}
+    assert scene["baseline"]["difference"]["highest"] == difference
+    for name in ("episodes.csv", "table.csv"):
+        with (out / name).open(newline="") as file:
+            values = [float(row["highest"]) for row in csv.DictReader(file)]
+        assert values == pytest.approx([0.1] * len(values), abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "error", "words"),
+    [
+        ("odd", "1 / 0", PluginFailedError, "measure 'odd': __call__ raised ZeroDivisionError"),
+        ("odd", "float('nan')", NonFiniteError, "measure 'odd': __call__ returned nan"),
+        ("odd", "'much'", PluginFailedError, "measure 'odd': __call__ returned 'much'"),
+        ("friction", "1.0", PluginError, "files have another column or key 'friction'"),
+    ],
+)
+def test_a_measure_that_fails_is_named(
+    name: str, value: str, error: type[Exception], words: str, registry: dict, tmp_path: Path
+) -> None:
+    file = tmp_path / "odd.py"
+    file.write_text(
+        "from flipperctl.api import Measure, measure\n"
+        f"@measure({name!r})\n"
+        "class Odd(Measure):\n"
+        '    """An odd measure."""\n'
+        "    def __call__(self, episode):\n"
+        f"        return {value}\n"
+    )
+    plugins.load([file])
+    level = resolver.create("controller", "level", "controller").build()
+    with pytest.raises(error, match=words) as caught:
+        play(FlipperEnv("flat"), level, 0)
+    assert "odd.py" in str(caught.value)
+
+
+def test_a_measure_gets_the_whole_episode_as_it_was(registry: dict) -> None:
+    @measure("kept")
+    class Kept(Measure):
+        """The number of transitions whose pitches end with their own [-]."""
+
+        def __call__(self, episode: Sequence[Transition]) -> float:
+            ends = [len(t.pitches) == k + 2 for k, t in enumerate(episode)]
+            own = [t.pitches[-2:].tolist() == [t.before.pitch, t.after.pitch] for t in episode]
+            return sum(ends) + sum(own)
+
+    row = play(FlipperEnv("flat"), resolver.create("controller", "level", "controller").build(), 0)
+    assert row["kept"] == 2 * row["decisions"]
+
+
+def test_a_measure_takes_no_settings() -> None:
+    class Tuned(Measure):
+        """A measure with a setting."""
+
+        above: float = Field(1.0, ge=0, le=2, description="height [m]")
+
+    with pytest.raises(TypeError, match="has the settings above; every measure is computed"):
+        measure("tuned")(Tuned)

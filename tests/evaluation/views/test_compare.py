@@ -1,4 +1,4 @@
-"""Methods compared over their training seeds, from outcomes made by hand."""
+"""Methods compared over their training seeds, from outcomes made by hand; their short names."""
 
 from dataclasses import replace
 from typing import Any
@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from flipperctl.evaluation.names import names
 from flipperctl.evaluation.seeds import SeedSamples
 from flipperctl.evaluation.stored import Stored
 from flipperctl.evaluation.views.compare import ALL, Comparison, document, tables
@@ -109,3 +110,22 @@ def test_a_difference_of_success_ends_at_1() -> None:
     ]
     found = rows(methods, 6.28, methods[1])[0]["comparison"]
     assert found["success"]["high"] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("labels", "short"),
+    [
+        (("runs/cmp/network=at_d3qn", "runs/cmp/network=mlp", "level"),
+         ("at_d3qn", "mlp", "level")),
+        (("s/network=mlp,agent.gamma=0.9", "s/network=mlp,agent.gamma=1"),
+         ("mlp, gamma=0.9", "mlp, gamma=1")),
+        (("s/0_network=mlp,seed=1", "s/1_network=conv,seed=1"), ("mlp", "conv")),
+        (("s/0_network=mlp,seed=1", "s/1_network=mlp,seed=2"), ("mlp, seed=1", "mlp, seed=2")),
+        (("s/0_seed=1",), ("seed=1",)),
+        (("runs/first/checkpoints/best.safetensors", "b.onnx"), ("first", "b.onnx")),
+        (("a/run", "b/run"), ("a/run", "b/run")),
+        (("runs/1/best", "runs/1/last"), ("best", "last")),
+    ],
+)  # fmt: skip
+def test_the_last_parts_that_differ(labels: tuple[str, ...], short: tuple[str, ...]) -> None:
+    assert tuple(names(labels).values()) == short
