@@ -87,7 +87,7 @@ def contacts(
     chassis, front, rear = directions
     ahead = robot.hinge_offset * chassis
     front, rear = ahead + robot.flipper_axle * front, -ahead - robot.flipper_axle * rear
-    reach = robot.hinge_offset + robot.flipper_axle + robot.track_radius + touch
+    reach = robot.reach + touch
     x, z = profile.around_each(position[:, 0], reach, far=True)
     x, z = x - position[:, :1], z - position[:, 1:]
     axles = ((-ahead, ahead), (ahead, front), (rear, -ahead))

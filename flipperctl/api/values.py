@@ -151,6 +151,11 @@ class RobotGeometry(Settings):
         """Distance from the hinge to the centre of the flipper's tip arc [m]."""
         return self.flipper_length - 2 * self.track_radius
 
+    @property
+    def reach(self) -> float:
+        """Distance from the chassis centre to the tip of a level flipper, along the chassis [m]."""
+        return self.hinge_offset + self.flipper_axle + self.track_radius
+
     def clip(self, angle: float) -> float:
         """Return the angle limited to the range of the flippers [rad]."""
         return min(self.angle_limit, max(-self.angle_limit, angle))

@@ -343,7 +343,6 @@ def _show(
 ) -> None:
     """Show episodes from the first on; ``span``: the first, and how many."""
     import sys
-    import webbrowser
 
     if terminal:
         from flipperctl.live import terminal as text
@@ -355,8 +354,6 @@ def _show(
     from flipperctl.live.page import watch as serve
 
     def ready(address: str) -> None:
-        print_note(f"open {address} in a browser; Ctrl-C ends")
-        if browser:
-            webbrowser.open(address)
+        _announce(address, browser)
 
     serve(entrants, port=port, speed=speed, span=span, find=find, ready=ready)

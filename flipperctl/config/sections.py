@@ -187,6 +187,7 @@ class Eval(Settings):
     seed: int = Field(
         0,
         ge=0,
+        le=2**63 - 1,
         description="seed of the terrains and starts, which differ from those of training [-]",
     )
     jobs: int = Field(1, ge=1, le=1024, description="processes that play episodes [-]")

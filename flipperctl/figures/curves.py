@@ -18,9 +18,19 @@ from matplotlib.ticker import MaxNLocator
 
 from flipperctl.api import FloatArray, Outcome
 from flipperctl.errors import RequestError
-from flipperctl.figures.figure import COLUMN, in_style, legend, look, note, panels, points
+from flipperctl.figures.figure import (
+    COLUMN,
+    SUCCESS,
+    VARIATION,
+    in_style,
+    label,
+    legend,
+    look,
+    note,
+    panels,
+    points,
+)
 from flipperctl.figures.figure import style_axes as style
-from flipperctl.figures.words import SUCCESS, VARIATION, label
 from flipperctl.messages import close_match
 
 METRICS = (SUCCESS, VARIATION, "return")
@@ -212,9 +222,8 @@ def _series(
 
 
 def _draw(axes: Axes, curve: Curve, index: int, *, marked: bool) -> None:
-    shown = look(index)
     # A line through one point is invisible.
-    shown |= {} if marked or len(curve.decisions) == 1 else {"marker": None}
+    shown = look(index, marked=marked or len(curve.decisions) == 1)
     axes.plot(curve.decisions, curve.middle, **shown)
     axes.fill_between(
         curve.decisions, curve.low, curve.high, color=shown["color"], alpha=0.18, linewidth=0
@@ -262,7 +271,6 @@ def _handles(runs: Runs, alone: bool, axes: Sequence[Axes], *, marked: bool) -> 
         return [line for name, line in every.items() if not name.startswith("_")]
     found = []
     for at, (name, seeds) in enumerate(runs.items()):
-        shown = look(at) if marked else look(at) | {"marker": None}
         text = f"{name} ({len(seeds)} seeds)" if len(seeds) > 1 else name
-        found.append(Line2D([], [], label=text, **shown))
+        found.append(Line2D([], [], label=text, **look(at, marked=marked)))
     return found

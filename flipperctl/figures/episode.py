@@ -101,7 +101,7 @@ def series_figure(
     for panel, (label, values) in zip(axes, _SERIES.items(), strict=True):
         style_axes(panel, "", "", label)
         for at, trace in enumerate(traces):
-            shown = look(at) | {"marker": None}
+            shown = look(at, marked=False)
             curve = values(trace)
             panel.plot(trace.time, curve, **shown)
             if trace.outcome != Outcome.REACHED:
@@ -115,9 +115,7 @@ def series_figure(
         place = panel.get_subplotspec()
         if place is not None and place.is_last_row():
             panel.set_xlabel("Time [s]")
-    every = [
-        Line2D([], [], label=name, **(look(at) | {"marker": None})) for at, name in enumerate(names)
-    ]
+    every = [Line2D([], [], label=name, **look(at, marked=False)) for at, name in enumerate(names)]
     legend(figure, every if len(every) > 1 else [])
     figure.align_ylabels()
     return figure
@@ -133,7 +131,7 @@ _SERIES: dict[str, Callable[[Trace], FloatArray]] = {
 
 def _shown(trace: Trace) -> list[RobotState]:
     """Return the poses that are drawn: start and end, and evenly between along the path."""
-    reach = _reach(trace.robot)
+    reach = trace.robot.reach
     length = float(np.hypot(*np.diff(trace.position, axis=0).T).sum())
     indices = pose_indices(trace.position, max(0.6 * reach, length / (_POSES - 1)))
     shown: list[RobotState] = []
@@ -143,16 +141,12 @@ def _shown(trace: Trace) -> list[RobotState]:
     return shown[::-1]
 
 
-def _reach(robot: RobotGeometry) -> float:
-    return robot.hinge_offset + robot.flipper_axle + robot.track_radius
-
-
 def _window(traces: Sequence[Trace]) -> tuple[FloatArray, FloatArray]:
     """Return the corners of the box that shows all poses of all traces, (x, z) in world [m]."""
     boxes = []
     for trace in traces:
         tops = [outlines(state, trace.robot)[:, :, 1].max() for state in _shown(trace)]
-        boxes.append(window(trace.position, trace.profile, _reach(trace.robot), max(tops)))
+        boxes.append(window(trace.position, trace.profile, trace.robot.reach, max(tops)))
     lows, highs = zip(*boxes, strict=True)
     return np.min(lows, axis=0), np.max(highs, axis=0)
 

@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from flipperctl import __version__
-from flipperctl.api import FloatArray, Profile
+from flipperctl.api import FloatArray, Measure, Profile, registry
 from flipperctl.figures.render import EARTH, FAINT, GROUND, INK
 from flipperctl.files import OutputKind, check_output, write_bytes
 
@@ -129,12 +129,12 @@ def panels(width: float, count: int, height: float) -> tuple[Figure, list[Axes]]
     return figure, list(every[:count])
 
 
-def look(index: int) -> dict[str, Any]:
-    """Return colour, line and marker of the method of this index."""
+def look(index: int, *, marked: bool = True) -> dict[str, Any]:
+    """Return colour, line and marker of the method of this index; no marker unless ``marked``."""
     return {
         "color": COLOURS[index % len(COLOURS)],
         "linestyle": LINES[index % len(LINES)],
-        "marker": MARKERS[index % len(MARKERS)],
+        "marker": MARKERS[index % len(MARKERS)] if marked else None,
     }
 
 
@@ -243,3 +243,35 @@ def save(figure: Figure, path: Path, about: str = "") -> None:
     """Write the figure completely or not at all; ``about``: see ``render``."""
     check_output(path, PICTURE)
     write_bytes(path, render(figure, path.suffix.lower(), about))
+
+
+_LONG = 10
+"""Largest number of characters before the unit on one line [-]."""
+SUCCESS, VARIATION = "success", "pitch_variation_100hz"
+_WORDS = {
+    SUCCESS: "Success [%]",
+    VARIATION: r"Pitch variation $\hat{\theta}_\mathrm{R}$ [rad]",
+    "pitch_variation": r"Pitch variation $\hat{\theta}_\mathrm{R}$ at decisions [rad]",
+    "t_cost": "Time [s]",
+    "max_pitch": "Largest pitch [rad]",
+    "flipper_travel": "Flipper travel [rad]",
+    "return": "Return",
+    "loss": "Loss",
+    "epsilon": r"Random actions $\varepsilon$",
+}
+
+
+def label(name: str, *, folded: bool = False) -> str:
+    """Return the label of an axis that shows a column of results.
+
+    ``folded``: on two lines if it is long, for the vertical axis of a low panel.
+    """
+    if folded:
+        words = label(name)
+        at = words.find(" $") if " $" in words else words.find(" [")
+        return f"{words[:at]}\n{words[at + 1 :]}" if at > _LONG else words
+    if name in _WORDS:
+        return _WORDS[name]
+    found, words = registry.get((Measure.kind, name)), name.replace("_", " ")
+    unit = found.unit if found is not None and issubclass(found, Measure) else "-"
+    return f"{words[0].upper()}{words[1:]}" + ("" if unit in ("", "-") else f" [{unit}]")

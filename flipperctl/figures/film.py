@@ -33,7 +33,7 @@ from flipperctl.errors import RequestError
 from flipperctl.figures.animation import LAST, SHOWN, Frame, check_film, write_film
 from flipperctl.figures.episode import draw_angles, window
 from flipperctl.figures.figure import SCREEN, draw_ground, frame, scaled, styled
-from flipperctl.figures.render import FAINT, HEIGHTS, INK, RobotArtist
+from flipperctl.figures.render import FAINT, HEIGHTS, INK, RobotArtist, drawn_pixels
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import decisions
 from flipperctl.rollout.trace import instants, map_points, mapped
@@ -262,10 +262,9 @@ class SideView:
     def box(self) -> FloatArray:
         """Lower left and upper right corner of what the episode needs, (2, 2) in world [m]."""
         robot = self._robot
-        reach = robot.hinge_offset + robot.flipper_axle + robot.track_radius
         top = max(float(outlines(state, robot)[:, :, 1].max()) for state in self.states)
         path = np.array([state.position for state in self.states])  # (T, 2) [m]
-        return np.stack(window(path, self._profile, reach, top))
+        return np.stack(window(path, self._profile, robot.reach, top))
 
     @staticmethod
     def height(box: FloatArray) -> float:
@@ -317,7 +316,7 @@ class SideView:
         self._canvas.restore_region(self._background)
         for artist in self._moving:
             artist.draw(self._canvas.get_renderer())
-        return np.array(self._canvas.buffer_rgba(), dtype=np.uint8)[:, :, :3]
+        return drawn_pixels(self._canvas)
 
 
 def _maps(transitions: Sequence[Transition], states: Sequence[RobotState]) -> list[FloatArray]:

@@ -17,9 +17,17 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 
 from flipperctl.api import FloatArray
-from flipperctl.figures.figure import COLUMN, in_style, legend, panels, points, style_axes
+from flipperctl.figures.figure import (
+    COLUMN,
+    VARIATION,
+    in_style,
+    label,
+    legend,
+    panels,
+    points,
+    style_axes,
+)
 from flipperctl.figures.render import INK
-from flipperctl.figures.words import VARIATION, label
 
 BOUNDARY = 0.5  # success at the boundary [-]
 _EMPTY = "#E4E4E8"

@@ -16,7 +16,9 @@ from matplotlib.lines import Line2D
 
 from flipperctl.figures.figure import (
     COLUMN,
+    SUCCESS,
     in_style,
+    label,
     legend,
     look,
     note,
@@ -24,7 +26,6 @@ from flipperctl.figures.figure import (
     style_axes,
 )
 from flipperctl.figures.render import FAINT, INK
-from flipperctl.figures.words import SUCCESS, label
 
 Row = Mapping[str, Any]
 """Keys ``method`` and ``scene``, and by the name of each metric a mean with its interval: a mapping
@@ -166,7 +167,7 @@ def profiles_figure(
     axes = figure.subplots()
     handles = []
     for at, (name, (share, low, high)) in enumerate(curves.items()):
-        shown = look(at) | {"marker": None}
+        shown = look(at, marked=False)
         handles += axes.step(levels, 100 * share, where="post", label=name, **shown)
         axes.fill_between(
             levels, 100 * low, 100 * high, step="post", color=shown["color"], alpha=0.15,

@@ -23,7 +23,7 @@ from flipperctl.api import FloatArray, RobotGeometry, RobotState
 from flipperctl.errors import RequestError
 from flipperctl.figures.animation import FILM, LAST, Frame, check_film, write_film
 from flipperctl.figures.figure import PICTURE, SCREEN, save, style_axes, styled
-from flipperctl.figures.render import HEIGHTS, INK, RobotArtist
+from flipperctl.figures.render import HEIGHTS, INK, RobotArtist, drawn_pixels
 from flipperctl.files import check_output
 
 if TYPE_CHECKING:
@@ -108,11 +108,10 @@ class _PerceivedPicture:
         count = len(first.deviation)
         self._edges = (np.arange(count) - count / 2) * replay.bin_width
         reach = count * replay.bin_width / 2
-        tip = robot.hinge_offset + robot.flipper_axle + robot.track_radius
         points = np.concatenate([one.ground.points[:, 1] for one in replay.instants])
         low = min(_DEEP, max(float(points.min()), -1.5)) - 0.05
         high = max(_HIGH, min(float(points.max()), 1.5)) + 0.05
-        half = max(reach, tip) + 0.15
+        half = max(reach, robot.reach) + 0.15
         tall = (SCREEN - 1.0) * (high - low) / (2 * half)
         whole = 2 * tall + 3.0  # [in]
         self.figure = Figure(figsize=(SCREEN, whole), dpi=80)
@@ -192,7 +191,7 @@ class _PerceivedPicture:
         held = f", held: {instant.held}" if instant.held else ""
         self._clock.set_text(f"{instant.time:5.1f} s{held}")
         self._canvas.draw()
-        return np.array(self._canvas.buffer_rgba(), dtype=np.uint8)[:, :, :3]
+        return drawn_pixels(self._canvas)
 
     def _show_bins(self, heights: FloatArray, seen: Any, deviation: FloatArray | None) -> None:
         count = len(heights)

@@ -105,7 +105,7 @@ class Renderer:
         self._draw_perception(scene)
         self._write(scene)
         self._canvas.draw()
-        return np.array(self._canvas.buffer_rgba(), dtype=np.uint8)[:, :, :3]
+        return drawn_pixels(self._canvas)
 
     def _build_axes(self, axes: Axes) -> None:
         for axis, name, at in (
@@ -162,8 +162,7 @@ class Renderer:
     def _look_at(self, scene: Scene) -> None:
         """Centre the view on the chassis, with equal axes that show robot and perceived ground."""
         robot = scene.robot
-        length = robot.hinge_offset + robot.flipper_axle + robot.track_radius
-        width = 3.2 * max(_reach(scene.perceived), 1.5 * length)
+        width = 3.2 * max(_reach(scene.perceived), 1.5 * robot.reach)
         height = width * (_BOX[3] * HEIGHT) / (_BOX[2] * WIDTH)
         x, z = scene.state.position.tolist()
         self._axes.set_xlim(x - width / 2, x + width / 2)
@@ -209,6 +208,11 @@ class Renderer:
         }
         for name, text in texts.items():
             self._values[name].set_text(text.replace("-", "−"))
+
+
+def drawn_pixels(canvas: Any) -> NDArray[np.uint8]:
+    """Return a copy of what was drawn on a canvas of Agg, (H, W, 3)."""
+    return np.array(canvas.buffer_rgba(), dtype=np.uint8)[:, :, :3]
 
 
 def _reach(p: Perceived) -> float:

@@ -189,7 +189,7 @@ def _dimension(axes: Axes, start: tuple[float, float], end: tuple[float, float],
 
 def _run_up(robot: RobotGeometry) -> float:
     """Return the distance between the drawn robot and the first edge [m]."""
-    return max(1.0, robot.hinge_offset + robot.flipper_axle + robot.track_radius + 0.2)
+    return max(1.0, robot.reach + 0.2)
 
 
 def _window(profile: Profile, robot: RobotGeometry) -> tuple[FloatArray, FloatArray]:

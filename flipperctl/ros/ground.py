@@ -75,7 +75,7 @@ def convert(
         sizes, skipped, remarks = [len(points) for points, _ in scans], 0, list[str]()
     else:
         scans, sizes, skipped, remarks = _scans(source, names)
-    ahead = robot.hinge_offset + robot.flipper_axle + robot.track_radius + _MARGIN
+    ahead = robot.reach + _MARGIN
     points = _thinned(_seen(scans, ahead, reach, cell), cell)
     start, end = _known_line(source, points, scans, ahead)
     rows = (f"{x:.4f} {y:.4f} {z:.4f}\n" for x, y, z in points.tolist())

@@ -126,6 +126,7 @@ eval --controller okada --baseline generalist -> --baseline | add --checkpoint g
 eval --controller okada --passable generalist -> --passable | add --checkpoint generalist
 eval --controller okada --baseline none,okada -> --baseline: none stands alone | none,okada
 eval --controller okada --passable okada, -> --passable | 'okada,'
+eval okada eval.seed=99999999999999999999 -> eval.seed | ≤ 9.22337e+18
 eval --controller okada --episodes 0 -> eval.episodes | ≥ 1
 eval --controller okada --episodes x -> eval.episodes | 'x'
 eval --controller okada conditions=wet.yaml \

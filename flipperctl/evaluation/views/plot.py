@@ -30,7 +30,7 @@ from flipperctl.evaluation.seeds import (
 from flipperctl.evaluation.stored import read
 from flipperctl.evaluation.views import compare
 from flipperctl.evaluation.views.summary import named
-from flipperctl.figures.words import SUCCESS, VARIATION
+from flipperctl.figures.figure import SUCCESS, VARIATION
 from flipperctl.messages import close_match
 from flipperctl.rollout.trace import Trace
 from flipperctl.rollout.trace import read as read_traces

@@ -5,18 +5,39 @@ Placing a robot imports pymunk and numba.
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Self
 
-from flipperctl.api import Engine, Profile, Robot, Start, World, engine
+import numpy as np
+from pydantic import Field, model_validator
+
+from flipperctl.api import SAMPLE_PERIOD, Engine, Profile, Robot, Start, World, engine
 from flipperctl.sim.planar.sensing import PlanarSensor, TerrainSensor
-from flipperctl.sim.planar.settings import PlanarSettings
 
 __all__ = ["Planar", "PlanarSensor", "TerrainSensor"]
 
 
 @engine("planar")
-class Planar(PlanarSettings, Engine):
+class Planar(Engine):
     """Simulates rigid bodies in the robot's side plane with pymunk (Chipmunk)."""
+
+    substep: float = Field(
+        0.005, gt=0.0004, le=0.01, description="time step; 0.01 is a whole multiple of it [s]"
+    )
+    iterations: int = Field(20, ge=1, le=200, description="solver iterations per substep [-]")
+    gravity: float = Field(9.81, gt=0, le=30, description="downward acceleration [m/s²]")
+    friction: float = Field(
+        1.0,
+        gt=0,
+        le=10,
+        description="friction between track and ground; not given in the paper [-]",
+    )
+
+    @model_validator(mode="after")
+    def _divides_the_sample(self) -> Self:
+        ratio = SAMPLE_PERIOD / self.substep
+        if abs(ratio - round(ratio)) > 1e-9:
+            raise ValueError("substep must divide 0.01 s, the sampling time of the pitch")
+        return self
 
     def place(
         self, profile: Profile, robot: Robot, start: Start, rng: np.random.Generator

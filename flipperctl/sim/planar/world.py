@@ -25,9 +25,9 @@ from flipperctl.api import (
     Start,
 )
 from flipperctl.sim.ground import height_at
+from flipperctl.sim.planar import Planar
 from flipperctl.sim.planar.compiled import GROUND, TRACK, Belt, Budget, CompiledLoop
 from flipperctl.sim.planar.rays import distances
-from flipperctl.sim.planar.settings import PlanarSettings
 
 _LEVEL_GROUND = 20.0  # length of the level ground before and past the profile [m]
 _IMPULSE_SPEED = 1.25
@@ -51,7 +51,7 @@ of the energy that pushed it there.
 class PlanarWorld:
     """One robot on one profile; rebuilt for every episode, so that replays are bit-identical."""
 
-    def __init__(self, profile: Profile, robot: Robot, sim: PlanarSettings, start: Start) -> None:
+    def __init__(self, profile: Profile, robot: Robot, sim: Planar, start: Start) -> None:
         """Place the robot at ``start``.
 
         Without a height there, it rests on the lower flippers if a flipper is below the level
