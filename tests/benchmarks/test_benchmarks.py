@@ -21,15 +21,37 @@ from benchmarks import (
     statics,
     tables,
 )
-from benchmarks.settings import MEASURES, BenchmarkSettings, ratio
+from benchmarks.settings import MEASURES, Benchmark, BenchmarkSettings, ratio, sizes
 from flipperctl.api import Robot
 from flipperctl.bench import measure_in_turn, quantity
 from flipperctl.cli.main import run_app
-from flipperctl.config import EnvConfig, EvalConfig
+from flipperctl.config import EnvConfig, EvalConfig, TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.source import load_policy
 from flipperctl.sim.planar.sensing import correlated
-from tests.benchmarks.small import check, small_benchmark
+
+UNITS = {"m", "rad", "1/s", "s", "ms", "µs", "MiB", "-"}
+
+
+def small_benchmark(**changes: object) -> Benchmark:
+    """Return small sizes on steps, whose runs end by their budget and not by the clock."""
+    config = TrainConfig(
+        terrain="step", network="at_d3qn", seed=3, train={"decisions": 250, "workers": 2}
+    )
+    return Benchmark(config, sizes(small=True, changes={"limit": 3600.0, **changes}))
+
+
+def check(found: dict) -> None:
+    """Check raw numbers and units, and that the statistics follow from the raw numbers."""
+    assert found["about"]
+    for name, q in found["quantities"].items():
+        assert q["unit"] in UNITS, name
+        ordered = sorted(math.inf if v is None else v for v in q["values"])
+        middle = (ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2
+        assert q["median"] == (pytest.approx(middle) if math.isfinite(middle) else None), name
+        if q["low"] is not None:
+            assert ordered[0] <= q["low"] <= (q["median"] or math.inf), name
+
 
 OKADA = load_policy("okada", "--controller")
 RATIOS = {
