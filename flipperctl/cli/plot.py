@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -119,6 +119,7 @@ def plot(
       flipperctl plot judged --kind series --only at_d3qn --only level
     """
     from flipperctl import session
+    from flipperctl.evaluation.views.plot import Request
     from flipperctl.figures.figure import PICTURE, save
     from flipperctl.files import check_output
 
@@ -126,20 +127,11 @@ def plot(
         check_output(output, PICTURE)
     path = output or Path(f"{kind or _kind_of(sources)}.pdf")
     check_output(path, PICTURE)
-    found = draw(
-        sources,
-        kind=kind,
-        names=name or (),
-        metrics=_names(metric),
-        only=only or (),
-        scene=scene,
-        episode=episode,
-        against=against,
-        average=average,
-        width=None if width is None else length(width),
-        style=style,
-        tell=print_note,
-    )
+    asked = Request(
+        sources, metrics=_names(metric), names=name or (), only=only or (), against=against,
+        scene=scene, episode=episode, width=None if width is None else length(width),
+    )  # fmt: skip
+    found = draw(asked, kind=kind, average=average, style=style, tell=print_note)
     given = {
         "--kind": kind, "--name": name, "--only": only, "--metric": metric, "--scene": scene,
         "--episode": episode, "--against": against, "--width": width,
@@ -163,30 +155,23 @@ class Drawn:
 
 
 def draw(
-    sources: Sequence[str],
+    asked: Request,
     *,
     kind: str | None = None,
-    names: Sequence[str] = (),
-    metrics: Sequence[str] = (),
-    only: Sequence[str] = (),
-    scene: str | None = None,
-    episode: int | None = None,
-    against: str | None = None,
     average: str = "mean",
-    width: float | None = None,
     style: str = "paper",
     tell: Callable[[str], None] = lambda text: None,
 ) -> Drawn:
     """Return the figure of a kind, by default the first one for what is named.
 
-    ``width`` in inches. ``tell`` is called with lines on what the figure leaves out.
+    ``tell`` is called with lines on what the figure leaves out.
 
     Raises:
         RequestError: there is nothing to draw, a name or a kind does not fit, or a value is wrong.
     """
-    from flipperctl.evaluation.views.plot import Request
     from flipperctl.figures.figure import SLIDE, styled
 
+    sources = asked.folders
     if not sources:
         raise RequestError(f"nothing is named to draw; allowed: {', '.join(_FROM.values())}")
     kind = kind or _kind_of(sources)
@@ -200,17 +185,14 @@ def draw(
             )
     _known("--style", style, ["paper", "slides"])
     _known("--average", average, ["mean", "iqm"])
-    own = {"--against": against, "--scene": scene, "--episode": episode}
+    own = {"--against": asked.against, "--scene": asked.scene, "--episode": asked.episode}
     for option, value in own.items():
         if value is not None and kind not in (kinds := _OWN[option]):
             raise RequestError(
                 f"{option}: it has a meaning for --kind {' and '.join(kinds)} alone, not {kind}"
             )
-    if width is None and style == "slides":
-        width = SLIDE
-    asked = Request(
-        sources, metrics, names, only, against, scene=scene, episode=episode, width=width
-    )
+    if asked.width is None and style == "slides":
+        asked = replace(asked, width=SLIDE)
     with styled("slides" if style == "slides" else "paper"):
         if kind == "curves":
             return _curves(asked, "iqm" if average == "iqm" else "mean", tell)
@@ -361,6 +343,5 @@ def _results(asked: Request, kind: str, tell: Callable[[str], None]) -> Drawn:
     figure, notices = view.KINDS[kind](asked)
     for notice in notices:
         tell(f"warning: {notice}")
-    folders = [_path(source) for source in asked.folders]
-    own = [sorted({*folder.glob(FILE), *folder.glob(f"*/{FILE}")}) for folder in folders]
+    own = [sorted({*path.glob(FILE), *path.glob(f"*/{FILE}")}) for path in asked.paths()]
     return Drawn(figure, _digest(*(file for files in own for file in files)))

@@ -430,21 +430,20 @@ def plot(
     Raises:
         RequestError: there is nothing to draw, or an argument does not fit.
     """
+    from flipperctl.evaluation.views.plot import Request
+
     begin(plugins)
-    return drawing.draw(
+    asked = Request(
         [os.fspath(source) for source in sources],
-        kind=kind,
-        names=[f"{name}={method}" for name, method in (names or {}).items()],
         metrics=metrics,
+        names=[f"{name}={method}" for name, method in (names or {}).items()],
         only=only,
+        against=against,
         scene=scene,
         episode=episode,
-        against=against,
-        average=average,
         width=None if width is None else drawing.length(width),
-        style=style,
-        tell=print_note,
-    ).figure
+    )
+    return drawing.draw(asked, kind=kind, average=average, style=style, tell=print_note).figure
 
 
 def _names(argument: str, names: Sequence[str] | None) -> str | None:

@@ -13,6 +13,7 @@ import flipperctl
 from flipperctl.api import RobotGeometry
 from flipperctl.cli.plot import draw, length
 from flipperctl.errors import RequestError
+from flipperctl.evaluation.views.plot import Request
 from flipperctl.figures.episode import poses_figure
 from flipperctl.rollout.trace import Trace
 from flipperctl.rollout.trace import write as write_traces
@@ -49,7 +50,8 @@ def here(tmp_path: Path) -> Path:
 
 def drawn(here: Path, *sources: str, **options: object) -> Figure:
     paths = [name + str(here / path) for name, path in (split(one) for one in sources)]
-    return draw(paths, **options).figure  # type: ignore[arg-type]
+    own = {name: options.pop(name) for name in ("kind", "style") if name in options}
+    return draw(Request(paths, **options), **own).figure  # type: ignore[arg-type]
 
 
 def split(source: str) -> tuple[str, str]:
