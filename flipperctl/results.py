@@ -96,18 +96,18 @@ def holder() -> dict[str, Any]:
     return {"pid": os.getpid(), "host": socket.gethostname(), "since": since}
 
 
-def is_held(directory: Path, name: str = "run") -> bool:
+def is_held(directory: Path) -> bool:
     """Return whether a process works in the directory: one of here or of another machine.
 
     A note alone may be that of a dead process.
     """
-    path = directory / f".{name}.lock"
+    path = directory / ".run.lock"
     if not path.exists() and not path.with_suffix(".softlock").exists():
         return False
     try:
         _acquire(path).release()
     except (Timeout, OSError):  # a folder that may only be read has the note alone
-        note = _read_note(directory / f".{name}.lock.json")
+        note = _read_note(directory / ".run.lock.json")
         return note is not None and not is_dead(note)
     return False
 

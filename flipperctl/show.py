@@ -299,7 +299,7 @@ def markdown(table: Table) -> list[str]:
     return [head, "|" + "---|" * len(table.columns), *rows]
 
 
-def html(table: Table, marks: Mapping[str, str] = {}) -> str:
+def html(table: Table, marks: Mapping[str, str]) -> str:
     """Return a table in HTML, in which intervals have bars from 0 to the largest of their group.
 
     Rows from one with ``line`` to the next are a group, whose name is the text of the first column.

@@ -219,7 +219,6 @@ def test_a_run_is_held_while_its_process_lives(tmp_path: Path) -> None:
     assert not is_held(tmp_path)
     with hold(tmp_path):
         assert is_held(tmp_path)
-        assert not is_held(tmp_path, "sweep")
     assert not is_held(tmp_path)
     dies_holding(tmp_path, soft=False)
     assert not is_held(tmp_path)

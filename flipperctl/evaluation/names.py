@@ -46,7 +46,7 @@ def _last(text: str, count: int, with_seed: bool) -> str:
     return "/".join([*folders[len(folders) - count + 1 :], ", ".join(parts)])
 
 
-def chosen_names(words: Sequence[str], labels: Sequence[str], option: str) -> dict[str, str]:
+def chosen_names(words: Sequence[str], labels: Sequence[str]) -> dict[str, str]:
     """Return the names of ``NAME=METHOD`` by the labels that they stand for.
 
     A METHOD is a label, its short name, or the last parts of its path.
@@ -58,7 +58,7 @@ def chosen_names(words: Sequence[str], labels: Sequence[str], option: str) -> di
     for word in words:
         name, equals, method = word.partition("=")
         if not (name.strip() and equals and method):
-            raise RequestError(f"{option} {word}: NAME=METHOD is allowed, as in AT-D3QN=runs/first")
+            raise RequestError(f"--name {word}: NAME=METHOD is allowed, as in AT-D3QN=runs/first")
         wanted = PurePath(method).parts
         fits = [
             label
@@ -68,25 +68,25 @@ def chosen_names(words: Sequence[str], labels: Sequence[str], option: str) -> di
         ]
         if not fits:
             raise RequestError(
-                f"{option} {word}: there is no method {method!r}"
+                f"--name {word}: there is no method {method!r}"
                 f"{close_match(method, short.values())}; known: {', '.join(short.values())}"
             )
         if len(fits) > 1 and method not in fits:
-            raise RequestError(f"{option} {word}: {method} fits several: {', '.join(fits)}")
+            raise RequestError(f"--name {word}: {method} fits several: {', '.join(fits)}")
         found[method if method in fits else fits[0]] = name.strip()
     return found
 
 
-def renamed(labels: Sequence[str], words: Sequence[str], option: str = "--name") -> dict[str, str]:
+def renamed(labels: Sequence[str], words: Sequence[str]) -> dict[str, str]:
     """Return what each label is called: by ``NAME=METHOD``, else its short name.
 
     Raises:
         RequestError: see ``chosen_names``; or two methods have one name.
     """
-    found = {**names(labels), **chosen_names(words, labels, option)}
+    found = {**names(labels), **chosen_names(words, labels)}
     for label, name in found.items():
         if alike := [other for other in found if other != label and found[other] == name]:
-            raise RequestError(f"{option}: {label} and {alike[0]} would both be called {name}")
+            raise RequestError(f"--name: {label} and {alike[0]} would both be called {name}")
     return found
 
 

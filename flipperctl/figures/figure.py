@@ -192,11 +192,9 @@ def style_axes(axes: Axes, title: str, x_label: str, y_label: str) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def legend_above(axes: Axes, lines: Sequence[Line2D] | None = None) -> None:
+def legend_above(axes: Axes, lines: Sequence[Line2D]) -> None:
     """Place the legend above the right end of the axes, where it covers no curve."""
-    axes.legend(
-        handles=lines or axes.get_lines(), loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4
-    )
+    axes.legend(handles=lines, loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=4)
 
 
 def legend(figure: Figure, handles: Sequence[Artist]) -> None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import asyncio
 import hmac
 import io
-import ipaddress
 import itertools
 import logging
 import os
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
     Handler = Callable[[ServerConnection], Awaitable[None]]
     Answer = Callable[[ServerConnection, Request], Response | None]
 
+_HOST = "127.0.0.1"  # this machine alone is served
 _MOST_CLIENTS = 16
 _MOST_PENDING = 100
 """Messages without a key that may wait for one client [-]."""
@@ -122,11 +122,8 @@ class Gate:
         *,
         page: bytes | None = None,
         control: Control | None = None,
-        host: str = "127.0.0.1",
         what: str = "watching",
     ) -> None:
-        if not ipaddress.IPv4Address(host).is_loopback:
-            raise ValueError(f"host {host}: only this machine is served, as in 127.0.0.1")
         self._page, self._control = page, control
         self._token = secrets.token_urlsafe()
         self._lock = threading.Lock()
@@ -142,10 +139,10 @@ class Gate:
             raise MissingExtraError(
                 f"{what} needs viser: pip install 'flipperctl[live]'"
             ) from error
-        listener = _bind(host, port)
+        listener = _bind(port)
         self._port = listener.getsockname()[1]
-        hosts = (f"{host}:{self._port}", f"localhost:{self._port}")
-        self._hosts = {*hosts, host, "localhost"} if self._port == 80 else set(hosts)
+        hosts = (f"{_HOST}:{self._port}", f"localhost:{self._port}")
+        self._hosts = {*hosts, _HOST, "localhost"} if self._port == 80 else set(hosts)
         self._place = hosts[0]
         self._cookie = f"flipperctl_{self._port}"
         self.server = self._start(listener)
@@ -380,13 +377,13 @@ async def _close(connection: ServerConnection, code: int, reason: str) -> None:
         connection.transport.abort()
 
 
-def _bind(host: str, port: int) -> socket.socket:
+def _bind(port: int) -> socket.socket:
     """Return a socket bound to the port, or to a free one for 0."""
     listener = socket.socket()
     if os.name == "posix":  # elsewhere it would share a port that is in use
         listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
-        listener.bind((host, port))
+        listener.bind((_HOST, port))
         listener.listen()
     except OSError as error:
         listener.close()

@@ -21,6 +21,7 @@ HEADING, PAPERS_HEADING = "pitch variation [rad]", "at decisions [rad]"
 _PLAIN_EVERY = 10.0  # [s] between two lines where there is no terminal
 _KNOWN_AFTER = 3.0  # [s] after the first episode, before which compilation and workers start
 _RECENT = 20.0  # [s] over which a rate is taken; updates begin later than decisions
+_PERIOD = 30.0  # least time between two lines of an evaluation [s]
 
 
 @contextmanager
@@ -45,9 +46,7 @@ class EvaluationProgress:
     It is called as ``episodes_progress`` is, once for each policy on each scene.
     """
 
-    def __init__(self, every: float = 30.0) -> None:
-        """``every``: least time between two lines [s]."""
-        self._every = every
+    def __init__(self) -> None:
         self._total = self._done = 0
         self._started = self._last = time.perf_counter()
 
@@ -81,7 +80,7 @@ class EvaluationProgress:
                 self._done = before + int(done)
                 text = self.text(label, before + done)
                 bar.update(task, completed=before + done, description=escape(text))
-                if not console.is_terminal and time.perf_counter() - self._last >= self._every:
+                if not console.is_terminal and time.perf_counter() - self._last >= _PERIOD:
                     self._last = time.perf_counter()
                     print(text, file=sys.stderr, flush=True)
 

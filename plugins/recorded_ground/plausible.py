@@ -24,11 +24,11 @@ _STEEP = 5.0
 """Smallest slope at which sampled ground counts as a vertical face: 79° [-]."""
 
 
-def remarks_on_extent(extent: FloatArray, what: str, remedy: str) -> Iterator[str]:
+def remarks_on_extent(extent: FloatArray, remedy: str) -> Iterator[str]:
     """Yield a remark on an extent (x, y, z) or (x, z) that is large [m]."""
     if (extent > LARGE).any():
         sides = " by ".join(f"{side:g}" for side in extent)
-        yield f"{what} covers {sides} m, more than 1 km; {remedy}"
+        yield f"it covers {sides} m, more than 1 km; {remedy}"
 
 
 def remarks_on_profile(points: FloatArray, remedy: str, layered: bool) -> Iterator[str]:

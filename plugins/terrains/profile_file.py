@@ -232,7 +232,7 @@ class ProfileFile(Terrain):
             unit = self._metres
             found, own = polyline.read_csv(file, self.largest_gap / unit, self.thickness / unit)
             remarks += own
-            remarks += remarks_on_extent(np.ptp(found, axis=0) * unit, "it", self._remedy)
+            remarks += remarks_on_extent(np.ptp(found, axis=0) * unit, self._remedy)
             return found * unit
         line = Line(self.start, self.end, self.spacing)
         if self._kind == "cloud":
@@ -241,7 +241,7 @@ class ProfileFile(Terrain):
         unknown = "no height is known"
         remedy = self._remedy if suffix not in MAPS else "check resolution, start and end"
         remarks += ground.remarks
-        remarks += remarks_on_extent(ground.extent, "it", remedy)
+        remarks += remarks_on_extent(ground.extent, remedy)
         if isinstance(ground, HeightMap):
             line = ground.on_ground(line)
             remarks += remarks_on_projection(line)
@@ -270,7 +270,7 @@ class ProfileFile(Terrain):
         )
         remarks += own
         if len(points):
-            remarks += remarks_on_extent(np.ptp(points, axis=0), "it", self._remedy)
+            remarks += remarks_on_extent(np.ptp(points, axis=0), self._remedy)
         try:
             ground = clouds.slice_along(
                 points, line, self.thickness, self.quantile, MIN_POINTS, self._choice

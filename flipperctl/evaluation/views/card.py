@@ -194,9 +194,7 @@ def _is(label: str, file: Path) -> bool:
     return other.is_file() and content_digest(other) == content_digest(file)
 
 
-def card_text(
-    policy: Path, file: Path, rows: Sequence[StoredRow] = (), commands: Sequence[str] = ()
-) -> str:
+def card_text(policy: Path, file: Path, rows: Sequence[StoredRow], commands: Sequence[str]) -> str:
     """Return the card of a policy; ``policy`` is the name or path, ``file`` its checkpoint.
 
     ``rows``: results of ``policy_rows``; ``commands``: those that make the results again.

@@ -109,7 +109,7 @@ def compare(
         raise RequestError(f"--price: {price:g}; a number above 0 is allowed")
     stored = read(folders, measure)
     known = [method.name for method in stored.methods]
-    chosen = chosen_names(called, known, "--name")
+    chosen = chosen_names(called, known)
     methods = [replace(one, name=chosen.get(one.name, one.name)) for one in stored.methods]
     stored = replace(stored, methods=tuple(methods))
     names = shown_names([method.name for method in methods])

@@ -365,7 +365,7 @@ def _group_row(group: Mapping[str, Any]) -> dict[str, Any]:
     return {**group, **drawn, **gaps, "success_text": rate_text(group["success"])}
 
 
-def print_result(result: Result, evaluated: Document, columns: Sequence[str] = ()) -> None:
+def print_result(result: Result, evaluated: Document, columns: Sequence[str]) -> None:
     """Print the tables of a document, with further ``columns``, and the notes of its result."""
     for text in _alike(result):
         print(text, file=sys.stderr)

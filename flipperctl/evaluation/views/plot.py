@@ -96,11 +96,11 @@ class Request:
         chosen = [taken(one, called, "--only") for one in self.only] or called
         return {label: called[label] for label in chosen}
 
-    def one_metric(self, default: str = VARIATION) -> str:
+    def one_metric(self) -> str:
         """Return the metric of a kind that shows one."""
         if len(self.metrics) > 1:
             raise RequestError(f"--metric {','.join(self.metrics)}: this kind shows one metric")
-        return self.metrics[0] if self.metrics else default
+        return self.metrics[0] if self.metrics else VARIATION
 
 
 def estimates(

@@ -105,7 +105,7 @@ def _term(term: RewardTerm, values: FloatArray, total: float) -> Document:
     }
 
 
-def audit_table(audited: Document, notes: Sequence[str] = ()) -> Table:
+def audit_table(audited: Document, notes: Sequence[str]) -> Table:
     """Return a row for each term, with lines below the table."""
     rows = [
         {
