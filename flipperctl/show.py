@@ -258,7 +258,7 @@ def latex(table: Table) -> str:
     It is as small as tables of journals are, so that five columns fit into one of a page's two.
     """
     names = sum(column.named for column in table.columns)
-    head = [column.latex or latex_text(_capital(column.heading)) for column in table.columns]
+    head = [c.latex or latex_text(c.heading[:1].upper() + c.heading[1:]) for c in table.columns]
     found = [
         _LATEX_HEAD,
         *(f"% {' '.join(text.split())}" for text in (table.title, *table.notes) if text),
@@ -280,10 +280,6 @@ def latex(table: Table) -> str:
         ]
         found.append(" & ".join(cells) + r" \\")
     return "\n".join([*found, r"\bottomrule", r"\end{tabular}}", ""])
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]
 
 
 def latex_text(text: str) -> str:

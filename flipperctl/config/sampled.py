@@ -163,12 +163,11 @@ def target(name: str) -> tuple[str, str]:
     return section, field
 
 
-def _short_forms() -> Iterator[tuple[str, Any]]:
-    for name, (section, rest) in _SHORT_FORMS.items():
-        yield name, (Range, Field(None, description=f"of {section}.{name}{rest}"))
-
-
-_ShortForms: Any = create_model("_ShortForms", __base__=Settings, **dict(_short_forms()))
+_fields: dict[str, Any] = {
+    name: (Range, Field(None, description=f"of {section}.{name}{rest}"))
+    for name, (section, rest) in _SHORT_FORMS.items()
+}
+_ShortForms: Any = create_model("_ShortForms", __base__=Settings, **_fields)
 
 
 class Randomise(_ShortForms):

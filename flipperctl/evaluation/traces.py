@@ -82,7 +82,10 @@ class Traces:
         self._file, self._chosen = file, chosen
         self._found: dict[_Key, Trace] = {}
         try:
-            earlier = {_key(trace): trace for trace in (read(file) if file.exists() else ())}
+            earlier = {
+                (t.policy, t.conditions, t.seed, t.episode, t.digest): t
+                for t in (read(file) if file.exists() else ())
+            }
         except RequestError as error:
             tell(f"{error}; its episodes are played again")
             return
@@ -166,7 +169,3 @@ class Traces:
 def title(trace: Trace) -> str:
     """Return one line about an episode, for a picture."""
     return f"{trace.policy} on {trace.scene}: {trace.outcome}"
-
-
-def _key(trace: Trace) -> _Key:
-    return trace.policy, trace.conditions, trace.seed, trace.episode, trace.digest

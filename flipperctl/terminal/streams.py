@@ -33,11 +33,6 @@ def plain_streams() -> None:
 _document: TextIO | None = None  # standard output, while it is reserved
 
 
-def document_stream() -> TextIO:
-    """Return the stream for a document: standard output, also while it is reserved."""
-    return _document or sys.stdout
-
-
 @contextmanager
 def reserved_stdout() -> Iterator[None]:
     """Reserve standard output for a document; all other prints, such as a plugin's, go to stderr.
@@ -123,7 +118,7 @@ def log_to_stderr() -> None:
 def show(document: object, tables: Callable[[], None], *, as_json: bool) -> None:
     """Print ``document``, plain data, as JSON, or call ``tables`` to print the tables."""
     if as_json:
-        print(json.dumps(document, indent=2), file=document_stream(), flush=True)
+        print(json.dumps(document, indent=2), file=_document or sys.stdout, flush=True)
     else:
         tables()
         sys.stdout.flush()

@@ -111,7 +111,7 @@ def estimates(
     A row has ``method``, ``scene`` and each metric: a mean with its 95 % interval over training
     seeds and episodes, over the episodes that all seeds reached, or None.
     """
-    stored = {metric: read(asked.folders, _column(metric)) for metric in dict.fromkeys(metrics)}
+    stored = {m: read(asked.folders, VARIATION if m == SUCCESS else m) for m in metrics}
     first = next(iter(stored.values()))
     labels, scenes = [method.name for method in first.methods], asked.scenes()
     rows = []
@@ -122,10 +122,6 @@ def estimates(
                 row[metric] = _estimate(own.methods[labels.index(label)], scene, metric)
             rows.append(row)
     return rows, first.notices
-
-
-def _column(metric: str) -> str:
-    return VARIATION if metric == SUCCESS else metric
 
 
 def _estimate(method: SeedSamples, scene: str, metric: str) -> dict[str, Any] | None:

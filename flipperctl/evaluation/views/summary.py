@@ -81,7 +81,9 @@ def _summary(terrain: str, episodes: Episodes) -> Document:
     found["return"] = estimate(episodes.values("return"))
     if search := _search(episodes):
         found["search"] = search
-    if (told := risk_summary(episodes)) is not None:
+    risks = [(EpisodeRisks.pop(dict(row)), not reached(row)) for row in episodes]
+    told = summarise([(risk, fails) for risk, fails in risks if risk is not None])
+    if told is not None:
         found["risk"] = told
     return found
 
@@ -289,12 +291,6 @@ def risk_text(risk: Mapping[str, Any]) -> str:
 
 Ended = tuple[EpisodeRisks, bool]
 """The risks of an episode, and whether it failed."""
-
-
-def risk_summary(rows: Iterable[Row]) -> dict[str, Any] | None:
-    """Return how the risks in rows fit the ends of the episodes; None without risks."""
-    found = [(EpisodeRisks.pop(dict(row)), not reached(row)) for row in rows]
-    return summarise([(risks, fails) for risks, fails in found if risks is not None])
 
 
 def summarise(episodes: Sequence[Ended]) -> dict[str, Any] | None:
