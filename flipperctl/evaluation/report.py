@@ -22,6 +22,7 @@ from flipperctl.api import FloatArray, Outcome
 from flipperctl.errors import RequestError
 from flipperctl.evaluation import store, traces
 from flipperctl.evaluation.rows import Row
+from flipperctl.evaluation.statistics import FEWEST
 from flipperctl.evaluation.stored import SUMMARY
 from flipperctl.evaluation.views import evaluation
 from flipperctl.evaluation.views.findings import (
@@ -209,13 +210,11 @@ _DRAWN = {
     "profiles": "Performance profiles: the share of all episodes that reached the finish with at "
     "most this pitch variation, with 95 % bands. A curve ends at the success rate.",
 }
-_FEWEST = 5
-"""Smallest number of episodes with intervals, and so with figures [-]."""
 
 
 def _figures(folder: Path, found: Document, policies: Sequence[str]) -> str:
-    """Return the figures of several policies; nothing where their results do not compare."""
-    if len(policies) < 2 or min(scene["episodes"] for scene in found["scenes"]) < _FEWEST:
+    """Return the figures of several policies; nothing where these have no intervals to compare."""
+    if len(policies) < 2 or min(scene["episodes"] for scene in found["scenes"]) < FEWEST:
         return ""
     from flipperctl.evaluation.views.plot import KINDS, Request
     from flipperctl.figures.figure import WIDTH, render

@@ -34,6 +34,8 @@ from flipperctl.evaluation.store import (
     versions_here,
     write_view,
 )
+from flipperctl.evaluation.stored import FILE as EPISODES
+from flipperctl.evaluation.stored import SUMMARY
 from flipperctl.evaluation.views import engines
 from flipperctl.evaluation.views import evaluation as view
 from flipperctl.evaluation.views.summary import Document, compared, short
@@ -44,8 +46,7 @@ from flipperctl.results import result_folder
 from flipperctl.session import command, interrupts
 from flipperctl.show import latex
 
-SUMMARY = "summary.json"
-NAMES = ("episodes.csv", SUMMARY, "table.csv", "table.tex", traces.FILE)
+NAMES = (EPISODES, SUMMARY, "table.csv", "table.tex", traces.FILE)
 MOST_FAILURES = 20  # largest number of failures of a scene that are recorded [-]
 _DIGITS = 4  # decimals of ``table.csv``
 _DIGEST = 8  # digits of a policy's digest in its label
@@ -210,7 +211,7 @@ class _Files:
         )
 
         def write(part: Path) -> None:
-            write_csv(part / "episodes.csv", list(episode_rows(result)))
+            write_csv(part / EPISODES, list(episode_rows(result)))
             write_json(part / SUMMARY, document)
             write_csv(part / "table.csv", list(view.csv_rows(document, _DIGITS)))
             table = view.policies(document, self._plan.title)

@@ -27,7 +27,7 @@ from flipperctl.evaluation.seeds import (
     resampled,
     success_interval,
 )
-from flipperctl.evaluation.stored import read
+from flipperctl.evaluation.stored import SUMMARY, read
 from flipperctl.evaluation.views import compare
 from flipperctl.evaluation.views.summary import named
 from flipperctl.figures.figure import SUCCESS, VARIATION
@@ -83,7 +83,7 @@ class Request:
         found: dict[str, str] = {}
         for path in self.paths():
             try:
-                document = json.loads((path / "summary.json").read_text(encoding="utf-8"))
+                document = json.loads((path / SUMMARY).read_text(encoding="utf-8"))
                 for name, scene in named(document):
                     found[f"{scene['terrain']} {scene['conditions']['hash']}"] = name
             except (OSError, ValueError, LookupError, TypeError):
