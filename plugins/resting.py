@@ -32,6 +32,8 @@ class Rest(NamedTuple):
     """Height of the chassis centre in the frame of the ground's points [m]."""
     margin: FloatArray
     """Energy stability margin: rise of the chassis centre until the robot tips over [m]."""
+    slope: FloatArray
+    """Largest slope of the ground, inflated by the track radius, at a contact [rad]."""
 
 
 def rest(
@@ -69,7 +71,8 @@ def rest(
         return np.take_along_axis(values, found, axis=1)[:, 0]
 
     barriers = at_rest(ahead.barrier[..., :, None]), at_rest(behind.barrier[..., None, :])
-    return Rest(pitch[:, 0], at_rest(lowest), np.minimum(*barriers))
+    slopes = at_rest(ahead.slope[..., :, None]), at_rest(behind.slope[..., None, :])
+    return Rest(pitch[:, 0], at_rest(lowest), np.minimum(*barriers), np.maximum(*slopes))
 
 
 class _Contacts(NamedTuple):
@@ -79,6 +82,8 @@ class _Contacts(NamedTuple):
     """Height of the chassis centre at which they touch the ground [m]."""
     barrier: FloatArray
     """Rise of the chassis centre until the robot tips over the outermost contact [m]."""
+    slope: FloatArray
+    """Slope of the inflated ground at the first contact [rad]."""
 
 
 def _contacts(
@@ -94,23 +99,27 @@ def _contacts(
     flipper = axis(robot.flipper_axle, pitch + sign * angles, _FLIPPER) + chassis[..., -1:]
     x, z = np.concatenate([chassis, flipper], axis=-1)  # (T, A, S), from the chassis centre
     at = places[:, None, None, None] + x  # (K, T, A, S)
-    heights = np.interp(at, *ground) - z
-    height = heights.max(axis=-1, keepdims=True)
+    heights = np.interp(at, ground[0], ground[1]) - z
+    first = heights.argmax(axis=-1)[..., None]
+    height = np.take_along_axis(heights, first, axis=-1)
+    slope = np.interp(np.take_along_axis(at, first, axis=-1), ground[0], ground[2])
     outward = np.where(heights >= height - _TOUCH, sign * x, -np.inf)
     outermost = outward.argmax(axis=-1)[..., None]
     across = np.maximum(0.0, np.take_along_axis(outward, outermost, axis=-1))
     above = robot.track_radius - np.take_along_axis(
         np.broadcast_to(z, at.shape), outermost, axis=-1
     )
-    return _Contacts(height[..., 0], tipping_rise(across, above)[..., 0])
+    rise = tipping_rise(across, above)
+    return _Contacts(height[..., 0], rise[..., 0], slope[..., 0])
 
 
 def _inflated(points: FloatArray, radius: float, low: float, high: float) -> FloatArray:
-    """Return x and height of the ground from ``low`` to ``high``, inflated by ``radius`` [m]."""
+    """Return x, height [m] and slope [rad] of the ground inflated by ``radius``, (3, C)."""
     x = np.arange(low, high + _CELL, _CELL)
     n = math.floor(radius / _CELL)
     across = _CELL * np.arange(-n, n + 1)
     wide = np.concatenate([x[0] + across[:n], x, x[-1] + across[n + 1 :]])
     z = np.interp(wide, *points.T) if len(points) else np.full(len(wide), -radius)
     windows = np.lib.stride_tricks.sliding_window_view(z, 2 * n + 1)
-    return np.stack([x, (windows + np.sqrt(radius**2 - across**2)).max(axis=-1)])
+    z = (windows + np.sqrt(radius**2 - across**2)).max(axis=-1)
+    return np.stack([x, z, np.arctan(np.gradient(z, _CELL))])

@@ -27,6 +27,8 @@ _STEPS = 4
 """Largest number of angle steps each way from 0 among the planned angles [-]."""
 _STEEP = math.atan(0.75)
 """Slope of the chassis centre's path, with the flippers held, from which it costs [rad]."""
+_HOOKED = math.pi / 4
+"""Slope of the ground at a contact from which it costs [rad]."""
 _MARGIN_COST = 5.0
 """Cost of each metre that the stability margin lacks, as pitch [rad/m]."""
 
@@ -63,6 +65,14 @@ class Geometric(Controller):
         "with the flippers held, where belts slip [-]",
     )
 
+    steep: float = Field(
+        0.5,
+        ge=0,
+        le=5,
+        description="cost of each radian by which the ground is steeper than 45° where a part "
+        "touches it, which hooks flippers on edges [-]",
+    )
+
     def act(self, p: Perception) -> int:
         """Return the first turns of the best plan."""
         robot = with_masses(p.robot)
@@ -82,9 +92,11 @@ class Geometric(Controller):
         lift = (poses.height - poses.height.min(axis=(1, 2), keepdims=True))[1:]
         lacking = np.maximum(0.0, self.margin - poses.margin)[1:]
         slope = np.arctan(np.diff(poses.height, axis=0) / stride)
-        steep = np.maximum(0.0, slope - _STEEP)
-        costs: FloatArray = self.clearance * lift + _MARGIN_COST * lacking + self.climb * steep
-        return costs
+        climb = self.climb * np.maximum(0.0, slope - _STEEP)
+        # A part is hooked where the way to a place begins or where it ends.
+        hooked = self.steep * np.maximum(0.0, poses.slope - _HOOKED)
+        costs: FloatArray = self.clearance * lift + _MARGIN_COST * lacking + climb
+        return costs + np.maximum(hooked[1:], hooked[:-1])
 
     def _options(self, pitch: FloatArray, costs: FloatArray) -> FloatArray:
         """Return the cost of the best plan that begins with each of ``_TURNS``, (9, A, A) [rad].

@@ -90,6 +90,7 @@ def test_the_robot_rests_on_two_contacts() -> None:
     # An even slope: along it, whatever the flippers do above the chassis' axis.
     slope = resting(0.3 * X - 0.1 * math.hypot(1, 0.3))
     assert slope.pitch[1:, 1:] == pytest.approx(math.atan(0.3), abs=4e-3)
+    assert slope.slope[1:, 1:] == pytest.approx(math.atan(0.3), abs=1e-3)
     # At 10° the axis of level flippers passes 0.1 m from an edge 0.2 m high and xe ahead, with the
     # rear tip's centre 0.1 m above the floor: 0.1 + 0.1 · cos 10° = (xe + 0.616 · cos 10°) ·
     # sin 10° for xe = 0.536 m.
