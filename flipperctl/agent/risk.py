@@ -23,6 +23,7 @@ import torch
 from numpy.typing import NDArray
 
 from flipperctl.agent.losses import Adam, flatten_parameters
+from flipperctl.agent.networks import one_thread
 from flipperctl.agent.replay import UNKNOWN, Batch
 from flipperctl.core.risk import LAGS, EpisodeRisk, Place, RiskCalibration, RiskSign
 from flipperctl.errors import NonFiniteError
@@ -93,7 +94,7 @@ class Risk(torch.nn.Module):
         """
         device = next(self.network.parameters()).device
         row = torch.from_numpy(observation).to(device).unsqueeze(0)
-        with torch.inference_mode():
+        with one_thread():
             alone, coefficients = self(row)
         found = episode.update(float(alone), coefficients[0].cpu().numpy(), observation, place)
         if not math.isfinite(found):
