@@ -22,8 +22,8 @@ class Sb3(Settings):
     )
     settings: dict[str, JsonValue] = Field(
         default_factory=dict,
-        description="arguments of the algorithm's class, such as learning_rate; others are as "
-        "docs/own_method.md lists them, and then as there [-]",
+        description="arguments of the algorithm's class, such as learning_rate; "
+        "docs/own_method.md lists those that differ from the library's defaults unasked [-]",
     )
 
     @property
