@@ -99,10 +99,10 @@ def tune(
     others = [word for word in settings if key_of(word) not in ("budget", "from")]
     if len(demonstrators) > 1:
         raise RequestError(f"from: one demonstrator is allowed; {', '.join(demonstrators)} are")
-    if len(given) > 1 or not all(one.isdecimal() and int(one) > 0 for one in given):
+    if len(given) > 1 or not all(one.isdecimal() and 0 < int(one[:10]) < 10**9 for one in given):
         raise RequestError(
-            f"budget: one number of episodes from 1 on is allowed, as in budget=5000; the value is "
-            f"{' '.join(given)}"
+            f"budget: one number of episodes from 1 on, below a billion, is allowed, as in "
+            f"budget=5000; the value is {' '.join(given):.40}"
         )
     output = output or Path(f"{Path(name).stem.removesuffix('_tuned')}_tuned.yaml")
     check_output(output, policy_file.POLICY_FILE)

@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from flipperctl.agent.frames import input_size, stacked
-from flipperctl.agent.networks import Noise, best, build_policy, q_values
+from flipperctl.agent.networks import Noise, best, build_policy, one_thread, q_values
 from flipperctl.agent.risk import Risk, RiskNetwork, uncalibrated
 from flipperctl.api import (
     ACTIONS,
@@ -280,7 +280,7 @@ def value_of(module: torch.nn.Module, config: TrainConfig) -> LearnedValue:
     scale = config.agent.reward_scale
 
     def value(observations: NDArray[np.float32]) -> FloatArray:
-        with torch.inference_mode():
+        with one_thread():
             best = module(torch.from_numpy(observations)).amax(dim=1)
         return np.asarray(best.numpy(), np.float64) / scale
 

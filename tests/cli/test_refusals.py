@@ -182,7 +182,7 @@ tune -> tune takes one controller, as in: flipperctl tune okada
 tune okada level -> tune takes one controller | okada, level is given
 tune okda terrain=stair -> tune: there is no controller plugin 'okda'; did you mean 'okada'
 tune level terrain=stair -> level: this controller has no number between two bounds to tune
-tune okada budget=0 -> budget: one number of episodes from 1 on is allowed | is 0
+tune okada budget=0 -> budget: one number of episodes from 1 on | is allowed | is 0
 tune okada budget=100 terrain=stair -> budget: at least 187 episodes are needed | is 100
 tune okada --settings near,faar -> --settings: okada has no number 'faar' | did you mean 'far'
 tune okada --for speed -> --for: pitch or reward is allowed; the value is 'speed'
