@@ -30,7 +30,14 @@ _ALIKE = 0.02
 def notes_on_budget(config: TrainConfig) -> Iterator[str]:
     """Yield a line if a new training ends before its policy changes for the first time."""
     agent, teacher, decisions = config.agent, config.teacher, config.train.decisions
-    if agent.is_policy_gradient:
+    if config.method is not None:
+        starts = config.method.settings.get("learning_starts", 0)
+        if isinstance(starts, int) and decisions <= starts:
+            yield (
+                f"train.decisions={decisions} leaves the policy as it begins: learning starts "
+                f"after method.settings.learning_starts={starts} decisions"
+            )
+    elif agent.is_policy_gradient:
         settings = agent.policy_gradient
         first = (settings.warm_up + 1) * settings.decisions
         if decisions < first:

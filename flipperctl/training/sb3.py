@@ -27,6 +27,7 @@ from flipperctl.api import Listener
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.checkpoint.document import Generators, State, require_equal_layout
 from flipperctl.config import TrainConfig
+from flipperctl.config.defaults import notes_on_budget
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError, ConfigError, MissingExtraError
 from flipperctl.messages import close_match
@@ -48,30 +49,6 @@ except ImportError as error:
         "method=sb3 needs the package stable-baselines3; install flipperctl[sb3]"
     ) from error
 
-DEFAULTS: Mapping[str, Mapping[str, Any]] = {
-    "dqn": {
-        "learning_rate": [1e-3, 2e-5],
-        "batch_size": 128,
-        "buffer_size": 100_000,
-        "learning_starts": 1000,
-        "train_freq": 2,
-        "tau": 0.01,
-        "target_update_interval": 1,
-        "n_steps": 3,
-        "exploration_fraction": 0.3,
-        "exploration_final_eps": 0.05,
-    },
-    "ppo": {"n_steps": 1024, "batch_size": 128, "ent_coef": 0.01},
-    "a2c": {},
-    "sac": {"buffer_size": 100_000, "learning_starts": 1000, "train_freq": 2, "batch_size": 128},
-    "td3": {"buffer_size": 100_000, "learning_starts": 1000, "train_freq": 2, "action_noise": 0.2},
-    "ddpg": {"buffer_size": 100_000, "learning_starts": 1000, "train_freq": 2, "action_noise": 0.2},
-}
-"""Arguments that differ from the defaults of Stable-Baselines3.
-
-A list of two learning rates falls linearly from the first to the second. ``action_noise`` is the
-standard deviation of normal noise, in rates.
-"""
 _OURS = {
     "env": "set terrain, robot and the like",
     "seed": "set seed",
@@ -162,7 +139,7 @@ def _model(config: TrainConfig, env: gymnasium.Env[Any, Any]) -> BaseAlgorithm:
     """Return the algorithm with an untrained policy."""
     method = config.method
     assert method is not None
-    arguments: dict[str, Any] = {**DEFAULTS[method.algorithm], **method.settings}
+    arguments: dict[str, Any] = dict(method.settings)
     rate = arguments.get("learning_rate")
     if isinstance(rate, list):
         arguments["learning_rate"] = LinearSchedule(rate[0], rate[1], 1.0)
@@ -252,6 +229,8 @@ class Sb3Trainer(BaseTrainer):
 
     def _run(self, stop: Stop, opened: ExitStack) -> bool:
         self._save_all()
+        for text in () if self.progress.decision else notes_on_budget(self.config):
+            self._report(text)
         collector = InProcessCollector(lambda: iter(()), stop)
         done, budget = self.progress.decision, self.config.train.decisions
         self.model.num_timesteps = done

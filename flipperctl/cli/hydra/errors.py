@@ -128,7 +128,7 @@ def unknown_key(
     if override.is_add() and OmegaConf.select(OmegaConf.create(node), key) is not None:
         return ConfigError(f"{key} exists already; write it without +")
     section = key.partition(".")[0]
-    if section == "method" and "network" in node:
+    if section == "method" and "network" in node and section not in node:
         return ConfigError(f"{key}: the method of a training is chosen first; add method=sb3")
     if section not in node and section in TrainConfig.model_fields.keys() - {"seed"}:
         return ConfigError(f"{key}: it belongs to a training, and has no meaning here")
