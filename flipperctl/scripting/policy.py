@@ -6,6 +6,7 @@ simulator, so they act on the perceptions of an environment.
 
 from __future__ import annotations
 
+import operator
 import os
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -82,7 +83,11 @@ class _FunctionController(Controller):
 
     def act(self, p: Perception) -> Any:
         """Return what the function returns for the observation."""
-        return type(self).function(p.observation)
+        found = type(self).function(p.observation)
+        try:
+            return operator.index(cast("SupportsIndex", found))
+        except TypeError:  # rates, or nothing that is an action
+            return found
 
 
 def function_policy(function: Function) -> str:

@@ -35,7 +35,7 @@ _MARGIN_COST = 5.0
 
 @controller("geometric")
 class Geometric(Controller):
-    """Plan the flippers for the least pitch change, from where the robot would rest on the ground.
+    """Plan the flippers for the least pitch change, by contact geometry.
 
     Li et al. (2013) and Chen et al. (Journal of Field Robotics, 2023) predict the pose from contact
     geometry, without forces, and Chen et al. plan the flippers by dynamic programming. Here a plan

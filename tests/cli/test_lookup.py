@@ -90,7 +90,10 @@ def test_names_words_and_anything_else(tmp_path: Path) -> None:
     hits = document("explain", "learning", "rate", cwd=tmp_path)["found"]
     assert hits[0]["name"] == "agent.learning_rate"
     assert len(hits) == 10
-    assert document("explain", "discount", cwd=tmp_path)["found"][0]["name"] == "agent.gamma"
+    assert (
+        document("explain", "discount", "per", "decision", cwd=tmp_path)["found"][0]["name"]
+        == "agent.gamma"
+    )
     assert "flipperctl map" in call("explain", "map", cwd=tmp_path).out
 
 

@@ -81,6 +81,7 @@ def test_an_export_s_actions_and_period_are_compared() -> None:
     robot = Robot()
     names = [SimpleNamespace(name=name) for name in ("h_0", "theta_f1", "theta_f2", "theta_R")]
     interface: Any = SimpleNamespace(
+        kind="turns",
         actions=np.array(ACTIONS) * robot.angle_step,
         decision_period=robot.decision_period,
         observation=names,
