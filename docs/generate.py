@@ -28,7 +28,7 @@ from flipperctl.cli.main import app
 from flipperctl.config import EvalConfig
 from flipperctl.config.describe import Field, fields
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.export.policy import describe_observation
+from flipperctl.export.metadata import describe_observation
 
 HEADINGS: Mapping[str, str] = {
     "terrain": "Terrains",

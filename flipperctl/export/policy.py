@@ -11,14 +11,11 @@ from __future__ import annotations
 import copy
 import importlib
 import io
-import json
 import logging
 import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -27,21 +24,15 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-from flipperctl import __version__
 from flipperctl.agent.frames import input_size, stacked
 from flipperctl.agent.networks import outputs as outputs_of
 from flipperctl.agent.risk import Risk
-from flipperctl.api import ObservationLayout, Perception, Robot
-from flipperctl.checkpoint import Checkpoint, plugin_references
+from flipperctl.api import Perception, Robot
+from flipperctl.checkpoint import Checkpoint
 from flipperctl.config import EnvConfig, TrainConfig, to_dict, with_overrides
 from flipperctl.config.identity import differences
 from flipperctl.config.resolver import named_robot
-from flipperctl.core import observation
-from flipperctl.core.lidar.ground import MEANING as MEANING_OF_MAP
-from flipperctl.core.risk import ESCAPE_MEANING as MEANING_OF_ESCAPE
-from flipperctl.core.risk import LAGS, SCALE, RiskSign
-from flipperctl.core.risk import MEANING as MEANING_OF_RISK
-from flipperctl.core.targets import JOINTS, MEANING, Action, ActionKind, turns
+from flipperctl.core.targets import Action, ActionKind
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import (
     ConfigError,
@@ -50,19 +41,18 @@ from flipperctl.errors import (
     MissingExtraError,
     RequestError,
 )
+from flipperctl.export.metadata import policy_metadata
 from flipperctl.files import OutputKind, check_output, write_bytes
 from flipperctl.guard import naming
 from flipperctl.policies.trained import TrainedPolicy, policy_module, policy_risk
 from flipperctl.rollout.episode import EvaluationSeeds, play
 from flipperctl.runtime.interface import (
     CHECKSUM,
-    FORMAT_VERSION,
     OUTPUTS,
     PLACEHOLDER,
     PREFIX,
     add_checksum,
 )
-from flipperctl.sim.lidar import LidarSensor
 
 Format = Literal["onnx", "pt2"]
 _MARK = re.compile(rb"flipperctl\.format_version")
@@ -253,64 +243,6 @@ def _layer(weight: torch.Tensor, bias: torch.Tensor) -> nn.Linear:
     layer = nn.Linear(weight.shape[1], weight.shape[0])
     layer.load_state_dict({"weight": weight, "bias": bias})
     return layer.requires_grad_(False)
-
-
-def policy_metadata(config: TrainConfig, risk: RiskSign | None = None) -> dict[str, str]:
-    """Return the metadata of a policy without its checksum; values other than text are JSON.
-
-    ``config``: configuration of the training, with the robot that the export is for. ``risk``: when
-    the policy's risk is a warning, if it has one.
-    """
-    layout, robot = config.perception, config.robot
-    values: dict[str, Any] = {
-        "format_version": FORMAT_VERSION,
-        "package_version": __version__,
-        "observation": describe_observation(layout),
-        "bins": layout.bins,
-        "bin_width": layout.bin_width,
-        "highest": layout.highest,
-        "frames": config.network.frames,
-        "joints": JOINTS,
-        "actions": turns(robot.angle_step, config.actions).tolist(),
-        "targets": {"meaning": MEANING, "window": robot.angle_step, "limit": robot.angle_limit},
-        "decision_period": robot.decision_period,
-        "robot": robot.model_dump(mode="json", exclude_none=True),
-        "terrain": config.terrain.plugin_name,
-        "terrain_config": to_dict(config.terrain),
-        "seed": config.seed,
-        "network": config.network.plugin_name,
-    }
-    if files := [p for p in plugin_references(config) if p.file is not None]:
-        values["plugins"] = [{"kind": p.kind, "name": p.name, "file": p.file} for p in files]
-    if risk is not None:
-        sign = {"meaning": MEANING_OF_RISK, **asdict(risk)}
-        values["risk"] = {**sign, "lags": LAGS, "scale": SCALE}
-        if (escape := config.agent.escape) is not None:
-            values["escape"] = {"meaning": MEANING_OF_ESCAPE, **asdict(escape)}
-    if isinstance(layout, LidarSensor):
-        values["map"] = {"meaning": MEANING_OF_MAP, **asdict(layout.map_quality)}
-    return {
-        f"{PREFIX}{name}": value if isinstance(value, str) else json.dumps(value)
-        for name, value in values.items()
-    }
-
-
-def describe_observation(layout: ObservationLayout) -> list[dict[str, str]]:
-    """Return the name, unit, frame and meaning of each of an observation's numbers."""
-    edges = list(pairwise(observation.edges(layout.bins, layout.bin_width)))
-    front, rear, pitch = observation.ANGLES
-    kinds = {"h": "mean terrain height", **({"top": "highest point"} if layout.highest else {})}
-    rows = [
-        *(
-            (f"{name}_{i}", "m", "L", f"{what}, up positive, for x in [{low:.3f}, {high:.3f}) m")
-            for name, what in kinds.items()
-            for i, (low, high) in enumerate(edges, 1)
-        ),
-        (front, "rad", "R", "front flippers, above chassis positive"),
-        (rear, "rad", "R", "rear flippers, above chassis positive"),
-        (pitch, "rad", "L", "pitch, nose up positive"),
-    ]
-    return [dict(zip(("name", "unit", "frame", "meaning"), row, strict=True)) for row in rows]
 
 
 def export_onnx(

@@ -18,7 +18,8 @@ from flipperctl.config import EnvConfig, TrainConfig, parse, resolver
 from flipperctl.core.lidar.estimator import LidarEstimator
 from flipperctl.errors import ExportError, MissingExtraError
 from flipperctl.export import policy
-from flipperctl.export.policy import compare, policy_metadata
+from flipperctl.export.metadata import policy_metadata
+from flipperctl.export.policy import compare
 from flipperctl.files import check_output
 from flipperctl.policies.source import PolicySource
 from flipperctl.policies.trained import policy_module

@@ -1,0 +1,83 @@
+"""What an exported policy says of itself: strings under ``flipperctl.*`` in its file.
+
+In: the configuration of a training, with the robot that the export is for. Out: all that a robot
+needs to run the file, as ``flipperctl.runtime.interface`` reads it.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from itertools import pairwise
+from typing import Any
+
+from flipperctl import __version__
+from flipperctl.api import ObservationLayout
+from flipperctl.checkpoint import plugin_references
+from flipperctl.config import TrainConfig, to_dict
+from flipperctl.core import observation
+from flipperctl.core.lidar.ground import MEANING as MEANING_OF_MAP
+from flipperctl.core.risk import ESCAPE_MEANING as MEANING_OF_ESCAPE
+from flipperctl.core.risk import LAGS, SCALE, RiskSign
+from flipperctl.core.risk import MEANING as MEANING_OF_RISK
+from flipperctl.core.targets import JOINTS, MEANING, turns
+from flipperctl.runtime.interface import FORMAT_VERSION, PREFIX
+from flipperctl.sim.lidar import LidarSensor
+
+
+def policy_metadata(config: TrainConfig, risk: RiskSign | None = None) -> dict[str, str]:
+    """Return the metadata of a policy without its checksum; values other than text are JSON.
+
+    ``config``: configuration of the training, with the robot that the export is for. ``risk``: when
+    the policy's risk is a warning, if it has one.
+    """
+    layout, robot = config.perception, config.robot
+    values: dict[str, Any] = {
+        "format_version": FORMAT_VERSION,
+        "package_version": __version__,
+        "observation": describe_observation(layout),
+        "bins": layout.bins,
+        "bin_width": layout.bin_width,
+        "highest": layout.highest,
+        "frames": config.network.frames,
+        "joints": JOINTS,
+        "actions": turns(robot.angle_step, config.actions).tolist(),
+        "targets": {"meaning": MEANING, "window": robot.angle_step, "limit": robot.angle_limit},
+        "decision_period": robot.decision_period,
+        "robot": robot.model_dump(mode="json", exclude_none=True),
+        "terrain": config.terrain.plugin_name,
+        "terrain_config": to_dict(config.terrain),
+        "seed": config.seed,
+        "network": config.network.plugin_name,
+    }
+    if files := [p for p in plugin_references(config) if p.file is not None]:
+        values["plugins"] = [{"kind": p.kind, "name": p.name, "file": p.file} for p in files]
+    if risk is not None:
+        sign = {"meaning": MEANING_OF_RISK, **asdict(risk)}
+        values["risk"] = {**sign, "lags": LAGS, "scale": SCALE}
+        if (escape := config.agent.escape) is not None:
+            values["escape"] = {"meaning": MEANING_OF_ESCAPE, **asdict(escape)}
+    if isinstance(layout, LidarSensor):
+        values["map"] = {"meaning": MEANING_OF_MAP, **asdict(layout.map_quality)}
+    return {
+        f"{PREFIX}{name}": value if isinstance(value, str) else json.dumps(value)
+        for name, value in values.items()
+    }
+
+
+def describe_observation(layout: ObservationLayout) -> list[dict[str, str]]:
+    """Return the name, unit, frame and meaning of each of an observation's numbers."""
+    edges = list(pairwise(observation.edges(layout.bins, layout.bin_width)))
+    front, rear, pitch = observation.ANGLES
+    kinds = {"h": "mean terrain height", **({"top": "highest point"} if layout.highest else {})}
+    rows = [
+        *(
+            (f"{name}_{i}", "m", "L", f"{what}, up positive, for x in [{low:.3f}, {high:.3f}) m")
+            for name, what in kinds.items()
+            for i, (low, high) in enumerate(edges, 1)
+        ),
+        (front, "rad", "R", "front flippers, above chassis positive"),
+        (rear, "rad", "R", "rear flippers, above chassis positive"),
+        (pitch, "rad", "L", "pitch, nose up positive"),
+    ]
+    return [dict(zip(("name", "unit", "frame", "meaning"), row, strict=True)) for row in rows]
