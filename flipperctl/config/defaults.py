@@ -93,6 +93,16 @@ def notes_on_robot(config: EnvConfig) -> Iterator[str]:
 _OWN_LEARNER = ("agent.", "collector", "train.mode", "train.workers")
 
 
+def _refuse_of_our_learner(method: Sb3, given: Mapping[str, str]) -> None:
+    """Refuse overrides of settings of our own learner, which a run of ``method`` does not have."""
+    for key, typed in given.items():
+        if key.startswith(_OWN_LEARNER) and key != "agent.gamma":
+            raise ConfigError(
+                f"{typed}: it has no effect with method={method.name}; its settings are arguments "
+                f"of the algorithm, as in {method.example}"
+            )
+
+
 def refuse_ineffective(config: EnvConfig, given: Mapping[str, str]) -> None:
     """Refuse an override of a setting that is sampled anew for every episode.
 
@@ -103,15 +113,8 @@ def refuse_ineffective(config: EnvConfig, given: Mapping[str, str]) -> None:
     With ``randomise.spread``, samples lie around the value of the setting, which then has one. All
     settings of the robot at once are those of a file, ``robot=FILE``, of which some may be sampled.
     """
-    method: Sb3 | None = getattr(config, "method", None)
-    for key, typed in given.items():
-        if method is None:
-            break
-        if key.startswith(_OWN_LEARNER) and key != "agent.gamma":
-            raise ConfigError(
-                f"{typed}: it has no effect with method={method.name}; its settings are arguments "
-                f"of the algorithm, as in {method.example}"
-            )
+    if (method := getattr(config, "method", None)) is not None:
+        _refuse_of_our_learner(method, given)
     if config.randomise.spread is not None:
         return
     whole = all(f"robot.{field}" in given for field in type(config.robot).model_fields)

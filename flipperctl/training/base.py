@@ -21,6 +21,7 @@ from flipperctl.api import Listener, Outcome
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.checkpoint.document import State
 from flipperctl.config import TrainConfig
+from flipperctl.config.defaults import notes_on_budget
 from flipperctl.config.identity import all_files_read, content_digest
 from flipperctl.env import ground
 from flipperctl.env.flipper_env import FlipperEnv
@@ -87,6 +88,9 @@ class BaseTrainer(ABC):
             for listener in self.listeners:
                 opened.push(closer(listener))
             self._stopwatch.start()
+            if not self.progress.decision:
+                for text in notes_on_budget(self.config):
+                    self._report(text)
             finished = self._run(stop, opened)
             summary = self.summary(finished)
             summary["regret"] = regret() if finished else None

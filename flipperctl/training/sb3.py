@@ -27,7 +27,6 @@ from flipperctl.api import Listener
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.checkpoint.document import Generators, State, require_equal_layout
 from flipperctl.config import TrainConfig
-from flipperctl.config.defaults import notes_on_budget
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError, ConfigError, MissingExtraError
 from flipperctl.messages import close_match
@@ -229,8 +228,6 @@ class Sb3Trainer(BaseTrainer):
 
     def _run(self, stop: Stop, opened: ExitStack) -> bool:
         self._save_all()
-        for text in () if self.progress.decision else notes_on_budget(self.config):
-            self._report(text)
         collector = InProcessCollector(lambda: iter(()), stop)
         done, budget = self.progress.decision, self.config.train.decisions
         self.model.num_timesteps = done

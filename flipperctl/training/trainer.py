@@ -21,7 +21,6 @@ from flipperctl.api import ACTIONS, Listener
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.checkpoint.document import Generators, RequestState, State
 from flipperctl.config import TrainConfig
-from flipperctl.config.defaults import notes_on_budget
 from flipperctl.env.privileged import SIZE
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.rollout.collect import Collector
@@ -85,9 +84,6 @@ class Trainer(BaseTrainer):
         self._save_all(self._outstanding)
         collector = self.episodes.start_collector(self._outstanding, stop, self.replay.kept)
         opened.push(closer(collector))
-        if not self.progress.decision:
-            for text in notes_on_budget(self.config):
-                self._report(text)
         finished = self._train(collector, stop)
         self._save_all(collector.outstanding())
         self._recorder.finish()

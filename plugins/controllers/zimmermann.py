@@ -134,9 +134,8 @@ class Zimmermann(Controller):
         q, counts = np.zeros((CELLS, len(POSTURES))), np.zeros((CELLS, len(POSTURES)))
         total = max(1, episodes.left)
         while episodes.left:
-            share = (
-                episodes.left / total
-            )  # of random postures: falls to the least at three quarters
+            share = episodes.left / total
+            # The share of random postures falls to the least after three quarters.
             explore = max(_LEAST, self.exploration * (4 * share - 1) / 3)
             policy = _Exploring(q, explore, episodes.rng)
             rewards = episodes.play(policy).rewards
