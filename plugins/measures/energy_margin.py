@@ -33,8 +33,19 @@ def margins(episode: Sequence[Transition]) -> FloatArray:
 
     It is the ``tipping_rise`` over the foremost or the rearmost point of contact, whichever is
     less, and 0 without a contact on both sides of the centre. The centre of mass is that of the
-    robot with its load.
+    robot with its load. The last episode's margins are kept, since two measures ask for them.
     """
+    global _latest
+    if _latest is None or _latest[0] is not episode[-1] or len(_latest[1]) != len(episode):
+        _latest = episode[-1], _computed(episode)
+    return _latest[1]
+
+
+_latest: tuple[Transition, FloatArray] | None = None
+"""Last transition and margins of the last episode."""
+
+
+def _computed(episode: Sequence[Transition]) -> FloatArray:
     t = episode[0]
     robot, states = t.robot, RobotStates.of([t.after for t in episode])
     angles = (states.pitch, states.pitch + states.front, states.pitch - states.rear)
