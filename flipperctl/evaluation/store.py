@@ -93,9 +93,13 @@ class StoreKey:
 
 
 def versions_here(config: EvalConfig) -> dict[str, str]:
-    """Return the versions of the packages on which the episodes depend if played here, by name."""
+    """Return the versions of the packages on which the episodes depend if played here, by name.
+
+    In a checkout, whose code changes within a version, ``code`` is a hash of it.
+    """
     return {
         "flipperctl": flipperctl.__version__,
+        **({} if (code := checked_out()) is None else {"code": code}),
         **{name: version(name) for name in _LIBRARIES},
         **engine_versions(config.sim),
     }
@@ -130,6 +134,16 @@ def blocks(indices: Sequence[int], size: int) -> Iterator[list[int]]:
         block.append(index)
     if block:
         yield block
+
+
+@cache
+def checked_out() -> str | None:
+    """Return a hash of the code of the checkout that runs; None for an installed package."""
+    root = Path(flipperctl.__file__).parents[1]
+    if not (root / ".git").exists():
+        return None
+    files = (file for room in ("flipperctl", "plugins") for file in (root / room).rglob("*.py"))
+    return _digest([content_digest(file) for file in sorted(files)])[:_SHORT]
 
 
 @cache

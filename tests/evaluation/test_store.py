@@ -256,11 +256,11 @@ def test_cells_of_other_versions_are_used_and_counted(tmp_path: Path) -> None:
     text = cell.read_text()
     header, _, rest = text.partition("\n")
     document = json.loads(header)
-    document["versions"] |= {"pymunk": "6.0.0", "numpy": "1.0"}
+    document["versions"] |= {"pymunk": "6.0.0", "numpy": "1.0", "code": "12345678"}
     cell.write_text(json.dumps(document) + "\n" + rest)
     store = FolderStore(tmp_path)
     evaluate([(config(2), OKADA)], store=store)
-    assert dict(store.other_versions) == {"pymunk 6.0.0": 1, "numpy 1.0": 1}
+    assert dict(store.other_versions) == {"pymunk 6.0.0": 1, "numpy 1.0": 1, "code 12345678": 1}
     cell.write_text(text)
     store = FolderStore(tmp_path)
     evaluate([(config(2), OKADA)], store=store)
