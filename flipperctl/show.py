@@ -1,7 +1,8 @@
 """Show a table: on the terminal, as LaTeX, Markdown or HTML, or as rows of a CSV file.
 
-In: a ``Table``, which every view makes. Out: text. On the terminal no number is truncated: names
-are folded, headings break at spaces, and columns that are still too wide continue below.
+In: a ``Table``, which every view makes, and lines of text. Out: text. On the terminal no number is
+truncated: names are folded, headings break at spaces, and columns that are still too wide continue
+below. Lines of text have at most 100 columns, or COLUMNS; commands and paths stay whole.
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ from flipperctl.files import OutputKind
 from flipperctl.spelling import spell_plainly
 
 _GAP = "  "
+_WIDEST = 100  # largest width of a line of text [columns]
+_COMMAND = re.compile(r"(?P<before>.*?:|) *(?P<command>flipperctl .+)")  # at the end of a line
 _NARROWEST = 14  # smallest width to which a column of names is folded [columns]
 _LATEX_HEAD = r"% needs \usepackage{booktabs}"
 TABLE = OutputKind("a table", (".tex",), re.compile(rb"\A" + re.escape(_LATEX_HEAD.encode())))
@@ -123,36 +126,55 @@ def console(*, stderr: bool = False, natural: int = NATURAL) -> Console:
     return PlainConsole(stderr=stderr, width=wanted or (None if on_terminal else natural))
 
 
+def print_text(text: str, *, stderr: bool = False) -> None:
+    """Print a text of one or more lines on standard output, or on standard error."""
+    print_lines(console(stderr=stderr), text.split("\n"))
+
+
 def print_lines(to: Console, lines: Iterable[str], style: str = "") -> None:
-    """Print each line without markup, broken at spaces where it is too long for the console."""
-    for line in lines:
-        text = spell_plainly(line, to.encoding)
-        for part in folded(text, to.width) if cell_len(text) > to.width else [text]:
-            to.print(part, style=style, highlight=False, markup=False, soft_wrap=True)
+    """Print each line without markup, broken at spaces where it is too long."""
+    _print(to, (part for line in lines for part in _broken(line, to)), style)
 
 
 def print_facts(facts: Mapping[str, str], to: Console) -> None:
     """Print a line for each name and its text, which goes on below where it is too long."""
     wide = max(map(cell_len, facts), default=0) + 4
     for name, text in facts.items():
-        parts = folded(_plain(text, to), max(20, to.width - wide)) or [""]
-        parts[0] = f"  {_plain(name, to)}".ljust(wide) + parts[0]
-        for at, part in enumerate(parts):
-            line = part if at == 0 else " " * wide + part
-            to.print(line, highlight=False, markup=False, soft_wrap=True)
+        first, *rest = _broken(text, to, wide)
+        head = f"  {_plain(name, to)}".ljust(wide)
+        _print(to, [head + first, *(" " * wide + part for part in rest)])
 
 
 def print_table(table: Table, to: Console) -> None:
     """Print a table and its notes within the width of the console."""
-    notes = (Text(line) for note in table.notes for line in folded(_plain(note, to), to.width))
-    for line in (*lines(table, to), *notes):
-        to.print(line, highlight=False, markup=False, soft_wrap=True)
+    _print(to, lines(table, to))
+    print_lines(to, table.notes)
+
+
+def _print(to: Console, lines: Iterable[str | Text], style: str = "") -> None:
+    for line in lines:
+        to.print(line, style=style, highlight=False, markup=False, soft_wrap=True)
+
+
+def _broken(line: str, to: Console, indent: int = 0) -> list[str]:
+    """Return the lines of a text for a console; ``indent`` columns before it are taken.
+
+    A command at the end, after a colon, gets a line of its own if both are too long for one.
+    """
+    widest = to.width if "COLUMNS" in os.environ else min(to.width, _WIDEST)
+    text, width = _plain(line, to), max(20, widest - indent)
+    if cell_len(text) <= width:
+        return [text]
+    if found := _COMMAND.fullmatch(text):
+        before, command = found["before"], found["command"]
+        return [*folded(before, width, whole=True), f"  {command}"] if before else [command]
+    return folded(text, width, whole=True)
 
 
 def lines(table: Table, to: Console) -> Iterator[Text]:
     """Yield the lines of a table without its notes."""
     if table.title:
-        for text in folded(_plain(table.title, to), to.width):
+        for text in _broken(table.title, to):
             yield Text(text, "bold")
     cells = [[_plain(text, to) for text in row] for row in table.texts()]
     headings = [_plain(column.heading, to) for column in table.columns]
@@ -234,12 +256,12 @@ def _plain(text: str, of: Console) -> str:
     return spell_plainly(text, of.encoding)
 
 
-def folded(text: str, width: int) -> list[str]:
-    """Return the lines of a text, broken at spaces, and within words that are too long."""
+def folded(text: str, width: int, *, whole: bool = False) -> list[str]:
+    """Return the lines of a text, broken at spaces; also within too long words unless ``whole``."""
     found, line = [], ""
     indent = " " * (len(text) - len(text.lstrip()))
     for word in text.split():
-        while cell_len(word) > width:
+        while cell_len(word) > width and not whole:
             if line:
                 found.append(line)
                 line = ""

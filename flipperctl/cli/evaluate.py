@@ -121,7 +121,8 @@ def evaluate(
         raise RequestError("name a policy, as in: flipperctl eval generalist terrain=stair")
     flagged = with_flags(overrides, episodes=episodes, seed=seed, jobs=jobs)
     chosen = evaluation.parse_columns(columns)
-    plan = make_plan(flagged, entrants(names, print_note), baseline, print_note)
+    policies, returns = entrants(names, print_note), as_json or "return" in chosen
+    plan = make_plan(flagged, policies, baseline, print_note, returns=returns)
     if record is not None and any(entry.config.eval.ray is not None for entry in plan.entries):
         raise RequestError("eval.ray: no meaning beside --record, which plays here; leave it out")
     sources = [entry.source for entry in plan.entries]

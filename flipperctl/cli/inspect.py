@@ -238,7 +238,7 @@ def run(
 def _print(found: dict[str, Any], picture: Path | None) -> None:
     """Print a row for each validation (``training.folder.summarise``), and the picture's name."""
     from flipperctl import checkpoint, session
-    from flipperctl.show import Column, Table, console, print_table
+    from flipperctl.show import Column, Table, console, print_table, print_text
     from flipperctl.terminal.progress import HEADING, PAPERS_HEADING
 
     summary = found["summary"]
@@ -274,7 +274,7 @@ def _print(found: dict[str, Any], picture: Path | None) -> None:
     )
     print_table(Table(columns, rows, f"{found['run']}: {state}"), console())
     if picture is not None:
-        print(f"picture: {picture}")
+        print_text(f"picture: {picture}")
 
 
 def config(

@@ -125,13 +125,19 @@ def player(
 
 
 def make_plan(
-    words: Sequence[str], entrants: Sequence[NamedPolicy], baseline: str | None, tell: Tell
+    words: Sequence[str],
+    entrants: Sequence[NamedPolicy],
+    baseline: str | None,
+    tell: Tell,
+    *,
+    returns: bool = True,
 ) -> Plan:
     """Return the plan; the policies of several entrants play equal scenes one after the other.
 
     ``words`` are overrides, with ``suite=NAME`` if there is one. ``baseline``: names of controllers
     that play the same episodes; None stands for the policy's own, or for ``level,okada`` beside
-    several policies. ``tell`` is called with lines on what a reader might not expect.
+    several policies. ``tell`` is called with lines on what a reader might not expect, of returns if
+    these are shown.
 
     Raises:
         CheckpointError: there is no such policy, or its observation layout differs.
@@ -151,7 +157,7 @@ def make_plan(
         return Plan.of_one(_steps(entries) if engines else entries, against, title)
     parts = suite.scenes if suite else (SuiteScene("", ()),)
     beside = standing(baseline, entrants)
-    entries = _entries(arguments, entrants, beside, parts, tell, engines=engines)
+    entries = _entries(arguments, entrants, beside, parts, tell, engines=engines, returns=returns)
     title = ", ".join(map(short, dict.fromkeys(entrant.method for entrant in entrants)))
     title = f"suite {suite.name}: {title}" if suite else title
     return Plan(tuple(entries), title, with_best_known=baseline != "none")
@@ -193,6 +199,7 @@ def _entries(
     tell: Tell,
     *,
     engines: bool,
+    returns: bool,
 ) -> list[Entry]:
     """Return the entries of several methods or of a suite, scene by scene.
 
@@ -231,7 +238,7 @@ def _entries(
             configs = [configs[0].model_copy(update={"rewards": own})]
         for (entrant, source), config in product(controllers, configs):
             add(Entry(config, source, rows[0].scene, entrant.method, is_baseline=True))
-    if not chosen and any(len(_of_each_reward(rows)) > 1 for rows in found.values()):
+    if returns and not chosen and any(len(_of_each_reward(rows)) > 1 for rows in found.values()):
         tell("return does not compare: the policies have different rewards; rewards=… sets one")
     return [entry for rows in found.values() for entry in rows]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import shlex
-import sys
 from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from pathlib import Path
@@ -254,7 +253,7 @@ def _export_policy(
     target = output or Path(f"{name}.{kind.value}")
     check_output(target, KINDS[kind.value])
     robot = robot_fields(Overrides.parse(words).values())
-    print(f"exporting {saved.path} and comparing it with torch …", file=sys.stderr, flush=True)
+    print_note(f"exporting {saved.path} and comparing it with torch …")
     found = export(saved, "onnx" if kind is Kind.onnx else "pt2", target, robot)
     show(found, lambda: print_export(target, saved.path, found), as_json=as_json)
 

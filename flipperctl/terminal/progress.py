@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from flipperctl.show import console
+from flipperctl.show import console, print_lines
 
 HEADING, PAPERS_HEADING = "pitch variation [rad]", "at decisions [rad]"
 """Headings of the two columns in tables, in this order."""
@@ -177,10 +177,7 @@ class TrainingProgress:
 
     def note(self, text: str) -> None:
         """Print the text above the bar."""
-        if self._bar.disable:
-            print(text, file=sys.stderr, flush=True)
-        else:
-            self._bar.console.print(text, highlight=False, markup=False)
+        print_lines(self._bar.console, text.split("\n"))
 
     def close(self) -> None:
         """Stop the bar."""

@@ -84,8 +84,10 @@ def _moved(out: TextIO) -> Iterator[TextIO]:
 
 
 def print_note(text: str) -> None:
-    """Print a line on stderr, which leaves the results on stdout alone."""
-    print(text, file=sys.stderr)
+    """Print a text on stderr, which leaves the results on stdout alone."""
+    from flipperctl.show import print_text
+
+    print_text(text, stderr=True)
 
 
 _printed: set[str] = set()  # notices of this command

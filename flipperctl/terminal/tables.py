@@ -9,7 +9,7 @@ from typing import Any
 
 from flipperctl.api import Robot
 from flipperctl.messages import unit
-from flipperctl.show import NONE, Column, Table, console, print_table
+from flipperctl.show import NONE, Column, Table, console, print_lines, print_table, print_text
 
 _PLUGINS = (
     Column("kind", "kind"),
@@ -44,7 +44,7 @@ def print_checks(rows: Sequence[dict[str, Any]]) -> None:
     print_table(Table(_CHECKS, cells), output)
     for row in rows:
         if row["message"]:
-            output.print(f"{row['check']}: {row['message']}", markup=False, highlight=False)
+            print_lines(output, f"{row['check']}: {row['message']}".split("\n"))
 
 
 _PROFILES = (
@@ -71,9 +71,11 @@ def print_terrain(name: str, numbers: list[dict[str, Any]], picture: Path | None
     print_table(Table(columns, rows, name), console())
     if any(row["points_drawn"] > len(row["points"]) for row in numbers):
         most = max(row["points_drawn"] for row in numbers)
-        print(f"sampled with up to {most} points; those too fine for a track to feel are left out")
+        print_text(
+            f"sampled with up to {most} points; those too fine for a track to feel are left out"
+        )
     if picture is not None:
-        print(f"picture: {picture}")
+        print_text(f"picture: {picture}")
 
 
 _FOUND = (Column("what", "what", named=True), Column("found", "found", wrapped=True))
@@ -126,16 +128,16 @@ def _print_recording(
     title: str, who: str, found: dict[str, Any], rows: Mapping[str, str], last: str | None
 ) -> None:
     topics = ", ".join(f"{device} {topic}" for device, topic in found["topics"].items())
-    print(f"{who}: {found['seconds']:.1f} s; {topics}")
+    print_text(f"{who}: {found['seconds']:.1f} s; {topics}")
     cells = [{"what": what, "found": text} for what, text in rows.items()]
     print_table(Table(_FOUND, cells, title), console())
     for line in (*found["remarks"], *([] if last is None else [last])):
-        print(line)
+        print_text(line)
 
 
 def print_export(target: Path, source: Path, exported: dict[str, Any]) -> None:
     """Print how far the file ``target`` agrees with torch, and for which other robot it is."""
-    print(
+    print_text(
         f"{target}: {exported['bytes']} bytes, from {source}\n"
         f"compared with torch on {exported['observations']} observations of rollouts: "
         f"outputs of up to {exported['largest_q_value']:.2g} differ by at most "
@@ -150,13 +152,13 @@ def print_export(target: Path, source: Path, exported: dict[str, Any]) -> None:
                          for v in (values["file"], values["training"]))  # fmt: skip
         parts.append(f"{label} {own} {unit(Robot, name) if setting else 's'} (training {training})")
     if parts:
-        print(f"for another robot than that of the training: {', '.join(parts)}")
+        print_text(f"for another robot than that of the training: {', '.join(parts)}")
 
 
 def print_scene(scene: dict[str, Any]) -> None:
     """Print which files of a scene were written, and where the robot starts in it."""
     x, y, z = scene["start"]
-    print(
+    print_text(
         f"{' and '.join(scene['output'])}: {scene['terrain']}, seed {scene['seed']}, "
         f"{scene['boxes']} boxes of ground\n"
         f"the robot starts at x {x:.3f}, y {y:.3f}, z {z:.3f} m"
@@ -165,12 +167,12 @@ def print_scene(scene: dict[str, Any]) -> None:
 
 def print_bag(bag: dict[str, Any]) -> None:
     """Print which episode a bag holds, and how many messages of each topic."""
-    print(
+    print_text(
         f"wrote {bag['output']}: {bag['terrain']}, seed {bag['seed']}, {bag['outcome']} "
         f"after {bag['seconds']:.2f} s"
     )
     for topic, count in sorted(bag["messages"].items()):
-        print(f"  {topic}: {count}")
+        print_text(f"  {topic}: {count}")
 
 
 def print_ground(ground: dict[str, Any]) -> None:
@@ -179,11 +181,11 @@ def print_ground(ground: dict[str, Any]) -> None:
     without = f" ({ground['clouds_without_pose']} more have no pose)"
     each = ground["points_per_cloud"]
     for remark in ground["remarks"]:
-        print(remark)
-    print(
+        print_text(remark)
+    print_text(
         f"{ground['output']}: {ground['points']} points of {ground['clouds']} clouds"
         f"{without if ground['clouds_without_pose'] else ''} with {each['least']} to "
         f"{each['most']} points each, along {ground['length']:.2f} m\n"
-        f"drive over it with terrain=profile_file terrain.path={ground['output']} "
-        f"'terrain.start=[{x0},{y0}]' 'terrain.end=[{x1},{y1}]'"
+        "drive over it: flipperctl eval level terrain=profile_file "
+        f"terrain.path={ground['output']} 'terrain.start=[{x0},{y0}]' 'terrain.end=[{x1},{y1}]'"
     )

@@ -11,7 +11,6 @@ import contextlib
 import csv
 import json
 import math
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -24,6 +23,7 @@ from flipperctl.config import TrainConfig, to_dict
 from flipperctl.env.metrics import logged
 from flipperctl.errors import CheckpointError, MissingExtraError, WriteError
 from flipperctl.files import failure, write_csv, write_json
+from flipperctl.show import print_text
 
 
 def columns() -> tuple[str, ...]:
@@ -159,10 +159,10 @@ class GuardedLogger:
             with contextlib.suppress(Exception):
                 listener.close()
         where = guard.error_place(error, self._logger, method)
-        print(
+        print_text(
             f"warning: {guard.plugin_label(self._logger)}: {method} raised "
             f"{guard.error_line(error)} ({where}); the training continues without it",
-            file=sys.stderr,
+            stderr=True,
         )
 
 

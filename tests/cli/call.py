@@ -42,9 +42,14 @@ class Done:
 
 
 def call(*arguments: str, cwd: Path) -> Done:
-    """Run ``flipperctl`` in ``cwd``; plugins that it loads are unloaded afterwards."""
+    """Run ``flipperctl`` in ``cwd``; plugins that it loads are unloaded afterwards.
+
+    No line of its output is broken, unless COLUMNS says so.
+    """
     known, loaded, given = dict(api.registry), set(plugins._loaded), list(plugins._given)
-    before = os.environ.pop(plugins.VARIABLE, None)
+    environment = dict(os.environ)
+    os.environ.pop(plugins.VARIABLE, None)
+    os.environ.setdefault("COLUMNS", "10000")
     plugins._given.clear()
     out, err = io.StringIO(), io.StringIO()
     try:
@@ -64,8 +69,8 @@ def call(*arguments: str, cwd: Path) -> Done:
         plugins._loaded.clear()
         plugins._loaded.update(loaded)
         plugins._given[:] = given
-        if before is not None:
-            os.environ[plugins.VARIABLE] = before
+        os.environ.clear()
+        os.environ.update(environment)
 
 
 def refused(*arguments: str, cwd: Path, code: int = 2) -> str:

@@ -117,10 +117,13 @@ def test_a_list_of_rewards_is_played_with_each_by_all(tmp_path: Path) -> None:
     assert "do not compare" not in done.err
 
 
-def planned(names: str, *words: str, baseline: str | None = "none") -> tuple[Plan, str]:
+def planned(
+    names: str, *words: str, baseline: str | None = "none", returns: bool = True
+) -> tuple[Plan, str]:
     """Return the plan of several policies, and what is told."""
     told: list[str] = []
-    plan = make_plan(list(words), entrants([names], told.append), baseline, told.append)
+    policies = entrants([names], told.append)
+    plan = make_plan(list(words), policies, baseline, told.append, returns=returns)
     return plan, "\n".join(told)
 
 
@@ -128,6 +131,7 @@ def test_other_rewards_of_a_checkpoint_are_told() -> None:
     words = ("generalist,level", "terrain=flat")
     assert "return does not compare: the policies have different rewards" in planned(*words)[1]
     assert "different rewards" not in planned(*words, "rewards=smooth")[1]
+    assert "different rewards" not in planned(*words, returns=False)[1]
     # The standing ones have the term too.
     words = ("okada,random", "terrain=flat", "+reward@rewards.hit=impact")
     assert "different rewards" not in planned(*words, baseline=None)[1]

@@ -79,6 +79,21 @@ def test_headings_and_sentences_are_broken_before_columns_continue_below() -> No
     ]
 
 
+def test_a_text_is_broken_but_for_a_command_and_a_path(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv("COLUMNS", raising=False)
+    long, path = "word " * 30, "a" * 120
+    show.print_text(
+        f"{long}\n\nSee {path} there.\nGo: flipperctl eval {path} b\nGo: flipperctl new"
+    )
+    assert capsys.readouterr().out.splitlines() == [
+        *(" ".join(["word"] * 20), " ".join(["word"] * 10), ""),
+        *("See", path, "there."),
+        *("Go:", f"  flipperctl eval {path} b", "Go: flipperctl new"),
+    ]
+
+
 names = st.text("aθ̂é[.…", min_size=1, max_size=12)
 sentences = st.lists(names, min_size=1, max_size=5).map(" ".join)
 
@@ -140,6 +155,6 @@ def test_a_setting_that_the_training_left_open_is_null(capsys: pytest.CaptureFix
         },
     }
     tables.print_export(Path("a.onnx"), Path("run"), found)
-    text = capsys.readouterr().out
+    text = " ".join(capsys.readouterr().out.split())
     assert "robot.payload 5 kg (training null)" in text
     assert "robot.track_speed 0.3 m/s (training 0.2)" in text

@@ -30,7 +30,7 @@ from flipperctl.errors import ConfigError, InterruptedRunError
 from flipperctl.messages import counted
 from flipperctl.rollout.cluster import is_connected, join
 from flipperctl.session import quote_path, sweep_command
-from flipperctl.show import NONE, Column, Table, console, print_table
+from flipperctl.show import NONE, Column, Table, console, print_lines, print_table
 from flipperctl.terminal.progress import HEADING
 from flipperctl.terminal.streams import print_note
 from flipperctl.training.search import Interval, check_settings, search
@@ -210,7 +210,7 @@ def print_comparison(folder: Path, runs: Sequence[SweepRun]) -> None:
     left = len(shown) - _ROWS
     more = f"{counted(left, 'more row')} and the table" if left > 0 else "the table"
     text = f"{more}: {quote_path(folder / FILE)}"
-    out.print(text, highlight=False, markup=False, soft_wrap=True)
+    print_lines(out, [text])
 
 
 def search_sweep(settings: Mapping[str, Any], **given: Any) -> Callable[[list[str]], None]:

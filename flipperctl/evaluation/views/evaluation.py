@@ -7,7 +7,6 @@ In: the result of an evaluation, and names of drawn numbers (``--by``). Out: the
 
 from __future__ import annotations
 
-import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
@@ -39,7 +38,7 @@ from flipperctl.evaluation.views.summary import (
     short,
 )
 from flipperctl.messages import close_match, counted
-from flipperctl.show import Column, Table, console, print_lines, print_table
+from flipperctl.show import Column, Table, console, print_lines, print_table, print_text
 
 _LINES = 6  # largest number of differences that are lines; more are a table
 _TRIES = 100  # number of profiles in which a name is looked for before the evaluation
@@ -368,7 +367,7 @@ def _group_row(group: Mapping[str, Any]) -> dict[str, Any]:
 def print_result(result: Result, evaluated: Document, columns: Sequence[str]) -> None:
     """Print the tables of a document, with further ``columns``, and the notes of its result."""
     for text in _alike(result):
-        print(text, file=sys.stderr)
+        print_text(text, stderr=True)
     out = console()
     for at, table in enumerate(tables(evaluated, result.plan.title, columns)):
         if at:

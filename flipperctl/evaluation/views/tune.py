@@ -41,7 +41,7 @@ from flipperctl.evaluation.seeds import (
 from flipperctl.evaluation.statistics import Interval
 from flipperctl.files import write_json
 from flipperctl.guard import refusal, short_repr
-from flipperctl.messages import bounds, close_match, unit
+from flipperctl.messages import bounds, close_match, meaning, unit
 from flipperctl.rollout.episode import training_seed
 from flipperctl.show import Column, Table, interval_text
 
@@ -407,8 +407,8 @@ class Request:
         rows = [
             {
                 "setting": f"{name} [{unit(model, name)}]",
-                "before": _shown(tuned.start[name]),
-                "after": _shown(value),
+                "before": _shown(tuned.start[name], model, name),
+                "after": _shown(value, model, name),
                 "bounds": bounds(model, name),
             }
             for name, value in tuned.found.items()
@@ -419,16 +419,32 @@ class Request:
             interval_text(one.to_dict(), 3, sign=sign)
             for one, sign in ((tuned.before, ""), (tuned.after, ""), (tuned.difference, "+"))
         )
-        scores = f"before {old}, after {new}, difference {change}"
+        notes = [f"{measured}, over {tuned.episodes} fresh training episodes:"]
         if tuned.found == tuned.start:
-            scores = f"{old}; nothing was better beyond chance, so the settings stay"
-        notes = [f"{measured}, over {tuned.episodes} fresh training episodes:", scores]
+            notes += [f"{old}; nothing was better beyond chance, so the settings stay"]
+        else:
+            notes += [f"before {old}, after {new}, difference {change}:"]
+            notes += [_verdict(tuned.difference)]
         return Table(_COLUMNS, rows, notes=notes)
 
 
-def _shown(value: Any) -> Any:
-    """Return a value for a cell; of a table, the number of its numbers."""
+def _shown(value: Any, model: type[Controller], name: str) -> Any:
+    """Return a value for a cell: of a list, how many numbers, or what its field says of ``empty``.
+
+    Such a description has ``; empty: those of the package, learnt on…``.
+    """
+    if value == []:
+        return meaning(model, name).partition("; empty: ")[2].partition(",")[0] or "empty"
     return f"{np.size(value)} numbers" if isinstance(value, list) else value
+
+
+def _verdict(difference: Interval) -> str:
+    """Return how the settings that were found compare with those of the start."""
+    if difference.low is not None and difference.low > 0:
+        return "worse than before, beyond chance: keep those before, or give a larger budget"
+    if difference.high is not None and difference.high < 0:
+        return "better than before, beyond chance"
+    return "no difference beyond chance; a larger budget may find one"
 
 
 def _earlier(state: Path, asked: Mapping[str, Any]) -> list[list[float]]:

@@ -208,6 +208,8 @@ def test_rules_learn_and_are_evaluated_by_their_files(tmp_path: Path) -> None:
         done = call("tune", *words, *few, cwd=tmp_path)
         assert done.code == 0, done.err
         assert "over 5 fresh training episodes" in done.out
+        assert "those of the package" in done.out  # before
+        assert "beyond chance" in done.out.splitlines()[-1]
     assert sorted(file.name for file in tmp_path.iterdir()) == [
         "me",
         "me.yaml",
