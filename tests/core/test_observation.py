@@ -5,7 +5,7 @@ import pytest
 
 from flipperctl.api import Profile
 from flipperctl.core import observation
-from flipperctl.core.ground_map import GroundMap, kept_points
+from flipperctl.core.ground_map import GroundMap, _averaged, kept_points
 from flipperctl.core.observation import bin_heights, fill_gaps
 from flipperctl.sim import ground as thinning
 from flipperctl.sim.planar import rays
@@ -55,14 +55,16 @@ def test_thinning_is_the_same_compiled(span: float) -> None:
 
 
 def test_filling_is_the_same_compiled() -> None:
-    x = np.array([0.0, 0.1, 0.2, 0.9, 1.0])
+    x = np.array([0.0, 0.1, 0.2, 0.9, 1.0, 1.5])
     points = np.column_stack([x, x**2])
-    arguments = points, np.array([0, 1, 2, 9, 10]), x != 0.1, 0.1, (-0.35, 1.25)
+    offered = (x != 0.1) & (x < 1.25)
+    arguments = points, np.array([0, 1, 2, 9, 10, 15]), offered, 0.1, (-0.35, 1.25)
     (line, filled), compiled = fill_gaps(*arguments), rays.fill_gaps(*arguments)
     assert (line.tolist(), filled.tolist()) == (compiled[0].tolist(), compiled[1].tolist())
-    assert line[~filled].tolist() == points[x != 0.1].tolist()
-    # 0.35 m before, √(0.7² + 0.77²) = 1.04 m within and 0.25 m past the points: 3 + 10 + 2
-    assert filled.sum() == 15
+    assert line[~filled].tolist() == points[offered].tolist()
+    # 0.35 m before the points and √(0.7² + 0.77²) = 1.04 m between them: 3 + 10. The last gap,
+    # √(0.5² + 1.25²) = 1.35 m, has 13, of which 6 lie within 1.25 m.
+    assert filled.sum() == 3 + 10 + 6
 
 
 GROUND = Profile([(0, 0), (0, 0.2), (0.6, 0.2), (0.9, 0.4), (1.5, 0.4)])
@@ -122,6 +124,15 @@ def test_noise_is_measured_and_averaged_away() -> None:
     alone = heights(single.line(), 0.35, 0.5, at) - truth
     assert np.sqrt((error**2).mean()) < 0.008
     assert np.sqrt((error**2).mean()) < np.sqrt((alone**2).mean())
+
+
+@pytest.mark.parametrize("before", [-1.0, 2.0])
+def test_a_cell_with_a_face_has_the_ends_of_its_middle_seven_tenths(before: float) -> None:
+    face = np.linspace(0.0, 1.0, 21)
+    points = np.column_stack([np.repeat([0.01, 0.04], [5, 21]), [*[before] * 5, *face]])
+    ends = (0.15, 0.85) if before < 0 else (0.85, 0.15)
+    expected = [[0.01, before], *([0.04, end] for end in ends)]
+    assert _averaged(points, 0.01) == pytest.approx(np.array(expected))
 
 
 def test_without_points_the_guess_moves_the_map() -> None:

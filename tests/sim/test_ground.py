@@ -10,7 +10,7 @@ from flipperctl.api import Profile, Terrain
 from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import TerrainError
-from flipperctl.sim.ground import FEW, LONGEST, MOST, TOLERANCE, check_extent, thinned
+from flipperctl.sim.ground import FEW, LONGEST, MOST, TOLERANCE, check_extent, inflated, thinned
 from flipperctl.testing.recorded import NoReward
 
 RADIUS = 0.1  # [m]
@@ -60,6 +60,12 @@ def test_vertical_faces_stay_vertical() -> None:
         [np.column_stack([level, 0 * level]), np.column_stack([1 + level, 0 * level + 0.2])]
     )
     assert thinned(Profile(points), RADIUS).points.tolist() == [[0, 0], [1, 0], [1, 0.2], [2, 0.2]]
+
+
+def test_a_disc_rolls_over_a_corner() -> None:
+    line = np.array([[0.0, 0.0], [0.5, 0.0], [1.0, 0.0], [1.0, 0.2], [2.0, 0.2]])
+    # At 0.54 and 0.74 m on level ground, 0.06 m before the corner at 0.2 + √(0.1² - 0.06²), on top
+    assert inflated(line, 0.54, 0.2, 4, RADIUS) == pytest.approx([0.1, 0.1, 0.28, 0.3])
 
 
 @pytest.mark.parametrize("grain", [0.0, 2e-4, 2e-3])

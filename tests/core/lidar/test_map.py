@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from flipperctl.core.lidar.cells import Cells
-from flipperctl.core.lidar.ground import FreeSpace, clearances, lateral_slope, straightened
+from flipperctl.core.lidar.ground import (
+    FreeSpace,
+    GroundSeen,
+    MapSettings,
+    clearances,
+    lateral_slope,
+    straightened,
+)
 from flipperctl.core.lidar.outline import Accuracy, deviations
 
 
@@ -124,6 +131,13 @@ def test_points_of_the_map_above_a_ray_are_forgotten() -> None:
     assert left[:, 0] == pytest.approx([0.55, 1.55])
     of.add(points[:1], 1.0, 2.0)  # the place can be seen again
     assert len(of.around(1.0, 2.0, 0.0, (-2.0, 2.0), 0.5)) == 3
+
+
+def test_the_way_counts_in_every_direction() -> None:
+    seen = GroundSeen(MapSettings(bins=3, bin_width=0.15))
+    for x, y in ((0.0, 0.0), (0.3, 0.4), (0.3, 0.1)):
+        seen.add(np.zeros((0, 3)), x, y, 0.0)
+    assert seen.save()[-1] == pytest.approx(0.5 + 0.3)
 
 
 # Sideways slopes and clearances

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from flipperctl.core.lidar.matching import ScanMatcher, determined
+from flipperctl.core.lidar.matching import ScanMatcher, _turned, determined
 
 AHEAD = np.array([1.0, 0.0, 0.0])
 
@@ -43,6 +43,8 @@ def test_a_scan_of_walls_corrects_a_wrong_guess(matcher: ScanMatcher) -> None:
     found, turn = matcher.corrected(corner(0.1), wrong, AHEAD)
     assert found == pytest.approx([0.1, 0.0, 0.0], abs=0.005)
     assert turn == pytest.approx(0.0, abs=1e-4)
+    for _ in range(2):  # another keyframe, and a scan that is matched to it, too
+        matcher.corrected(corner(0.5), np.array([0.5, 0.0, 0.0]), AHEAD)
     matcher.load(saved)
     assert np.array_equal(matcher.corrected(corner(0.1), wrong, AHEAD)[0], found)
 
@@ -55,6 +57,7 @@ def test_scans_of_walls_correct_a_heading_slowly_since_a_gyro_errs_slowly(
     found, turn = matcher.corrected(turned, np.zeros(3), AHEAD)
     assert 5e-5 < turn < 0.02
     assert found == pytest.approx(np.zeros(3), abs=0.01)
+    assert _turned(turned, 0.02) == pytest.approx(corner(0.0))
 
 
 def test_level_ground_alone_leaves_the_guess_along_it(matcher: ScanMatcher) -> None:
