@@ -36,9 +36,14 @@ def closest(word: str, known: Iterable[str]) -> str | None:
 
 
 def close_match(word: str, known: Iterable[str]) -> str:
-    """Return ``; did you mean 'x'?`` for the closest known word; empty without one."""
-    found = closest(word, known)
-    return f"; did you mean {found!r}?" if found else ""
+    """Return `` (did you mean 'x'?)`` for the closest known word; empty without one."""
+    return suggestion(*filter(None, [closest(word, known)]))
+
+
+def suggestion(*meant: str, quoted: bool = True) -> str:
+    """Return `` (did you mean 'x' or 'y'?)``, which follows what was typed; empty for none."""
+    found = " or ".join(repr(word) if quoted else word for word in meant)
+    return f" (did you mean {found}?)" if found else ""
 
 
 def _begins(first: str, second: str) -> bool:
@@ -159,7 +164,7 @@ def explain_unknown_key(key: str, node: Mapping[str, Any]) -> str:
         return gone
     known = sorted(name for name in node if name != "name")
     inner = [path for path in _paths(node) if not inside and path.endswith(f".{leaf}")]
-    hint = f"; did you mean {' or '.join(inner)}?" if 0 < len(inner) <= 3 else ""
+    hint = suggestion(*inner, quoted=False) if len(inner) <= 3 else ""
     if inside and not known:
         return f"{key}: there is no such key; {inside} has no settings here"
     return (

@@ -20,6 +20,7 @@ from flipperctl import guard
 from flipperctl.api import Plugin, registry
 from flipperctl.errors import PluginError
 from flipperctl.guard import USER_MODULE
+from flipperctl.messages import suggestion
 
 GROUP = "flipperctl.plugins"
 VARIABLE = "FLIPPERCTL_PLUGINS"
@@ -99,7 +100,7 @@ def _files_at(path: Path) -> list[Path]:
         raise PluginError(f"plugins: {path} holds no .py file")
     fault = "is not a .py file" if path.exists() else "does not exist"
     if (named := path.with_name(f"{path.name}.py")).is_file():
-        fault += f"; did you mean {named.name}?"
+        fault += suggestion(named.name, quoted=False)
     raise PluginError(f"plugins: {path} {fault}; a .py file or a folder of them is allowed")
 
 

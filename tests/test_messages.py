@@ -24,7 +24,7 @@ WORDS = [*PLUGINS, *SETTINGS, *OPTIONS, *COMMANDS]
 )
 def test_a_slip_finds_the_word(typed: str, meant: str) -> None:
     assert closest(typed, WORDS) == meant
-    assert close_match(typed, WORDS) == f"; did you mean {meant!r}?"
+    assert close_match(typed, WORDS) == f" (did you mean {meant!r}?)"
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ from flipperctl.config.models import with_stand_ins
 from flipperctl.core.targets import ACTIONS, JOINTS
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.files import write_bytes
-from flipperctl.messages import close_match, missing_name, missing_plugin
+from flipperctl.messages import close_match, missing_name, missing_plugin, suggestion
 from flipperctl.sim.versions import engine_versions
 
 if TYPE_CHECKING:
@@ -302,11 +302,11 @@ def job_order(run: Path) -> tuple[int, str]:
 
 
 def _run_beside(missing: Path) -> str:
-    """Return ``; did you mean 'x'?`` for the closest run beside a path; empty without one."""
+    """Return `` (did you mean 'x'?)`` for the closest run beside a path; empty without one."""
     with contextlib.suppress(OSError):  # no suggestion from an unreadable folder
         runs = [run.name for run in runs_in(missing.parent)]
-        for found in difflib.get_close_matches(missing.name, runs, n=1):
-            return f"; did you mean {str(missing.parent / found)!r}?"
+        near = difflib.get_close_matches(missing.name, runs, n=1)
+        return suggestion(*(str(missing.parent / found) for found in near))
     return ""
 
 

@@ -404,7 +404,8 @@ def _contents(data: bytes, path: Path, noun: str) -> tuple[str, dict[str, torch.
     if start[8:] != b"{" and (pickled or start[:4] == b"PK\x03\x04"):
         raise CheckpointError(
             f"{path} is a pickle or a zip archive, not a safetensors file; "
-            "flipperctl never loads these, since they can run code"
+            "flipperctl never loads these, since they can run code. flipperctl.save writes the "
+            "network of a model of your own (docs/own_method.md), and train method=sb3 trains one"
         )
     try:
         tensors = load(data)

@@ -10,11 +10,11 @@ import json
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 from flipperctl.api import Robot, Settings, registry
 from flipperctl.checkpoint import shipped_policies
@@ -29,10 +29,11 @@ from flipperctl.config import (
     RayCollector,
     Teacher,
     Train,
+    TrainConfig,
     strict_yaml,
 )
 from flipperctl.config.describe import Field, fields, summary
-from flipperctl.config.method import Sb3
+from flipperctl.config.method import Algorithm, Sb3
 from flipperctl.config.words import key_of, override_text
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.plan import suite_files
@@ -133,6 +134,10 @@ KINDS: Mapping[str, Mapping[str, Group]] = {
 """Kind of names → groups of them."""
 
 
+def _groups() -> dict[str, Group]:
+    return {name: group for groups in KINDS.values() for name, group in groups.items()}
+
+
 @dataclass(frozen=True)
 class Entry:
     """A name that a command or a setting takes."""
@@ -149,8 +154,7 @@ class Entry:
     @property
     def command(self) -> str:
         """A command that uses it."""
-        found = next(groups[self.group] for groups in KINDS.values() if self.group in groups)
-        return found.command.replace("NAME", self.name)
+        return _groups()[self.group].command.replace("NAME", self.name)
 
 
 @dataclass(frozen=True)
@@ -172,12 +176,14 @@ class Key:
         """Return a command that sets it to its default; ``used``: by train as it is."""
         kind, _, name = self.owner.partition(" ")
         word = f"{self.key}={override_text(self.field.default)}"
-        if kind == "controller":
+        if kind == "training" and self.key in (found := _groups()):
+            return found[self.key].command.replace("NAME", found[self.key].example)
+        if "=" in kind:
+            word = f"{self.owner} {word}"
+        elif kind == "controller":
             return f"flipperctl eval {name} {word}"
-        if name and not used:
+        elif name and not used:
             word = f"{self.key.rpartition('.')[0]}={name} {word}"
-        elif "=" in kind:
-            word = f"{kind} {word}"
         return f"flipperctl {'eval okada' if kind == 'eval' else 'train'} {word}"
 
 
@@ -223,7 +229,13 @@ def first_clause(text: str) -> str:
 
 
 def keys() -> Iterator[Key]:
-    """Yield every setting of every section and plugin."""
+    """Yield every setting of every section and plugin, and those outside of all sections."""
+    for one in fields(TrainConfig):
+        choices = [e.name for e in entries(one.name)]
+        choices += [word[2] for name in SECTIONS if (word := name.partition("="))[0] == one.name]
+        if one.description:
+            allowed = one.bounds or ", ".join(filter(None, choices))
+            yield Key(one.name, "training", TrainConfig, replace(one, bounds=allowed))
     for name, cls in SECTIONS.items():
         path, _, choice = name.partition("=")
         own = (f for f in fields(cls) if not (choice and f.name == "name"))
@@ -234,10 +246,28 @@ def keys() -> Iterator[Key]:
             yield Key(f"{path}.{one.name}", f"{kind} {name}", plugin, one)
 
 
+def _arguments() -> Iterator[Key]:
+    """Yield the arguments of the learners of Stable-Baselines3.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    from flipperctl.training.sb3 import arguments
+
+    for name in get_args(Algorithm):
+        for one in arguments(name):
+            key, owner = f"method.settings.{one.name}", f"method=sb3 method.algorithm={name}"
+            yield Key(key, owner, Sb3, one)
+
+
 def keys_named(word: str) -> list[Key]:
-    """Return the settings that a word names: by key, as ``stair.rise``, or by its last part."""
+    """Return the settings that a word names: by key, by section, by ``stair.rise`` or ``rise``."""
     found = list(keys())
     whole = [one for one in found if one.key == word]
+    if not whole and word.startswith("method."):
+        found = list(_arguments())
+        whole = [one for one in found if one.key == word]
+    whole += [one for one in found if one.owner.partition("=")[0] == word]
     if whole:
         return whole
     return [one for one in found if word in (one.field.name, one.alias)]

@@ -116,7 +116,7 @@ def _unknown(
     ``known``: the subcommand's options; ``primary``: the configuration of its overrides;
     ``takes_run``: whether it takes a run or a policy without an option.
     """
-    from flipperctl.messages import closest
+    from flipperctl.messages import closest, suggestion
 
     key = name.lstrip("-").replace("-", "_")
     start = f"no such option: {name}"
@@ -132,7 +132,7 @@ def _unknown(
         )
     options = {option.removeprefix("--"): option for option in known if option.startswith("--")}
     close = closest(name.lstrip("-"), options)
-    return RequestError(start + (f"; did you mean {options[close]!r}?" if close else ""))
+    return RequestError(start + suggestion(*([options[close]] if close else [])))
 
 
 def _settings(key: str, primary: str) -> Iterator[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -217,6 +217,10 @@ def _settings(keys: Sequence[Key]) -> Iterator[dict[str, Any]]:
     for key in keys:
         section, name = key.key.rpartition(".")[0], key.owner.partition(" ")[2]
         used = not name or values.get(section) == name
+        if not section:  # a name, or those of several plugins
+            below = (path.split(".") for path in values if path.startswith(f"{key.key}."))
+            default = values.get(key.key, [one for _, one, *more in below if not more])
+            key = replace(key, field=replace(key.field, default=default))
         yield {
             "key": key.key,
             "of": key.owner,

@@ -56,17 +56,18 @@ def train(
 
       flipperctl train --resume runs/stair/2026-01-31_12-00-00
     """
+    from flipperctl.evaluation.plan import refuse_beside
+
     arguments = list(overrides or [])
     if resume is not None:
-        from flipperctl.evaluation.plan import refuse_beside
-
         refuse_beside("--resume", {"cfg": cfg, "multirun": multirun, "output": output})
         _resume(resume, arguments)
         return
     if output is not None:
-        from flipperctl.config.words import literal_override
+        from flipperctl.config.words import key_of, literal_override
 
         key = "hydra.sweep.dir" if multirun else "hydra.run.dir"
+        refuse_beside("--output", {word: True for word in arguments if key_of(word) == key})
         arguments.append(literal_override(key, str(output)))
     if cfg is not None:
         arguments += ["--cfg", cfg]

@@ -112,14 +112,19 @@ PAPER_REWARDS = {"flipper": "flipper", "pitch": "pitch", "end": "end"}
 class EnvConfig(Settings):
     """The configuration of an environment."""
 
-    terrain: ConfiguredTerrain
+    terrain: ConfiguredTerrain = Field(description="the ground [-]")
     rewards: AnyRewards = Field(
         # the validator turns names into terms
-        default_factory=lambda: cast("dict[str, RewardTerm]", dict(PAPER_REWARDS))
+        default_factory=lambda: cast("dict[str, RewardTerm]", dict(PAPER_REWARDS)),
+        description="the terms of the reward: a preset, and rewards.NAME=NAME for one more [-]",
     )
     robot: NamedRobot = Robot()
-    sim: AnyEngine = Field(default_factory=lambda: cast("Engine", DEFAULT_ENGINE))
-    perception: AnySensor = Field(default_factory=lambda: cast("Sensor", DEFAULT_ENGINE))
+    sim: AnyEngine = Field(
+        default_factory=lambda: cast("Engine", DEFAULT_ENGINE), description="the engine [-]"
+    )
+    perception: AnySensor = Field(
+        default_factory=lambda: cast("Sensor", DEFAULT_ENGINE), description="the ground sensor [-]"
+    )
     episode: Episode = Episode()
     randomise: Randomise = Randomise()
 
@@ -202,15 +207,18 @@ class TrainConfig(EnvConfig):
         description="turns: one of nine turns by an angle step in each decision; rates: any turn "
         "up to that, which needs a method of continuous actions [-]",
     )
-    network: AnyNetwork
-    method: Sb3 | None = None
+    network: AnyNetwork = Field(description="the network of the policy [-]")
+    method: Sb3 | None = Field(None, description="a learner in place of our own [-]")
     agent: Agent = Agent()
     train: Train = Train()
-    collector: LocalCollector | RayCollector = Field(LocalCollector(), discriminator="name")
+    collector: LocalCollector | RayCollector = Field(
+        LocalCollector(), discriminator="name", description="where training episodes are played [-]"
+    )
     teacher: Teacher = Teacher()
     eval: Eval = Eval()
     logger: AnyLoggers = Field(
-        default_factory=lambda: cast("dict[str, Logger]", {DEFAULT_LOGGER: DEFAULT_LOGGER})
+        default_factory=lambda: cast("dict[str, Logger]", {DEFAULT_LOGGER: DEFAULT_LOGGER}),
+        description="what records a training's numbers [-]",
     )
     seed: int = Field(1, ge=0, le=2**63 - 1, description="seed of all randomness [-]")
     device: str = Field("cpu", description="torch device of the learner, such as cpu or cuda [-]")

@@ -130,6 +130,11 @@ def save_network(
         ExportError: torch cannot export it, or the file disagrees with torch; nothing is written.
         OutputError: the file cannot be written, see ``check_output``.
     """
+    if not isinstance(network, nn.Module):
+        raise RequestError(
+            f"network: a module of torch is allowed, not a {type(network).__name__}; "
+            "docs/own_method.md shows which part of a model of Stable-Baselines3 is one"
+        )
     check_output(output, KINDS["onnx"])
     sections = {name: getattr(env, name) for name in EnvConfig.model_fields if name != "rewards"}
     config = TrainConfig(network={"name": "mlp"}, actions=kind, seed=seed, **sections)
@@ -137,16 +142,18 @@ def save_network(
     size = config.perception.layout.size
     try:
         with torch.inference_mode():
-            shape = tuple(module(torch.zeros(2, size)).shape)
+            returned = module(torch.zeros(2, size))
     except (RuntimeError, TypeError, AttributeError, ValueError) as error:
         raise RequestError(
             f"network: it does not take observations (B, {size}): {error}"
         ) from error
+    shape = tuple(getattr(returned, "shape", ()))
+    given = f"the shape {shape}" if shape else f"a {type(returned).__name__}"
     if shape != (2, count := outputs_of(kind)):
         other: ActionKind = "rates" if kind == "turns" else "turns"
         hint = f"; environment(actions={other!r}) has such actions"
         raise RequestError(
-            f"network: it returns the shape {shape} for (2, {size}); (2, {count}) is allowed"
+            f"network: it returns {given} for (2, {size}); (2, {count}) is allowed"
             f"{hint if shape == (2, outputs_of(other)) else ''}"
         )
     metadata = policy_metadata(config) | {f"{PREFIX}network": type(network).__name__}

@@ -366,8 +366,15 @@ def evaluate(
         elif callable(one):
             named = NamedPolicy(function_policy(one))
             if named in found:
-                raise RequestError(f"policy: two functions are called {named.method!r}")
+                raise RequestError(
+                    f"policy: two functions are called {named.method!r}; give each a name by def"
+                )
             found[named] = None
+        elif not isinstance(one, str | os.PathLike):
+            raise RequestError(
+                "policy: a name, a path, a loaded policy or a function is allowed, not a "
+                f"{type(one).__name__}; docs/own_method.md makes a function of any model"
+            )
         else:
             found |= dict.fromkeys(entrants([os.fspath(one)], tell))
     suite = settings.pop("suite", None)

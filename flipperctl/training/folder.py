@@ -39,8 +39,7 @@ def check_free(directory: Path) -> None:
     for file in (directory / METRICS, directory / SUMMARY):
         if file.exists():
             raise OutputError(
-                f"{file} is not of a run and would be replaced; move it, or choose another folder "
-                "(hydra.run.dir)"
+                f"{file} is not of a run and would be replaced; move it, or choose another folder"
             )
 
 

@@ -224,7 +224,7 @@ def start(
                 return _begin(config, place, reports, partial(keep_more, place))
     raise OutputError(
         f"{directory} already holds a run; resume it with: "
-        f"{command('train', '--resume', directory)}, or choose another hydra.run.dir"
+        f"{command('train', '--resume', directory)}, or choose another folder"
     )
 
 
@@ -250,7 +250,7 @@ def start_or_continue(
             raise OutputError(
                 f"{directory} already holds a run with other settings "
                 f"({', '.join(differing[:3])}{' …' if len(differing) > 3 else ''}); "
-                "choose another hydra.sweep.dir"
+                "choose another folder"
             )
         if (summary := finished(directory, config.train.decisions)) is not None:
             reports.tell(f"{quote_path(directory)} is finished")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import inspect
 import random
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
@@ -27,6 +28,8 @@ from flipperctl.api import Listener
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.checkpoint.document import Generators, State, require_equal_layout
 from flipperctl.config import TrainConfig
+from flipperctl.config.describe import Field
+from flipperctl.config.method import DEFAULTS
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError, ConfigError, MissingExtraError
 from flipperctl.messages import close_match
@@ -61,6 +64,13 @@ _OURS = {
     ),
 }
 """Arguments that are the run's, and what to do instead of giving them."""
+_WITHIN: Mapping[str, Callable[[float], bool]] = {
+    "": lambda value: True,
+    "≥ 0, ≤ 1": lambda value: 0 <= value <= 1,
+    "a whole number ≥ 0": lambda value: isinstance(value, int) and value >= 0,
+    "a whole number ≥ -1": lambda value: isinstance(value, int) and value >= -1,
+}
+"""What bounds of arguments say; the library takes a buffer of -1 and a ``tau`` of 5."""
 _ARCHITECTURE = ("net_arch", "activation_fn", "features_extractor_class")
 
 
@@ -95,25 +105,47 @@ class _Episodes(gymnasium.Wrapper[Any, Any, Any, Any]):
         return self.env.reset(seed=self.seed, options={"difficulty": self.difficulty})
 
 
+def arguments(algorithm: str) -> Iterator[Field]:
+    """Yield the arguments that ``method.settings`` takes, as the library describes them.
+
+    Its signature tells counts, and its text which of them may be -1 and what is a share.
+    """
+    cls = _class_of(algorithm)
+    texts = dict(re.findall(r":param (\w+):(.*?)(?=\n:param|\Z)", inspect.getdoc(cls) or "", re.S))
+    for name, parameter in inspect.signature(cls).parameters.items():
+        if name in _OURS:
+            continue
+        text, bounds = " ".join(texts.get(name, "").split()), ""
+        if "between 0 and 1" in text:
+            bounds = "≥ 0, ≤ 1"
+        elif parameter.annotation is int:
+            bounds = f"a whole number ≥ {'-1' if '-1' in text else '0'}"
+        default = DEFAULTS[algorithm].get(name, parameter.default)
+        yield Field(name, str(parameter.annotation), default, bounds, "", text)
+
+
 def check_settings(config: TrainConfig) -> None:
     """Refuse arguments that the algorithm does not take, or that settings of the run replace."""
     method = config.method
     assert method is not None  # else our own learner trains
     cls = _class_of(method.algorithm)
     parameters = inspect.signature(cls).parameters
-    allowed = [name for name in parameters if name not in _OURS]
+    known = {one.name: one for one in arguments(method.algorithm)}
     for name, value in method.settings.items():
         where = f"method.settings.{name}"
         if name in _OURS:
             raise ConfigError(f"{where}: it is the run's; {_OURS[name]}")
-        if name not in allowed:
+        if name not in known:
             raise ConfigError(
-                f"{where}: {cls.__name__} has no such argument{close_match(name, allowed)}; "
-                f"known: {', '.join(allowed)}"
+                f"{where}: {cls.__name__} has no such argument{close_match(name, known)}; "
+                f"known: {', '.join(known)}"
             )
         is_number = isinstance(parameters[name].default, int | float)
         if is_number and isinstance(value, str) and "str" not in str(parameters[name].annotation):
             raise ConfigError(f"{where}: a number is allowed; the value is {value!r}")
+        bounds = known[name].bounds
+        if isinstance(value, int | float) and not _WITHIN[bounds](value):
+            raise ConfigError(f"{where}: {bounds} is allowed; the value is {value}")
     own = method.settings.get("policy_kwargs") or {}
     for name in own if isinstance(own, dict) else ():
         if name in _ARCHITECTURE:

@@ -10,7 +10,8 @@ from rich.cells import cell_len
 
 from flipperctl.api import registry
 from flipperctl.cli import glossary
-from flipperctl.cli.catalogue import KINDS
+from flipperctl.cli.catalogue import KINDS, keys_named
+from flipperctl.config import TrainConfig
 from tests.cli.call import call
 
 
@@ -77,6 +78,19 @@ def test_a_setting_says_what_changes_it_and_how_it_is_typed(tmp_path: Path) -> N
     assert found["command"] == "flipperctl train rewards.pitch=pitch rewards.pitch.lambda_2=8"
     found = document("explain", "sim.friction", cwd=tmp_path)["settings"]
     assert {one["of"] for one in found} == {"sim planar", "sim mujoco"}
+
+
+def test_every_top_level_setting_and_argument_is_explained(tmp_path: Path) -> None:
+    assert [name for name in TrainConfig.model_fields if not keys_named(name)] == []
+    (found,) = document("explain", "network", cwd=tmp_path)["settings"]
+    assert (found["default"], found["command"]) == ("at_d3qn", "flipperctl train network=conv")
+    (found,) = document("explain", "rewards", cwd=tmp_path)["settings"]
+    assert "swing" in found["default"]
+    found = document("explain", "method.settings.tau", cwd=tmp_path)["settings"]
+    assert {one["bounds"] for one in found} == {"≥ 0, ≤ 1"}
+    assert found[0]["command"].endswith(
+        "method=sb3 method.algorithm=dqn method.settings.tau=0.01"  # ours, not the library's
+    )
 
 
 def test_names_words_and_anything_else(tmp_path: Path) -> None:

@@ -34,7 +34,9 @@ train method=sb3 network=dueling_mlp -> dueling_mlp does not go with | network=m
 train method=sb3 agent.n_step=2 -> agent.n_step=2: it has no effect with method=sb3
 train method=sb3 teacher=okada -> teacher: it does not go with method=sb3
 train method=sb3 agent.risk=true -> agent.risk: it does not go with method=sb3
-train method=sb3 method.settings.learning_rat=1 -> no such argument; did you mean 'learning_rate'
+train method=sb3 method.settings.buffer_size=-1 -> a whole number ≥ 0 is allowed
+train method=sb3 method.settings.tau=5 -> method.settings.tau: ≥ 0, ≤ 1 is allowed; the value is 5
+train method=sb3 method.settings.learning_rat=1 -> no such argument (did you mean 'learning_rate'
 train method=sb3 method.settings.gamma=0.9 -> it is the run's; set agent.gamma
 train method=sb3 method.settings.batch_size=many -> a number is allowed; the value is 'many'
 train method=sb3 method.settings.train_freq=[1,"day"] -> method.settings: DQN refuses them
@@ -65,7 +67,7 @@ new -> 'KIND' | see flipperctl new --help
 export -> Choose from: onnx, pt2 | see flipperctl export --help
 train 'terrain=step seed=3' -> several overrides | out: terrain=step seed=3
 train seed=1,2 -> seed=1,2: several values | add -m
-train gamma=0.9 -> gamma: there is no such key; did you mean agent.gamma or
+train gamma=0.9 -> gamma: there is no such key (did you mean agent.gamma or
 eval --controller level friction=1 -> did you mean  | sim.friction
 train controller=okada -> controller: there is no such key | teacher
 eval runs/x -> runs/x | no such run | generalist
@@ -138,7 +140,7 @@ list stair -> flipperctl explain stair
 list runs -> runs: there is no such folder
 list stair --pictures x.png -> --pictures needs terrains
 list terrains x -> a folder has a meaning with runs alone
-explain agent.gama -> 'agent.gama'; did you mean 'agent.gamma'?
+explain agent.gama -> 'agent.gama' (did you mean 'agent.gamma'?
 inspect plugins stiar -> 'stiar' | 'stair'
 inspect terrain stiar -> 'stiar' | 'stair'
 inspect terrain stair --output x.bmp -> x.bmp | .png
@@ -149,10 +151,10 @@ eval okada,level --record e.safetensors terrain=flat -> --record takes one polic
 eval level --record e.safetensors eval.ray=auto terrain=flat \
     -> eval.ray: no meaning beside --record
 eval okada level --film e.gif terrain=flat,step -> --film shows one scene
-eval okada terrain=stair --by step -> --by: no scene draws 'step'; did you mean 'steps'?
+eval okada terrain=stair --by step -> --by: no scene draws 'step' (did you mean 'steps'?
 eval okada terrain=stair --by steps, -> --by: names as in
 eval okada terrain=stair --by steps+steps -> --by: names as in
-eval okada --columns max_pich -> no column 'max_pich'; did you mean 'max_pitch'
+eval okada --columns max_pich -> no column 'max_pich' (did you mean 'max_pitch'
 eval okada suite=familes -> did you mean 'families'?
 eval okada suite=gone.yaml -> gone.yaml cannot be read
 eval okada suite=paper suite=families -> suite is given twice
@@ -180,7 +182,7 @@ map okada terrain=uplift --over terrain.height=0.2:0.5:2,sim.friction=0.5:1.0:2 
     -> map takes one policy; okada, generalist are given
 tune -> tune takes one controller, as in: flipperctl tune okada
 tune okada level -> tune takes one controller | okada, level is given
-tune okda terrain=stair -> tune: there is no controller plugin 'okda'; did you mean 'okada'
+tune okda terrain=stair -> tune: there is no controller plugin 'okda' (did you mean 'okada'
 tune level terrain=stair -> level: this controller has no number between two bounds to tune
 tune okada budget=0 -> budget: one number of episodes from 1 on | is allowed | is 0
 tune okada budget=100 terrain=stair -> budget: at least 187 episodes are needed | is 100
@@ -236,7 +238,7 @@ train -m hydra.mode=RUN seed=1,2 -> hydra.mode=RUN: no meaning beside --multirun
 train hydra.mode=BOTH -> hydra.mode: RUN or MULTIRUN is allowed; the value is BOTH
 train -m 'seed=glob(*)' -> seed=glob(*): no name fits
 train hydra.searchpath=3 -> hydra.searchpath: a list of folders is allowed
-train --output a hydra.run.dir=b -> hydra.run.dir is given twice
+train --output a hydra.run.dir=b -> hydra.run.dir=b: no meaning beside --output
 train --output a --resume b -> --output: no meaning beside --resume
 train --cfg job -p nope -> --cfg: package 'nope' not found in config
 train --cfg job terrain=3 -> terrain: a name is allowed; the value is 3
@@ -249,18 +251,18 @@ train --seed 4 -> --seed; settings are written as seed=4
 train --agent.gamma=0.9 -> ; settings are written as agent.gamma=0.9
 train --learning-rate=1e-3 -> ; settings are written as agent.learning_rate=1e-3
 train --terrain terrain=stair -> ; settings are written as terrain=…
-train --out here -> ; did you mean '--output'?
+train --out here -> (did you mean '--output'?
 inspect reward --seed 3 -> ; settings are written as eval.seed=3
 eval okada --friction 0.6 -> ; settings are written as sim.friction=0.6
 eval okada --agent.gamma 0.9 -> no such option: --agent.gamma
-eval okada --episodess 5 -> --episodess; did you mean '--episodes'?
+eval okada --episodess 5 -> --episodess (did you mean '--episodes'?
 inspect run x --seed 3 -> no such option: --seed
 --terrain stair -> --terrain; settings are written as terrain=stair
 --terrain=stair train -> --terrain; settings are written as terrain=stair
 --seed train -> --seed; settings are written as seed=…
 --seed=4 eval -> --seed; settings are written as eval.seed=4
 inspect --terrain stair -> --terrain; settings are written as terrain=stair
---versoin -> --versoin; did you mean '--version'?
+--versoin -> --versoin (did you mean '--version'?
 eval okada --seed 3 eval.seed=4 \
     -> eval.seed is given twice: --seed 3 and eval.seed=4; one is allowed
 map okada --over=seed,seed --episodes 3 ++eval.episodes=4 \

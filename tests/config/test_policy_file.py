@@ -54,7 +54,7 @@ def test_a_file_teaches(tmp_path: Path) -> None:
         ("far: 0.6", "far: 6", r"mine.yaml: settings.far: .*≤ 3.*the value is 6"),
         ("far: 0.6", "far: wide", r"settings.far: .*number.*'wide'"),
         ("far: 0.6", "far: 0.1", r"mine.yaml: settings: near=0.123457 must be below far=0.1"),
-        ("okada", "okda", r"settings: there is no controller plugin 'okda'; did you mean 'okada'"),
+        ("okada", "okda", r"settings: there is no controller plugin 'okda' .did you mean 'okada'"),
         ("seed: 0", "seed: -1", r"mine.yaml.tuning.seed: .*≥ 0.*the value is -1"),
         ("seed: 0", "seed: true", r"mine.yaml.tuning.seed: .*integer.*the value is True"),
         ("  seed: 0\n", "", r"mine.yaml.tuning.seed: Field required"),

@@ -42,11 +42,11 @@ def logged(overrides: dict[str, Any]) -> TrainConfig:
     [
         (
             lambda: resolver.get("terrain", "stairs", "terrain"),
-            r"^terrain: there is no terrain plugin 'stairs'; did you mean 'stair'\?.*paper_step",
+            r"^terrain: there is no terrain plugin 'stairs' .did you mean 'stair'\?.*paper_step",
         ),
         (
             lambda: resolver.create("terrain", {"name": "mix", "parts": ["stiar"]}, "terrain"),
-            r"^terrain\.parts\.0: there is no terrain plugin 'stiar'; did you mean 'stair'\?.*step",
+            r"^terrain\.parts\.0: there is no terrain plugin 'stiar' .did you mean 'stair'\?.*step",
         ),
         (lambda: resolver.create("sim", "mine", "sim"), r"reinstalled \(pip install -e \.\)"),
         (lambda: resolver.create("terrain", "mine", "terrain"), "loaded by --plugins FILE"),

@@ -83,12 +83,12 @@ def test_noise_keeps_the_direction_and_height_of_vertical_faces() -> None:
 @pytest.mark.parametrize(
     ("part", "text"),
     [
-        ("stare", "terrain.parts.1: there is no terrain plugin 'stare'; did you mean 'stair'?"),
+        ("stare", "terrain.parts.1: there is no terrain plugin 'stare' (did you mean 'stair'?"),
         ({"name": "stair", "rise": 9}, "terrain.parts.1.rise: "),
-        ({"name": "stair", "ris": 1}, "terrain.parts.1.ris: there is no such key; did you mean 'r"),
+        ({"name": "stair", "ris": 1}, "terrain.parts.1.ris: there is no such key (did you mean 'r"),
         (
             {"name": "mirror", "terrain": {"name": "gap", "width_lo": 1}},
-            "terrain.parts.1.terrain.width_lo: there is no such key; did you mean 'width_low'?",
+            "terrain.parts.1.terrain.width_lo: there is no such key (did you mean 'width_low'?",
         ),
         ({"rise": 1}, "terrain.parts.1: a terrain's name, or a mapping"),
     ],

@@ -53,7 +53,7 @@ def test_a_word_is_a_controller_a_file_or_a_shipped_policy_in_this_order(
 @pytest.mark.parametrize(
     ("word", "takes", "error", "text"),
     [
-        ("okado", "any", ConfigError, "^x: okado: there is no .* or controller; did you mean 'ok"),
+        ("okado", "any", ConfigError, "^x: okado: there is no .* or controller .did you mean 'ok"),
         ("runs/okada", "any", CheckpointError, "^x: runs/okada: there is no such run, file, ship"),
         ("okada", "file", CheckpointError, "file or shipped policy; names: generalist"),
         ("a" * 5000, "any", ConfigError, "there is no such run"),
@@ -85,7 +85,7 @@ def test_a_run_is_found_from_the_working_directory(
 @pytest.mark.parametrize(
     ("name", "content", "text"),
     [
-        ("generalis", None, "there is no such run, file or .*; did you mean 'generalist'"),
+        ("generalis", None, "there is no such run, file or .* .did you mean 'generalist'"),
         ("exported.onnx", "", "an exported file holds no training"),
         ("damaged.safetensors", "nothing", "is damaged or not a safetensors file"),
         ("generalist", None, "a network of one observation is allowed"),

@@ -79,9 +79,9 @@ def test_the_command_writes_a_film_a_picture_and_the_numbers(bag, tmp_path):
         (["--output", "a.png"], "a picture needs --at SECONDS"),
         (["--output", "a.gif", "--at", "2"], "a picture ends in .png"),
         (["--output", "a.png", "--at", "500"], "--at 500: 0 to "),
-        (["--base-frame", "base_lnk"], "there is no frame 'base_lnk'; did you mean 'base_link'"),
+        (["--base-frame", "base_lnk"], "there is no frame 'base_lnk' (did you mean 'base_link'"),
         (["--topic", "/poins"], "no PointCloud2 is on '/poins'"),
-        (["--imu", "/imu"], "no Imu is on '/imu'; did you mean '/imu/data'"),
+        (["--imu", "/imu"], "no Imu is on '/imu' (did you mean '/imu/data'"),
         (["--belts", "/odo"], "no Float64 or Odometry is on '/odo'"),
     ],
 )

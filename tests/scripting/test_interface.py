@@ -105,7 +105,7 @@ def test_a_directory_with_a_run_is_refused_and_resumed(shown: tuple[Path, dict[s
     [
         ({"terrain": "stiar"}, "did you mean 'stair'"),
         ({"terrain": ["stair", "step"]}, "terrain: several values"),
-        ({"train": {"decisons": 5}}, r"train\.decisons: .* did you mean 'decisions'"),
+        ({"train": {"decisons": 5}}, r"train\.decisons: .*did you mean 'decisions'"),
         ({"overrides": ["hydra/launcher=joblib"]}, "hydra/launcher: a training from Python"),
         ({"plugins": "ridge.py"}, "plugins: a list"),
         ({"seed": 1, "overrides": ["seed=2"]}, "seed is given twice"),
@@ -213,12 +213,15 @@ def test_a_function_of_the_observation_is_a_policy_of_its_name(tmp_path: Path) -
         return 4
 
     for given, text in (
-        ([lambda o: 4, lambda o: 5], "two functions are called 'lambda'"),
+        ([lambda o: 4, lambda o: 5], "two functions are called 'lambda'; give each a name by def"),
+        ([3], "a name, a path, a loaded policy or a function is allowed, not a int"),
         (okada, "there is a controller 'okada'; give the function another name"),
         (functools.partial(int), "jobs at 1"),
     ):
         with pytest.raises(RequestError, match=text):
             flipperctl.evaluate(given, jobs=2, **FLAT)
+    with pytest.raises(RequestError, match="a module of torch is allowed, not a function"):
+        flipperctl.save(okada, gymnasium.make(FLIPPER), tmp_path / "mine.onnx")
     action = 9
     with pytest.raises(FlipperctlError, match=r"mine.*returned 9; an integer from 0 to 8"):
         flipperctl.evaluate(mine, **FLAT)

@@ -185,7 +185,7 @@ def test_compared_controllers_with_that_field_have_the_preset() -> None:
     assert (sources["mpc"].settings or {})["rewards"] == preset("tuned")
     assert "rewards" not in (sources["level"].settings or {})
     assert others.words == ["terrain=step"]
-    with pytest.raises(ConfigError, match=r"controller.rewards: .*'tune'; did you mean 'tuned'"):
+    with pytest.raises(ConfigError, match=r"controller.rewards: .*'tune' .did you mean 'tuned'"):
         controller_fields(Overrides.parse(["controller.rewards=tune"]), "--compare")
 
 
@@ -195,7 +195,7 @@ def test_a_preset_of_a_configuration_folder_counts_in_a_training(tmp_path: Path)
     own.mkdir(parents=True)
     (own / "mine.yaml").write_text("defaults:\n  - /reward@swing: swing\n")
     words = [f"{key}={value}" for key, value in EXACT.items()]
-    for name, text in (("mine", "set controller.value"), ("mime", "'mime'; did you mean 'mine'")):
+    for name, text in (("mine", "set controller.value"), ("mime", "'mime' (did you mean 'mine'")):
         teacher = ["teacher=mpc", f"teacher.controller.rewards={name}"]
         done = call("train", "--config-dir", "own", "terrain=step", *teacher, *words, cwd=tmp_path)
         assert done.code == 2, done.err
