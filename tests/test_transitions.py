@@ -130,7 +130,7 @@ def test_the_ground_around_each_position_is_that_of_each_call() -> None:
         found = np.column_stack([around_x[i], around_z[i]])
         assert np.array_equal(found[: len(expected)], expected)
         assert np.isnan(found[len(expected) :]).all()
-        assert np.array_equal(np.column_stack(STEP.around_each(x[i], reach[i])), expected)
+        assert np.array_equal(np.column_stack(STEP.around_each(float(x[i]), reach[i])), expected)
     assert STEP.around_each(np.array([30.0]), 0.1)[0].shape == (1, 0)
 
 

@@ -9,6 +9,8 @@ import torch
 from flipperctl.agent.frames import input_size, stacked
 from flipperctl.agent.losses import (
     Adam,
+    _typical,
+    descend,
     double_q_target,
     double_quantile_target,
     huber,
@@ -146,6 +148,11 @@ def test_where_most_actions_are_equal_the_others_give_the_scale() -> None:
     assert ignored > 0.3
 
 
+def test_the_scale_is_the_median_gap_or_that_of_those_that_are_not_negligible() -> None:
+    for gaps, scale in (((0, 0, 1, 2, 3), 1.0), ((0, 0, 0, 1, 3), 1.0), ((0, 0, 0), 0.0)):
+        assert _typical(torch.tensor(gaps, dtype=torch.float32)) == scale
+
+
 def test_no_reward_s_scale_matters_for_the_searched_values() -> None:
     found = searched() + torch.linspace(-1.0, 1.0, 12).view(2, 2, 3)
     loss = float(searched_values(found, searched(), 3.0))
@@ -162,6 +169,15 @@ def test_the_first_step_goes_by_the_rate_against_the_gradients_sign() -> None:
     parameters = torch.tensor([1.0, 2.0, 3.0])
     Adam(parameters).step(torch.tensor([0.5, -4.0, 0.0]), 0.1)
     assert parameters.tolist() == pytest.approx([0.9, 2.1, 3.0])
+
+
+def test_a_gradient_longer_than_its_norm_is_shortened(monkeypatch: pytest.MonkeyPatch) -> None:
+    steps: list[list[float]] = []
+    monkeypatch.setattr(Adam, "step", lambda self, gradient, rate: steps.append(gradient.tolist()))
+    weights = torch.tensor([3.0, 4.0], requires_grad=True)
+    for norm in (1.0, 10.0):  # the gradient, the weights themselves, is 5 long
+        descend(weights.square().sum() / 2, [weights], Adam(weights), norm, 0.1)
+    assert steps == [pytest.approx([0.6, 0.8]), [3.0, 4.0]]
 
 
 def test_many_steps_are_those_of_the_paper() -> None:

@@ -81,6 +81,10 @@ def test_values_learn_the_return_and_a_copy_goes_on_with_the_counts() -> None:
     batch = replace(round_of(agent, np.random.default_rng(0)), reward=torch.arange(256.0))
     _, goal = agent._advantages(batch)
     torch.testing.assert_close(goal, batch.reward)  # each decision ends its episode
+    later = replace(batch, discount=torch.full((256,), 0.9))
+    after = agent.values(batch.next_observation, torch.zeros(256, 2)).detach()[-1]
+    _, goal = agent._advantages(later)  # 0.9 of the value that follows, where it goes on
+    assert float(goal[-1]) == pytest.approx(255 + 0.9 * float(after))
     copy = learner()
     agent.update(batch, 0.0, np.random.default_rng(0))
     copy.restore(agent.tensors(), 0)

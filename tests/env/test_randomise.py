@@ -200,6 +200,11 @@ def test_what_is_perceived_is_as_old_as_the_delay() -> None:
     seen = env.perception.front
     assert seen == pytest.approx(math.radians(25) * 0.3, abs=0.02)
     assert env.state.front == pytest.approx(math.radians(25) * 0.6, abs=0.02)
+    whole = FlipperEnv(config=config(**{"robot.control_period": 0.5, "perception.delay": 0.5}))
+    whole.reset(seed=0)
+    before = whole.state.front
+    whole.step(RAISE)
+    assert whole.perception.front == before  # as at the beginning of the decision
 
 
 def test_a_bias_shifts_what_is_perceived_and_nothing_else() -> None:

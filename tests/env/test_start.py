@@ -3,6 +3,8 @@
 import math
 from collections.abc import Iterator
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -11,7 +13,7 @@ from flipperctl.api import Limits, Outcome, Profile, Robot, Start, Terrain, Worl
 from flipperctl.config import Episode
 from flipperctl.env import flipper_env
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.env.start import finish_of, nearest_rest
+from flipperctl.env.start import finish_of, is_lifted, nearest_rest
 from flipperctl.errors import ConfigError, TerrainError
 from flipperctl.sim.ground import height_at, resting
 from flipperctl.sim.mujoco import Mujoco
@@ -128,6 +130,13 @@ def test_an_engine_that_starts_level_alone_is_named(monkeypatch: pytest.MonkeyPa
         FlipperEnv(ramp, episode={"run_up": -1.0}).reset(seed=2)
 
 
+def test_a_start_is_lifted_more_than_15_cm_above_that_of_the_profile() -> None:
+    world = SimpleNamespace(position=(0.0, 0.3))
+    heights = (None, 0.16, 0.14)
+    lifted = [is_lifted(cast(World, world), Start(0.0, height=height)) for height in heights]
+    assert lifted == [False, False, True]
+
+
 def test_a_lifted_start_leaves_later_episodes_on_the_same_profile_their_own(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -226,6 +235,9 @@ def test_a_finish_where_no_robot_can_stand_is_named() -> None:
     assert x == pytest.approx(2.95)  # its centre of mass is not past the edge
     own = Profile(cliff.points, run_out=-2.95)
     assert finish_of(own, Robot(), Episode()).x == x
+    steep = Profile([(0.0, 0.0), (0.05, 0.0), (0.05, -3.0), (1.0, -0.4)])
+    x, pose = nearest_rest(steep, Robot(), 1.0, (0.0, 0.0), 0.1)
+    assert (x, pose is not None) == (0.0, True)  # before the edge, the farthest place of all
 
 
 @pytest.fixture

@@ -1,5 +1,6 @@
 """The planner: its plans are the best known and are carried out in the episode."""
 
+import numpy as np
 import pytest
 
 from flipperctl.api import Outcome, Perception, Policy, Simulator, action_index
@@ -61,6 +62,15 @@ def test_the_progress_of_the_search_never_falls() -> None:
     assert len(fractions) > 3
     assert fractions == sorted(fractions)
     assert 0 <= fractions[0] < fractions[-1] == 1
+
+
+def test_a_plan_is_read_from_its_last_action_back_to_the_root() -> None:
+    def nodes(parents: list[int], actions: list[int]) -> planner._Nodes:
+        some = np.zeros(len(parents))
+        return planner._Nodes(*[some] * 6, np.array(parents), np.array(actions))
+
+    expanded = [nodes([-1], [-1]), nodes([0, 0], [5, 7])]  # numbers 0, 1 and 2
+    assert planner._trace(expanded, 2, 4) == (7, 4)
 
 
 class Script:

@@ -183,6 +183,7 @@ def test_the_candidate_is_in_the_frame_of_the_pitched_chassis() -> None:
         ((0.79, 0.79, 0.80), -1.0),  # steeper than π/4 = 0.785 and rising
         ((-0.79, -0.79, -0.80), -1.0),  # on its tail as on its nose
         ((0.82, 0.81, 0.80), -0.05),  # steep, but falling: 5 · 0.01
+        ((0.80, 0.80, 0.80), 0.0),  # steep, and staying so
         ((0.76, 0.77, 0.78), -0.05),  # rising, but not so steep
     ],
 )
