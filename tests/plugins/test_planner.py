@@ -1,5 +1,8 @@
 """The planner: its plans are the best known and are carried out in the episode."""
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -71,6 +74,18 @@ def test_a_plan_is_read_from_its_last_action_back_to_the_root() -> None:
 
     expanded = [nodes([-1], [-1]), nodes([0, 0], [5, 7])]  # numbers 0, 1 and 2
     assert planner._trace(expanded, 2, 4) == (7, 4)
+
+
+@pytest.mark.parametrize(
+    ("cost", "variation", "kept"), [(9.0, 1.0, True), (9.0, 1.1, False), (11.0, 0.5, False)]
+)
+def test_a_cheaper_plan_is_kept_unless_it_is_rougher_than_the_first_ones(
+    cost: float, variation: float, kept: bool
+) -> None:
+    search: Any = SimpleNamespace(_cost=10.0, _roughest=1.0, best=None)
+    played: Any = SimpleNamespace(reached=True, cost=cost, variation=variation)
+    planner._Search._add(search, "beam", played)
+    assert (search.best is played) == kept
 
 
 class Script:
