@@ -144,6 +144,12 @@ def test_training_seeds_of_a_method_are_pooled_and_compared() -> None:
     assert gap["mean"] == pytest.approx(2.64 - 6.24)
     table = policies(found, "mine")
     assert [row["policy"] for row in table.rows] == ["mine (3 seeds)", "level"]
+    stuck = episodes([sample(i, "stuck", 9.0) for i in range(5)])  # one seed of three, and level
+    played = [*played[:2], Played(entries[2], stuck), Played(other, stuck)]
+    (method,) = document(Result(Plan((*entries, other)), tuple(played)))["methods"]
+    difference = method["baselines"][0]["difference"]
+    assert difference["success"]["mean"] == pytest.approx(2 / 3)
+    assert difference["pitch_variation_100hz"] is None
 
 
 def test_scenes_of_a_terrain_are_told_apart_by_what_differs() -> None:
