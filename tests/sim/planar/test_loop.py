@@ -134,6 +134,23 @@ def test_both_loops_give_the_same_episodes_bit_for_bit(both: Any, terrain: str) 
     assert plain == compiled
 
 
+def test_both_loops_bound_the_impulses_that_a_contact_caches(
+    both: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # The weight of 45 kg is 45 · 9.81 · 0.005 = 2.2 N s in a substep, over all contacts.
+    monkeypatch.setattr(world, "Belt", lambda speed, largest, grip: Belt(speed, 0.2, grip))
+
+    def driven() -> Any:
+        env = FlipperEnv("flat")
+        env.reset(seed=0)
+        for _ in range(3):
+            env.step(4)
+        return env.drive.poses.tolist()
+
+    plain, found = both(driven)
+    assert found == plain
+
+
 def test_both_loops_agree_on_loaded_robots_with_weak_tracks(both: Any) -> None:
     robot = {"track_force": 1.1 * NEEDED, "payload": 8.0, "payload_x": -0.1, "payload_z": 0.3}
     plain, compiled = both(lambda: resting_on_slope(PLANAR, **robot).advance(60).tolist())
