@@ -182,3 +182,9 @@ def test_the_newest_transitions_come_in_their_order_across_the_end_of_the_ring()
         replay.add(one, number % 9, float(number), one, over=over, bootstrap=False, label=label)
     assert replay.newest(5).reward.tolist() == [6, 7, 8, 9, 10]
     assert replay.newest(100).reward.tolist() == [3, 4, 5, 6, 7, 8, 9, 10]
+    kept = Replay(4, 1, 1, 0.9)
+    for number in range(7):
+        kept.add(one, 0, float(number), one, over=True, bootstrap=False)
+        if number == 0:
+            kept.keep()  # the others share the remaining 3 rows
+    assert kept.newest(100).reward.tolist() == [4, 5, 6]
