@@ -123,6 +123,22 @@ def test_instruments_measure_at_their_samples_and_estimates_are_as_old_as_the_de
     assert log.order == ["begin", f"0.0 0.00 {terms}", f"0.6 0.60 {terms}", f"1.2 1.20 {terms}"]
 
 
+@pytest.mark.usefixtures("registry")
+def test_instruments_whose_periods_do_not_fit_into_a_decision_keep_them() -> None:
+    @api.sensor("odd_clocks")
+    class Odd(Clocks):
+        def instruments(self, mounting: api.Mounting) -> Mapping[str, api.Instrument]:
+            return {"fast": Clock(0.07), "slow": Clock(0.25), "decision": Clock(None)}
+
+    env, log = FlipperEnv("step", perception=Odd()), Log()
+    env.observers = (log,)
+    env.reset(seed=1)
+    for _ in range(3):  # 1.8 s
+        env.step(UP)
+    assert log.at("fast") == pytest.approx(np.arange(26) * 0.07)
+    assert log.at("slow") == pytest.approx(np.arange(8) * 0.25)
+
+
 def test_an_episode_that_ends_between_two_decisions_is_measured_to_its_end(
     clocks: type[api.Sensor],
 ) -> None:

@@ -238,6 +238,11 @@ def test_a_finish_where_no_robot_can_stand_is_named() -> None:
     steep = Profile([(0.0, 0.0), (0.05, 0.0), (0.05, -3.0), (1.0, -0.4)])
     x, pose = nearest_rest(steep, Robot(), 1.0, (0.0, 0.0), 0.1)
     assert (x, pose is not None) == (0.0, True)  # before the edge, the farthest place of all
+    mirrored = Profile([(0.0, -0.4), (0.95, -3.0), (0.95, 0.0), (1.0, 0.0)])
+    assert nearest_rest(mirrored, Robot(), 0.0, (0.0, 0.0), 0.1)[0] == 1.0
+    for degrees, farther in ((40.0, False), (50.0, True)):  # at most 45°, whatever overturns it
+        x, _ = nearest_rest(slope(degrees), Robot(), 2.0, (0.0, 0.0), math.pi / 3)
+        assert (abs(x - 2.0) > 1.0) == farther
 
 
 @pytest.fixture

@@ -19,6 +19,7 @@ from flipperctl.api import (
     registry,
 )
 from flipperctl.config import resolver
+from flipperctl.errors import ConfigError
 from flipperctl.testing.recorded import transitions_in_arrays
 
 ROBOT = RobotGeometry()  # hinges at ±0.28 m, axles of 0.336 m, tracks of radius 0.1 m
@@ -145,6 +146,11 @@ def test_the_front_flippers_pay_for_leaving_the_candidate(
 ) -> None:
     paid = term("flipper", lambda_1=lambda_1)(decision(state(front=front)))
     assert paid == pytest.approx(value, abs=1e-5)
+
+
+def test_the_terrain_that_flippers_are_compared_with_has_a_length() -> None:
+    with pytest.raises(ConfigError, match=r"near=0.5 must be below far=0.45"):
+        term("flipper", near=0.5)
 
 
 def test_the_candidate_comes_from_the_true_terrain_in_front() -> None:
