@@ -170,6 +170,19 @@ def test_rays_without_return_take_no_part() -> None:
     assert without_near(scan, 0.1) is scan
 
 
+def test_what_stood_where_rays_pass_now_is_forgotten() -> None:
+    def ring(begin: float, height: float, wide: int) -> Scan:
+        turns = np.arange(-wide, wide + 1) / 180
+        turns, ways = np.meshgrid(turns, np.arange(begin, begin + 0.3, 0.01))
+        x, y = (ways * np.cos(turns)).ravel(), (ways * np.sin(turns)).ravel()
+        return Scan(np.column_stack([x, y, np.full(len(x), height)]))
+
+    robot = told(estimator(), LEVEL, STILL, ring(0.55, -0.1, 45))  # 0.4 m high
+    assert heights_of(robot)[1, 12:14] == pytest.approx(0.3, abs=0.01)  # 0.675 to 0.975 m ahead
+    told(robot, LEVEL, STILL, ring(1.0, -0.5, 75), time=1.0)
+    assert heights_of(robot, 1.0)[1, 12:14] == pytest.approx(-0.1, abs=0.01)
+
+
 EDGE, DROP = 0.35, 0.5
 
 

@@ -72,6 +72,10 @@ def test_gaps_and_ends_are_filled_and_marked() -> None:
     face = x == 0.25
     assert not filled[face].any()
     assert (z[face].min(), z[face].max()) == pytest.approx((0.2, 0.4))  # both ends of the face
+    part, _ = points_along(line, np.zeros(5, np.bool_), 0.02, 0.06, (0.01, 0.27))  # lies within it
+    inside = (x >= 0.01) & (x < 0.27)
+    assert len(part) == pytest.approx(np.count_nonzero(inside), abs=1)
+    assert (part[0, 0], part[-1, 0]) == pytest.approx((0.01, 0.27), abs=0.02)
 
 
 def test_assumed_ground_stands_only_where_nothing_was_seen() -> None:
