@@ -64,6 +64,20 @@ def test_the_sum_of_many_adds_terms_with_and_without_an_array_form() -> None:
     assert RewardSum({}).array(TWO).tolist() == [0.0, 0.0]
 
 
+@pytest.mark.usefixtures("registry")
+@pytest.mark.parametrize("value", [2, np.float32(2.0), np.array(2.0)])
+def test_any_single_number_is_a_value(value: Any) -> None:
+    @reward("two")
+    class Two(RewardTerm):
+        """Two, always."""
+
+        def __call__(self, t: Transition) -> Any:
+            return value
+
+    (found,) = RewardSum({"two": term("two", weight=0.5)})(transition()).values()
+    assert (found, type(found)) == (1.0, float)
+
+
 def summed(form: Callable[[Transitions], Any], weight: float = 1.0) -> RewardSum:
     """Return the sum of a term whose array form is that."""
 
