@@ -182,6 +182,7 @@ def _columns() -> dict[str, _Column]:
         "method": _Column("policy", lambda row: f"`{row['method']}`"),
         "n": _Column("episodes", lambda row: str(row["episodes"])),
         "reached": _Column("reached", lambda row: str(row["outcomes"]["reached"])),
+        "passable": _Column("passable", lambda row: str(row["passable"]["episodes"])),
         "stuck": _Column("stuck", lambda row: str(row["outcomes"]["stuck"])),
         "overturned": _Column("overturned", lambda row: str(row["outcomes"]["overturned"])),
         "timeout": _Column("timeout", lambda row: str(row["outcomes"]["timeout"])),
