@@ -29,10 +29,9 @@ def learner(**settings: Any) -> PolicyGradient:
     agent = Agent(
         learner="policy_gradient",
         n_step=1,
-        reward_scale=1.0,
         batch_size=64,
         policy_gradient=own,
-        **settings,
+        **{"reward_scale": 1.0, **settings},
     )
     return PolicyGradient(built, LAYOUT, agent, seed=0, privileged=2)
 
@@ -81,6 +80,8 @@ def test_values_learn_the_return_and_a_copy_goes_on_with_the_counts() -> None:
     batch = replace(round_of(agent, np.random.default_rng(0)), reward=torch.arange(256.0))
     _, goal = agent._advantages(batch)
     torch.testing.assert_close(goal, batch.reward)  # each decision ends its episode
+    _, half = learner(reward_scale=0.5)._advantages(batch)
+    torch.testing.assert_close(half, 0.5 * batch.reward)
     later = replace(batch, discount=torch.full((256,), 0.9))
     after = agent.values(batch.next_observation, torch.zeros(256, 2)).detach()[-1]
     _, goal = agent._advantages(later)  # 0.9 of the value that follows, where it goes on

@@ -14,6 +14,7 @@ from flipperctl.agent.risk import (
     RiskLearner,
     RiskNetwork,
     risk_loss,
+    uncalibrated,
 )
 from flipperctl.core.risk import LAGS, RiskCalibration, RiskSign, resemblances
 from tests.agent.learners import LAYOUT, fixed_batch, learner
@@ -52,6 +53,21 @@ def test_an_episode_that_overwrites_itself_is_marked_where_it_is_left() -> None:
     episode(replay, 6, True)
     assert replay.filled()["observation"][:, 0].tolist() == [4, 5, 2, 3]
     assert replay.filled()["failing"].tolist() == [1, 1, 0, 1]
+
+
+def test_each_resemblance_adds_its_coefficient_to_the_log_odds() -> None:
+    network, rows = RiskNetwork(2), torch.eye(2)
+    alone, coefficients = network(rows)
+    resembles = torch.zeros(2, len(LAGS))
+    resembles[1, :2] = 1.0
+    found = network.log_odds(rows, resembles).tolist()
+    expected = [alone[0, 0], alone[1, 0] + coefficients[1, 0] + coefficients[1, 1]]
+    assert found == pytest.approx([number.item() for number in expected])
+
+
+def test_before_a_validation_the_weight_of_failures_is_taken_back() -> None:
+    # Each failure counts as much as POSITIVES others, so that equal odds are 1 to POSITIVES.
+    assert uncalibrated(3).shift == pytest.approx(math.log(1 / POSITIVES))
 
 
 def test_resemblances_are_those_of_the_newest_observation_in_its_episode() -> None:
