@@ -134,6 +134,17 @@ def test_both_loops_give_the_same_episodes_bit_for_bit(both: Any, terrain: str) 
     assert plain == compiled
 
 
+def test_a_load_adds_its_inertia_and_servos_hold_the_angles_that_the_start_gave() -> None:
+    loaded = Robot(payload=5.0, payload_x=0.4, payload_z=-0.2)
+    # Pitched and in the air, so that nothing else turns the flippers; no command has come yet.
+    start = Start(0.0, front=0.2, rear=-0.1, height=1.0, pitch=0.3)
+    bare, heavy = (PlanarWorld(FLAT, one, Planar(), start) for one in (Robot(), loaded))
+    # 35 kg at 0.05 m and 5 kg at 0.35 m from the centre of mass, and half of both in height
+    added = 1.25 * (35 * 0.05**2 + 5 * 0.35**2)
+    assert heavy._chassis.moment - bare._chassis.moment == pytest.approx(added)
+    assert bare.advance(10)[-1, 3:] == pytest.approx([0.2, -0.1], abs=1e-3)
+
+
 def test_both_loops_bound_the_impulses_that_a_contact_caches(
     both: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

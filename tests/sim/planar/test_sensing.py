@@ -147,6 +147,7 @@ def test_the_top_of_a_step_above_the_mount_is_not_seen_and_taken_as_level() -> N
     assert beyond[0, 1] == pytest.approx(0.6, abs=0.01)  # the upper end of the face
     # 0.3 m higher the mount at 0.8 m looks down on the top.
     assert filled(scan(of, -1.0, 0.4), -1.0).size == 0
+    assert seen(scan(masted(WALL), 1.0, 0.0), 1.0, 0.0).size == 0  # the mount is below the top
     # From the top, 0.5 m above it, all of it is seen: from 0 to 3 m ahead of 1.005 m.
     top = seen(scan(masted(WALL), 1.005, 0.7), 1.005, 0.7)
     assert top[np.isclose(top[:, 1], 0.6), 0].max() == pytest.approx(4.0, abs=0.011)
