@@ -113,6 +113,13 @@ def test_the_target_follows_at_its_rate() -> None:
         assert not slow.requires_grad
 
 
+def test_rewards_are_scaled_inside_the_learner() -> None:
+    batch = fixed_batch()
+    tenth = dataclasses.replace(batch, reward=batch.reward / 10)
+    inside, outside = learner(reward_scale=0.1), learner(reward_scale=1.0)
+    assert inside.update(batch, 0.0) == pytest.approx(outside.update(tenth, 0.0))
+
+
 def test_the_learning_rate_falls_with_the_fraction_of_the_run() -> None:
     # Adam's first step moves every weight with a gradient by the rate.
     for fraction, rate in [(0.0, 1e-3), (0.5, 6e-4), (1.0, 2e-4)]:
