@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 from benchmarks.browser import chromium
 
 SCENES = {
-    "step": (("terrain=step", "terrain.low=0.4", "terrain.high=0.4"), 1.0),
+    "step": (("terrain=step", "terrain.height=0.4"), 1.0),
     "stair": (("terrain=paper_stair",), 5.5),
 }
 """Words of each scene, and its finish [m]."""

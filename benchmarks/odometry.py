@@ -48,14 +48,14 @@ FAMILIES: Mapping[str, dict[str, Any]] = {
     "flat": {"length": 10.0},
     "step": {"platform": 7.0},
     "stair": {},
-    "building_stair": {"fewest": 10, "most": 10},
+    "building_stair": {"steps": 10},
     "ramp": {"platform": 4.0},
     "uplift": {},
     "gap": {},
-    "wave": {"fewest": 8, "most": 8},
-    "rubble": {"fewest": 20, "most": 20},
-    "pallet": {"fewest": 6, "most": 6},
-    "plum": {"fewest": 8, "most": 8},
+    "wave": {"waves": 8},
+    "rubble": {"blocks": 20},
+    "pallet": {"hurdles": 6},
+    "plum": {"piles": 8},
 }
 """Kinds of ground, with settings that make short ones longer."""
 _UNDER = 0.38

@@ -127,11 +127,15 @@ def explain(
 
     ``validated`` is the validated document, which names the plugins within the model's fields.
     """
+    from flipperctl.api.removed import respelling
+
     first = error.errors()[0]
     location = ".".join(map(str, (*([where] if where else []), *first["loc"])))
     owner, known = _owner(model, first["loc"], validated or {})
     leaf = str(first["loc"][-1]) if first["loc"] else ""
     if first["type"] == "extra_forbidden":
+        if written := respelling(location, known):
+            return written
         hint = close_match(leaf, known)
         return f"{location}: there is no such key{hint}; known: {', '.join(known)}"
     if first["type"] == "unknown_plugin":
@@ -151,7 +155,7 @@ def explain(
 
 def explain_unknown_key(key: str, node: Mapping[str, Any]) -> str:
     """Return the error for a dotted key that the nested mapping ``node`` does not have."""
-    from flipperctl.api.removed import removal
+    from flipperctl.api.removed import removal, respelling
 
     *parents, leaf = key.split(".")
     inside = ""  # the innermost existing section on the path to the key
@@ -160,9 +164,10 @@ def explain_unknown_key(key: str, node: Mapping[str, Any]) -> str:
             leaf = parent
             break
         node, inside = node[parent], f"{inside}.{parent}".lstrip(".")
-    if gone := removal(str(node.get("name", inside.rpartition(".")[2])), leaf, key):
-        return gone
     known = sorted(name for name in node if name != "name")
+    owner = str(node.get("name", inside.rpartition(".")[2]))
+    if gone := removal(owner, leaf, key) or respelling(key, known):
+        return gone
     inner = [path for path in _paths(node) if not inside and path.endswith(f".{leaf}")]
     hint = suggestion(*inner, quoted=False) if len(inner) <= 3 else ""
     if inside and not known:

@@ -21,7 +21,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin
 from hypothesis import strategies as st
 from pydantic.fields import FieldInfo
 
-from flipperctl.api import Settings, Terrain, registry
+from flipperctl.api import IntRange, Range, Settings, Terrain, registry
 from flipperctl.api.plugin import Plugin, registered_names
 from flipperctl.config import Randomise, TrainConfig, with_overrides
 from flipperctl.config.sampled import PATH_SECTIONS, SECTION_OF
@@ -73,8 +73,7 @@ COSTLY = {
     "network.fused": 256,
     "network.head": 256,
     "network.quantiles": 64,
-    "terrain.fewest": 8,
-    "terrain.most": 8,
+    **dict.fromkeys(("terrain.steps", "terrain.blocks", "terrain.obstacles"), 8),
     "teacher.final_updates": 8,
     "agent.policy_gradient.decisions": 40,
     "agent.policy_gradient.passes": 3,
@@ -165,6 +164,9 @@ def _values(annotation: Any, metadata: tuple, most: float | None) -> st.SearchSt
         return st.booleans()
     if annotation in (int, float):
         return _numbers(annotation, metadata, most)
+    if annotation in (Range, IntRange):
+        ends = _numbers(int if annotation is IntRange else float, metadata, most)
+        return st.one_of(ends, st.lists(ends, min_size=2, max_size=2).map(sorted))
     if isinstance(annotation, type) and issubclass(annotation, Enum):
         return st.sampled_from([item.value for item in annotation])
     if isinstance(annotation, type) and issubclass(annotation, Terrain):

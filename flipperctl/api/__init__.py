@@ -38,6 +38,7 @@ from flipperctl.api.engines import (
 )
 from flipperctl.api.plugin import NAME_RULE, Plugin, is_plugin_name, registry
 from flipperctl.api.profile import MirroredSurface, Profile, Surface
+from flipperctl.api.ranges import IntRange, Range
 from flipperctl.api.records import Listener, Logger, Measure, RunInfo, logger, measure, scalars
 from flipperctl.api.rewards import RewardTerm, Shaping, limited, reward
 from flipperctl.api.robot import Robot, candidate_angle, candidate_angles
@@ -81,6 +82,7 @@ __all__ = [
     "FloatArray",
     "GroundSensor",
     "Instrument",
+    "IntRange",
     "Limits",
     "Listener",
     "Logger",
@@ -97,6 +99,7 @@ __all__ = [
     "PoweredWorld",
     "Profile",
     "Published",
+    "Range",
     "RayWorld",
     "RecordedEpisode",
     "RewardTerm",

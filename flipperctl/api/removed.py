@@ -6,7 +6,8 @@ other value is refused, since the file then means something else.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Collection, Mapping
 from typing import Any
 
 _REMOVED: Mapping[str, Mapping[str, object]] = {
@@ -30,6 +31,32 @@ def removal(owner: str, name: str, key: str | None = None) -> str | None:
     if name not in gone:
         return None
     return f"{key or name} is gone; its value was {gone[name]}"
+
+
+_COUNTS = ("steps", "hurdles", "plates", "piles", "bars", "blocks", "waves", "obstacles")
+"""Numbers of parts that terrains sample; each was two settings, fewest and most."""
+
+
+def respelling(key: str, known: Collection[str]) -> str | None:
+    """Return what to write for a key that was one end of a range, or None if it was not.
+
+    ``known``: the settings beside it, such as ``height`` for ``height_low`` and ``height_high``.
+    """
+    where, dot, name = key.rpartition(".")
+    whole = re.sub("(^|_)(low|high)$", "", name) or "height"  # a step's were low and high
+    if name in ("fewest", "most"):
+        whole = next((count for count in _COUNTS if count in known), name)
+    if whole == name or whole not in known:
+        return None
+    return f"{key} is gone; write {where}{dot}{whole}=[low,high], or one number for both ends"
+
+
+def former_names(owner: str, name: str) -> tuple[str, str]:
+    """Return the settings that a plugin's range replaced, by which identities still name it."""
+    if name in _COUNTS:
+        return "fewest", "most"
+    before = "" if name == "height" and owner in ("step", "paper_step") else f"{name}_"
+    return f"{before}low", f"{before}high"
 
 
 def without_removed(owner: str, values: Any) -> Any:

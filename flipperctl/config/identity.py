@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from flipperctl import guard
-from flipperctl.api import Plugin
+from flipperctl.api import Plugin, Range
+from flipperctl.api.removed import former_names
 from flipperctl.config.resolver import nested_plugins, to_dict
 
 _OWN = ("flipperctl", "flipperctl_plugins")
@@ -28,14 +29,18 @@ def identity(plugin: Plugin) -> dict[str, Any]:
 
     A setting that names files that the plugin reads (same last component of the path) is left out;
     the SHA-256 of each file is included instead. Plugins in settings are described in the same way.
+    A range is described by both ends, as ever, since the seeds of evaluations follow from this.
     """
     files, plain = read_files(plugin), to_dict(plugin)
     names = {file.name for file in files}
-    settings = {}
+    settings: dict[str, Any] = {}
     for name, field in type(plugin).model_fields.items():
         value = getattr(plugin, name)
         default = field.get_default(call_default_factory=True, validated_data={})
-        if value != default and not _names_files(value, names):
+        if isinstance(value, Range) and isinstance(default, Range):
+            ends = zip(former_names(plugin.plugin_name, name), value, default, strict=True)
+            settings |= {end: number for end, number, usual in ends if number != usual}
+        elif value != default and not _names_files(value, names):
             settings[name] = _describe(value, plain[name])
     found = {"name": plugin.plugin_name, "settings": settings}
     if plugin.revision:

@@ -19,7 +19,6 @@ from typing import Annotated, Any, Self, TypeGuard, Union, get_args, get_origin
 
 import numpy as np
 from pydantic import (
-    AfterValidator,
     BeforeValidator,
     Field,
     SerializerFunctionWrapHandler,
@@ -30,7 +29,7 @@ from pydantic import (
     model_validator,
 )
 
-from flipperctl.api import Plugin, Settings
+from flipperctl.api import Plugin, Range, Settings
 from flipperctl.config.resolver import construct
 from flipperctl.errors import ConfigError
 from flipperctl.messages import close_match, explain
@@ -46,25 +45,11 @@ A command validates its configuration several times, each with hundreds of combi
 """
 
 
-def _is_number(value: object) -> TypeGuard[int | float]:
-    """Return whether a value is a number, as true and false are in Python but not in YAML."""
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
 def _is_finite(value: object) -> TypeGuard[int | float]:
-    """Return whether a value is a number that a float can hold; an integer may be too large."""
-    return _is_number(value) and abs(value) <= sys.float_info.max
-
-
-def _pair(value: object) -> object:
-    return [value, value] if _is_number(value) else value
-
-
-def _ordered(value: tuple[float, float]) -> tuple[float, float]:
-    low, high = value
-    if low > high:
-        raise ValueError(f"a range is [low, high] with low ≤ high; got [{low:g}, {high:g}]")
-    return value
+    """Return whether a value is a number that a float can hold; true and false are none in YAML."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    return abs(value) <= sys.float_info.max
 
 
 def _of_paths(value: object, info: ValidationInfo) -> object:
@@ -81,18 +66,14 @@ def _range_or_number(value: object, where: str) -> tuple[float, float] | float:
     numbers = [float(item) for item in items if _is_finite(item)]
     if items == [value] and len(numbers) == 1:
         return numbers[0]
-    if len(items) == len(numbers) == 2:
-        try:
-            return _ordered((numbers[0], numbers[1]))
-        except ValueError as error:
-            raise ConfigError(f"{where}: {error}") from error
+    if len(items) == len(numbers) == 2 and numbers[0] <= numbers[1]:
+        return numbers[0], numbers[1]
     raise ConfigError(
-        f"{where}: a range [low, high] or one number is allowed; the value is {value!r:.60}"
+        f"{where}: a range [low, high] with low ≤ high, or one number, is allowed; the value is "
+        f"{value!r:.60}"
     )
 
 
-Range = Annotated[tuple[float, float], BeforeValidator(_pair), AfterValidator(_ordered)] | None
-"""Bounds of a uniform distribution; None leaves the setting as it is."""
 Paths = Annotated[dict[str, tuple[float, float] | float], BeforeValidator(_of_paths)]
 """Setting of a section → its range, or one number: its value, or a switch's probability."""
 
@@ -164,7 +145,7 @@ def target(name: str) -> tuple[str, str]:
 
 
 _fields: dict[str, Any] = {
-    name: (Range, Field(None, description=f"of {section}.{name}{rest}"))
+    name: (Range | None, Field(None, description=f"of {section}.{name}{rest}"))
     for name, (section, rest) in _SHORT_FORMS.items()
 }
 _ShortForms: Any = create_model("_ShortForms", __base__=Settings, **_fields)
@@ -185,8 +166,10 @@ class Randomise(_ShortForms):
     occlusion: float | None = Field(
         None, ge=0, le=1, description="probability of perception.occlusion in an episode [-]"
     )
-    spread: Range = Field(
+    spread: Range | None = Field(
         None,
+        ge=0,
+        le=1,
         description="share of the way from the configured values to the ends of all ranges, "
         "sampled for each episode; null for the whole ranges [-]",
     )
@@ -196,9 +179,6 @@ class Randomise(_ShortForms):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if self.spread is not None and (self.spread[0] < 0 or self.spread[1] > 1):
-            text = f"[{self.spread[0]:g}, {self.spread[1]:g}]"
-            raise ConfigError(f"randomise.spread: 0 to 1 is allowed; the value is {text}")
         seen: dict[tuple[str, str], str] = {}
         for one in self.sampled():
             if (other := seen.setdefault((one.section, one.field), one.name)) != one.name:

@@ -32,7 +32,6 @@ from flipperctl.figures.render import INK
 BOUNDARY = 0.5  # success at the boundary [-]
 _EMPTY = "#E4E4E8"
 """Colour of points without a value."""
-_ENDS = ("_low", "_high")  # endings of two settings that are the range of a drawn number
 
 
 @in_style
@@ -89,9 +88,7 @@ def map_figure(mapped: Mapping[str, Any], *, width: float = COLUMN) -> Figure:
 def axis_label(axis: Mapping[str, Any]) -> str:
     """Return an axis' settings in words, and their unit."""
     names = dict.fromkeys(key.rpartition(".")[2] for key in axis["settings"])
-    stems = {name.removesuffix(end) for name in names for end in _ENDS if name.endswith(end)}
-    words = stems if len(stems) == 1 and len(names) == 2 else names
-    text = ", ".join(word.replace("_", " ") for word in words)
+    text = ", ".join(name.replace("_", " ") for name in names)
     unit = "" if axis["unit"] in ("", "-") else f" [{axis['unit']}]"
     return f"{text[0].upper()}{text[1:]}{unit}"
 

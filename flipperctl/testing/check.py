@@ -26,7 +26,7 @@ from unittest import SkipTest
 from pydantic import ValidationError
 
 from flipperctl import plugins as loader
-from flipperctl.api import Plugin, registry
+from flipperctl.api import IntRange, Plugin, Range, registry
 from flipperctl.config import resolver
 from flipperctl.errors import ConformanceError, FlipperctlError
 from flipperctl.guard import error_line, error_place, plugin_label
@@ -249,7 +249,7 @@ def _edges(cls: type[Plugin], field: str) -> Iterator[Any]:
         for name, direction in _BOUNDS.items():
             if (value := getattr(bound, name, None)) is None:
                 continue
-            if _numbers(info.annotation) == {int}:
+            if _numbers(info.annotation) in ({int}, {IntRange}):
                 yield int(value) + direction
             else:
                 yield math.nextafter(value, math.inf * direction) if direction else value
@@ -260,9 +260,10 @@ def _edges(cls: type[Plugin], field: str) -> Iterator[Any]:
 
 
 def _numbers(annotation: Any) -> set[type]:
-    """Return the number types, ``int`` or ``float``, in a field's annotation or union."""
+    """Return the types of numbers and ranges in a field's annotation or union."""
     union = get_origin(annotation) in (Union, types.UnionType)
-    return {int, float}.intersection(get_args(annotation) if union else (annotation,))
+    known = {int, float, Range, IntRange}
+    return known.intersection(get_args(annotation) if union else (annotation,))
 
 
 def _registered(cls: type[Plugin]) -> None:

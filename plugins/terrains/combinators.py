@@ -10,14 +10,16 @@ from pydantic import Field, model_validator
 from flipperctl.api import (
     AnyTerrain,
     FloatArray,
+    IntRange,
     MirroredSurface,
     Plugin,
     Profile,
+    Range,
     Terrain,
     terrain,
 )
 
-from .obstacles import CurbAndRamp, Drawn, DrawnRow, Gap, Ramp, Step, Uplift
+from .obstacles import CurbAndRamp, Gap, Ramp, Step, Uplift
 from .rough import Rough
 from .rows import Pallet, Plum
 from .stairs import Stair, Stairwell
@@ -230,7 +232,7 @@ class Midway(Combinator):
 
 
 @terrain("excerpt")
-class Excerpt(Drawn, Combinator):
+class Excerpt(Combinator):
     """A piece of another terrain or of a long recording, level at both ends.
 
     One recorded file thus gives as many episodes as it has places to begin at. Ground that is
@@ -238,14 +240,13 @@ class Excerpt(Drawn, Combinator):
     """
 
     terrain: AnyTerrain = terrain_field(Rough())
-    length_low: float = Field(2.0, gt=0.1, le=100, description="shortest piece [m]")
-    length_high: float = Field(5.0, gt=0.1, le=100, description="longest piece [m]")
+    length: Range = Field(Range(2.0, 5.0), gt=0.1, le=100, description="length of the piece [m]")
 
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return the points of the piece and its interpolated ends, with the inner label."""
         profile = self.terrain.labelled(rng)
         whole = profile.end - profile.start
-        length = min(self.draw(rng, "length"), whole)
+        length = min(self.length.sample(rng), whole)
         first = profile.start + rng.random() * (whole - length)
         points = profile.points if length == whole else _piece(profile, first, first + length)
         known = {name: value for name, value in profile.drawn.items() if name not in STARTS}
@@ -262,7 +263,7 @@ def _piece(profile: Profile, first: float, last: float) -> FloatArray:
 
 
 @terrain("sequence")
-class Sequence(Drawn, Combinator):
+class Sequence(Combinator):
     """Terrains one after another; each begins at the height where the last ended."""
 
     parts: tuple[AnyTerrain, ...] = Field(
@@ -270,11 +271,8 @@ class Sequence(Drawn, Combinator):
         min_length=1,
         description="the terrains in order: names, or mappings with a name and fields [-]",
     )
-    spacing_low: float = Field(
-        0.5, ge=0, le=20, description="shortest level ground between two terrains [m]"
-    )
-    spacing_high: float = Field(
-        1.5, ge=0, le=20, description="longest level ground between two terrains [m]"
+    spacing: Range = Field(
+        Range(0.5, 1.5), ge=0, le=20, description="level ground between two terrains [m]"
     )
 
     def generate(self, rng: np.random.Generator) -> Profile:
@@ -283,7 +281,7 @@ class Sequence(Drawn, Combinator):
         drawn: dict[str, float] = {}
         for index, part in enumerate(self.parts):
             if index:
-                end = end + np.array([self.draw(rng, "spacing"), 0.0])
+                end = end + np.array([self.spacing.sample(rng), 0.0])
             profile = part.labelled(rng)
             points.append(profile.points - profile.points[0] + end)
             labels.append(profile.label)
@@ -295,7 +293,7 @@ class Sequence(Drawn, Combinator):
 
 
 @terrain("course")
-class Course(DrawnRow, Mix):
+class Course(Mix):
     """Several obstacles in a row, their number, kinds and sizes sampled.
 
     Each obstacle begins at the height at which the previous one ended. What is drawn tells the
@@ -305,23 +303,19 @@ class Course(DrawnRow, Mix):
     parts: tuple[AnyTerrain, ...] = parts_field(
         (Step(), Stair(), Ramp(), Gap(), Uplift(), Pallet(), Plum())
     )
-    fewest: int = Field(2, ge=1, le=10, description="smallest number of obstacles [-]")
-    most: int = Field(5, ge=1, le=10, description="largest number of obstacles [-]")
-    spacing_low: float = Field(
-        0.3, ge=0, le=20, description="shortest level ground between two obstacles [m]"
-    )
-    spacing_high: float = Field(
-        1.5, ge=0, le=20, description="longest level ground between two obstacles [m]"
+    obstacles: IntRange = Field(IntRange(2, 5), ge=1, le=10, description="number of obstacles [-]")
+    spacing: Range = Field(
+        Range(0.3, 1.5), ge=0, le=20, description="level ground between two obstacles [m]"
     )
 
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return the points of all obstacles."""
-        obstacles = self.draw_count(rng)
+        obstacles = self.obstacles.sample(rng)
         drawn: dict[str, float] = {"obstacles": obstacles}
         end, points = np.zeros(2), []
         for place in range(1, obstacles + 1):
             if place > 1:
-                end = end + np.array([self.draw(rng, "spacing"), 0.0])
+                end = end + np.array([self.spacing.sample(rng), 0.0])
             kind = self.draw_part(rng)
             found = self.parts[kind].labelled(rng).points
             points.append(found - found[0] + end)
@@ -340,7 +334,8 @@ class Curriculum(Terrain):
     """
 
     easy: AnyTerrain = Field(
-        Step(low=-0.1, high=0.1), description="the terrain at difficulty 0, with its fields [-]"
+        Step(height=Range(-0.1, 0.1)),
+        description="the terrain at difficulty 0, with its fields [-]",
     )
     hard: AnyTerrain = Field(
         Step(), description="the same terrain at difficulty 1; only numbers may differ [-]"

@@ -1,6 +1,6 @@
 """Mixes of everything that one policy shall drive over."""
 
-from flipperctl.api import AnyTerrain, terrain
+from flipperctl.api import AnyTerrain, IntRange, Range, terrain
 
 from .combinators import Course, Midway, Mix, parts_field, weights_field
 from .obstacles import Gap, Ramp, Step, Uplift
@@ -8,15 +8,15 @@ from .rough import Rough
 from .rows import Pallet, Plates, Plum, Rubble, Wave
 from .stairs import BuildingStair, PaperStair, Stair, Stairwell
 
-_STAIR = Stair(fewest=3, most=6, tread=0.3, tread_down=0.25, tread_spread=0.05)
+_STAIR = Stair(steps=IntRange(3, 6), tread=0.3, tread_down=0.25, tread_spread=0.05)
 _MIX: tuple[tuple[AnyTerrain, float], ...] = (
-    (Step(low=-0.45, high=0.45), 1.0),
-    (Step(low=0.1, high=0.45, platform=2.0, back=True), 1.0),
+    (Step(height=Range(-0.45, 0.45)), 1.0),
+    (Step(height=Range(0.1, 0.45), platform=2.0, back=True), 1.0),
     (_STAIR, 2.0),
     (_STAIR.model_copy(update={"direction": "up", "platform": 1.5, "back": True}), 2.0),
     (BuildingStair(), 1.5),
-    (BuildingStair(fewest=7, most=16), 1.0),
-    (BuildingStair(fewest=8, most=16, landing_every=6), 1.0),
+    (BuildingStair(steps=IntRange(7, 16)), 1.0),
+    (BuildingStair(steps=IntRange(8, 16), landing_every=6), 1.0),
     (Ramp(), 1.5),
     (Uplift(), 1.0),
     (Gap(), 1.5),
@@ -25,7 +25,7 @@ _MIX: tuple[tuple[AnyTerrain, float], ...] = (
     (Pallet(), 1.0),
     (Plum(), 2.0),
     (Plates(), 1.5),
-    (Rough(longest=8.0, length_low=4.0, length_high=8.0), 1.5),
+    (Rough(longest=8.0, length=Range(4.0, 8.0)), 1.5),
 )
 
 
@@ -41,24 +41,24 @@ class AllKinds(Mix):
     weights: tuple[float, ...] = weights_field(tuple(weight for _, weight in _MIX))
 
 
-_SHORT_STAIR = BuildingStair(fewest=2, most=5)
+_SHORT_STAIR = BuildingStair(steps=IntRange(2, 5))
 _OBSTACLES: tuple[tuple[AnyTerrain, float], ...] = (
     (Step(), 1.5),
     (_SHORT_STAIR, 2.0),
     (Ramp(), 1.0),
     (Gap(), 1.0),
     (Uplift(), 1.0),
-    (Wave(most=3), 0.5),
-    (Rubble(most=6), 0.5),
-    (Pallet(most=3), 1.0),
-    (Plum(most=3), 1.0),
-    (Rough(length_low=1.5, length_high=3.0), 0.5),
-    (Plates(most=2), 1.0),
+    (Wave(waves=IntRange(2, 3)), 0.5),
+    (Rubble(blocks=IntRange(4, 6)), 0.5),
+    (Pallet(hurdles=IntRange(2, 3)), 1.0),
+    (Plum(piles=IntRange(3, 3)), 1.0),
+    (Rough(length=Range(1.5, 3.0)), 0.5),
+    (Plates(plates=IntRange(1, 2)), 1.0),
 )
 _SLOPES: tuple[tuple[AnyTerrain, float], ...] = (
-    (BuildingStair(fewest=8, most=16), 2.0),
+    (BuildingStair(steps=IntRange(8, 16)), 2.0),
     (Stairwell(), 1.0),
-    (Ramp(slope_low=15, length_low=2.4, length_high=4.0), 2.0),
+    (Ramp(slope=Range(15, 35), length=Range(2.4, 4.0)), 2.0),
     (Rough(), 1.0),
 )
 
@@ -70,19 +70,19 @@ def _mix(parts: tuple[tuple[AnyTerrain, float], ...]) -> dict[str, tuple[object,
 
 MIX: tuple[tuple[AnyTerrain, float], ...] = (
     (AllKinds(), 8.0),
-    (BuildingStair(fewest=7, most=16), 2.0),
-    (BuildingStair(fewest=7, most=16, landing_every=5), 1.0),
-    (BuildingStair(slope_low=40, slope_high=48, fewest=3, most=10), 0.5),
-    (Stair(fewest=6, most=12, tread_spread=0.08), 1.0),
+    (BuildingStair(steps=IntRange(7, 16)), 2.0),
+    (BuildingStair(steps=IntRange(7, 16), landing_every=5), 1.0),
+    (BuildingStair(slope=Range(40, 48), steps=IntRange(3, 10)), 0.5),
+    (Stair(steps=IntRange(6, 12), tread_spread=0.08), 1.0),
     (Stairwell(), 2.0),
-    (Step(low=-0.8, high=-0.3), 1.0),
-    (Step(low=0.3, high=0.5), 0.5),
-    (Gap(width_low=0.3, width_high=0.75, depth_low=0.5, depth_high=1.5), 0.4),
-    (Gap(width_low=0.8, width_high=1.2), 0.4),
+    (Step(height=Range(-0.8, -0.3)), 1.0),
+    (Step(height=Range(0.3, 0.5)), 0.5),
+    (Gap(width=Range(0.3, 0.75), depth=Range(0.5, 1.5)), 0.4),
+    (Gap(width=Range(0.8, 1.2)), 0.4),
     (Rough(), 1.0),
     (Course(**_mix(_OBSTACLES)), 3.0),
     (Midway(terrain=Mix(**_mix(_SLOPES))), 1.5),
-    (Plates(height_low=0.2, height_high=0.35, tilt_low=-20, tilt_high=20), 0.8),
+    (Plates(height=Range(0.2, 0.35), tilt=Range(-20, 20)), 0.8),
 )
 
 
@@ -103,7 +103,7 @@ _SHARES = (20.0, 3.0, 1.2, 0.7, 1.0, 2.0, 4.0, 0.7, 18.0, 2.0, 6.0, 4.0, 2.5, 4.
 
 _HARD: tuple[tuple[AnyTerrain, float], ...] = (
     *((part, share) for (part, _), share in zip(MIX, _SHARES, strict=True)),
-    (BuildingStair(slope_low=20, slope_high=28, fewest=7, most=16, direction="down"), 10.0),
+    (BuildingStair(slope=Range(20, 28), steps=IntRange(7, 16), direction="down"), 10.0),
     (Midway(), 2.0),
     (PaperStair(), 1.5),
     (Plum(), 4.0),

@@ -6,9 +6,7 @@ from typing import Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from flipperctl.api import FloatArray, Profile, terrain
-
-from .obstacles import Drawn
+from flipperctl.api import FloatArray, Profile, Range, Terrain, terrain
 
 _REFERENCE = 0.1
 """Wavenumber at which the roughness is stated, as in ISO 8608 [cycles/m]."""
@@ -19,7 +17,7 @@ _CHORDS = 6
 
 
 @terrain("rough")
-class Rough(Drawn):
+class Rough(Terrain):
     """Ground whose height has the power spectral density G(n) = G(0.1) · (n / 0.1)^−w.
 
     n is the wavenumber in cycles/m. ISO 8608 describes roads so, with w = 2; each of its classes is
@@ -29,16 +27,11 @@ class Rough(Drawn):
     The ground is a sum of cosines with random phases.
     """
 
-    roughness_low: float = Field(
-        16384.0, gt=0, le=2e6, description="smallest G(0.1), drawn log-uniformly [10⁻⁶ m³]"
+    roughness: Range = Field(
+        Range(16384.0, 262144.0), gt=0, le=2e6, description="G(0.1), drawn log-uniformly [10⁻⁶ m³]"
     )
-    roughness_high: float = Field(
-        262144.0, gt=0, le=2e6, description="largest G(0.1), drawn log-uniformly [10⁻⁶ m³]"
-    )
-    exponent_low: float = Field(1.8, ge=1, le=4, description="smallest w [-]")
-    exponent_high: float = Field(2.6, ge=1, le=4, description="largest w [-]")
-    length_low: float = Field(3.0, gt=0.1, le=40, description="shortest ground [m]")
-    length_high: float = Field(6.0, gt=0.1, le=40, description="longest ground [m]")
+    exponent: Range = Field(Range(1.8, 2.6), ge=1, le=4, description="w [-]")
+    length: Range = Field(Range(3.0, 6.0), gt=0.1, le=40, description="length of the ground [m]")
     longest: float = Field(4.0, gt=0.1, le=100, description="longest wave [m]")
     shortest: float = Field(
         0.15, ge=0.05, le=10, description="shortest wave; tracks hardly feel shorter ones [m]"
@@ -54,9 +47,10 @@ class Rough(Drawn):
 
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return chords of the ground, which begins at height 0."""
-        low, high = math.log(self.roughness_low), math.log(self.roughness_high)
-        roughness, exponent = math.exp(rng.uniform(low, high)), self.draw(rng, "exponent")
-        length = self.draw(rng, "length")
+        low, high = map(math.log, self.roughness)
+        roughness = math.exp(rng.uniform(low, high))
+        exponent = self.exponent.sample(rng)
+        length = self.length.sample(rng)
         count = max(2, math.ceil(length / self.shortest * _CHORDS) + 1)
         x = np.linspace(0.0, length, count)
         waves, amplitudes = self.spectrum(roughness, exponent)

@@ -6,9 +6,7 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from flipperctl.api import Profile, Published, Terrain, terrain
-
-from .obstacles import Drawn, DrawnRow
+from flipperctl.api import IntRange, Profile, Published, Range, Terrain, terrain
 
 
 def flight(
@@ -49,8 +47,7 @@ class Stair(Terrain):
     tread_spread: float = Field(
         0.0, ge=0, le=1, description="largest deviation of each flight's drawn tread [m]"
     )
-    fewest: int = Field(3, ge=1, le=50, description="smallest number of steps [-]")
-    most: int = Field(5, ge=1, le=50, description="largest number of steps [-]")
+    steps: IntRange = Field(IntRange(3, 5), ge=1, le=50, description="number of steps [-]")
     direction: Literal["up", "down", "both"] = Field(
         "both", description="direction of the first flight; both draws one each episode [-]"
     )
@@ -67,8 +64,6 @@ class Stair(Terrain):
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
-        if self.fewest > self.most:
-            raise ValueError(f"fewest ({self.fewest}) must not exceed most ({self.most})")
         if self.back and self.platform <= 0:
             raise ValueError("back needs a platform longer than 0 m")
         if min(self.tread, self.tread_down) - self.tread_spread <= 0.05:
@@ -80,7 +75,7 @@ class Stair(Terrain):
 
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return vertical faces with treads between them."""
-        steps = int(rng.integers(self.fewest, self.most + 1))
+        steps = self.steps.sample(rng)
         up = bool(rng.integers(2)) if self.direction == "both" else self.direction == "up"
         rise = self.rise if up else -self.rise
         tread = self._tread(rise, rng)
@@ -108,7 +103,7 @@ class Stair(Terrain):
 
 
 @terrain("building_stair")
-class BuildingStair(DrawnRow):
+class BuildingStair(Terrain):
     """Flights of 20–45° in the proportions of buildings; ``stair`` has those of the paper.
 
     Slope and stride are drawn. Rise and tread follow from Blondel's rule (1675) that two rises and
@@ -116,12 +111,9 @@ class BuildingStair(DrawnRow):
     45° gives 0.21 m and 0.21 m.
     """
 
-    slope_low: float = Field(20.0, ge=5, le=60, description="smallest slope [°]")
-    slope_high: float = Field(45.0, ge=5, le=60, description="largest slope [°]")
-    stride_low: float = Field(0.6, ge=0.3, le=1, description="shortest stride, 2·rise + tread [m]")
-    stride_high: float = Field(0.65, ge=0.3, le=1, description="longest stride, 2·rise + tread [m]")
-    fewest: int = Field(3, ge=1, le=50, description="smallest number of steps [-]")
-    most: int = Field(6, ge=1, le=50, description="largest number of steps [-]")
+    slope: Range = Field(Range(20.0, 45.0), ge=5, le=60, description="slope of the flight [°]")
+    stride: Range = Field(Range(0.6, 0.65), ge=0.3, le=1, description="stride, 2·rise + tread [m]")
+    steps: IntRange = Field(IntRange(3, 6), ge=1, le=50, description="number of steps [-]")
     direction: Literal["up", "down", "both"] = Field(
         "both", description="direction of the flight; both draws one each episode [-]"
     )
@@ -134,10 +126,10 @@ class BuildingStair(DrawnRow):
 
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return vertical faces with treads between them."""
-        degrees, stride = self.draw(rng, "slope"), self.draw(rng, "stride")
+        degrees, stride = self.slope.sample(rng), self.stride.sample(rng)
         slope = math.tan(math.radians(degrees))
         tread = stride / (1 + 2 * slope)
-        steps = self.draw_count(rng)
+        steps = self.steps.sample(rng)
         up = bool(rng.integers(2)) if self.direction == "both" else self.direction == "up"
         rise = slope * tread * (1 if up else -1)
         points = flight(0.0, 0.0, steps, tread, rise, self.landing_every, self.landing)
@@ -146,23 +138,20 @@ class BuildingStair(DrawnRow):
 
 
 @terrain("stairwell")
-class Stairwell(Drawn):
+class Stairwell(Terrain):
     """Flights with landings; each leads on in the direction of the last, or turns.
 
     A flight up may be followed by one up or down. All steps of an episode are alike, by Blondel's
     rule as those of ``building_stair``; the length of each flight and landing is drawn anew.
     """
 
-    slope_low: float = Field(20.0, ge=5, le=60, description="smallest slope [°]")
-    slope_high: float = Field(40.0, ge=5, le=60, description="largest slope [°]")
-    stride_low: float = Field(0.6, ge=0.3, le=1, description="shortest stride, 2·rise + tread [m]")
-    stride_high: float = Field(0.65, ge=0.3, le=1, description="longest stride, 2·rise + tread [m]")
-    flights_low: int = Field(2, ge=1, le=10, description="smallest number of flights [-]")
-    flights_high: int = Field(3, ge=1, le=10, description="largest number of flights [-]")
-    fewest: int = Field(3, ge=1, le=50, description="smallest number of steps of a flight [-]")
-    most: int = Field(8, ge=1, le=50, description="largest number of steps of a flight [-]")
-    landing_low: float = Field(0.9, gt=0.05, le=10, description="shortest landing [m]")
-    landing_high: float = Field(2.0, gt=0.05, le=10, description="longest landing [m]")
+    slope: Range = Field(Range(20.0, 40.0), ge=5, le=60, description="slope of the flights [°]")
+    stride: Range = Field(Range(0.6, 0.65), ge=0.3, le=1, description="stride, 2·rise + tread [m]")
+    flights: IntRange = Field(IntRange(2, 3), ge=1, le=10, description="number of flights [-]")
+    steps: IntRange = Field(
+        IntRange(3, 8), ge=1, le=50, description="number of steps of a flight [-]"
+    )
+    landing: Range = Field(Range(0.9, 2.0), gt=0.05, le=10, description="length of a landing [m]")
     up: float = Field(0.5, ge=0, le=1, description="probability that the first flight leads up [-]")
     turn: float = Field(
         0.5,
@@ -173,19 +162,19 @@ class Stairwell(Drawn):
 
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return vertical faces with treads and landings between them."""
-        degrees, stride = self.draw(rng, "slope"), self.draw(rng, "stride")
+        degrees, stride = self.slope.sample(rng), self.stride.sample(rng)
         slope = math.tan(math.radians(degrees))
         tread = stride / (1 + 2 * slope)
-        flights = int(rng.integers(self.flights_low, self.flights_high + 1))
+        flights = self.flights.sample(rng)
         sign = 1 if rng.random() < self.up else -1
         points, total, turns, first_up = list[tuple[float, float]](), 0, 0, int(sign > 0)
         for index in range(flights):
             x, z = points[-1] if points else (0.0, 0.0)
             if index:
-                x += self.draw(rng, "landing")
+                x += self.landing.sample(rng)
                 if rng.random() < self.turn:
                     sign, turns = -sign, turns + 1
-            steps = int(rng.integers(self.fewest, self.most + 1))
+            steps = self.steps.sample(rng)
             points += flight(x, z, steps, tread, sign * slope * tread)
             total += steps
         drawn = {
@@ -212,8 +201,7 @@ class PaperStair(Stair):
         Published("operators (paper)", "paper", 76.53, 6.30, 3.88),
     )
 
-    fewest: int = Field(6, ge=1, le=50, description="smallest number of steps [-]")
-    most: int = Field(6, ge=1, le=50, description="largest number of steps [-]")
+    steps: IntRange = Field(IntRange(6, 6), ge=1, le=50, description="number of steps [-]")
     direction: Literal["up", "down", "both"] = Field(
         "up", description="direction of the first flight; both draws one each episode [-]"
     )

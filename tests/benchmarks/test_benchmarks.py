@@ -139,7 +139,7 @@ def test_a_wall_lifts_level_flippers_from_the_friction_of_statics_on(engine) -> 
     lifts = (-0.1 + math.sqrt(0.1**2 + 4 * (1.332 - 0.616) * 0.616)) / (2 * (1.332 - 0.616))
     for friction, expected in ((lifts - 0.06, False), (lifts + 0.06, True)):
         settings = {"name": engine, "friction": friction}
-        wall = {"name": "step", "low": 0.4, "high": 0.4}
+        wall = {"name": "step", "height": 0.4}
         env = FlipperEnv(config=EnvConfig(terrain=wall, sim=settings))
         policy = load_policy("level", "").build(env.config)
         _, poses, _ = engine_agreement.play(env, policy, 0)

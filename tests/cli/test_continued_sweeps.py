@@ -27,8 +27,7 @@ SHORT = {
 }
 WORDS = [
     "terrain=step",
-    "terrain.low=0.9",
-    "terrain.high=0.9",
+    "terrain.height=0.9",
     *(f"{key}={value}" for key, value in SHORT.items()),
     "seed=1,2,3",
 ]

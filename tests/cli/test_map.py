@@ -59,7 +59,7 @@ def test_a_map_as_text_which_a_full_disk_does_not_lose(
     assert "writing failed half way" in done.err.splitlines()[-1]
 
 
-LEVEL = ("eval", "level", "terrain=step", "terrain.low=0.4", "terrain.high=0.4", "--episodes", "1")
+LEVEL = ("eval", "level", "terrain=step", "terrain.height=0.4", "--episodes", "1")
 RECORD = "found/failure_step_0.json"
 
 
@@ -92,7 +92,7 @@ def test_a_failure_is_recorded_and_played_again_with_pictures_of_its_robot(
     assert "wrong.json: the episode differs from the recorded one: digest" in done.err
 
 
-HIGH = ("terrain=step", "terrain.low=0.4", "terrain.high=0.4", "sim.friction=0.6")
+HIGH = ("terrain=step", "terrain.height=0.4", "sim.friction=0.6")
 
 
 def test_engines_stand_side_by_side_and_failures_have_causes_and_records(

@@ -46,7 +46,10 @@ inspect reward conditions=nominal,varied -> give 2 configurations
 inspect terrain stair eval.seed=4 -> eval.seed=4 | --seed
 eval okada terrain=stair,stair -> is given twice; once is allowed
 eval okada --baseline 'level, level' -> is given twice; once is allowed
-eval okada terrain=step terrain.low=0.3 episode.run_up=0.2 -> overlaps the robot at the start
+eval okada terrain=step terrain.high=0.3 -> terrain.high is gone; write terrain.height=[low,high]
+eval okada terrain=step terrain.height=[0.3,0.1] -> terrain.height | low ≤ high | [0.3, 0.1]
+eval okada terrain=step terrain.height=high -> terrain.height | or one number | 'high'
+eval okada terrain=step terrain.height=0.3 episode.run_up=0.2 -> overlaps the robot at the start
 inspect plugins flat --output x -> --output needs --check
 eval --controler okada -> --controler | --controller
 train --experimental-rerun x.pickle -> --experimental-rerun
@@ -96,11 +99,11 @@ train rewards=paper +reward@rewards.pitch=impact \
 train rewards=paper '~rewards.pitch' reward@rewards.pitch=impact \
     -> ~rewards.pitch | write reward@rewards.pitch=im
 train +terrain=step -> terrain exists already | write terrain=step
-train terrain=step terrain.hihg=0.2 -> terrain.hihg | 'high'
+train terrain=step terrain.hihgt=0.2 -> terrain.hihgt | 'height'
 train +agent.gama=0.9 -> agent.gama | 'gamma'
 train agent.gamma=1.5 -> gamma | < 1 | 1.5
-train terrain.fewest=many -> terrain.fewest | integer | 'many'
-train terrain.fewest=6 -> fewest (6) must not exceed most (5)
+train terrain.steps=2.5 -> terrain.steps | integer | 2.5
+train terrain.fewest=6 -> terrain.fewest is gone; write terrain.steps=[low,high], or one number
 train rewards=paper rewards.pitch.lambda_2=inf -> rewards.pitch.lambda_2 | finite
 train 'rewards={}' -> rewards={} | ~rewards drops every term
 train '~rewards' -> rewards: | a training needs a term | none
@@ -160,11 +163,11 @@ eval okada suite=gone.yaml -> gone.yaml cannot be read
 eval okada suite=paper suite=families -> suite is given twice
 eval suite=families -> name a policy, as in: flipperctl eval generalist
 map okada terrain=uplift -> name two settings, as in --over terrain.height=
-map okada terrain=uplift --over terrain.hight,sim.friction -> did you mean 'terrain.height_low'
-map okada terrain=uplift --over terrain.height=0.1:2,sim.friction -> terrain.height_low | ≤ 0.8
+map okada terrain=uplift --over terrain.hight,sim.friction -> did you mean 'terrain.height'
+map okada terrain=uplift --over terrain.height=0.1:2,sim.friction -> terrain.height | ≤ 0.8
 map okada terrain=uplift --over terrain.height -> two settings are allowed
 map okada terrain=uplift --over perception.occlusion,sim.friction -> it is no number
-map okada terrain=uplift --over terrain.height,terrain.height_low -> stands in both axes
+map okada terrain=uplift --over terrain.height,terrain.height -> stands in both axes
 map okada terrain=uplift --over terrain.height=1:0,sim.friction -> from a lower to a higher number
 map okada terrain=uplift --over terrain.height=low:1,sim.friction -> LOW:HIGH or LOW:HIGH:VALUES
 map okada terrain=uplift --over terrain.height=0.1:1:1.5,sim.friction -> 2 to 100 values
@@ -300,8 +303,8 @@ def test_a_wrong_request_is_named(command: str, parts: list[str], tmp_path: Path
 @pytest.mark.parametrize(
     ("word", "zeros", "text"),
     [
-        ("randomise.sim.gravity={}", 400, "randomise.sim.gravity: a range [low, high] or one num"),
-        ("randomise.sim.gravity=[1,{}]", 400, "gravity: a range [low, high] or one number is allo"),
+        ("randomise.sim.gravity={}", 400, "randomise.sim.gravity: a range [low, high] with low ≤"),
+        ("randomise.sim.gravity=[1,{}]", 400, "gravity: a range [low, high] with low ≤ high, or o"),
         ("seed={}", 5000, "seed: its number has too many digits"),
     ],
 )

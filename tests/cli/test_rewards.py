@@ -142,7 +142,7 @@ def test_a_teacher_that_is_a_rule_is_compared(
 def test_the_presets_pay_the_smooth_way_and_a_price_of_turning_does_not(tmp_path: Path) -> None:
     # Over a ramp mpc swings less than the rule and turns the flippers for it.
     small = ["controller.beam=4", "controller.horizon=6"]
-    ramp = ["terrain=ramp", "terrain.slope_low=20", "terrain.slope_high=25"]
+    ramp = ["terrain=ramp", "terrain.slope=[20,25]"]
     sets = ["rewards=tuned,smooth", "rewards.travel.weight=0.02,0.8"]
     options = ["--compare", "okada,mpc", "--episodes", "5", "--json"]
     done = call("inspect", "reward", *options, *ramp, *sets, *small, cwd=tmp_path)

@@ -63,7 +63,7 @@ def test_a_further_controller_is_the_only_one_that_plays(tmp_path: Path, played:
 
 def test_the_best_stored_policy_is_ranked_on_the_episodes_of_each_scene(tmp_path: Path) -> None:
     """Scenes of a suite may differ in the number of their episodes alone."""
-    ground = "terrain=step terrain.low=0.4 terrain.high=0.4"
+    ground = "terrain=step terrain.height=0.4"
     suite = tmp_path / "mine.yaml"
     suite.write_text(f"scenes: {{few: {ground} eval.episodes=1, more: {ground} eval.episodes=2}}\n")
     stored = ("eval", "okada", *ground.split(), "--episodes", "2", "--output", "out")

@@ -30,7 +30,7 @@ EXACT = {"start_noise": 0.0}
 
 
 def step_of(height: float) -> dict[str, Any]:
-    return {"name": "step", "low": height, "high": height}
+    return {"name": "step", "height": height}
 
 
 def rollout(env: FlipperEnv, controller: str, seed: int = 0) -> list[tuple[Any, ...]]:

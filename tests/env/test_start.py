@@ -73,7 +73,7 @@ def test_a_robot_does_not_rest_over_a_cliff() -> None:
 
 @pytest.mark.parametrize(("sim", "direction"), [("planar", "up"), ("mujoco", "down")])
 def test_an_episode_starts_on_a_slope_and_stays_on_it(sim: str, direction: str) -> None:
-    ramp = {"name": "ramp", "direction": direction, "length_low": 2.4, "length_high": 3.0}
+    ramp = {"name": "ramp", "direction": direction, "length": [2.4, 3.0]}
     env = FlipperEnv(ramp, sim=sim, episode={"run_up": -1.0})
     env.reset(seed=2)
     angle = math.radians(env.profile.drawn["slope"]) * (1 if direction == "up" else -1)
@@ -111,7 +111,7 @@ def test_a_turned_robot_stands_on_a_slope_in_3d() -> None:
 def test_a_start_or_finish_that_no_robot_can_have_is_named(
     episode: dict[str, float], text: str
 ) -> None:
-    cliff = {"name": "step", "low": -1.0, "high": -0.9}
+    cliff = {"name": "step", "height": [-1.0, -0.9]}
     with pytest.raises(TerrainError, match=text):
         FlipperEnv(cliff, episode={**EXACT, **episode}).reset(seed=0)
 
@@ -125,7 +125,7 @@ def test_an_engine_that_starts_level_alone_is_named(monkeypatch: pytest.MonkeyPa
         return place(self, profile, robot, Start(*start[:3]), rng)
 
     monkeypatch.setattr(Planar, "place", level)
-    ramp = {"name": "ramp", "direction": "down", "length_low": 2.4, "length_high": 3.0}
+    ramp = {"name": "ramp", "direction": "down", "length": [2.4, 3.0]}
     with pytest.raises(ConfigError, match="sim=planar does not place the robot along the ground"):
         FlipperEnv(ramp, episode={"run_up": -1.0}).reset(seed=2)
 
@@ -189,8 +189,8 @@ def test_past_the_last_edge_higher_ground_counts() -> None:
 
 @pytest.mark.parametrize(("sim", "direction"), [("planar", "up"), ("mujoco", "down")])
 def test_an_episode_ends_on_a_slope(sim: str, direction: str) -> None:
-    ramp = {"name": "ramp", "direction": direction, "length_low": 2.0, "length_high": 2.0}
-    slope = {"slope_low": 20, "slope_high": 20, "back": False}
+    ramp = {"name": "ramp", "direction": direction, "length": 2.0}
+    slope = {"slope": 20, "back": False}
     episode = {**EXACT, "run_up": -0.6, "run_out": -0.7}
     env = FlipperEnv({**ramp, **slope}, sim=sim, episode=episode)
     env.reset(seed=1)
@@ -204,8 +204,8 @@ def test_an_episode_ends_on_a_slope(sim: str, direction: str) -> None:
 
 @pytest.mark.parametrize("occlusion", [False, True])
 def test_ground_far_inside_the_obstacle_is_sensed_as_it_is(occlusion: bool) -> None:
-    ramp = {"name": "ramp", "direction": "up", "length_low": 10.0, "length_high": 10.0}
-    slope = {"slope_low": 20, "slope_high": 20, "back": False}
+    ramp = {"name": "ramp", "direction": "up", "length": 10.0}
+    slope = {"slope": 20, "back": False}
     inside = {**EXACT, "run_up": -4.0, "run_out": -4.0}  # both farther than any sensor reaches
     exact = {"occlusion": occlusion}
     env = FlipperEnv({**ramp, **slope}, episode=inside, perception=exact)

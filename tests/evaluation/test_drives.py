@@ -115,7 +115,7 @@ def test_who_waits_is_not_stuck() -> None:
 @pytest.mark.parametrize("sim", ["planar", "mujoco"])
 def test_a_drive_is_repeated_bit_for_bit(sim: str, tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
-    config = scene(sim, low=0.12, high=0.14)
+    config = scene(sim, height=[0.12, 0.14])
     folder = DriveFolder(tmp_path / "anna", "script: test")
     row = folder.drive(config, FlipperEnv(config=config), Script(), 0)
     assert folder.missing(config, 0, 2) == [1]
@@ -173,7 +173,7 @@ def test_drives_teach_and_read_as_one_file(tmp_path: Path) -> None:
 STUDY = """
 scenes:
   low: terrain=step
-  high: terrain=step terrain.low=0.2
+  high: terrain=step terrain.height=[0.2,0.4]
 people: [anna, ben, cleo, dan]
 helpers: [none, okada]
 repeats: 2

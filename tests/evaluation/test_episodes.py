@@ -53,7 +53,7 @@ def test_a_policy_that_stands_at_a_thin_plate_warns_before_it_is_stuck(tmp_path:
     assert not any(risks.warnings[:10])
 
 
-HIGH = {"name": "step", "low": 0.4, "high": 0.4}
+HIGH = {"name": "step", "height": 0.4}
 
 
 def test_two_processes_give_the_results_of_one() -> None:

@@ -24,7 +24,7 @@ from flipperctl.policies.source import PolicySource, load_policy
 
 LEVEL, OKADA, RANDOM = (load_policy(name, "here") for name in ("level", "okada", "random"))
 TWO = {"episodes": 2, "seed": 4}
-STEP = EvalConfig(terrain={"name": "step", "low": 0.4, "high": 0.4}, eval=TWO)
+STEP = EvalConfig(terrain={"name": "step", "height": 0.4}, eval=TWO)
 """Flippers held level stop at it, okada climbs it, random ones overturn the robot."""
 FLAT = EvalConfig(terrain="flat", eval=TWO)
 """On it okada holds its flippers level too."""
@@ -144,7 +144,7 @@ def test_the_hash_is_that_of_the_canonical_json_of_what_stands_beside_it() -> No
 @pytest.mark.parametrize(
     ("change", "changes"),
     [
-        ({"terrain.high": 0.3}, True),
+        ({"terrain.height": 0.3}, True),
         ({"robot.chassis_mass": 36}, True),
         ({"sim.friction": 0.9}, True),
         ({"perception.noise": 0.01}, True),

@@ -23,7 +23,7 @@ from flipperctl.policies.source import load_policy
 from flipperctl.sim.planar.sensing import PlanarSensor, TerrainSensor
 from tests.evaluation.samples import sample
 
-HIGH = ["terrain=step", "terrain.low=0.35", "terrain.high=0.35", "eval.episodes=2"]
+HIGH = ["terrain=step", "terrain.height=0.35", "eval.episodes=2"]
 
 
 class Level(TerrainSensor):
@@ -148,7 +148,7 @@ def test_the_gap_is_paired_and_stands_beside_both_summaries() -> None:
 
 
 # The belt climbs 0.4 m with a friction of 1, and not with 0.6.
-STEEP = {"name": "step", "low": 0.4, "high": 0.4}
+STEEP = {"name": "step", "height": 0.4}
 ASIDE = {"offset": 1, "heading_gain": 0, "lateral_slope": 0.5, "friction": 0.5}
 
 

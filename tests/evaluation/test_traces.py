@@ -14,7 +14,7 @@ from flipperctl.rollout.trace import Trace, read, write
 from tests.cli.call import call
 from tests.figures.test_figures import trace
 
-HIGH = ("terrain=step", "terrain.low=0.4", "terrain.high=0.4", "--episodes", "4")
+HIGH = ("terrain=step", "terrain.height=0.4", "--episodes", "4")
 
 
 def test_a_trace_is_read_as_it_was_written_and_unseen_heights_stay_unknown(tmp_path: Path) -> None:

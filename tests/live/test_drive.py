@@ -38,7 +38,7 @@ class Session:
 
     def __init__(self, folder: Path, helper: str | None = None, **settings: Any) -> None:
         load(())
-        low = {"name": "step", "low": 0.1, "high": 0.1, "platform": 1.0}
+        low = {"name": "step", "height": 0.1, "platform": 1.0}
         self.config = EvalConfig(
             terrain=low, episode={"run_up": 0.8, "run_out": 0.4, "start_noise": 0}, **settings
         )

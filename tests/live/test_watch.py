@@ -176,7 +176,7 @@ def _time(text: str) -> float:
 @pytest.mark.parametrize("name", ["mpc", "planner"])
 def test_a_plan_is_shown_as_it_is_made(name: str) -> None:
     load(())
-    config = EvalConfig(terrain={"name": "step", "low": 0.1, "high": 0.1}, episode={"run_up": 0.8})
+    config = EvalConfig(terrain={"name": "step", "height": 0.1}, episode={"run_up": 0.8})
     small = {"mpc": {"beam": 4, "horizon": 4}, "planner": {"width": 4, "budget": 500}}[name]
     source = load_policy(name, fields=small)
     lane = Lane(Entrant(name, lambda index: Episode(config, source.build(config), 3)))
@@ -200,7 +200,7 @@ def test_a_plan_is_shown_as_it_is_made(name: str) -> None:
 
 def test_the_map_lies_where_the_ground_is() -> None:
     load(())
-    step = {"name": "step", "low": 0.2, "high": 0.2}
+    step = {"name": "step", "height": 0.2}
     env = FlipperEnv(config=EvalConfig(terrain=step))
     env.reset(seed=3)
     assert env.map_points() is None  # points of the true ground are no map

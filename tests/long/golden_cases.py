@@ -87,7 +87,7 @@ FILES = {
     "text.onnx": "no network",
     "text.json": "{}",
     "odd.yaml": "scenes: [1]\n",
-    "suite.yaml": "about: Two of my own.\nscenes:\n  low: terrain=step terrain.high=0.1\n"
+    "suite.yaml": "about: Two of my own.\nscenes:\n  low: terrain=step terrain.height=[-0.4,0.1]\n"
     "  far: terrain=gap,ramp sim.friction=0.7\n",
     "file": "",
 }
@@ -165,7 +165,7 @@ eval --controller okada: randomise.friction=true | conditions=trained | --fricti
 eval --controller okada: --episodes 0 | --episodes x | --episodes 3 eval.episodes=4 | --seed -1
 eval --controller okada: --baseline levl | --baseline none,okada | --passable generalist
 eval --controller okada terrain=step: --by hieght | --film x.png
-map okada terrain=step: | --over terrain.low=0.1 | --over terrain.hihg=0.1:0.6,sim.friction=0.4:1
+map okada terrain=step: | --over terrain.height=0.1 | --over terrain.hihgt=0:1,sim.friction=0.4:1
 eval --controller okada: --output file/out | suite=nope | suite=odd.yaml
 eval --controller okada: --plugins nowhere.py | --plugins broken.py | controller.faar=1
 eval --controller okada: --plugins fails.py +reward@rewards.calm=calm terrain=step --episodes 1

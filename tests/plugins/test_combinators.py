@@ -41,7 +41,7 @@ def rng(seed: int = 0) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
-STEP = {"name": "step", "low": 0.3, "high": 0.3}
+STEP = {"name": "step", "height": 0.3}
 
 
 def test_a_mix_draws_by_weight_and_labels_the_profile(spike: type[Terrain]) -> None:
@@ -54,7 +54,7 @@ def test_a_mix_draws_by_weight_and_labels_the_profile(spike: type[Terrain]) -> N
 
 def test_a_sequence_continues_at_the_height_of_the_previous_part(spike: type[Terrain]) -> None:
     parts = [STEP, {"name": "spike", "tall": 0.5}, STEP]
-    profile = made("sequence", parts=parts, spacing_low=0.5, spacing_high=0.5).labelled(rng(1))
+    profile = made("sequence", parts=parts, spacing=0.5).labelled(rng(1))
     assert profile.label == "step+tall spike+step"
     assert profile.points == pytest.approx(
         np.array([(0, 0), (0, 0.3), (0.5, 0.3), (1.5, 0.8), (2.0, 0.8), (2.0, 1.1)])
@@ -69,7 +69,7 @@ def test_a_mirror_reverses_a_terrain_with_its_probability(spike: type[Terrain]) 
 
 
 def test_noise_keeps_the_direction_and_height_of_vertical_faces() -> None:
-    stair = {"name": "stair", "fewest": 3, "most": 3, "rise": 0.2, "direction": "up"}
+    stair = {"name": "stair", "steps": 3, "rise": 0.2, "direction": "up"}
     rough = made("noisy", terrain=stair, deviation=0.02).labelled(rng())
     faces = np.diff(rough.points, axis=0)
     assert faces[faces[:, 0] == 0, 1] == pytest.approx([0.2] * 3)
@@ -88,7 +88,11 @@ def test_noise_keeps_the_direction_and_height_of_vertical_faces() -> None:
         ({"name": "stair", "ris": 1}, "terrain.parts.1.ris: there is no such key (did you mean 'r"),
         (
             {"name": "mirror", "terrain": {"name": "gap", "width_lo": 1}},
-            "terrain.parts.1.terrain.width_lo: there is no such key (did you mean 'width_low'?",
+            "terrain.parts.1.terrain.width_lo: there is no such key (did you mean 'width'?",
+        ),
+        (
+            {"name": "ramp", "slope_high": 20},
+            "terrain.parts.1.slope_high is gone; write terrain.parts.1.slope=[low,high], or one ",
         ),
         ({"rise": 1}, "terrain.parts.1: a terrain's name, or a mapping"),
     ],
@@ -112,12 +116,18 @@ def test_a_checkpoint_names_the_plugins_within_the_terrain(spike: type[Terrain])
 
 
 def test_a_curriculum_interpolates_each_number_from_easy_to_hard(spike: type[Terrain]) -> None:
-    easy = {"name": "mix", "parts": [{"name": "spike", "tall": 0}, {"name": "wave", "most": 2}]}
-    hard = {"name": "mix", "parts": [{"name": "spike", "tall": 1}, {"name": "wave", "most": 8}]}
+    easy = {
+        "name": "mix",
+        "parts": [{"name": "spike", "tall": 0}, {"name": "wave", "waves": [2, 2]}],
+    }
+    hard = {
+        "name": "mix",
+        "parts": [{"name": "spike", "tall": 1}, {"name": "wave", "waves": [2, 8]}],
+    }
     found = made("curriculum", easy=easy, hard=hard)
     between = {
         "name": "mix",
-        "parts": [{"name": "spike", "tall": 0.25}, {"name": "wave", "most": 4}],
+        "parts": [{"name": "spike", "tall": 0.25}, {"name": "wave", "waves": [2, 4]}],
     }
     assert found.at(0.25) == resolver.create("terrain", between, "terrain")
     assert found.at(0.0) == resolver.create("terrain", easy, "terrain")
@@ -133,7 +143,7 @@ def test_a_curriculum_takes_steps_between_0_and_1() -> None:
     mix = made("mix", parts=["flat", resolver.to_dict(found)])
     assert mix.first_difficulty == 0.5
     assert mix.next_difficulty(0.5, True) == pytest.approx(0.8)
-    low = made("step", low=-0.25, high=0.25)
+    low = made("step", height=[-0.25, 0.25])
     assert mix.at(0.5) == made("mix", parts=["flat", resolver.to_dict(low)])
 
 

@@ -9,18 +9,13 @@ from flipperctl_plugins.terrains.rough import Rough
 
 from flipperctl.api import Profile
 from flipperctl.config import resolver
+from flipperctl.errors import ConfigError
 
 FAMILIES = "building_stair curb_and_ramp gap pallet plates plum rail ramp rubble uplift wave"
 
 
 def drawn(name: str, seed: int = 0, **fields: object) -> Profile:
-    """Return a profile; ``height=0.3`` sets both ``height_low`` and ``height_high``."""
-    cls = resolver.get("terrain", name, "terrain")
-    settings = {}
-    for field, value in fields.items():
-        both = f"{field}_low" in cls.model_fields
-        settings |= {f"{field}_low": value, f"{field}_high": value} if both else {field: value}
-    found = resolver.create("terrain", {"name": name, **settings}, "terrain")
+    found = resolver.create("terrain", {"name": name, **fields}, "terrain")
     return found.labelled(np.random.default_rng(seed))
 
 
@@ -42,24 +37,24 @@ def test_a_gap_is_an_uplift_upside_down() -> None:
 
 
 def test_a_wave_has_its_crests_half_a_length_past_its_troughs() -> None:
-    profile = drawn("wave", length=0.8, height=0.3, fewest=2, most=2)
+    profile = drawn("wave", length=0.8, height=0.3, waves=2)
     assert profile.end == pytest.approx(1.6)
     for x, z in ((0.0, 0.0), (0.2, 0.15), (0.4, 0.3), (0.8, 0.0), (1.2, 0.3), (1.6, 0.0)):
         assert profile.height(x) == pytest.approx(z)
 
 
 def test_a_rail_grows_by_the_sine_of_the_angle_at_which_it_is_crossed() -> None:
-    profile = drawn("rail", side=0.2, angle=30, gauge=0.3, fewest=2, most=2)
+    profile = drawn("rail", side=0.2, angle=30, gauge=0.3, bars=2)
     assert profile.points[:, 0] == pytest.approx([0, 0, 0.4, 0.4, 1.0, 1.0, 1.4, 1.4])
     assert profile.points[:, 1] == pytest.approx([0, 0.2, 0.2, 0, 0, 0.2, 0.2, 0])
-    assert drawn("rail", side=0.2, angle=90, most=1).end == pytest.approx(0.2)
+    assert drawn("rail", side=0.2, angle=90, bars=1).end == pytest.approx(0.2)
 
 
 def test_hurdles_are_equal_and_piles_are_not() -> None:
-    hurdles = drawn("pallet", fewest=3, most=3).points
+    hurdles = drawn("pallet", hurdles=3).points
     assert len(set(hurdles[1::4, 1])) == 1
     assert hurdles[2::4, 0] - hurdles[1::4, 0] == pytest.approx(hurdles[2, 0] - hurdles[1, 0])
-    piles = drawn("plum", fewest=3, most=3).points
+    piles = drawn("plum", piles=3).points
     assert len(set(piles[1::4, 1])) == 3
     for points in (hurdles, piles):
         assert set(points[0::4, 1]) == set(points[3::4, 1]) == {0.0}
@@ -71,7 +66,7 @@ def test_hurdles_are_equal_and_piles_are_not() -> None:
 )
 def test_a_plate_leans_by_its_tilt_over_filled_ground(tangent: float, x: list[float]) -> None:
     tilt = math.degrees(math.atan(tangent))
-    fields = {"thickness": 0.02, "height": 0.2, "clearance": 0.3, "fewest": 2, "most": 2}
+    fields = {"thickness": 0.02, "height": 0.2, "clearance": 0.3, "plates": 2}
     profile = drawn("plates", tilt=tilt, **fields)
     second = [x[-1] + 0.3 + at for at in x]
     assert profile.points[:, 0] == pytest.approx([*x, *second])
@@ -92,9 +87,7 @@ def test_a_pavement_has_its_curb_at_either_end() -> None:
     ("slope", "rise", "tread"), [(45, 0.21, 0.21), (math.degrees(math.atan(0.5)), 0.1575, 0.315)]
 )
 def test_a_buildings_stair_keeps_to_the_stride(slope: float, rise: float, tread: float) -> None:
-    points = drawn(
-        "building_stair", slope=slope, stride=0.63, fewest=3, most=3, direction="up"
-    ).points
+    points = drawn("building_stair", slope=slope, stride=0.63, steps=3, direction="up").points
     assert np.diff(points[:, 1])[::2] == pytest.approx([rise] * 3)
     assert np.diff(points[:, 0])[1::2] == pytest.approx([tread] * 2)
     assert points.shape == (6, 2)
@@ -102,13 +95,13 @@ def test_a_buildings_stair_keeps_to_the_stride(slope: float, rise: float, tread:
 
 def test_a_landing_replaces_the_tread_after_every_few_steps() -> None:
     points = drawn(
-        "stair", fewest=5, most=5, direction="up", landing_every=2, landing=1.0, platform=2.0
+        "stair", steps=5, direction="up", landing_every=2, landing=1.0, platform=2.0
     ).points
     # Faces at 0, 0.3, then 1 m of landing, 1.6, another landing, 2.6; none after the last step.
     assert points[::2, 0] == pytest.approx([0.0, 0.3, 1.3, 1.6, 2.6, 4.6])
     assert points[1::2, 1] == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
     down = drawn(
-        "building_stair", slope=45, stride=0.63, fewest=16, most=16, direction="down",
+        "building_stair", slope=45, stride=0.63, steps=16, direction="down",
         landing_every=8, landing=1.2,
     ).points  # fmt: skip
     assert down[-1] == pytest.approx([14 * 0.21 + 1.2, -16 * 0.21])
@@ -143,7 +136,7 @@ def test_composed_terrains_pass_on_what_their_parts_drew() -> None:
 
 
 def test_rubble_leaves_no_gap_between_its_blocks() -> None:
-    points = drawn("rubble", fewest=5, most=5, width=0.2).points
+    points = drawn("rubble", blocks=5, width=0.2).points
     assert np.unique(np.round(points[:, 0], 9)) == pytest.approx(np.arange(6) * 0.2)
     assert points[0].tolist() == [0.0, 0.0]
     assert points[-1, 1] == 0.0
@@ -153,23 +146,26 @@ def test_rubble_leaves_no_gap_between_its_blocks() -> None:
 def test_a_family_stays_within_its_ranges_and_every_profile_differs(name: str) -> None:
     profiles = [drawn(name, seed) for seed in range(10)]
     assert len({p.points.tobytes() for p in profiles}) == 10
-    highest = resolver.create("terrain", name, "terrain").model_dump().get("height_high", 20.0)
-    assert max(p.points[:, 1].max() for p in profiles) <= highest
+    highest = resolver.create("terrain", name, "terrain").model_dump().get("height", (0.0, 20.0))
+    assert max(p.points[:, 1].max() for p in profiles) <= highest[1]
     assert {(p.label, *p.points[0]) for p in profiles} == {(name, 0.0, 0.0)}
 
 
-def test_a_reversed_range_is_named() -> None:
-    with pytest.raises(Exception, match=r"width_low \(0\.9\) must not exceed width_high \(0\.5\)"):
+def test_old_names_of_ranges_say_what_to_write() -> None:
+    match = (
+        r"^terrain\.width_low is gone; write terrain\.width=\[low,high\], or one number for both"
+    )
+    with pytest.raises(ConfigError, match=match):
         resolver.create("terrain", {"name": "uplift", "width_low": 0.9}, "terrain")
 
 
-STEEP = {"slope_low": 45, "slope_high": 45, "stride_low": 0.6, "stride_high": 0.6}
+STEEP = {"slope": 45, "stride": 0.6}
 """45° and a stride of 0.6 m: rise and tread are 0.2 m."""
-FLIGHTS = {"fewest": 2, "most": 2, "landing_low": 1.0, "landing_high": 1.0}
+FLIGHTS = {"steps": 2, "landing": 1.0}
 
 
 def test_a_stairwell_turns_after_a_landing() -> None:
-    fields = {**STEEP, **FLIGHTS, "flights_low": 3, "flights_high": 3, "up": 1.0}
+    fields = {**STEEP, **FLIGHTS, "flights": 3, "up": 1.0}
     profile = drawn("stairwell", turn=1.0, **fields)
     up = [(0, 0), (0, 0.2), (0.2, 0.2), (0.2, 0.4)]
     down = [(1.2, 0.4), (1.2, 0.2), (1.4, 0.2), (1.4, 0.0)]
@@ -184,11 +180,11 @@ def test_a_stairwell_turns_after_a_landing() -> None:
 
 
 def test_a_course_draws_its_obstacles_anew() -> None:
-    parts = [{"name": "step", "low": 0.3, "high": 0.3}, "gap", "wave"]
-    fields = {"parts": parts, "weights": [1, 1, 0], "spacing_low": 0.5, "spacing_high": 0.5}
+    parts = [{"name": "step", "height": 0.3}, "gap", "wave"]
+    fields = {"parts": parts, "weights": [1, 1, 0], "spacing": 0.5}
     counts, kinds = Counter[float](), Counter[float]()
     for seed in range(60):
-        found = drawn("course", seed, fewest=2, most=5, **fields)
+        found = drawn("course", seed, obstacles=[2, 5], **fields)
         places = [value for name, value in found.drawn.items() if name.startswith("kind")]
         counts[found.drawn["obstacles"]] += 1
         kinds.update(places)
@@ -207,9 +203,8 @@ def test_rough_ground_has_the_stated_spectrum() -> None:
     assert (amplitudes**2 / 2).sum() == pytest.approx(1e-3 * 0.01 * (1 / 0.5 - 1 / 2), rel=0.01)
     assert waves[0] > 0.5
     assert waves[-1] < 2.0
-    exact = {"roughness_low": 1000.0, "roughness_high": 1000.0, "exponent_low": 2.0}
-    long = {"exponent_high": 2.0, "length_low": 40.0, "length_high": 40.0}
-    profile = drawn("rough", longest=2.0, shortest=0.5, **exact, **long)
+    exact = {"roughness": 1000.0, "exponent": 2.0, "length": 40.0}
+    profile = drawn("rough", longest=2.0, shortest=0.5, **exact)
     assert profile.points[0].tolist() == [0.0, 0.0]
     assert profile.points[:, 1].std() == pytest.approx(math.sqrt(1.5e-5), rel=0.1)
     assert profile.drawn["deviation"] == pytest.approx(profile.points[:, 1].std())
@@ -218,10 +213,10 @@ def test_rough_ground_has_the_stated_spectrum() -> None:
 
 
 def test_an_excerpt_is_a_piece_of_the_ground() -> None:
-    stairs = {"name": "building_stair", "fewest": 16, "most": 16, "direction": "up"}
+    stairs = {"name": "building_stair", "steps": 16, "direction": "up"}
     firsts = set()
     for seed in range(5):
-        piece = drawn("excerpt", seed, terrain=stairs, length_low=2.0, length_high=2.0)
+        piece = drawn("excerpt", seed, terrain=stairs, length=2.0)
         assert piece.end - piece.start == pytest.approx(2.0)
         assert piece.drawn["piece_length"] == pytest.approx(2.0)
         # What the piece does not draw itself is the ground's own.
@@ -238,7 +233,7 @@ def test_an_excerpt_of_shorter_ground_is_all_of_it(ground: str) -> None:
         drawn(name, 4, **fields)
         for name, fields in (
             (ground, {}),
-            ("excerpt", {"terrain": ground, "length_low": 90.0, "length_high": 90.0}),
+            ("excerpt", {"terrain": ground, "length": 90.0}),
         )
     )
     assert np.array_equal(piece.points, whole.points)  # with the faces at its ends
@@ -246,7 +241,7 @@ def test_an_excerpt_of_shorter_ground_is_all_of_it(ground: str) -> None:
 
 
 def test_an_episode_begins_and_ends_midway() -> None:
-    stairs = {"name": "building_stair", "fewest": 12, "most": 12}
+    stairs = {"name": "building_stair", "steps": 12}
     for seed in range(20):
         both = drawn("midway", seed, terrain=stairs, start=1, finish=1, shortest=1.5)
         assert both.run_up is not None

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from flipperctl_plugins.terrains.obstacles import Step
 
+from flipperctl.api import Range
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.errors import ConfigError
 from flipperctl.scripting.settings import literal, words
@@ -73,8 +74,8 @@ def test_a_value_without_a_form_is_refused_with_its_key(value: object) -> None:
     [
         ({"terrain": "stair"}, ["terrain=stair"]),
         ({"terrain": ["stair", "step"]}, ["terrain=stair,step"]),
-        ({"terrain": {"name": "step", "low": 0.1}}, ["terrain=step", "terrain.low=0.1"]),
-        ({"terrain": {"low": 0.1}}, ["terrain.low=0.1"]),
+        ({"terrain": {"name": "stair", "rise": 0.1}}, ["terrain=stair", "terrain.rise=0.1"]),
+        ({"terrain": {"height": (0.1, 0.2)}}, ["terrain.height=[0.1,0.2]"]),
         ({"logger": ["csv", "wandb"]}, ["logger=[csv,wandb]"]),
         ({"train": {"decisions": 5, "mode": "exact"}}, ["train.decisions=5", "train.mode=exact"]),
         ({"rewards.swing.weight": 4}, ["rewards.swing.weight=4"]),
@@ -90,9 +91,9 @@ def test_keyword_arguments_are_overrides(settings: dict, expected: list[str]) ->
 
 
 def test_the_settings_of_a_plugin_may_be_an_object() -> None:
-    found = words({"terrain": Step(low=0.1)})
+    found = words({"terrain": Step(height=Range(0.1, 0.2))})
     assert found[0] == "terrain=step"
-    assert "terrain.low=0.1" in found
+    assert "terrain.height=[0.1,0.2]" in found
 
 
 @pytest.mark.parametrize(

@@ -131,7 +131,7 @@ def episode(env: FlipperEnv) -> dict:
 
 def crossing(height: float, **sim: object) -> str:
     """Return the outcome of the rule controller at one riser."""
-    terrain = {"name": "step", "low": height, "high": height}
+    terrain = {"name": "step", "height": height}
     return episode(FlipperEnv(terrain=terrain, sim=sim, episode={"start_noise": 0}))["outcome"]
 
 

@@ -36,7 +36,6 @@ _VALUES, _MOST = 20, 100
 """Number of values of an axis without a number of its own, and the largest number [-]."""
 DIGITS = 6  # digits that the values of an axis are rounded to [-], so that a point can be typed
 _SECTIONS = ("terrain", "robot", "sim", "perception", "episode")
-_ENDS = ("_low", "_high")  # endings of two settings that are the range of a drawn number
 _BOUND = re.compile(r"([≥>≤<]) ([-+.\de]+)")
 Play = Callable[[Sequence[Index], str], Iterator[tuple[Index, Episodes]]]
 """Plays the episodes of grid points, shown under a label, and yields them as they are finished;
@@ -325,10 +324,10 @@ def parse_axes(text: str, config: EvalConfig) -> tuple[Axis, Axis]:
     """Return the horizontal and the vertical axis that ``text``, given with ``--over``, names.
 
     Each is a setting of the terrain, robot, engine, sensor or episode with a range ``LOW:HIGH`` or
-    ``LOW:HIGH:VALUES``, both ends included. Settings joined by ``+`` have one common value;
-    ``terrain.height`` stands for ``terrain.height_low+terrain.height_high`` where these exist.
-    Without a range, an axis leads from half to one and a half times the present value, within the
-    bounds of the setting, or over the bounds if the value is 0 or null.
+    ``LOW:HIGH:VALUES``, both ends included. A setting that is itself a range has one number at
+    each point, and settings joined by ``+`` have a common value. Without a range, an axis leads
+    from half to one and a half times the present value, within the bounds of the setting, or over
+    the bounds if the value is 0 or null.
     """
     parts = text.split(",")
     if len(parts) != 2:
@@ -347,11 +346,11 @@ def parse_axes(text: str, config: EvalConfig) -> tuple[Axis, Axis]:
 
 
 def _is_number(setting: Setting) -> bool:
-    """Return whether a setting is a number, or null in place of one."""
+    """Return whether a setting is a number, a range of numbers, or null in place of one."""
     value, kind = setting.value, setting.field.type
     if value is None:
         return "float" in kind or "int" in kind
-    return isinstance(value, int | float) and not isinstance(value, bool)
+    return "Range" in kind or (isinstance(value, int | float) and not isinstance(value, bool))
 
 
 def _axis(text: str, config: EvalConfig, known: Mapping[str, Setting]) -> Axis:
@@ -359,7 +358,7 @@ def _axis(text: str, config: EvalConfig, known: Mapping[str, Setting]) -> Axis:
     keys = tuple(key for one in name.split("+") for key in _keys(one, config, known))
     refuse_ineffective(config, {key: f"--over {key}" for key in keys})
     found = [known[key] for key in keys]
-    whole = all("float" not in s.field.type for s in found)
+    whole = not any(re.search(r"\b(float|Range)\b", s.field.type) for s in found)
     low, high, count = _typed_range(ends, text) if ends else (*_default_range(found), _VALUES)
     values = [float(v) for v in np.linspace(low, high, count)]
     rounded = [round(v) if whole else float(f"{v:.{DIGITS}g}") for v in values]
@@ -373,16 +372,15 @@ def _axis(text: str, config: EvalConfig, known: Mapping[str, Setting]) -> Axis:
 
 def _keys(name: str, config: EvalConfig, known: Mapping[str, Setting]) -> tuple[str, ...]:
     """Return the paths that a name stands for."""
-    ends = tuple(f"{name}{end}" for end in _ENDS)
-    if name in known or all(end in known for end in ends):
-        return (name,) if name in known else ends
+    if name in known:
+        return (name,)
     if any(s.path == name for s in settings(config)):
         raise ConfigError(f"--over {name}: it is no number of ground, robot, engine or sensor")
     there = sorted(path for path in known if path.startswith(f"{name.partition('.')[0]}."))
     allowed = ", ".join(there) or f"settings of {', '.join(_SECTIONS)}"
     raise ConfigError(
         f"--over {name}: there is no such setting{close_match(name, known)}; known: {allowed} "
-        "(+ joins settings with one common value, as in terrain.low+terrain.high)"
+        "(+ joins settings with one common value, as in terrain.tread+terrain.tread_down)"
     )
 
 
@@ -414,7 +412,7 @@ def _default_range(found: Sequence[Setting]) -> tuple[float, float]:
         lows.append(low + (inside if ">" in ends else 0.0))
         highs.append(high - (inside if "<" in ends else 0.0))
     low, high = max(lows), min(highs)
-    if middle := sum(float(s.value or 0) for s in found) / len(found):
+    if middle := sum(float(np.mean(s.value or 0)) for s in found) / len(found):
         near, far = sorted((0.5 * middle, 1.5 * middle))
         low, high = max(low, near), min(high, far)
     if not (math.isfinite(low) and math.isfinite(high) and low < high):

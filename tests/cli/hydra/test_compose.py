@@ -44,7 +44,7 @@ def test_a_list_with_a_value_twice_is_refused(word: str) -> None:
 def test_a_checkpoint_brings_its_terrain_robot_and_layout_to_its_evaluation() -> None:
     base = TrainConfig(terrain="stair", network="at_d3qn")
     changes = {
-        "terrain.fewest": 2,
+        "terrain.steps": [2, 6],
         "robot.chassis_mass": 60,
         "perception.bins": 21,
         "perception.noise": 0.02,

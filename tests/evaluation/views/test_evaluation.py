@@ -8,7 +8,7 @@ added: ``controller`` and ``not_reached`` of a scene, ``beyond`` of ``passable``
 ``difference``.
 
 - ``mix``: ``eval --controller level --baseline okada --passable okada,random terrain=mix
-  'terrain.parts=[{name:step,low:0.9,high:0.9},{name:step,low:0.1,high:0.1},wave]' sim.friction=0.8
+  'terrain.parts=[{name:step,height:0.9},{name:step,height:0.1},wave]' sim.friction=0.8
   --episodes 8``
 - ``two``: ``eval --checkpoint generalist --baseline okada conditions=nominal,varied
   terrain=step,flat --episodes 3 --seed 77``

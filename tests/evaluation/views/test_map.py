@@ -111,20 +111,20 @@ def test_the_boundary_lies_halfway_between_success_and_failure() -> None:
 
 def test_a_range_and_its_number_of_values() -> None:
     first, second = parse_axes("terrain.height=0.1:0.6:6,sim.friction=0.4:1.0:3", UPLIFT)
-    assert first.keys == ("terrain.height_low", "terrain.height_high")
+    assert first.keys == ("terrain.height",)
     assert first.values == (0.1, 0.2, 0.3, 0.4, 0.5, 0.6)
     assert (first.label, second.label) == ("terrain.height [m]", "sim.friction")
     config = grid_config(UPLIFT, (first, second), (1, 2))
-    assert (config.terrain.height_low, config.terrain.height_high) == (0.2, 0.2)
+    assert config.terrain.height == (0.2, 0.2)
     assert config.sim.friction == 1.0
 
 
 def test_settings_joined_by_a_plus_have_one_value_and_integers_stay_integers() -> None:
     config = EvalConfig(terrain="stair")
-    axes = parse_axes("terrain.fewest+terrain.most=2:6,terrain.tread_down+terrain.tread", config)
+    axes = parse_axes("terrain.steps=2:6,terrain.tread_down+terrain.tread", config)
     assert axes[0].values == (2, 3, 4, 5, 6)
     terrain = grid_config(config, axes, (4, 0)).terrain
-    assert (terrain.fewest, terrain.most) == (6, 6)
+    assert terrain.steps == (6, 6)
     assert terrain.tread == terrain.tread_down == 0.15
 
 

@@ -18,7 +18,7 @@ from flipperctl.policies.source import PolicySource, load_policy
 
 LEVEL = load_policy("level", "here")
 STEP = EvalConfig(
-    terrain={"name": "step", "low": 0.4, "high": 0.4},
+    terrain={"name": "step", "height": 0.4},
     randomise={"friction": [0.8, 1.0]},
     conditions="varied",
     eval={"episodes": 3, "seed": 4},
@@ -112,7 +112,7 @@ def test_the_policy_of_a_record_is_found_by_its_content(folder: Path, tmp_path: 
 def test_scenes_that_differ_in_the_policys_settings_alone_keep_their_own_failures(
     tmp_path: Path,
 ) -> None:
-    wall = {"terrain": {"name": "step", "low": 0.9, "high": 0.9}, "eval": {"episodes": 1}}
+    wall = {"terrain": {"name": "step", "height": 0.9}, "eval": {"episodes": 1}}
     scenes = [
         (EvalConfig(**wall), PolicySource(settings={"name": "okada", "far": far}))
         for far in (0.45, 0.15)

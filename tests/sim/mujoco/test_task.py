@@ -31,7 +31,7 @@ draws = pytest.mark.skipif(not DRAWS_HERE, reason="this machine has neither EGL 
 def test_a_start_on_a_slope_lies_on_what_stands_above_the_line(
     sim: dict[str, float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    inner = {"name": "building_stair", "fewest": 8, "most": 16}
+    inner = {"name": "building_stair", "steps": [8, 16]}
     ground = {"name": "midway", "terrain": inner, "start": 1.0}
     env = FlipperEnv(ground, sim={"name": "mujoco", **sim})
 
@@ -50,7 +50,7 @@ def test_a_turned_robot_starts_behind_the_edge_that_its_corner_would_overlap(
 ) -> None:
     def begin(sim: dict[str, float], run_up: float) -> list[float]:
         env = FlipperEnv(
-            {"name": "step", "low": 0.2, "high": 0.3},
+            {"name": "step", "height": [0.2, 0.3]},
             sim={"name": "mujoco", **sim},
             episode={"run_up": run_up, "start_noise": 0.0, "start_angle": 0.0},
         )
