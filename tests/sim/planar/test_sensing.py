@@ -137,6 +137,13 @@ def test_from_above_the_whole_trench_is_seen() -> None:
     assert plain.filled is None
 
 
+def test_nothing_beyond_the_horizon_is_remembered_as_seen() -> None:
+    of = masted(TRENCH, horizon=0.5)
+    scan(of, -1.0)
+    assert of._seen_ground is not None
+    assert of._cloud[of._seen_ground.seen, 0].max() == pytest.approx(-0.5, abs=0.011)
+
+
 def test_the_top_of_a_step_above_the_mount_is_not_seen_and_taken_as_level() -> None:
     of = masted(WALL)
     ground = scan(of, -1.0)
