@@ -3,10 +3,10 @@
     python -m benchmarks.left_out [--policy NAME] [--episodes N] [--conditions NAME] [--kinds K,…]
 
 A policy with a risk plays every kind of ground, without escapes. For each group of kinds, a risk
-network is trained on the episodes of all other groups and calibrated on further ones; the table
-shows how many failures on the group left out it announces three decisions ahead, and in how many
-of the episodes that reached the finish it warned. ``known`` are the same kinds with a risk that was
-trained on all of them.
+network is trained on the episodes of all other groups. It is calibrated on further episodes of each
+of these, by networks that have not seen that group, either. The table shows how many failures on
+the group left out it announces three decisions ahead, and in how many of the episodes that reached
+the finish it warned. ``known`` counts the same with a risk that has learnt all kinds.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import argparse
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +25,19 @@ from numpy.typing import NDArray
 
 import flipperctl
 from flipperctl import entry, plugins
-from flipperctl.agent.risk import Risk, RiskNetwork, plain_risk, risk_loss
+from flipperctl.agent.risk import RiskNetwork, risk_loss
+from flipperctl.api import FloatArray
 from flipperctl.checkpoint import Checkpoint, read_policy, shipped_policies
-from flipperctl.config import TrainConfig
-from flipperctl.core.risk import EpisodeRisk, EscapeRule, Place, RiskSign, resemblances
+from flipperctl.config import Agent
+from flipperctl.core.risk import (
+    LAGS,
+    EpisodeRisk,
+    EscapeRule,
+    Place,
+    RiskCalibration,
+    RiskSign,
+    resemblances,
+)
 from flipperctl.evaluation.statistics import proportion
 from flipperctl.evaluation.views.summary import summarise
 from flipperctl.policies.trained import TrainedPolicy, policy_module
@@ -46,6 +56,7 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
 }
 """Kinds of ground by what is alike in them, and is therefore left out together."""
 _ROW = "{:16}  {:>8}  {:23}  {:>5}  {:>7}  {:23}  {:>5}"
+_COUNTS = "failures", "announced", "reached", "false_alarms"
 _STEPS, _BATCH, _RATE = 4000, 1024, 1e-3
 
 
@@ -68,12 +79,21 @@ class Seen:
             found[-horizon:] = 1.0
         return found
 
-    def risks(self, risk: Risk, *, places: bool = True) -> EpisodeRisks:
-        """Return what a risk tells of each decision, with the sign that a robot stands or not."""
-        episode = risk.begin(self.size)
-        at = self.places if places else (None,) * len(self.inputs)
-        rows = zip(self.inputs, at, strict=True)
-        return EpisodeRisks.of(risk.sign, [risk.of_one(row, episode, place) for row, place in rows])
+    def odds(self, network: RiskNetwork) -> FloatArray:
+        """Return the log-odds that a network tells of each decision, (T,)."""
+        alike = torch.from_numpy(resemblances(self.inputs[:, -self.size :]))
+        return network.log_odds(torch.from_numpy(self.inputs), alike).numpy().astype(np.float64)
+
+    def risks(self, network: RiskNetwork, found: RiskCalibration, stride: float) -> EpisodeRisks:
+        """Return the calibrated risks, with the sign that a robot stands."""
+        episode, nothing = EpisodeRisk(self.size, found.sign, stride), np.zeros(len(LAGS), "f4")
+        told = _probabilities(found.slope * self.odds(network) + found.shift).tolist()
+        rows = zip(told, self.inputs, self.places, strict=True)
+        return EpisodeRisks.of(found.sign, [episode.update(r, nothing, *at) for r, *at in rows])
+
+
+def _probabilities(odds: FloatArray) -> FloatArray:
+    return np.exp(-np.logaddexp(0.0, -odds))
 
 
 class _Watch:
@@ -133,21 +153,22 @@ def learnt(episodes: Sequence[Seen], horizon: int, seed: int) -> RiskNetwork:
     return network.eval().requires_grad_(False)
 
 
-def announced(
-    risk: RiskNetwork, config: TrainConfig, calibrating: Sequence[Seen], episodes: Sequence[Seen]
-) -> dict[str, Any]:
-    """Return how a network fits the ends of episodes, calibrated on those of other kinds."""
-    plain = plain_risk(risk, config.agent.risk_horizon)
+def calibration(
+    told: Sequence[tuple[RiskNetwork, Sequence[Seen]]], agent: Agent
+) -> RiskCalibration:
+    """Return the calibration of networks on episodes that each of them has not learnt from."""
+    sign = RiskSign(agent.risk_horizon, 1.0)
     rows = [
-        {"outcome": "stuck" if e.failed else "reached", **e.risks(plain, places=False).to_row()}
-        for e in calibrating
+        {
+            "outcome": "stuck" if episode.failed else "reached",
+            **EpisodeRisks.of(sign, _probabilities(episode.odds(network)).tolist()).to_row(),
+        }
+        for network, episodes in told
+        for episode in episodes
     ]
-    found = calibrated(rows, config.agent)
+    found = calibrated(rows, agent)
     assert found is not None  # there are episodes
-    final = Risk(risk, found[0], config.robot.track_speed * config.robot.decision_period)
-    told = summarise([(e.risks(final), e.failed) for e in episodes])
-    assert told is not None
-    return told
+    return found[0]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -162,41 +183,58 @@ def main(arguments: Sequence[str] | None = None) -> int:
     checkpoint = read_policy(shipped_policies().get(options.policy, Path(options.policy)))
     config = checkpoint.policy_config()
     agent = config.agent.model_copy(update={"risk_false_alarms": options.alarms})
-    config = config.model_copy(update={"agent": agent})
     learning, testing = list[Seen](), list[Seen]()
     for kind in (kind for kinds in GROUPS.values() for kind in kinds):
         for part, into in enumerate((testing, learning, learning)):
             seeds = range(part * 10**6, part * 10**6 + options.episodes)
             into += seen(checkpoint, kind, options.conditions, seeds, draws=part == 2)
         print(kind, file=sys.stderr)
-    known = learnt(learning, agent.risk_horizon, 0)
-    sums: dict[str, list[int]] = {}
-    print(_ROW.format("left out", "failures", "announced", "known", "reached", "warned", "known"))
-    for group, kinds in GROUPS.items():
-        mine = [e for e in testing if e.kind in kinds]
-        others = [e for e in testing if e.kind not in kinds]
-        risk = learnt([e for e in learning if e.kind not in kinds], agent.risk_horizon, 0)
-        new, old = announced(risk, config, others, mine), announced(known, config, testing, mine)
-        print(_line(group, new, old))
-        for name, told in (("new", new), ("old", old)):
-            parts = [int(told[key]) for key in ("failures", "announced", "reached", "false_alarms")]
-            sums[name] = [a + b for a, b in zip(sums.get(name, [0] * 4), parts, strict=True)]
-    names = ("failures", "announced", "reached", "false_alarms")
-    print(_line("all", *(dict(zip(names, sums[n], strict=True)) for n in ("new", "old"))))
+    show(learning, testing, agent, config.robot.track_speed * config.robot.decision_period)
     return 0
 
 
-def _line(group: str, new: Mapping[str, Any], old: Mapping[str, Any]) -> str:
-    def share(told: Mapping[str, Any], part: str, whole: str) -> str:
-        if not told[whole]:
-            return "–"
-        found = proportion(int(told[part]), int(told[whole]))
-        return f"{int(told[part])} ({found.mean:.2f} [{found.low:.2f}, {found.high:.2f}])"
+def show(learning: Sequence[Seen], testing: Sequence[Seen], agent: Agent, stride: float) -> None:
+    """Train the networks and print the table; ``stride``: way of the belts in a decision [m]."""
+    tested = {group: [e for e in testing if e.kind in kinds] for group, kinds in GROUPS.items()}
+    tested = {group: episodes for group, episodes in tested.items() if episodes}
 
-    failures, warned = share(new, "announced", "failures"), share(new, "false_alarms", "reached")
-    known = int(old["announced"]), int(old["false_alarms"])
-    counts = int(new["failures"]), int(new["reached"])
-    return _ROW.format(group, counts[0], failures, known[0], counts[1], warned, known[1])
+    @cache
+    def without(groups: frozenset[str]) -> RiskNetwork:
+        left = [kind for group in groups for kind in GROUPS[group]]
+        return learnt([e for e in learning if e.kind not in left], agent.risk_horizon, 0)
+
+    known = without(frozenset())
+    usual = calibration([(known, testing)], agent)
+    sums = np.zeros((2, 4), int)
+    print(_ROW.format("left out", "failures", "announced", "known", "reached", "warned", "known"))
+    for group, mine in tested.items():
+        # Its calibration has not seen the kinds, either, and knows how risks of unknown kinds are.
+        others = [
+            (without(frozenset((group, other))), episodes)
+            for other, episodes in tested.items()
+            if other != group
+        ]
+        new = without(frozenset((group,))), calibration(others, agent)
+        counts = []
+        for network, found in (new, (known, usual)):
+            told = summarise([(e.risks(network, found, stride), e.failed) for e in mine])
+            assert told is not None  # there are episodes
+            counts.append([int(told[key]) for key in _COUNTS])
+        sums += counts
+        print(_line(f"{group}", *counts), f"  threshold {new[1].sign.threshold:.2f}", flush=True)
+    print(_line("all", *sums.tolist()))
+
+
+def _line(group: str, new: Sequence[int], old: Sequence[int]) -> str:
+    def share(part: int, whole: int) -> str:
+        if not whole:
+            return "–"
+        found = proportion(part, whole)
+        return f"{part} ({found.mean:.2f} [{found.low:.2f}, {found.high:.2f}])"
+
+    failures, announced, reached, warned = new
+    told = share(announced, failures), share(warned, reached)
+    return _ROW.format(group, failures, told[0], old[1], reached, told[1], old[3])
 
 
 if __name__ == "__main__":
