@@ -84,7 +84,7 @@ def terrain(
 
       flipperctl inspect terrain stair --output stair.png
 
-      flipperctl inspect terrain step terrain.height=[-0.4,0.2] --seed 3 --draws 6 --json
+      flipperctl inspect terrain step terrain.height=0.2 --seed 3 --draws 6 --json
     """
     from flipperctl.cli.hydra.compose import compose_environment
     from flipperctl.cli.hydra.overrides import Overrides

@@ -180,7 +180,8 @@ def test_a_logger_that_fails_is_dropped_with_one_warning(
         logger.validation({})
         logger.note("a note")
     logger.close()
-    (line,) = capfd.readouterr().err.splitlines()
+    line = " ".join(capfd.readouterr().err.split())
+    assert line.count("warning:") == 1
     assert line.startswith(f"warning: logger 'broken': {method} raised ")
     assert "PluginFailedError" not in line
     assert line.endswith("the training continues without it")
