@@ -6,8 +6,9 @@ A policy with a risk plays every kind of ground, without escapes. For each group
 network is trained on the episodes of all other groups. It is calibrated on further episodes of each
 of these, by networks that have not seen that group, either. The table shows how many failures on
 the group left out it announces three decisions ahead, and in how many of the episodes that reached
-the finish it warned. ``known`` counts the same with a risk that has learnt all kinds; the last
-row has the sign of a standing robot without a network.
+the finish it warned. ``known`` counts the same with a risk that has learnt all kinds, and whose
+threshold was chosen on the very episodes; the last row is the sign of a standing robot, without a
+network.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ from flipperctl.evaluation.statistics import proportion
 from flipperctl.evaluation.views.summary import summarise
 from flipperctl.policies.trained import TrainedPolicy, policy_module
 from flipperctl.rollout.episode import EpisodeRisks, play
-from flipperctl.training.validation import calibrated
+from flipperctl.training.validation import calibrated, sigmoid
 
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "stairs": ("stair", "building_stair", "stairwell", "paper_stair"),
@@ -90,10 +91,6 @@ class Seen:
         episode, nothing = EpisodeRisk(self.size, sign, stride), np.zeros(len(LAGS), "f4")
         rows = zip(told, self.inputs, self.places, strict=True)
         return EpisodeRisks.of(sign, [episode.update(r, nothing, *at) for r, *at in rows])
-
-
-def _probabilities(odds: FloatArray) -> FloatArray:
-    return np.exp(-np.logaddexp(0.0, -odds))
 
 
 class _Watch:
@@ -161,7 +158,7 @@ def calibration(
     rows = [
         {
             "outcome": "stuck" if episode.failed else "reached",
-            **EpisodeRisks.of(sign, _probabilities(episode.odds(network)).tolist()).to_row(),
+            **EpisodeRisks.of(sign, sigmoid(episode.odds(network)).tolist()).to_row(),
         }
         for network, episodes in told
         for episode in episodes
@@ -196,7 +193,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def show(learning: Sequence[Seen], testing: Sequence[Seen], agent: Agent, stride: float) -> None:
     """Train the networks and print the table; ``stride``: way of the belts in a decision [m]."""
     tested = {group: [e for e in testing if e.kind in kinds] for group, kinds in GROUPS.items()}
-    tested = {group: episodes for group, episodes in tested.items() if episodes}
 
     @cache
     def without(groups: frozenset[str]) -> RiskNetwork:
@@ -218,10 +214,10 @@ def show(learning: Sequence[Seen], testing: Sequence[Seen], agent: Agent, stride
         counts = []
         for network, found in (new, (known, usual)):
             odds = [found.slope * e.odds(network) + found.shift for e in mine]
-            told = [_probabilities(each).tolist() for each in odds]
+            told = [sigmoid(each).tolist() for each in odds]
             counts.append(_counts(mine, told, found.sign, stride))
         sums += counts
-        print(_line(f"{group}", *counts), f"  threshold {new[1].sign.threshold:.2f}", flush=True)
+        print(_line(group, *counts), f"  threshold {new[1].sign.threshold:.2f}", flush=True)
     print(_line("all", *sums.tolist()))
     silent = [[0.0] * len(e.inputs) for e in testing]
     alone = _counts(testing, silent, usual.sign, stride)

@@ -99,7 +99,7 @@ def versions_here(config: EvalConfig) -> dict[str, str]:
     """
     return {
         "flipperctl": flipperctl.__version__,
-        **({} if (code := checked_out()) is None else {"code": code}),
+        **({} if (code := code_digest()) is None else {"code": code}),
         **{name: version(name) for name in _LIBRARIES},
         **engine_versions(config.sim),
     }
@@ -136,11 +136,16 @@ def blocks(indices: Sequence[int], size: int) -> Iterator[list[int]]:
         yield block
 
 
-@cache
-def checked_out() -> str | None:
-    """Return a hash of the code of the checkout that runs; None for an installed package."""
+def _checkout() -> Path | None:
+    """Return the root of the checkout that runs; None for an installed package."""
     root = Path(flipperctl.__file__).parents[1]
-    if not (root / ".git").exists():
+    return root if (root / ".git").exists() else None
+
+
+@cache
+def code_digest() -> str | None:
+    """Return a hash of the code of the checkout that runs; None for an installed package."""
+    if (root := _checkout()) is None:
         return None
     files = (file for room in ("flipperctl", "plugins") for file in (root / room).rglob("*.py"))
     return _digest([content_digest(file) for file in sorted(files)])[:_SHORT]
@@ -149,8 +154,7 @@ def checked_out() -> str | None:
 @cache
 def commit() -> str | None:
     """Return the commit of the checkout that runs; None for an installed package."""
-    root = Path(flipperctl.__file__).parents[1]
-    if not (root / ".git").exists():
+    if (root := _checkout()) is None:
         return None
     command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40"]
     try:

@@ -54,7 +54,7 @@ def calibrated(
     probabilities = []
     for risks, fails in episodes:
         odds = slope * _log_odds(np.array(risks.told)) + shift
-        probabilities.append((EpisodeRisks.of(sign, _sigmoid(odds).tolist()), fails))
+        probabilities.append((EpisodeRisks.of(sign, sigmoid(odds).tolist()), fails))
     threshold = threshold_for(probabilities, settings.risk_false_alarms, _LEAST)
     calibration = RiskCalibration(RiskSign(settings.risk_horizon, threshold), slope, shift)
     final = [(EpisodeRisks(calibration.sign, risks.told), fails) for risks, fails in probabilities]
@@ -88,7 +88,7 @@ def fit(log_odds: FloatArray, came: FloatArray, horizon: int) -> tuple[float, fl
     found = start.copy()
     for _ in range(_STEPS):
         turned = math.exp(found[0]) * log_odds
-        risk = _sigmoid(turned + found[1])
+        risk = sigmoid(turned + found[1])
         rows = np.stack([turned, np.ones_like(turned)])  # derivatives of the score, (2, D)
         gradient = rows @ (risk - came) / horizon + weights * (found - start)
         # The Fisher information, which is positive, in place of the second derivative.
@@ -108,7 +108,8 @@ def _log_odds(probabilities: FloatArray) -> FloatArray:
     return np.log(cut) - np.log1p(-cut)
 
 
-def _sigmoid(values: FloatArray) -> FloatArray:
+def sigmoid(values: FloatArray) -> FloatArray:
+    """Return the probabilities of log-odds of any shape."""
     return np.exp(-np.logaddexp(0.0, -values))
 
 

@@ -36,9 +36,10 @@ def margins(episode: Sequence[Transition]) -> FloatArray:
     robot with its load. The last episode's margins are kept, since two measures ask for them.
     """
     global _latest
-    if _latest is None or _latest[0] is not episode[-1] or len(_latest[1]) != len(episode):
-        _latest = episode[-1], _computed(episode)
-    return _latest[1]
+    found = _latest  # which another thread may replace meanwhile
+    if found is None or found[0] is not episode[-1] or len(found[1]) != len(episode):
+        _latest = found = episode[-1], _computed(episode)
+    return found[1]
 
 
 _latest: tuple[Transition, FloatArray] | None = None
