@@ -56,13 +56,15 @@ def test_an_episode_that_overwrites_itself_is_marked_where_it_is_left() -> None:
 
 
 def test_each_resemblance_adds_its_coefficient_to_the_log_odds() -> None:
+    torch.manual_seed(0)
     network, rows = RiskNetwork(2), torch.eye(2)
     alone, coefficients = network(rows)
     resembles = torch.zeros(2, len(LAGS))
     resembles[1, :2] = 1.0
     found = network.log_odds(rows, resembles).tolist()
     expected = [alone[0, 0], alone[1, 0] + coefficients[1, 0] + coefficients[1, 1]]
-    assert found == pytest.approx([number.item() for number in expected])
+    # The terms nearly cancel for some weights, and single precision sums them in another order.
+    assert found == pytest.approx([number.item() for number in expected], abs=1e-6)
 
 
 def test_before_a_validation_the_weight_of_failures_is_taken_back() -> None:
