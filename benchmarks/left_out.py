@@ -1,6 +1,7 @@
 """How a risk announces failures on kinds of ground that it was never trained on.
 
     python -m benchmarks.left_out [--policy NAME] [--episodes N] [--conditions NAME] [--alarms A]
+                                  [--output FILE]
 
 A policy with a risk plays every kind of ground, without escapes. For each group of kinds, a risk
 network is trained on the episodes of all other groups. It is calibrated on further episodes of each
@@ -9,6 +10,9 @@ the group left out it announces three decisions ahead, and in how many of the ep
 the finish it warned. ``known`` counts the same with a risk that has learnt all kinds, and whose
 threshold was chosen on the very episodes; the last row is the sign of a standing robot, without a
 network.
+
+``--output`` writes the policy with a new risk, which has learnt all kinds. It is calibrated by what
+the networks told of the group that each had left out.
 """
 
 from __future__ import annotations
@@ -29,7 +33,7 @@ import flipperctl
 from flipperctl import entry, plugins
 from flipperctl.agent.risk import RiskNetwork, risk_loss
 from flipperctl.api import FloatArray
-from flipperctl.checkpoint import Checkpoint, read_policy, shipped_policies
+from flipperctl.checkpoint import Checkpoint, read_policy, shipped_policies, write
 from flipperctl.config import Agent
 from flipperctl.core.risk import (
     LAGS,
@@ -152,8 +156,11 @@ def learnt(episodes: Sequence[Seen], horizon: int, seed: int) -> RiskNetwork:
 
 def calibration(
     told: Sequence[tuple[RiskNetwork, Sequence[Seen]]], agent: Agent
-) -> RiskCalibration:
-    """Return the calibration of networks on episodes that each of them has not learnt from."""
+) -> tuple[RiskCalibration, dict[str, float]]:
+    """Return the calibration of networks on episodes that each of them has not learnt from.
+
+    Its metrics come with it, as a validation holds them.
+    """
     sign = RiskSign(agent.risk_horizon, 1.0)
     rows = [
         {
@@ -165,7 +172,7 @@ def calibration(
     ]
     found = calibrated(rows, agent)
     assert found is not None  # there are episodes
-    return found[0]
+    return found
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -174,7 +181,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--policy", default="generalist", help="a checkpoint with a risk")
     parser.add_argument("--episodes", type=int, default=300, help="of each kind, to learn and test")
     parser.add_argument("--conditions", default="widest")
-    parser.add_argument("--alarms", type=float, default=0.03, help="agent.risk_false_alarms")
+    parser.add_argument("--alarms", type=float, default=0.01, help="agent.risk_false_alarms")
+    parser.add_argument("--output", type=Path, metavar="FILE", help="policy with the new risk")
     options = parser.parse_args(arguments)
     plugins.load([])
     checkpoint = read_policy(shipped_policies().get(options.policy, Path(options.policy)))
@@ -186,12 +194,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
             seeds = range(part * 10**6, part * 10**6 + options.episodes)
             into += seen(checkpoint, kind, options.conditions, seeds, draws=part == 2)
         print(kind, file=sys.stderr)
-    show(learning, testing, agent, config.robot.track_speed * config.robot.decision_period)
+    stride = config.robot.track_speed * config.robot.decision_period
+    network, metrics = show(learning, testing, agent, stride)
+    if options.output:
+        save(checkpoint, network, metrics, options.output)
     return 0
 
 
-def show(learning: Sequence[Seen], testing: Sequence[Seen], agent: Agent, stride: float) -> None:
-    """Train the networks and print the table; ``stride``: way of the belts in a decision [m]."""
+def save(
+    checkpoint: Checkpoint, network: RiskNetwork, metrics: Mapping[str, float], path: Path
+) -> None:
+    """Write the policy with a network of its risk, and its calibration among the ``metrics``."""
+    document = checkpoint.document
+    assert document.validation is not None  # a checkpoint with a risk has one
+    validation = document.validation.model_copy(update=metrics)
+    risk = {f"risk.{name}": weights for name, weights in network.state_dict().items()}
+    tensors = dict(checkpoint.tensors) | risk
+    write(path, document.model_copy(update={"validation": validation}), tensors)
+
+
+def show(
+    learning: Sequence[Seen], testing: Sequence[Seen], agent: Agent, stride: float
+) -> tuple[RiskNetwork, dict[str, float]]:
+    """Train the networks and print the table; ``stride``: way of the belts in a decision [m].
+
+    Returns the network that has learnt all kinds, and the metrics of its calibration by the others.
+    """
     tested = {group: [e for e in testing if e.kind in kinds] for group, kinds in GROUPS.items()}
 
     @cache
@@ -200,7 +228,7 @@ def show(learning: Sequence[Seen], testing: Sequence[Seen], agent: Agent, stride
         return learnt([e for e in learning if e.kind not in left], agent.risk_horizon, 0)
 
     known = without(frozenset())
-    usual = calibration([(known, testing)], agent)
+    usual, _ = calibration([(known, testing)], agent)
     sums = np.zeros((2, 4), int)
     print(_ROW.format("left out", "failures", "announced", "known", "reached", "warned", "known"))
     for group, mine in tested.items():
@@ -210,7 +238,7 @@ def show(learning: Sequence[Seen], testing: Sequence[Seen], agent: Agent, stride
             for other, episodes in tested.items()
             if other != group
         ]
-        new = without(frozenset((group,))), calibration(others, agent)
+        new = without(frozenset((group,))), calibration(others, agent)[0]
         counts = []
         for network, found in (new, (known, usual)):
             odds = [found.slope * e.odds(network) + found.shift for e in mine]
@@ -222,6 +250,8 @@ def show(learning: Sequence[Seen], testing: Sequence[Seen], agent: Agent, stride
     silent = [[0.0] * len(e.inputs) for e in testing]
     alone = _counts(testing, silent, usual.sign, stride)
     print(_line("standing alone", alone, alone))
+    unseen = [(without(frozenset((group,))), mine) for group, mine in tested.items()]
+    return known, calibration(unseen, agent)[1]
 
 
 def _counts(

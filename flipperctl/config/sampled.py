@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
-from typing import Annotated, Any, Self, TypeGuard, Union, get_args, get_origin
+from typing import Annotated, Any, Final, Self, TypeGuard, Union, get_args, get_origin
 
 import numpy as np
 from pydantic import (
@@ -109,6 +109,8 @@ SWITCHES = {"occlusion": "perception"}
 """Section of each short form of a switch with a probability; sampled after those with a range."""
 PATH_SECTIONS = ("sim", "robot", "perception")
 """Sections whose settings are sampled by path, after all short forms and in this order."""
+_FACTOR: Final = 10.0
+"""Ratio of a range's ends from which on its logarithm is sampled evenly [-]."""
 OMITTED: Mapping[str, Any] = {"sim": {}, "robot": {}, "perception": {}, "spread": None}
 """Settings that files have only if they are used, with what they are otherwise."""
 
@@ -160,7 +162,8 @@ class Randomise(_ShortForms):
     range has the unit of its setting and must lie within its bounds, and all combinations must be
     possible; a switch has a probability. The start is sampled by
     ``episode.start_noise`` and ``episode.start_angle_noise``. With ``spread`` many episodes are
-    close to the configured values and some far from them.
+    close to the configured values and some far from them. A range from above 0 to ten times its
+    start or more is sampled in the logarithm.
     """
 
     occlusion: float | None = Field(
@@ -228,13 +231,17 @@ def sample(sections: Sections, randomise: Randomise, rng: np.random.Generator) -
     for one in randomise.sampled():
         section = sections[one.section]
         settings, (low, high) = type(section), one.ends
-        if share is not None:
-            middle = _configured(section, one.field, low, high)
-            low, high = middle + share * (low - middle), middle + share * (high - middle)
-        if _kind(settings, one.field) is bool:
-            values[one.name] = float(rng.random() < low)
+        to, back = (math.log, math.exp) if 0 < low <= high / _FACTOR else (float, float)
+        if share is None:
+            start, end = to(low), to(high)
         else:
-            values[one.name] = _allowed(settings, one.field, rng.uniform(low, high))
+            middle = to(_configured(section, one.field, low, high))
+            start, end = (middle + share * (to(value) - middle) for value in (low, high))
+        if _kind(settings, one.field) is bool:
+            values[one.name] = float(rng.random() < start)
+        else:
+            value = min(high, max(low, back(rng.uniform(start, end))))
+            values[one.name] = _allowed(settings, one.field, value)
     return values
 
 

@@ -98,7 +98,7 @@ class AllCourses(Mix):
     weights: tuple[float, ...] = weights_field(tuple(weight for _, weight in MIX))
 
 
-_SHARES = (20.0, 3.0, 1.2, 0.7, 1.0, 2.0, 4.0, 0.7, 18.0, 2.0, 6.0, 4.0, 2.5, 4.0)
+_SHARES = (20.0, 3.0, 1.2, 0.7, 1.0, 2.0, 4.0, 0.7, 18.0, 2.0, 12.0, 4.0, 2.5, 4.0)
 """Frequencies of the parts of ``all_courses``: many drops, deep trenches and natural ground."""
 
 _HARD: tuple[tuple[AnyTerrain, float], ...] = (

@@ -1,4 +1,4 @@
-"""``randomise.spread``: how far an episode's values may lie from the configured ones."""
+"""``randomise``: which values of a range an episode gets, and how far from the configured ones."""
 
 from typing import Any
 
@@ -69,3 +69,18 @@ def test_a_number_up_to_which_an_engine_samples_lies_on_the_way_too() -> None:
     config = EnvConfig(terrain="flat", sim="mujoco", randomise=ranges)
     found = config.sample(np.random.default_rng(0))
     assert (found["sim.yaw"], found["sim.offset"]) == pytest.approx((0.05, 0.025))
+
+
+def test_a_range_over_a_factor_of_ten_is_sampled_in_the_logarithm() -> None:
+    rng, flat = np.random.default_rng(0), EnvConfig(terrain="flat")
+    for torques, quarter in (((20, 200), 35.6), ((20.5, 200), 65.4)):  # 20 · 10^0.25, 20.5 + 44.9
+        found = flat.model_copy(update={"randomise": Randomise(flipper_torque=torques)})
+        values = [found.sample(rng)["flipper_torque"] for _ in range(4000)]
+        assert torques[0] <= min(values)
+        assert max(values) <= torques[1]
+        assert np.mean(np.array(values) < quarter) == pytest.approx(0.25, abs=0.03)
+    half = flat.model_copy(
+        update={"randomise": Randomise(flipper_torque=(20, 200), spread=(0.5, 0.5))}
+    )
+    values = [half.sample(rng)["flipper_torque"] for _ in range(400)]
+    assert 63.2 <= min(values) < 66  # 200 / √10: half of the way from the configured torque
