@@ -231,7 +231,7 @@ def sample(sections: Sections, randomise: Randomise, rng: np.random.Generator) -
     for one in randomise.sampled():
         section = sections[one.section]
         settings, (low, high) = type(section), one.ends
-        to, back = (math.log, math.exp) if 0 < low <= high / _FACTOR else (float, float)
+        to = math.log if (logarithm := 0 < low <= high / _FACTOR) else float
         if share is None:
             start, end = to(low), to(high)
         else:
@@ -240,7 +240,8 @@ def sample(sections: Sections, randomise: Randomise, rng: np.random.Generator) -
         if _kind(settings, one.field) is bool:
             values[one.name] = float(rng.random() < start)
         else:
-            value = min(high, max(low, back(rng.uniform(start, end))))
+            value = rng.uniform(start, end)
+            value = min(high, max(low, math.exp(value))) if logarithm else value
             values[one.name] = _allowed(settings, one.field, value)
     return values
 

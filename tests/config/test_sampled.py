@@ -72,15 +72,14 @@ def test_a_number_up_to_which_an_engine_samples_lies_on_the_way_too() -> None:
 
 
 def test_a_range_over_a_factor_of_ten_is_sampled_in_the_logarithm() -> None:
-    rng, flat = np.random.default_rng(0), EnvConfig(terrain="flat")
-    for torques, quarter in (((20, 200), 35.6), ((20.5, 200), 65.4)):  # 20 · 10^0.25, 20.5 + 44.9
-        found = flat.model_copy(update={"randomise": Randomise(flipper_torque=torques)})
-        values = [found.sample(rng)["flipper_torque"] for _ in range(4000)]
-        assert torques[0] <= min(values)
-        assert max(values) <= torques[1]
-        assert np.mean(np.array(values) < quarter) == pytest.approx(0.25, abs=0.03)
-    half = flat.model_copy(
-        update={"randomise": Randomise(flipper_torque=(20, 200), spread=(0.5, 0.5))}
-    )
-    values = [half.sample(rng)["flipper_torque"] for _ in range(400)]
-    assert 63.2 <= min(values) < 66  # 200 / √10: half of the way from the configured torque
+    def torques(low: float, **spread: Any) -> list[float]:
+        ranges = Randomise(flipper_torque=(low, 200), **spread)
+        config, rng = EnvConfig(terrain="flat", randomise=ranges), np.random.default_rng(0)
+        return [config.sample(rng)["flipper_torque"] for _ in range(4000)]
+
+    for low, quarter in ((20, 35.6), (20.5, 65.4)):  # 20 · 10^0.25, 20.5 + 44.9
+        found = torques(low)
+        assert low <= min(found) < max(found) <= 200
+        assert np.mean(np.array(found) < quarter) == pytest.approx(0.25, abs=0.03)
+    half = torques(20, spread=(0.5, 0.5))
+    assert 63.2 <= min(half) < 64  # 200 / √10: half of the way from the configured torque
