@@ -181,7 +181,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--policy", default="generalist", help="a checkpoint with a risk")
     parser.add_argument("--episodes", type=int, default=300, help="of each kind, to learn and test")
     parser.add_argument("--conditions", default="widest")
-    parser.add_argument("--alarms", type=float, default=0.01, help="agent.risk_false_alarms")
+    parser.add_argument("--alarms", type=float, default=0.015, help="agent.risk_false_alarms")
     parser.add_argument("--output", type=Path, metavar="FILE", help="policy with the new risk")
     options = parser.parse_args(arguments)
     plugins.load([])
