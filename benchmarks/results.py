@@ -49,7 +49,7 @@ COMMANDS: Mapping[str, str] = {
     "cells_mujoco": "flipperctl eval suite=generalist sim=mujoco --checkpoint generalist "
     f"--episodes 30 --seed 61172 --baseline okada,level {_PASSABLE}",
     "cells_3d": "flipperctl eval suite=generalist_3d --checkpoint generalist "
-    "--controller okada,level --episodes 8 --seed 61173",
+    f"--episodes 30 --seed 61173 --baseline okada,level {_PASSABLE}",
 }
 """The command of each file; those whose names begin with ``cells_`` are of a suite's scenes."""
 SHIPPED = "shipped"
