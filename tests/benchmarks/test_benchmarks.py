@@ -5,15 +5,18 @@ import json
 import math
 import shlex
 from importlib import import_module
+from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from benchmarks import __main__ as benchmarks
 from benchmarks import (
     coverage,
     engine_agreement,
     estimator_fuzz,
+    left_out,
     lidar,
     map_errors,
     results,
@@ -22,12 +25,16 @@ from benchmarks import (
     tables,
 )
 from benchmarks.settings import MEASURES, Benchmark, BenchmarkSettings, ratio, sizes
+from flipperctl.agent.risk import RiskNetwork
 from flipperctl.api import Robot
 from flipperctl.bench import measure_in_turn, quantity
+from flipperctl.checkpoint import read
 from flipperctl.cli.main import run_app
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig
+from flipperctl.core.risk import RiskCalibration, RiskSign
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.source import load_policy
+from flipperctl.policies.trained import policy_risk
 from flipperctl.sim.planar.sensing import correlated
 
 UNITS = {"m", "rad", "1/s", "s", "ms", "µs", "MiB", "-"}
@@ -224,3 +231,18 @@ def test_contestants_take_turns() -> None:
     assert order == ["a", "b", "a", "b", "a", "b"]
     assert found == {"a": [1.0, 3.0, 5.0], "b": [2.0, 4.0, 6.0]}
     assert fractions[-1] == 1.0
+
+
+def test_a_new_risk_comes_into_a_policy_and_changes_nothing_else(tmp_path: Path) -> None:
+    shipped = read(load_policy("generalist").file)
+    network = RiskNetwork(policy_risk(shipped).network.layers[0].in_features)
+    calibration = RiskCalibration(RiskSign(12, 0.37), 1.5, -2.0)
+    left_out.save(shipped, network, calibration.to_metrics(), tmp_path / "new.safetensors")
+    new = read(tmp_path / "new.safetensors")
+    risk = policy_risk(new)
+    assert (risk.sign, risk.slope, risk.shift) == (calibration.sign, 1.5, -2.0)
+    assert torch.equal(risk.network.layers[0].weight, network.layers[0].weight)
+    kept, policy = shipped.part("policy"), new.part("policy")
+    assert kept.keys() == policy.keys()
+    assert all(torch.equal(kept[name], policy[name]) for name in kept)
+    assert new.document.config == shipped.document.config
