@@ -18,6 +18,7 @@ the networks told of the group that each had left out.
 from __future__ import annotations
 
 import argparse
+import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -46,6 +47,7 @@ from flipperctl.core.risk import (
 )
 from flipperctl.evaluation.statistics import proportion
 from flipperctl.evaluation.views.summary import summarise
+from flipperctl.files import OutputKind, check_output
 from flipperctl.policies.trained import TrainedPolicy, policy_module
 from flipperctl.rollout.episode import EpisodeRisks, play
 from flipperctl.training.validation import calibrated, sigmoid
@@ -61,6 +63,9 @@ GROUPS: Mapping[str, tuple[str, ...]] = {
     "natural": ("rough",),
 }
 """Kinds of ground by what is alike in them, and is therefore left out together."""
+_KIND = OutputKind(
+    "a checkpoint", (".safetensors",), re.compile(rb'\\"kind\\": ?\\"(best|last)\\"')
+)
 _ROW = "{:16}  {:>8}  {:23}  {:>5}  {:>7}  {:23}  {:>5}"
 _COUNTS = "failures", "announced", "reached", "false_alarms"
 _STEPS, _BATCH, _RATE = 1500, 512, 2e-3
@@ -184,6 +189,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--alarms", type=float, default=0.015, help="agent.risk_false_alarms")
     parser.add_argument("--output", type=Path, metavar="FILE", help="policy with the new risk")
     options = parser.parse_args(arguments)
+    if options.output:
+        check_output(options.output, _KIND)
     plugins.load([])
     checkpoint = read_policy(shipped_policies().get(options.policy, Path(options.policy)))
     config = checkpoint.policy_config()
