@@ -59,12 +59,13 @@ def check_demand(
     )
     together, batch = settings.updates_together, settings.batch_size
     # The transitions of all updates; and for one update the output of every layer and its gradient.
-    numbers = 2 * together * batch * inputs + 2 * batch * activations
+    drawn = settings.candidates * together * batch
+    numbers = 2 * drawn * inputs + 2 * batch * activations
     require(
         _FLOAT * numbers,
-        f"agent.batch_size: {together} times {batch:,} transitions "
-        "(agent.updates_together times it) take",
-        "lower one of the two",
+        f"agent.batch_size: {drawn // batch} times {batch:,} transitions "
+        "(agent.updates_together and agent.candidates times it) take",
+        "lower one of the three",
     )
 
 

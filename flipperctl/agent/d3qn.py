@@ -14,6 +14,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import torch
@@ -26,11 +27,25 @@ from flipperctl.agent.losses import (
     teacher_cross_entropy,
     teacher_large_margin,
 )
-from flipperctl.agent.networks import difference_loss, difference_targets, naming_network, seeded
+from flipperctl.agent.networks import (
+    difference_loss,
+    difference_targets,
+    errors,
+    naming_network,
+    seeded,
+)
 from flipperctl.agent.replay import Batch, GroupBatch
 from flipperctl.config.agent import linear
 from flipperctl.errors import NonFiniteError
 
+_PRIORITY: Final = 0.6
+"""Exponent of an error in the probability that an update learns from it [-] (α of Schaul et al.
+2016)."""
+_CORRECTION: Final = 0.5
+"""Exponent of that probability in the weight of the loss [-] (their β, constant): 1 would take all
+of the preference back in the mean."""
+_SMALLEST: Final = 0.02
+"""Added to an error, so that none is never learnt from, in scaled rewards [-]."""
 PULL: Final = 0.01
 """Weight of the mean squared output in the loss [-]: what the acting network can tell from its
 observation then becomes part of its own values, whose mean would otherwise be arbitrary."""
@@ -101,12 +116,19 @@ class D3qn(Learner):
         self._parts["baselines"] = self.baselines = Baselines(inputs, privileged).to(self.device)
         return [(self.baselines.online, self.baselines.target)]
 
+    @property
+    def candidates(self) -> int:
+        """Transitions of which an update chooses one [-]; 1 where labels alone are learnt."""
+        imitates = self._teacher is not None and not self._teacher.td_weight
+        return 1 if imitates else self.settings.candidates
+
     def update(self, batch: Batch, fraction: float, groups: Sequence[GroupBatch] = ()) -> float:
         """Take gradient steps of ``batch_size`` transitions each; return the last loss [-].
 
-        ``batch`` holds the transitions of one or more steps; their targets are all computed before
-        the first step. ``fraction``: completed part of the run, 0 to 1, which sets the learning
-        rate and the weight of the labels. ``groups``: valued states for each step.
+        ``batch`` holds ``candidates`` times the transitions of one or more steps; their targets
+        are all computed before the first step. ``fraction``: completed part of the run, 0 to 1,
+        which sets the learning rate and the weight of the labels. ``groups``: valued states for
+        each step.
         """
         random = seeded(self.device, self._seed, self.optimiser.steps)  # equal in a resumed run
         with naming_network(self.online, "forward"), random:  # only its own code can fail here
@@ -130,6 +152,9 @@ class D3qn(Learner):
             )
             if self.baselines is not None:
                 targets = self.baselines.with_next(targets, batch)
+            uniform = batch
+            if self.candidates > 1:
+                batch, targets = self._prioritised(batch, targets)
         self.online.train()
         value = 0.0
         for start in range(0, len(targets), s.batch_size):
@@ -145,11 +170,25 @@ class D3qn(Learner):
                 )
             self._descend(loss, rate)
             if self.risk is not None:
-                self.risk.step(step, rate)
+                self.risk.step(uniform.rows(part), rate)
             if self.curiosity is not None:
-                self.curiosity.step(step, rate)
+                self.curiosity.step(uniform.rows(part), rate)
         self._noise.acts()
         return value
+
+    def _prioritised(self, batch: Batch, targets: torch.Tensor) -> tuple[Batch, torch.Tensor]:
+        """Choose the transitions to learn from, larger errors more often, and weight their losses.
+
+        Prioritised replay (Schaul et al. 2016, "Prioritized experience replay") remembers each
+        transition's last error. Here those of a random part of the replay are computed anew.
+        """
+        left = targets
+        if self.baselines is not None:
+            left, _ = self.baselines.without_present(targets, batch)
+        chances = (errors(self.online, batch, left) + _SMALLEST) ** _PRIORITY
+        chosen = torch.multinomial(chances, len(targets) // self.candidates)
+        weight = (chances.mean() / chances[chosen]) ** _CORRECTION
+        return replace(batch.rows(chosen), weight=weight / weight.mean()), targets[chosen]
 
     def _difference_loss(self, batch: Batch, target: torch.Tensor) -> torch.Tensor:
         if self.baselines is None:

@@ -28,9 +28,14 @@ def double_q_target(
     return reward + discount * next_target.gather(1, best).squeeze(1)
 
 
-def huber(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-    """Return the mean Huber loss with threshold 1 of two (B,) tensors."""
-    return torch.nn.functional.smooth_l1_loss(prediction, target)
+def huber(
+    prediction: torch.Tensor, target: torch.Tensor, weight: torch.Tensor | None = None
+) -> torch.Tensor:
+    """Return the mean Huber loss with threshold 1 of two (B,) tensors, weighted by a third."""
+    if weight is None:
+        return torch.nn.functional.smooth_l1_loss(prediction, target)
+    each = torch.nn.functional.smooth_l1_loss(prediction, target, reduction="none")
+    return (weight * each).mean()
 
 
 def teacher_cross_entropy(
@@ -123,12 +128,14 @@ def double_quantile_target(
     return reward.unsqueeze(1) + discount.unsqueeze(1) * best
 
 
-def quantile_huber(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+def quantile_huber(
+    prediction: torch.Tensor, target: torch.Tensor, row_weight: torch.Tensor | None = None
+) -> torch.Tensor:
     """Return the quantile Huber loss with threshold 1 (Dabney et al. 2018, Eqs. 9 and 10).
 
     ``prediction`` (B, K) holds the quantiles at τ_i = (i + ½) / K, ``target`` (B, K′) values that
     are equally likely. The loss is summed over the quantiles and averaged over the values and the
-    batch.
+    batch, whose rows are weighted by ``row_weight`` (B,).
     """
     count = prediction.shape[1]
     tau = (torch.arange(count, device=prediction.device) + 0.5) / count
@@ -136,7 +143,8 @@ def quantile_huber(prediction: torch.Tensor, target: torch.Tensor) -> torch.Tens
     size = error.abs()
     small = size.clamp(max=1.0)
     weight = (tau.view(1, -1, 1) - (error < 0).to(error.dtype)).abs()
-    return (weight * small * (size - 0.5 * small)).sum(dim=1).mean()
+    each = (weight * small * (size - 0.5 * small)).sum(dim=1)  # (B, K′)
+    return each.mean() if row_weight is None else (row_weight.unsqueeze(1) * each).mean()
 
 
 def divergence(p: torch.Tensor, log_q: torch.Tensor) -> torch.Tensor:

@@ -55,9 +55,23 @@ def difference_loss(online: torch.nn.Module, batch: Batch, targets: torch.Tensor
     """
     if isinstance(online, Distributional):
         rows = torch.arange(len(batch.action), device=batch.action.device)
-        return quantile_huber(online.quantiles(batch.observation)[rows, batch.action], targets)
-    predicted = online(batch.observation).gather(1, batch.action.unsqueeze(1)).squeeze(1)
-    return huber(predicted, targets)
+        quantiles = online.quantiles(batch.observation)[rows, batch.action]
+        return quantile_huber(quantiles, targets, batch.weight)
+    return huber(_of_actions(online, batch), targets, batch.weight)
+
+
+def errors(online: torch.nn.Module, batch: Batch, targets: torch.Tensor) -> torch.Tensor:
+    """Return the sizes of the temporal-difference errors, (B,), of means where there are quantiles.
+
+    ``targets``: (B,), or (B, K) for a network with quantiles.
+    """
+    mean = targets if targets.ndim == 1 else targets.mean(dim=1)
+    return (_of_actions(online, batch) - mean).abs()
+
+
+def _of_actions(online: torch.nn.Module, batch: Batch) -> torch.Tensor:
+    found: torch.Tensor = online(batch.observation)
+    return found.gather(1, batch.action.unsqueeze(1)).squeeze(1)
 
 
 TRAINING_COPIES = 6

@@ -124,6 +124,8 @@ class Batch:
     """1 where the episode failed soon, else 0, or ``UNKNOWN``, (B,) float32, for a risk."""
     resembles: torch.Tensor | None = None
     """How much the newest observation resembles those before it, (B, lags) float32, likewise."""
+    weight: torch.Tensor | None = None
+    """Weights of the rows' losses, (B,) float32 of mean 1; None: all equal."""
 
     def rows(self, part: slice | torch.Tensor) -> Batch:
         """Return a part of the batch: a slice, or the rows of these indices, (R,)."""

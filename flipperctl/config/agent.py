@@ -165,6 +165,13 @@ class Agent(Settings):
         description="decisions from a warning on that are drawn with agent.escape_temperature [-]",
     )
     batch_size: int = Field(128, ge=2, le=65536, description="transitions per update [-]")
+    candidates: int = Field(
+        1,
+        ge=1,
+        le=64,
+        description="transitions drawn for each one that an update learns from; those with larger "
+        "errors are chosen more often (prioritised replay); 1: none is preferred [-]",
+    )
     replay_size: int = Field(
         100_000, ge=100, le=10_000_000, description="capacity of the replay [-]"
     )

@@ -148,7 +148,7 @@ class Trainer(BaseTrainer):
         due = progress.decision % (agent.update_every * together) == 0
         begun = progress.decision + self.replay.kept >= agent.learning_starts
         if isinstance(self.agent, D3qn) and due and begun and len(self.replay):
-            batch = self.replay.sample(together * agent.batch_size, rng)
+            batch = self.replay.sample(self.agent.candidates * together * agent.batch_size, rng)
             valued = self.valued.batches(together, rng)
             fraction = progress.decision / self.config.train.decisions
             progress.loss = self.agent.update(batch, fraction, valued)

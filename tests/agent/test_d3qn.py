@@ -142,6 +142,40 @@ def test_updates_together_equal_single_ones_where_no_target_depends_on_the_netwo
     assert together.optimiser.steps == alone.optimiser.steps == 2
 
 
+def test_transitions_with_large_errors_are_learnt_first_with_lower_weights() -> None:
+    agent = learner("mlp", candidates=4, batch_size=16, updates_together=1, reward_scale=1.0)
+    batch = dataclasses.replace(fixed_batch(64), discount=torch.zeros(64))
+    surprising = torch.arange(64) % 8 == 0
+    targets = torch.where(surprising, 20.0, 0.0)
+    with torch.no_grad():  # the network's own values are near 0
+        torch.manual_seed(0)
+        chosen, of_chosen = agent._prioritised(batch, targets)
+    assert len(chosen.action) == len(of_chosen) == 16
+    assert chosen.weight is not None
+    assert chosen.weight.mean().item() == pytest.approx(1.0)
+    large = of_chosen > 0
+    assert large.sum() >= 6  # of 8; 2 if none were preferred
+    assert chosen.weight[large].max() < chosen.weight[~large].min()
+    before = agent.online(batch.observation).detach()
+    agent.update(dataclasses.replace(batch, reward=targets), 0.0)
+    moved = (agent.online(batch.observation).detach() - before).abs().sum(dim=1)
+    assert moved[surprising].mean() > moved[~surprising].mean()
+
+
+@pytest.mark.parametrize("network", ["at_d3qn", "quantile"])
+def test_candidates_are_chosen_for_every_kind_of_values(network: str) -> None:
+    agent = learner(network, candidates=2, batch_size=32, updates_together=2)
+    before = weights(agent)
+    agent.update(fixed_batch(128), 0.0)
+    assert agent.optimiser.steps == 2
+    assert any(not torch.equal(p, before[n]) for n, p in agent.online.named_parameters())
+
+
+def test_where_labels_alone_are_learnt_all_transitions_are() -> None:
+    agent = learner("mlp", teacher=Teacher(controller="okada", td_weight=0.0), candidates=4)
+    assert agent.candidates == 1
+
+
 def test_a_label_raises_the_teachers_action_beside_the_temporal_difference() -> None:
     agent = learner("quantile", teacher=Teacher(controller="okada"))
     labels = torch.zeros(64, ACTIONS)

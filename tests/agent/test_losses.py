@@ -38,6 +38,8 @@ def test_the_loss_is_quadratic_near_zero_and_linear_far_out() -> None:
     # (0.5² / 2 + (3 - 1/2)) / 2 = (0.125 + 2.5) / 2
     loss = huber(torch.tensor([0.5, 3.0]), torch.zeros(2))
     assert loss.item() == pytest.approx(1.3125)
+    weighted = huber(torch.tensor([0.5, 3.0]), torch.zeros(2), torch.tensor([1.6, 0.4]))
+    assert weighted.item() == pytest.approx((1.6 * 0.125 + 0.4 * 2.5) / 2)
 
 
 def test_the_distribution_of_the_online_network_s_choice_is_scaled_and_shifted() -> None:
@@ -55,6 +57,10 @@ def test_the_quantile_loss_by_hand() -> None:
     # (¼ · ½ + ¼ · 3½) / 2 + (¼ · ½ + ¾ · 1½) / 2 = ½ + 0.625
     loss = quantile_huber(torch.tensor([[0.0, 2.0]]), torch.tensor([[1.0, 4.0]]))
     assert loss.item() == pytest.approx(1.125)
+    rows = torch.tensor([[0.0, 2.0]] * 2), torch.tensor([[1.0, 4.0], [0.0, 2.0]])
+    one, other = quantile_huber(rows[0][:1], rows[1][:1]), quantile_huber(rows[0][1:], rows[1][1:])
+    weighted = quantile_huber(*rows, torch.tensor([0.5, 1.5]))
+    assert weighted.item() == pytest.approx((0.5 * one.item() + 1.5 * other.item()) / 2)
 
 
 @pytest.mark.parametrize(
