@@ -46,6 +46,8 @@ _CORRECTION: Final = 0.5
 of the preference back in the mean."""
 _SMALLEST: Final = 0.02
 """Added to an error, so that none is never learnt from, in scaled rewards [-]."""
+_LARGEST: Final = 1e9
+"""In place of an error that is not finite: it is chosen, and then refused by its loss."""
 PULL: Final = 0.01
 """Weight of the mean squared output in the loss [-]: what the acting network can tell from its
 observation then becomes part of its own values, whose mean would otherwise be arbitrary."""
@@ -185,7 +187,8 @@ class D3qn(Learner):
         left = targets
         if self.baselines is not None:
             left, _ = self.baselines.without_present(targets, batch)
-        chances = (errors(self.online, batch, left) + _SMALLEST) ** _PRIORITY
+        found = errors(self.online, batch, left).nan_to_num(_LARGEST, posinf=_LARGEST)
+        chances = (found + _SMALLEST) ** _PRIORITY
         chosen = torch.multinomial(chances, len(targets) // self.candidates)
         weight = (chances.mean() / chances[chosen]) ** _CORRECTION
         return replace(batch.rows(chosen), weight=weight / weight.mean()), targets[chosen]

@@ -202,11 +202,12 @@ def test_the_margin_is_weighted_and_added_to_the_temporal_difference() -> None:
     assert joined.update(batch, 0.25) == pytest.approx(2 * td + 3 * margin)  # 4 · (1 - 0.25)
 
 
-def test_a_loss_that_is_not_finite_is_an_error() -> None:
+@pytest.mark.parametrize("candidates", [1, 4])
+def test_a_loss_that_is_not_finite_is_an_error(candidates: int) -> None:
     batch = fixed_batch()
     batch.reward[3] = torch.inf
     with pytest.raises(NonFiniteError, match="loss is inf"):
-        learner().update(batch, 0.0)
+        learner(candidates=candidates).update(batch, 0.0)
 
 
 def test_quantiles_are_learnt_from_a_fixed_batch() -> None:
