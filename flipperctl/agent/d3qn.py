@@ -28,9 +28,9 @@ from flipperctl.agent.losses import (
     teacher_large_margin,
 )
 from flipperctl.agent.networks import (
+    difference_errors,
     difference_loss,
     difference_targets,
-    errors,
     naming_network,
     seeded,
 )
@@ -120,9 +120,8 @@ class D3qn(Learner):
 
     @property
     def candidates(self) -> int:
-        """Transitions of which an update chooses one [-]; 1 where labels alone are learnt."""
-        imitates = self._teacher is not None and not self._teacher.td_weight
-        return 1 if imitates else self.settings.candidates
+        """Transitions of which an update chooses one [-]; 1 with a teacher: labels count alike."""
+        return self.settings.candidates if self._teacher is None else 1
 
     def update(self, batch: Batch, fraction: float, groups: Sequence[GroupBatch] = ()) -> float:
         """Take gradient steps of ``batch_size`` transitions each; return the last loss [-].
@@ -187,7 +186,7 @@ class D3qn(Learner):
         left = targets
         if self.baselines is not None:
             left, _ = self.baselines.without_present(targets, batch)
-        found = errors(self.online, batch, left).nan_to_num(_LARGEST, posinf=_LARGEST)
+        found = difference_errors(self.online, batch, left).nan_to_num(_LARGEST, posinf=_LARGEST)
         chances = (found + _SMALLEST) ** _PRIORITY
         chosen = torch.multinomial(chances, len(targets) // self.candidates)
         weight = (chances.mean() / chances[chosen]) ** _CORRECTION

@@ -60,7 +60,7 @@ def difference_loss(online: torch.nn.Module, batch: Batch, targets: torch.Tensor
     return huber(_of_actions(online, batch), targets, batch.weight)
 
 
-def errors(online: torch.nn.Module, batch: Batch, targets: torch.Tensor) -> torch.Tensor:
+def difference_errors(online: torch.nn.Module, batch: Batch, targets: torch.Tensor) -> torch.Tensor:
     """Return the sizes of the temporal-difference errors, (B,), of means where there are quantiles.
 
     ``targets``: (B,), or (B, K) for a network with quantiles.

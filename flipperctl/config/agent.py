@@ -170,7 +170,7 @@ class Agent(Settings):
         ge=1,
         le=64,
         description="transitions drawn for each one that an update learns from; those with larger "
-        "errors are chosen more often (prioritised replay); 1: none is preferred [-]",
+        "errors are chosen more often (prioritised replay); 1, or a teacher: none is preferred [-]",
     )
     replay_size: int = Field(
         100_000, ge=100, le=10_000_000, description="capacity of the replay [-]"

@@ -12,6 +12,7 @@ from flipperctl.agent.replay import Batch, GroupBatch
 from flipperctl.api import Network, Perception, RobotGeometry
 from flipperctl.api.plugin import registered_names
 from flipperctl.config import Agent, Teacher, resolver
+from flipperctl.core.risk import LAGS
 from flipperctl.errors import NonFiniteError
 from flipperctl.policies.trained import ExploringPolicy
 from tests.agent.learners import ACTIONS, LAYOUT, Ramp, fixed_batch, learner
@@ -171,9 +172,22 @@ def test_candidates_are_chosen_for_every_kind_of_values(network: str) -> None:
     assert any(not torch.equal(p, before[n]) for n, p in agent.online.named_parameters())
 
 
-def test_where_labels_alone_are_learnt_all_transitions_are() -> None:
-    agent = learner("mlp", teacher=Teacher(controller="okada", td_weight=0.0), candidates=4)
-    assert agent.candidates == 1
+def test_with_a_teacher_no_transition_is_preferred() -> None:
+    assert learner("mlp", candidates=4).candidates == 4
+    assert learner("mlp", teacher=Teacher(controller="okada"), candidates=4).candidates == 1
+
+
+def test_the_risk_learns_from_transitions_that_nothing_chose() -> None:
+    def risk(rewards: float) -> dict[str, torch.Tensor]:
+        agent = learner("mlp", candidates=4, batch_size=16, updates_together=1, risk=True)
+        marks = {"failing": torch.arange(64) % 2.0, "resembles": torch.zeros(64, len(LAGS))}
+        batch = dataclasses.replace(fixed_batch(64), **marks)
+        agent.update(dataclasses.replace(batch, reward=batch.reward * rewards), 0.0)
+        assert agent.risk is not None
+        return agent.risk.network.state_dict()
+
+    one, other = risk(1.0), risk(100.0)  # whose updates prefer others
+    assert all(torch.equal(one[name], other[name]) for name in one)
 
 
 def test_a_label_raises_the_teachers_action_beside_the_temporal_difference() -> None:
