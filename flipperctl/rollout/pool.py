@@ -153,11 +153,15 @@ class _Worker:
         self._busy = self._closed = False
 
     def prepare(self) -> None:
-        """Have a process ready for the next call, which raises the error of its start."""
+        """Have a process ready for the next call, which raises the error of its start.
+
+        A process that dies before it is ready costs no call: the next one begins with another.
+        """
         try:
             self._ready()
         except DiedError as error:
-            self._problem = self._death(error)
+            problem = self._death(error)
+            self._problem = None if isinstance(problem, WorkerDiedError) else problem
         except FlipperctlError as error:
             self._problem = error
         finally:

@@ -25,7 +25,7 @@ import pytest
 import flipperctl
 from flipperctl.errors import FlipperctlError
 from flipperctl.rollout import pool as children
-from flipperctl.rollout.pool import WorkerDiedError, WorkerPool
+from flipperctl.rollout.pool import Child, WorkerDiedError, WorkerPool
 from flipperctl.training.trainer import Trainer
 from tests.rollout.notes import Notes, process_ids
 from tests.short import short_config, trainer
@@ -60,6 +60,19 @@ def initialize(module: str = "torch") -> None:
 
 def die() -> None:
     os.kill(os.getpid(), signal.SIGKILL)
+
+
+def die_first(died: Path) -> None:
+    if not died.exists():
+        died.touch()
+        die()
+
+
+def lives(host: Child) -> bool:
+    try:
+        return host.idle
+    except OSError:  # its end was seen
+        return False
 
 
 def fail(error: BaseException) -> None:
@@ -104,11 +117,18 @@ def test_a_dead_worker_is_replaced_and_runs_the_calls_after_it(
         with pytest.raises(WorkerDiedError, match=r"worker process [01] died"):
             dead.result()
         assert [call.result() for call in after] == [0, 1, 2, 3]
-        for pid in process_ids(workers):  # while they wait for calls
-            os.kill(pid, signal.SIGKILL)
-        while any(worker._host is not None and worker._host.idle for worker in workers._workers):
+        killed = [host for worker in workers._workers if isinstance(host := worker._host, Child)]
+        for host in killed:  # while they wait for calls, or start
+            os.kill(host.pid, signal.SIGKILL)
+        while any(lives(host) for host in killed):
             time.sleep(0.001)
-        assert workers.submit(abs, -2).result() == 2
+        assert [workers.submit(abs, -n).result() for n in range(4)] == [0, 1, 2, 3]
+
+
+def test_a_worker_that_dies_as_it_starts_costs_no_call(tmp_path: Path) -> None:
+    with closing(WorkerPool(1, die_first, (tmp_path / "died",))) as workers:
+        assert workers.submit(abs, -1).result() == 1
+    assert (tmp_path / "died").exists()
 
 
 def test_an_error_in_a_worker_is_raised_unchanged_and_many_deaths_end_it(
