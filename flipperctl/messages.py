@@ -165,16 +165,17 @@ def explain_unknown_key(key: str, node: Mapping[str, Any]) -> str:
             break
         node, inside = node[parent], f"{inside}.{parent}".lstrip(".")
     known = sorted(name for name in node if name != "name")
+    place = f"{inside}={node['name']}" if "name" in node else inside
     owner = str(node.get("name", inside.rpartition(".")[2]))
     if gone := removal(owner, leaf, key) or respelling(key, known):
         return gone
     inner = [path for path in _paths(node) if not inside and path.endswith(f".{leaf}")]
     hint = suggestion(*inner, quoted=False) if len(inner) <= 3 else ""
     if inside and not known:
-        return f"{key}: there is no such key; {inside} has no settings here"
+        return f"{key}: there is no such key; {place} has no settings here"
     return (
         f"{key}: there is no such key{hint or close_match(leaf, known)}; "
-        f"known {'in ' + inside if inside else 'groups and keys'}: {', '.join(known)}"
+        f"known {'in ' + place if place else 'groups and keys'}: {', '.join(known)}"
     )
 
 

@@ -45,6 +45,7 @@ train method.algorithm=sac -> method.algorithm | method=sb3
 inspect reward conditions=nominal,varied -> give 2 configurations
 inspect terrain stair eval.seed=4 -> eval.seed=4 | --seed
 eval okada terrain=stair,stair -> is given twice; once is allowed
+eval planner okada controller.smoothness=9 -> controller.smoothness | known in controller=okada:
 eval okada --baseline 'level, level' -> is given twice; once is allowed
 eval okada terrain=step terrain.high=0.3 -> terrain.high is gone; write terrain.height=[low,high]
 eval okada terrain=step terrain.height=[0.3,0.1] -> terrain.height | low ≤ high | [0.3, 0.1]
@@ -64,7 +65,7 @@ train --checkpoint runs/mine -> agent.start_from=runs/mine begins with
 eval --controller level train.decisions=5 \
     -> train.decisions: it belongs to a training, and has no meaning here
 train +train.validation_episodes=3 -> exists already; write it without +
-train collector.max_lag=3 -> collector has no settings here
+train collector.max_lag=3 -> collector=local has no settings here
 inspect run nope -> nope holds no metrics.csv; there is no such folder
 new -> 'KIND' | see flipperctl new --help
 export -> Choose from: onnx, pt2 | see flipperctl export --help
@@ -93,7 +94,7 @@ train +reward@rewards.way=shaped_progress agent.gamma=0.95 \
     -> rewards.way.gamma: 0.99 | agent.gamma (0.95) | set rewards.way.gamma=0.95
 train reward=impact -> rewards.impact: there is no | +reward@rewards.impact=impact
 train +reward@rewards.hit=impact rewards.hit.wieght=2 \
-    -> rewards.hit.wieght | 'weight' | known in rewards.hit:
+    -> rewards.hit.wieght | 'weight' | known in rewards.hit=impact:
 train rewards=paper +reward@rewards.pitch=impact \
     -> rewards.pitch exists already | write reward@rewards.pitch=impact
 train rewards=paper '~rewards.pitch' reward@rewards.pitch=impact \
