@@ -1,6 +1,8 @@
 # Two commands do everything on a fresh machine with Python 3.11+ and make:
-#   make train   sets up, trains terrain=uplift for a minute or two, evaluates, prints the table
+#   make train   installs, trains terrain=uplift for a minute or two, evaluates, prints the table
 #   make test    sets up and runs the static checks and every test that is not marked as long
+#   make install is the first part of train: flipperctl with 3-D and the live pages
+#   make setup   adds what tests, documentation and every extra need
 #   make long    runs the tests marked as long, each night; about half an hour
 #   make check runs the static checks and the quick tests, for use while one works
 #   make docs  builds the documentation in build/docs, without the network; a warning is an error
@@ -12,20 +14,27 @@ DECISIONS ?= 30000
 # Compiled modules are kept, even where the shell says otherwise: the tests start hundreds of processes.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: setup train check test long static tests quick-tests docs clean
+.PHONY: install setup train check test long static tests quick-tests docs clean
 
-setup: $(VENV)/ready
+install: $(VENV)/ready
+
+setup: $(VENV)/complete
 
 $(VENV)/ready: pyproject.toml requirements.txt
 	@echo "1 of 3: a virtual environment in $(VENV)"
 	$(PYTHON) -m venv $(VENV)
-	@echo "2 of 3: the packages of requirements.txt, about 2.6 GB when installed"
+	@echo "2 of 3: the packages of requirements.txt, about 1.8 GB when installed"
 	$(BIN)/python -m pip install -r requirements.txt
 	@echo "3 of 3: flipperctl itself"
 	$(BIN)/python -m pip install --quiet --no-deps --editable .
 	touch $@
 
-train: setup
+$(VENV)/complete: $(VENV)/ready requirements-dev.txt
+	@echo "for developers: the packages of requirements-dev.txt, about 1.2 GB more"
+	$(BIN)/python -m pip install -r requirements-dev.txt
+	touch $@
+
+train: install
 	$(BIN)/flipperctl train terrain=uplift train.decisions=$(DECISIONS) \
 		--output runs/uplift/make_$$(date +%Y-%m-%d_%H-%M-%S)
 	$(BIN)/flipperctl eval "$$(ls -td runs/uplift/make_* | head -n 1)" \

@@ -290,7 +290,7 @@ def test_every_other_command_is_listed_here_for_a_reason() -> None:
     long = ("python -m tests.long.", "python -m benchmarks ")
     others = {line for line in lines if line and not _LOOP.fullmatch(line)}
     assert {line for line in others if not line.startswith(("flipperctl ", *long))} == {
-        "make setup && . .venv/bin/activate",  # the network; tests/test_wheel.py installs
+        "make install && . .venv/bin/activate",  # the network; tests/test_wheel.py installs
         "pip install numpy onnxruntime",  # the network
         "pip wheel --no-deps .",  # tests/test_wheel.py builds it, and installs it
         "pip install --no-deps flipperctl-*.whl",  # likewise
