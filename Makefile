@@ -23,14 +23,14 @@ setup: $(VENV)/complete
 $(VENV)/ready: pyproject.toml requirements.txt
 	@echo "1 of 3: a virtual environment in $(VENV)"
 	$(PYTHON) -m venv $(VENV)
-	@echo "2 of 3: the packages of requirements.txt, about 1.8 GB when installed"
+	@echo "2 of 3: the packages of requirements.txt, about 1.9 GB when installed"
 	$(BIN)/python -m pip install -r requirements.txt
 	@echo "3 of 3: flipperctl itself"
 	$(BIN)/python -m pip install --quiet --no-deps --editable .
 	touch $@
 
 $(VENV)/complete: $(VENV)/ready requirements-dev.txt
-	@echo "for developers: the packages of requirements-dev.txt, about 1.2 GB more"
+	@echo "for developers: the packages of requirements-dev.txt, about 1.3 GB more"
 	$(BIN)/python -m pip install -r requirements-dev.txt
 	touch $@
 
