@@ -61,7 +61,7 @@ class Curiosity:
             torch.manual_seed(seed)
             self.network = PredictingNetworks(inputs).to(device)
         self._parameters = list(self.network.parameters())
-        self.optimiser = Adam(flatten_parameters([self.network]))
+        self.optimiser = Adam(flatten_parameters(list(self.network.parameters())))
 
     def reward(self, batch: Batch) -> torch.Tensor:
         """Return the curiosity about each transition, (B,) [-]."""

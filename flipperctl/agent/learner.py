@@ -76,16 +76,20 @@ class Learner:
         with naming(network, "build", ConfigError):
             self.online = built.to(self.device)
             self.target = copy.deepcopy(self.online).requires_grad_(False)
-            # Each network's parameters lie in one vector, so that the optimiser, the clipping and
-            # the soft update are one operation each instead of one per layer.
-            pairs = [(self.online, self.target), *beside]
-            online, target = map(list, zip(*pairs, strict=True))
-            self._online, self._target = flatten_parameters(online), flatten_parameters(target)
+            # The parameters that learn lie in one vector for each network, so that the optimiser,
+            # the clipping and the soft update are one operation each instead of one per layer.
+            pairs = [
+                (learns, follows)
+                for learner, follower in [(self.online, self.target), *beside]
+                for learns, follows in zip(learner.parameters(), follower.parameters(), strict=True)
+                if learns.requires_grad
+            ]
+            self._parameters, followers = map(list, zip(*pairs, strict=True))
+            self._online, self._target = map(flatten_parameters, (self._parameters, followers))
             saved = self.online.state_dict().keys()  # of buffers: statistics, but no noise
             self._buffers = [name for name, _ in self.online.named_buffers() if name in saved]
         for module in (self.online, self.target):
             record_plugin(module, network)
-        self._parameters = [p for module in online for p in module.parameters()]
         self.optimiser = Adam(self._online)
         self._noise, self._target_noise = Noise(self.online), Noise(self.target)
         self._noise.acts()

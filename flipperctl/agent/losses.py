@@ -206,9 +206,8 @@ class Adam:
         self.parameters.addcdiv_(first, second.sqrt().add_(EPSILON * scale), value=-size)
 
 
-def flatten_parameters(modules: Sequence[torch.nn.Module]) -> torch.Tensor:
-    """Move the modules' parameters into one vector, (P,); they become views of it."""
-    parameters = [p for module in modules for p in module.parameters()]
+def flatten_parameters(parameters: Sequence[torch.nn.Parameter]) -> torch.Tensor:
+    """Move parameters into one vector, (P,); they become views of it."""
     vector = torch.cat([p.detach().reshape(-1) for p in parameters])
     parts = torch.split(vector, [p.numel() for p in parameters])
     for parameter, part in zip(parameters, parts, strict=True):

@@ -7,6 +7,7 @@ on one observation, in ``train()`` and in ``eval()`` mode, and the actions that 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from typing import Any, Protocol, runtime_checkable
@@ -93,9 +94,49 @@ def build_network(
         text = f"must return a torch module; got {type(module).__name__}"
         raise refusal(network, "build", text, ConfigError)
     record_plugin(module, network)
+    _separate_memory(network, module)
     with torch.random.fork_rng(devices=[]), torch.no_grad(), _restored_afterwards(module):
         _try(network, module, torch.zeros(2, input_size(network, layout)), n_actions)
     return module
+
+
+def _separate_memory(network: Network, module: torch.nn.Module) -> None:
+    """Give every parameter and buffer elements of its own, so that each can be written.
+
+    A tensor may have several names. Two tensors that share elements are refused: training and
+    loading would write one over the other. An expanded tensor is written out in full.
+
+    Raises:
+        ConfigError: two tensors share elements; the text names both.
+    """
+    tensors = [
+        (name, tensor)
+        for name, tensor in (*module.named_parameters(), *module.named_buffers())
+        if not torch.nn.parameter.is_lazy(tensor)
+    ]
+    owners: dict[int, NDArray[np.int64]] = {}  # of each element of a memory, counted from 1
+    with naming(network, "build", ConfigError):  # a sparse tensor has no such memory
+        shared = Counter(tensor.untyped_storage().data_ptr() for _, tensor in tensors)
+        for number, (name, tensor) in enumerate(tensors, start=1):
+            storage = tensor.untyped_storage()
+            if shared[storage.data_ptr()] == 1:
+                continue
+            size = storage.nbytes() // tensor.element_size()
+            owner = owners.setdefault(storage.data_ptr(), np.zeros(size, np.int64))
+            place = torch.arange(size).as_strided(
+                tensor.shape, tensor.stride(), tensor.storage_offset()
+            )
+            if other := int(owner[place].max(initial=0)):
+                raise refusal(
+                    network,
+                    "build",
+                    f"gives {tensors[other - 1][0]!r} and {name!r} the same memory; to tie "
+                    "weights, assign the parameter itself, or else give one of them a clone()",
+                    ConfigError,
+                )
+            owner[place] = number
+        for _, tensor in tensors:
+            tensor.data = tensor.data.contiguous()
 
 
 def outputs(kind: ActionKind) -> int:

@@ -85,8 +85,8 @@ class PolicyGradient(Learner):
             torch.manual_seed(self._seed)
             values = build_values(input_size(network, layout), further["privileged"])
         self.values = values.to(self.device)
-        self._value_optimiser = Adam(flatten_parameters([self.values]))
         self._value_parameters = list(self.values.parameters())
+        self._value_optimiser = Adam(flatten_parameters(self._value_parameters))
         self.anchor = copy.deepcopy(self.online).requires_grad_(False)
         """The policy that the training started with."""
         self.rounds = 0

@@ -145,7 +145,7 @@ class RiskLearner:
             torch.manual_seed(seed)
             self.network = RiskNetwork(inputs).to(device)
         self._parameters = list(self.network.parameters())
-        self.optimiser = Adam(flatten_parameters([self.network]))
+        self.optimiser = Adam(flatten_parameters(list(self.network.parameters())))
 
     def step(self, batch: Batch, rate: float) -> float:
         """Take a gradient step with the learning rate ``rate``; return the loss [-]."""

@@ -365,7 +365,23 @@ def serialize(text: str, tensors: Mapping[str, torch.Tensor]) -> bytes:
     from safetensors.torch import save
 
     held = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    data = save(held, {"flipperctl": text, "sha256": digest(text, held)})
+    metadata = {"flipperctl": text, "sha256": digest(text, held)}
+    # A tensor with several names is written once; of memory that several share, each has a copy.
+    written: dict[str, torch.Tensor] = {}
+    names: dict[tuple[object, ...], str] = {}
+    aliases: dict[str, str] = {}
+    memory: set[int] = set()
+    for name, tensor in held.items():
+        storage = tensor.untyped_storage().data_ptr()
+        place = (storage, tensor.storage_offset(), tensor.shape, tensor.dtype)
+        if tensor.numel() and (original := names.setdefault(place, name)) != name:
+            aliases[name] = original
+        else:
+            written[name] = tensor.clone() if storage in memory else tensor
+            memory.add(storage)
+    if aliases:
+        metadata["aliases"] = json.dumps(aliases)
+    data = save(written, metadata)
     # safetensors writes its metadata in an order that differs between processes.
     length = int.from_bytes(data[:8], "little")
     header = json.loads(data[8 : 8 + length])
@@ -411,7 +427,9 @@ def _contents(data: bytes, path: Path, noun: str) -> tuple[str, dict[str, torch.
         tensors = load(data)
         length = int.from_bytes(data[:8], "little")
         metadata = json.loads(data[8 : 8 + length]).get("__metadata__", {})
-    except (SafetensorError, ValueError) as error:
+        aliases = json.loads(metadata.get("aliases", "{}"))
+        tensors |= {name: tensors[original] for name, original in aliases.items()}
+    except (SafetensorError, ValueError, TypeError, AttributeError, KeyError) as error:
         raise CheckpointError(f"{path} is damaged or not a safetensors file: {error}") from error
     if "flipperctl" not in metadata:
         raise CheckpointError(f"{path} is a safetensors file, but not a {noun} of flipperctl")

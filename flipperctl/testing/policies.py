@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from itertools import islice
+from pathlib import Path
 from statistics import median
+from tempfile import TemporaryDirectory
 from time import perf_counter, process_time
 from typing import TYPE_CHECKING
 
@@ -19,6 +22,7 @@ from flipperctl.errors import (
     FlipperctlError,
     MissingExtraError,
 )
+from flipperctl.files import make_folder
 from flipperctl.rollout.episode import decisions
 from flipperctl.testing.check import NotChecked, of, require
 from flipperctl.testing.recorded import SCENES, SHORT, Ground, NoReward, Scene
@@ -31,6 +35,11 @@ _BATCH = 64
 """Batch size at which no working unit stays inactive on the whole batch [-]."""
 DECISIONS = 20
 """Largest number of a controller's decisions on each scene; an episode may end earlier [-]."""
+_TRAINING = {
+    "train": {"mode": "exact", "decisions": 24, "validation_episodes": 1},
+    "agent": {"learning_starts": 8, "batch_size": 8, "update_every": 1},
+}
+"""A training of a few updates."""
 ENOUGH = 0.1
 """Computing time on a scene, or at one variant of the settings, after which it is left [s]."""
 
@@ -67,11 +76,16 @@ def shape(network: Network) -> None:
 @of("network", "gradient")
 @one_thread()
 def gradient(network: Network) -> None:
-    """Check that every parameter has a gradient and every input number affects the Q-values."""
+    """Check that what learns has a gradient and every input number affects the Q-values.
+
+    A weight with ``requires_grad`` False is frozen and has none.
+    """
     module = _built(network)
     observations = _observations(network).requires_grad_()
     module(observations).square().sum().backward()
     for name, parameter in module.named_parameters():
+        if not parameter.requires_grad:
+            continue
         slope = parameter.grad
         finite = slope is not None and bool(slope.isfinite().all())
         fault = "missing" if slope is None else "0 everywhere" if finite else "not finite"
@@ -112,6 +126,42 @@ def repeats(network: Network) -> None:
             "two networks built after torch.manual_seed(0) differ; "
             "draw the weights from torch's own generator",
         )
+
+
+@of("network", "trains", everywhere=False)
+@one_thread()
+def trains(network: Network) -> None:
+    """Check that a training learns, saves, resumes and loads the network, with equal weights.
+
+    It stops after its first update and is resumed, beside one that goes on.
+    """
+    import torch
+
+    from flipperctl import checkpoint
+    from flipperctl.config import TrainConfig, parse
+    from flipperctl.policies.trained import policy_module
+    from flipperctl.training.trainer import Trainer
+
+    scene = {"terrain": Ground(points=SHORT.points), "rewards": {"none": NoReward()}}
+    config = parse(TrainConfig, {**scene, "network": network, **SHORT.settings, **_TRAINING})
+    rows, values = _observations(network), []
+    for interrupted in (False, True):
+        with TemporaryDirectory() as name:
+            folder = Path(name)
+            last = make_folder(folder / checkpoint.LAST.parent) / checkpoint.LAST.name
+            trainer = Trainer(config, folder)
+            if interrupted:
+                trainer.run(stop=partial(getattr, trainer.progress, "updates"))
+                trainer = Trainer(config, folder)
+                trainer.restore(checkpoint.read(last))
+            trainer.run()
+            for policy in (trainer.agent.policy, policy_module(checkpoint.read(last))):
+                with torch.no_grad():
+                    values.append(policy.eval()(rows))
+    require(
+        all(torch.equal(found, values[0]) for found in values),
+        "Q-values differ between a training and its file, or one that was stopped and resumed",
+    )
 
 
 @of("network", "onnx", everywhere=False)

@@ -16,7 +16,7 @@ KINDS = ("terrain", "reward", "network", "controller", "sim", "perception", "mea
 
 AT_NIGHT = re.compile(
     r"perception-lidar-(episodes|returns)|controller-mpc-(actions|repeats|in time)"
-    r"|network-(?!conv|stacked).*-onnx|terrain-(?!midway).*-picture"
+    r"|network-(?!conv|stacked).*-onnx|network-(?!noisy).*-trains|terrain-(?!midway).*-picture"
 )
 """They take long, and tests of these rooms and one of their kind prove the same in short."""
 
