@@ -159,9 +159,9 @@ def _without_effect(config: EvalConfig, section: str) -> set[str]:
     """
     configured = getattr(config, section)
     sampled = {
-        one.field: max(one.ends, key=abs)
-        for one in config.randomise.sampled()
-        if one.section == section
+        setting.field: max(setting.ends, key=abs)
+        for setting in config.randomise.sampled()
+        if setting.section == section
     }
     default, drawn = type(configured)(), configured.model_copy(update=sampled)
     return {
@@ -214,20 +214,20 @@ def read_config(
     ``terrains`` are those to be evaluated, None for the file's own. Reward terms whose plugins are
     missing are left out, and ``tell`` is called with a line for each.
     """
-    file, found = source.file, source.config()
-    absent = found.terrain
+    file, config = source.file, source.config()
+    absent = config.terrain
     if isinstance(absent, AbsentTerrain):
         name = absent.plugin_name
         named = ("terrain", name) in registry  # and only a terrain inside it is missing
-        if any(one is None or (one == name and not named) for one in terrains):
+        if any(terrain is None or (terrain == name and not named) for terrain in terrains):
             raise CheckpointError(
                 f"{file}: {absent.missing}, or evaluate another one with terrain=NAME"
             )
-    for name, term in found.rewards.items():
+    for name, term in config.rewards.items():
         if isinstance(term, AbsentReward):
             tell(f"{file}: the return lacks rewards.{name}: {term.missing}")
-    present = {k: v for k, v in found.rewards.items() if not isinstance(v, AbsentReward)}
-    return found.model_copy(update={"rewards": present})
+    present = {k: v for k, v in config.rewards.items() if not isinstance(v, AbsentReward)}
+    return config.model_copy(update={"rewards": present})
 
 
 def explain_missing_training(exported: bool) -> str:

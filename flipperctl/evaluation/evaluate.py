@@ -81,19 +81,19 @@ class Result:
     def rows(self) -> list[Played]:
         """The scenes of the result; baselines are so beside several methods."""
         methods = self.plan.has_methods
-        return [one for one in self.played if methods or not one.entry.is_baseline]
+        return [item for item in self.played if methods or not item.entry.is_baseline]
 
     def baselines(self, played: Played) -> list[Played]:
         """Return the baselines on the episodes of a policy, of its rewards if there are such."""
-        found: dict[str, Played] = {}
+        by_label: dict[str, Played] = {}
         if played.entry.is_baseline or played.entry.stored:
             return []
         for other in self.played:
             if other.entry.is_baseline and other.entry.ground == played.entry.ground:
                 same = other.entry.config.rewards == played.entry.config.rewards
-                if other.entry.label not in found or same:
-                    found[other.entry.label] = other
-        return list(found.values())
+                if other.entry.label not in by_label or same:
+                    by_label[other.entry.label] = other
+        return list(by_label.values())
 
     def error(self) -> FlipperctlError | None:
         """Return the error of an evaluation in which policies failed; None if none did."""
@@ -127,7 +127,7 @@ def evaluate(
     """
     if not plan.entries:
         raise ValueError("an evaluation needs at least one scene")
-    found: list[Played] = []
+    results: list[Played] = []
     failures: list[PolicyError] = []
     with Player(store, progress, stop) as player:
         planned(_lacking(player, plan.entries))
@@ -135,7 +135,7 @@ def evaluate(
         if address is not None and not record:
             player.play_over_ray([(e.config, e.source) for e in plan.entries], address)
         for entry in plan.entries:
-            if entry.is_baseline and not any(p.entry.ground == entry.ground for p in found):
+            if entry.is_baseline and not any(p.entry.ground == entry.ground for p in results):
                 continue  # there is nothing to compare with it
             scene = _Scene(entry, player, failures)
             named = plan.has_methods or entry.is_baseline
@@ -144,33 +144,33 @@ def evaluate(
             if rows and (plan.has_methods or not entry.is_baseline):
                 rows = scene.with_references(scene.with_causes(rows), plan, references)
             if rows:
-                found.append(Played(entry, rows))
-    if failures and all(one.entry.is_baseline for one in found):
+                results.append(Played(entry, rows))
+    if failures and all(result.entry.is_baseline for result in results):
         raise failures[0].error
-    interruption = _interruption(plan, found) if player.interrupted else None
+    interruption = _interruption(plan, results) if player.interrupted else None
     labels = tuple(reference.label() for reference in references)
-    return Result(plan, tuple(found), interruption, tuple(failures), labels)
+    return Result(plan, tuple(results), interruption, tuple(failures), labels)
 
 
 def _lacking(player: Player, entries: Iterable[Entry]) -> int:
     """Return the number of episodes that the store lacks, without those of references."""
-    found: set[tuple[str, int]] = set()
+    episodes_left: set[tuple[str, int]] = set()
     for entry in entries:
         with suppress(FlipperctlError):  # which playing raises again, where it is noted
             key = player.key(entry.config, entry.source).text
             missing = player.missing(entry.config, entry.source)
-            found |= {(key, index) for block in missing for index in block}
-    return len(found)
+            episodes_left |= {(key, index) for block in missing for index in block}
+    return len(episodes_left)
 
 
 def _interruption(plan: Plan, played: Sequence[Played]) -> Interruption:
     """Return the finished and planned episodes of the policies and their baselines."""
     planned = sum(entry.config.eval.episodes for entry in plan.entries)
-    finished = sum(len(one.episodes) for one in played)
+    finished = sum(len(entry_played.episodes) for entry_played in played)
     if not finished:
         raise InterruptedRunError(f"interrupted: none of {planned} episodes is finished")
     several = any(entry.source != plan.rows[0].source for entry in plan.rows)
-    begun = {id(one.entry) for one in played}
+    begun = {id(entry_played.entry) for entry_played in played}
     left = [entry for entry in plan.rows if id(entry) not in begun]
     names = [f"{entry.label} on {entry.terrain}" if several else entry.terrain for entry in left]
     return Interruption(finished, planned, tuple(names))
@@ -217,8 +217,8 @@ class _Scene:
 
         if self.player.interrupted:
             return episodes
-        found = causes(entry.config, episodes.failed, again)
-        return _with(episodes, "failed_by", {at: str(cause) for at, cause in found.items()})
+        cause_of = causes(entry.config, episodes.failed, again)
+        return _with(episodes, "failed_by", {at: str(cause) for at, cause in cause_of.items()})
 
     def with_references(
         self, episodes: Episodes, plan: Plan, references: Sequence[PolicySource]

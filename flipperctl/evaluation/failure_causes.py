@@ -53,11 +53,11 @@ def on_true_ground(config: EvalConfig) -> EvalConfig | None:
     None if the sensor is already exact, or if one of its settings is randomised (dropping it would
     shift the other draws).
     """
-    found = exact(config.perception)
-    sampled = any(one.section == "perception" for one in config.randomise.sampled())
-    if type(found) is type(config.perception) or sampled:
+    perception = exact(config.perception)
+    sampled = any(setting.section == "perception" for setting in config.randomise.sampled())
+    if type(perception) is type(config.perception) or sampled:
         return None
-    return config.model_copy(update={"perception": found})
+    return config.model_copy(update={"perception": perception})
 
 
 def at_true_pose(config: EvalConfig) -> EvalConfig | None:
@@ -87,14 +87,14 @@ def causes(
     if not failed or exactly is None:
         return {}
     left = [row["episode"] for row in failed]
-    found: dict[int, Cause] = {}
+    cause_of: dict[int, Cause] = {}
     if posed is not None:
         drifted = [row["episode"] for row in play(posed, left) if reached(row)]
-        found = dict.fromkeys(drifted, Cause.DRIFT)
-        left = [index for index in left if index not in found]
+        cause_of = dict.fromkeys(drifted, Cause.DRIFT)
+        left = [index for index in left if index not in cause_of]
     for row in play(exactly, left) if left else ():
-        found[row["episode"]] = Cause.PERCEPTION if reached(row) else Cause.OTHER
-    return dict(sorted(found.items()))
+        cause_of[row["episode"]] = Cause.PERCEPTION if reached(row) else Cause.OTHER
+    return dict(sorted(cause_of.items()))
 
 
 def explain(config: EvalConfig, source: PolicySource, row: Row) -> Row:

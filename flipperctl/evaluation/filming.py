@@ -86,7 +86,9 @@ class Filming:
         entries = result.plan.entries
         chosen: Sequence[int] = self.episodes or (0,)
         if self.failures:
-            failed = sorted({row["episode"] for one in result.rows for row in one.episodes.failed})
+            failed = sorted(
+                {row["episode"] for item in result.rows for row in item.episodes.failed}
+            )
             if not (chosen := failed[:FAILURES]):
                 tell(f"no episode failed: {self.path} is not written")
                 return
@@ -102,7 +104,7 @@ def _take(entries: Sequence[Entry], index: int) -> Take:
 
     first = entries[0]
     seed = EvaluationSeeds.of(first.config.eval.seed, first.config.terrain)(index)
-    called = names([one.named for one in entries])
+    called = names([entry.named for entry in entries])
     parts = [Part(called[e.named], e.config.environment(), e.source, seed) for e in entries]
     return Take(f"{first.terrain}, episode {index}", parts)
 

@@ -45,17 +45,17 @@ class Demonstrator:
             for entry in entries:
                 self.source.build(entry.config)
             return
-        found = recording.read(Path(word))
-        self.drives, config = found.episodes, entries[0].config
+        drives = recording.read(Path(word))
+        self.drives, config = drives.episodes, entries[0].config
         robot = {name: value for name, value in config.robot if isinstance(value, float)}
-        for one in found.document.environments:
-            theirs = one.perception.layout.words
+        for drive in drives.document.environments:
+            theirs = drive.perception.layout.words
             if theirs != (ours := config.perception.layout.words):
                 raise RequestError(f"from={word}: its observations have {theirs}; here {ours}")
             for name, value in robot.items():
-                if one.robot.get(name) != value:
+                if drive.robot.get(name) != value:
                     raise RequestError(
-                        f"from={word}: it was driven with robot.{name}={one.robot.get(name)}; "
+                        f"from={word}: it was driven with robot.{name}={drive.robot.get(name)}; "
                         f"here {value:g}"
                     )
 
@@ -172,7 +172,7 @@ class Playing:
         parts = [played[at : at + count] for at in range(0, len(played), count)]
         samples = [SeedSamples("", *self._samples(scenes)) for scenes in parts]
         prices = failure_prices(samples)
-        return [one.scores(prices) for one in samples]
+        return [sample.scores(prices) for sample in samples]
 
     def _samples(self, scenes: Sequence[Any]) -> tuple[dict[str, Any], dict[str, Any]]:
         """Return values and whether the finish was reached, by scene; all count for a reward."""

@@ -26,9 +26,9 @@ def names(labels: Sequence[str]) -> dict[str, str]:
     whole = {label: _FILES.sub("", label) for label in labels}
     for count in range(1, max([1, *(text.count("/") + 1 for text in whole.values())]) + 1):
         for with_seed in (False, True):
-            found = {label: _last(text, count, with_seed) for label, text in whole.items()}
-            if len(set(found.values())) == len(found):
-                return found
+            shortened = {label: _last(text, count, with_seed) for label, text in whole.items()}
+            if len(set(shortened.values())) == len(shortened):
+                return shortened
     return whole
 
 
@@ -54,7 +54,7 @@ def chosen_names(words: Sequence[str], labels: Sequence[str]) -> dict[str, str]:
     Raises:
         RequestError: a word has no such form, or fits no label or several.
     """
-    short, found = names(labels), dict[str, str]()
+    short, by_label = names(labels), dict[str, str]()
     for word in words:
         name, equals, method = word.partition("=")
         if not (name.strip() and equals and method):
@@ -73,8 +73,8 @@ def chosen_names(words: Sequence[str], labels: Sequence[str]) -> dict[str, str]:
             )
         if len(fits) > 1 and method not in fits:
             raise RequestError(f"--name {word}: {method} fits several: {', '.join(fits)}")
-        found[method if method in fits else fits[0]] = name.strip()
-    return found
+        by_label[method if method in fits else fits[0]] = name.strip()
+    return by_label
 
 
 def renamed(labels: Sequence[str], words: Sequence[str]) -> dict[str, str]:
@@ -83,11 +83,11 @@ def renamed(labels: Sequence[str], words: Sequence[str]) -> dict[str, str]:
     Raises:
         RequestError: see ``chosen_names``; or two methods have one name.
     """
-    found = {**names(labels), **chosen_names(words, labels)}
-    for label, name in found.items():
-        if alike := [other for other in found if other != label and found[other] == name]:
+    by_label = {**names(labels), **chosen_names(words, labels)}
+    for label, name in by_label.items():
+        if alike := [other for other in by_label if other != label and by_label[other] == name]:
             raise RequestError(f"--name: {label} and {alike[0]} would both be called {name}")
-    return found
+    return by_label
 
 
 def taken(label: str, called: Mapping[str, str], option: str, further: Sequence[str] = ()) -> str:
@@ -96,7 +96,7 @@ def taken(label: str, called: Mapping[str, str], option: str, further: Sequence[
     Raises:
         RequestError: there is none; ``further`` words are known as well.
     """
-    by_name = {name: one for one, name in called.items()}
+    by_name = {name: candidate for candidate, name in called.items()}
     if label not in called and label not in by_name:
         known = [*by_name, *further]
         raise RequestError(

@@ -125,14 +125,14 @@ class Plan:
         cls, entries: Sequence[Entry], baselines: Sequence[PolicySource] = (), title: str = ""
     ) -> Plan:
         """Return the plan of one policy, whose other baselines play each scene after it."""
-        found: list[Entry] = []
+        planned: list[Entry] = []
         for entry in entries:
-            found.append(entry)
+            planned.append(entry)
             for other in baselines:
                 beside = Entry(entry.config, other, is_baseline=True)
-                if other != entry.source and beside not in found:
-                    found.append(beside)
-        return cls(tuple(found), title)
+                if other != entry.source and beside not in planned:
+                    planned.append(beside)
+        return cls(tuple(planned), title)
 
     def config_of(self, source: PolicySource, beside: Entry) -> EvalConfig:
         """Return the settings with which a policy plays the episodes of an entry.
@@ -192,21 +192,21 @@ class Suite:
 
 def shipped_suites() -> dict[str, Traversable]:
     """Return the files of the suites that come with flipperctl, by name."""
-    found = sorted(files("flipperctl.configs.suite").iterdir(), key=lambda file: file.name)
-    return {f.name.removesuffix(_SUFFIX): f for f in found if f.name.endswith(_SUFFIX)}
+    presets = sorted(files("flipperctl.configs.suite").iterdir(), key=lambda file: file.name)
+    return {f.name.removesuffix(_SUFFIX): f for f in presets if f.name.endswith(_SUFFIX)}
 
 
 def _plugin_suites() -> dict[str, Path]:
     """Return the suites of plugins by name: the files in ``suite`` beside each plugin."""
-    found: dict[str, Path] = {}
+    paths: dict[str, Path] = {}
     for folder in plugins.folders():
         for file in sorted((folder / "suite").glob(f"*{_SUFFIX}")):
-            other = found.setdefault(file.stem, file)
+            other = paths.setdefault(file.stem, file)
             if file.stem in shipped_suites():
                 raise ConfigError(f"suite: {file} has the name of a suite of flipperctl; rename it")
             if other != file:
                 raise ConfigError(f"suite: {other} and {file} have the same name; rename one")
-    return found
+    return paths
 
 
 def suite_files() -> dict[str, Traversable]:
@@ -305,19 +305,19 @@ def _controllers(
     names: str | None, option: str, default: Sequence[str], planned: Sequence[PolicySource] = ()
 ) -> dict[str, PolicySource]:
     chosen = default if names is None else [] if names == "none" else names.split(",")
-    found = [name.strip() for name in chosen]
-    if "none" in found:
+    baseline_names = [name.strip() for name in chosen]
+    if "none" in baseline_names:
         raise RequestError(f"{option}: none stands alone, without other names; got {names}")
-    if not all(found):
+    if not all(baseline_names):
         raise RequestError(f"{option}: names between commas, or none, are allowed; got {names!r}")
-    check_different(option, found)
+    check_different(option, baseline_names)
 
     def load(name: str) -> PolicySource:
         if planned and (own := load_policy(name, option)) in planned:
             return own
         return load_policy(name, option, "controller")
 
-    return {name: load(name) for name in found}
+    return {name: load(name) for name in baseline_names}
 
 
 def policies(
@@ -398,13 +398,13 @@ def entrants(names: Sequence[str], tell: Callable[[str], None]) -> list[NamedPol
     people count like seeds. ``tell`` is called with a line for each run that has no
     checkpoint, repeats another one, or is not finished.
     """
-    found: dict[NamedPolicy, None] = {}
+    policies: dict[NamedPolicy, None] = {}
     for name in (part for text in names for part in _split(text)):
         if ("controller", name) in registry or is_policy_file(name):
-            found[NamedPolicy(name)] = None
+            policies[NamedPolicy(name)] = None
         else:
-            found |= dict.fromkeys(_of_path(Path(name), tell))
-    return list(found)
+            policies |= dict.fromkeys(_of_path(Path(name), tell))
+    return list(policies)
 
 
 def _split(text: str) -> list[str]:
@@ -489,7 +489,7 @@ def _swept(run: Path) -> str:
             values.append(part)
         else:  # of a list, as in network.hidden=_64,32_
             values[-1] += f",{part}"
-    return ",".join(one for one in values if "=" in one and not one.startswith("seed="))
+    return ",".join(value for value in values if "=" in value and not value.startswith("seed="))
 
 
 def _trained(source: PolicySource) -> tuple[int | None, dict[str, Any]]:

@@ -196,7 +196,7 @@ class Player:
 
     def key(self, config: EvalConfig, source: PolicySource) -> StoreKey:
         """Return the key of a policy's episodes under a configuration."""
-        known = next((found for who, found in self._identities if who == source), None)
+        known = next((identity for who, identity in self._identities if who == source), None)
         if known is None:
             known = PolicyIdentity.of(source)
             self._identities.append((source, known))
@@ -245,15 +245,15 @@ class Player:
         The episodes of all requests share the worker processes at once. The progress counts
         requests. See ``play``.
         """
-        found = [self.store.find(self.key(*request)) for request in requests]
+        blocks = [self.store.find(self.key(*request)) for request in requests]
         missing = [
             [index for index in range(config.eval.episodes) if index not in held]
-            for (config, _), held in zip(requests, found, strict=True)
+            for (config, _), held in zip(requests, blocks, strict=True)
         ]
         parts = zip(requests, missing, strict=True)
         played = self._play([(*request, indices) for request, indices in parts if indices])
         with self._progress(label, len(requests)) as report, closing(played):
-            for at, (request, held) in enumerate(zip(requests, found, strict=True)):
+            for at, (request, held) in enumerate(zip(requests, blocks, strict=True)):
                 if missing[at]:
                     rows = self._kept(*request, missing[at], next(played))
                     held |= {row["episode"]: row for row in rows}

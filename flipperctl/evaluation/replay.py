@@ -159,11 +159,11 @@ class EpisodeRecord(_Frozen):
         sections = {name: getattr(whole, name) for name in EnvConfig.model_fields}
         numbers = {"seed": self.evaluation_seed, "episodes": self.episode + 1}
         config = EvalConfig(**sections, conditions=self.conditions["name"], eval=numbers)
-        found = Conditions.of(config).hash
-        if found != self.conditions["hash"]:
+        actual = Conditions.of(config).hash
+        if actual != self.conditions["hash"]:
             raise RequestError(
-                f"{where}: its conditions have the hash {self.conditions['hash']}, here {found}: a "
-                "file that the ground is read from, or the defaults of a plugin, have changed"
+                f"{where}: its conditions have the hash {self.conditions['hash']}, here {actual}: "
+                "a file that the ground is read from, or the defaults of a plugin, have changed"
             )
         return config
 
@@ -172,9 +172,9 @@ class EpisodeRecord(_Frozen):
         changed = [name for name in self.versions if here.get(name) != self.versions[name]]
         if changed:
             recorded = ", ".join(f"{name} {self.versions[name]}" for name in changed)
-            found = ", ".join(f"{name} {here.get(name, '–')}" for name in changed)
+            actual = ", ".join(f"{name} {here.get(name, '–')}" for name in changed)
             raise RequestError(
-                f"{where}: it was recorded with {recorded}; here is {found}, whose episodes may "
+                f"{where}: it was recorded with {recorded}; here is {actual}, whose episodes may "
                 "differ; install the recorded versions to replay it"
             )
 
@@ -186,8 +186,8 @@ def measures(row: Row) -> dict[str, float]:
 
 def risks(row: Row) -> tuple[float, ...] | None:
     """Return the risk at each decision; None of a policy that tells none."""
-    found = EpisodeRisks.pop(dict(row))
-    return None if found is None else found.told
+    risks_of_row = EpisodeRisks.pop(dict(row))
+    return None if risks_of_row is None else risks_of_row.told
 
 
 def used_versions(config: EnvConfig, source: PolicySource) -> dict[str, str]:
@@ -219,13 +219,13 @@ def read_record(path: Path) -> EpisodeRecord:
 
 def _digests(source: PolicySource) -> dict[str, str | None]:
     """Return the SHA-256 of each file that a controller names, None for one that is missing."""
-    found: dict[str, str | None] = {}
+    digests: dict[str, str | None] = {}
     for _, name in named_files(source.controller()):
         try:
-            found[name] = content_digest(checkpoint.find(Path(name)))
+            digests[name] = content_digest(checkpoint.find(Path(name)))
         except CheckpointError:
-            found[name] = None
-    return found
+            digests[name] = None
+    return digests
 
 
 @dataclass(frozen=True)
@@ -247,11 +247,11 @@ class Replay:
         pairs |= {name: (ours.get(name), value) for name, value in recorded.measures.items()}
         if recorded.digest is not None:
             pairs["digest"] = episode[DIGEST], recorded.digest
-        found = [f"{name} {us} ({it})" for name, (us, it) in pairs.items() if us != it]
+        lines = [f"{name} {us} ({it})" for name, (us, it) in pairs.items() if us != it]
         if recorded.risks is not None:
             told = zip_longest(risks(episode) or (), recorded.risks)
-            found += [f"risk {t}: {us} ({it})" for t, (us, it) in enumerate(told) if us != it][:1]
-        return found
+            lines += [f"risk {t}: {us} ({it})" for t, (us, it) in enumerate(told) if us != it][:1]
+        return lines
 
     @property
     def title(self) -> str:
@@ -322,16 +322,16 @@ def replay_file(
         folder = None
         if output is not None:
             folder = stack.enter_context(result_folder(output, "replay", NAMES))
-        found = replay(path, checkpoint, progress)
+        replayed = replay(path, checkpoint, progress)
         if folder is not None:
 
             def write(part: Path) -> None:
-                write_json(part / "replay.json", found.to_dict())
+                write_json(part / "replay.json", replayed.to_dict())
                 from flipperctl.figures.episode import episode_figure
                 from flipperctl.figures.figure import save
 
-                trace = Trace.of(found.transitions, found.profile)
-                save(episode_figure(trace), part / "replay.png", found.title)
+                trace = Trace.of(replayed.transitions, replayed.profile)
+                save(episode_figure(trace), part / "replay.png", replayed.title)
 
             folder.replace(write)
             tell(f"wrote {' and '.join(NAMES)} to {folder.path}")
@@ -339,14 +339,18 @@ def replay_file(
             from flipperctl.figures.film import Part, Take
             from flipperctl.figures.film import film as make_film
 
-            config, source, terrain = found.config, found.source, found.config.terrain.plugin_name
+            config, source, terrain = (
+                replayed.config,
+                replayed.source,
+                replayed.config.terrain.plugin_name,
+            )
             label = source.label()
-            part = Part(names([label])[label], config.environment(), source, found.record.seed)
+            part = Part(names([label])[label], config.environment(), source, replayed.record.seed)
             with progress(f"{terrain}, film", 1) as report:
-                take = Take(f"{terrain}, episode {found.record.episode}", [part])
+                take = Take(f"{terrain}, episode {replayed.record.episode}", [part])
                 make_film(film, [take], report_progress=report)
             tell(f"wrote {film}")
-    return found
+    return replayed
 
 
 def lines(replayed: Replay) -> Iterator[str]:

@@ -65,7 +65,7 @@ def page(folder: Path) -> str:
     """Return the report of a folder of results; see ``write``."""
     file = folder / SUMMARY
     try:
-        found = json.loads(file.read_text(encoding="utf-8"))
+        document = json.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
         raise RequestError(
             f"{file}: it cannot be read ({error.strerror}); a folder of flipperctl eval --output "
@@ -75,35 +75,35 @@ def page(folder: Path) -> str:
         raise RequestError(f"{file}: it is damaged: {error}") from error
     recorded = read(folder / traces.FILE) if (folder / traces.FILE).exists() else []
     try:
-        return _page(folder, found, recorded)
+        return _page(folder, document, recorded)
     except (LookupError, TypeError, AttributeError, ValueError) as error:
         raise RequestError(
             f"{file}: it holds no results of eval, or those of another version; it lacks {error}"
         ) from error
 
 
-def _page(folder: Path, found: Document, recorded: Sequence[Trace]) -> str:
-    rows = table_rows(found)
+def _page(folder: Path, document: Document, recorded: Sequence[Trace]) -> str:
+    rows = table_rows(document)
     policies = list(dict.fromkeys(row["policy"] for row in rows))
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
     marks = _marks([*policies, *(trace.policy for trace in recorded)])
-    table, *others = evaluation.tables(found, "Policies")
-    beside = published(found, strict=False)
-    others = [one for one in others if beside is None or one.title != beside.title]
+    table, *others = evaluation.tables(document, "Policies")
+    beside = published(document, strict=False)
+    others = [further for further in others if beside is None or further.title != beside.title]
     heat = _heat(rows, policies, scenes, marks) if len(scenes) > 2 and len(policies) > 1 else ""
     template = Template(_text("report.html"))
     return template.substitute(
         title=escape(f"{_several(policies, 'policies')} on {_several(scenes, 'scenes')}"),
-        facts=escape(" · ".join(_facts(found))),
+        facts=escape(" · ".join(_facts(document))),
         style=_text("report.css"),
         script=_text("report.js"),
-        summary=_summary(found),
-        results="\n".join([heat, *(html(one, marks) for one in (table, *others))]),
-        figures=_figures(folder, found, policies),
+        summary=_summary(document),
+        results="\n".join([heat, *(html(part, marks) for part in (table, *others))]),
+        figures=_figures(folder, document, policies),
         published=_section("The paper's numbers", html(beside, marks)) if beside else "",
         player=_player(recorded),
         failures=_failures(folder, rows, recorded, marks),
-        origin=_origin(folder, found, marks),
+        origin=_origin(folder, document, marks),
         traces=_data(recorded, marks),
     )
 
@@ -131,10 +131,10 @@ def _several(names: Sequence[str], noun: str) -> str:
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
-def _facts(found: Document) -> Iterator[str]:
-    scenes = found["scenes"]
-    if found.get("interrupted"):
-        finished, planned = found["finished_episodes"], found["planned_episodes"]
+def _facts(document: Document) -> Iterator[str]:
+    scenes = document["scenes"]
+    if document.get("interrupted"):
+        finished, planned = document["finished_episodes"], document["planned_episodes"]
         yield f"interrupted: {finished} of {planned} episodes are finished"
     for noun, values in (
         ("episodes of each policy on a scene", [scene["episodes"] for scene in scenes]),
@@ -145,9 +145,9 @@ def _facts(found: Document) -> Iterator[str]:
         yield f"{texts} {noun}" if noun[0] == "e" else f"{noun} {texts}"
 
 
-def _summary(found: Document) -> str:
+def _summary(document: Document) -> str:
     lines = []
-    for kind, text in findings(found):
+    for kind, text in findings(document):
         marked = re.sub(r"\*\*(.+?)\*\*", r"<b>\1</b>", escape(text))
         lines.append(f'<li class="{kind}">{marked}</li>')
     return (
@@ -169,11 +169,11 @@ def _heat(
     """Return the table of policies and scenes; a cell is darker the worse it is on its scene."""
     own = by_scene(rows)
     shade: dict[tuple[str, str], float] = {}
-    for scene, found in own.items():
-        values = {name: row[VARIATION]["mean"] for name, row in found.items() if row[VARIATION]}
+    for scene, row_of in own.items():
+        values = {name: row[VARIATION]["mean"] for name, row in row_of.items() if row[VARIATION]}
         low, high = min(values.values(), default=0.0), max(values.values(), default=0.0)
         shade |= {(n, scene): (v - low) / (high - low or 1.0) for n, v in values.items()}
-    best = {scene: max(found.values(), key=rank)["policy"] for scene, found in own.items()}
+    best = {scene: max(row_of.values(), key=rank)["policy"] for scene, row_of in own.items()}
     head = "".join(f'<th scope="col">{escape(scene)}</th>' for scene in scenes)
     body = []
     for policy in policies:
@@ -212,9 +212,9 @@ _DRAWN = {
 }
 
 
-def _figures(folder: Path, found: Document, policies: Sequence[str]) -> str:
+def _figures(folder: Path, document: Document, policies: Sequence[str]) -> str:
     """Return the figures of several policies; nothing where these have no intervals to compare."""
-    if len(policies) < 2 or min(scene["episodes"] for scene in found["scenes"]) < FEWEST:
+    if len(policies) < 2 or min(scene["episodes"] for scene in document["scenes"]) < FEWEST:
         return ""
     from flipperctl.evaluation.views.plot import KINDS, Request
     from flipperctl.figures.figure import WIDTH, render
@@ -282,7 +282,9 @@ def _failures(
     if not number:
         return ""
     records = _records(folder)
-    failed = [(at, one) for at, one in enumerate(recorded) if one.outcome != Outcome.REACHED]
+    failed = [
+        (at, record) for at, record in enumerate(recorded) if record.outcome != Outcome.REACHED
+    ]
     items = []
     for at, trace in failed[:MOST_FAILURES]:
         about = f"{trace.policy} on {trace.scene}, episode {trace.episode}: {trace.outcome}"
@@ -307,30 +309,30 @@ def _failures(
 
 def _records(folder: Path) -> dict[str, Path]:
     """Return the recorded failures of a folder by the digest of the episode."""
-    found: dict[str, Path] = {}
+    files: dict[str, Path] = {}
     for file in sorted(folder.glob("failure_*.json")):
         try:
-            found.setdefault(json.loads(file.read_text(encoding="utf-8"))["digest"], file)
+            files.setdefault(json.loads(file.read_text(encoding="utf-8"))["digest"], file)
         except (OSError, ValueError, LookupError, TypeError):
             continue  # replay says why
-    return found
+    return files
 
 
 def _data(recorded: Sequence[Trace], marks: Mapping[str, str]) -> str:
     """Return what the player shows as JSON that may stand in a page."""
     policies = list(dict.fromkeys(trace.policy for trace in recorded))
     grounds: dict[str, list[list[int]]] = {}
-    found = []
+    traces = []
     for trace in recorded:
         points = _ground(trace)
         key = json.dumps(points)
         grounds.setdefault(key, points)
         place = {"ground": list(grounds).index(key), "policy": policies.index(trace.policy)}
-        found.append(_plain(trace) | place)
+        traces.append(_plain(trace) | place)
     colours = [marks[policy] for policy in policies]
     beside = policies.index(RULER) if RULER in policies else 1
     names = {"policies": policies, "colours": colours, "beside": beside}
-    document = {**names, "grounds": list(grounds.values()), "traces": found}
+    document = {**names, "grounds": list(grounds.values()), "traces": traces}
     # In a page, a text that looks like the end of the script would be one.
     return json.dumps(document, separators=(",", ":")).replace("<", "\\u003c")
 
@@ -379,11 +381,12 @@ def _ground(trace: Trace) -> list[list[int]]:
 # Where the numbers come from
 
 
-def _origin(folder: Path, found: Document, marks: Mapping[str, str]) -> str:
+def _origin(folder: Path, document: Document, marks: Mapping[str, str]) -> str:
     headers = [
         header
         for header in store.headers(folder / store.FOLDER)
-        if header["conditions_hash"] in {scene["conditions"]["hash"] for scene in found["scenes"]}
+        if header["conditions_hash"]
+        in {scene["conditions"]["hash"] for scene in document["scenes"]}
     ]
     versions: dict[str, dict[str, None]] = {}
     for header in headers:
@@ -424,11 +427,14 @@ def _origin(folder: Path, found: Document, marks: Mapping[str, str]) -> str:
                     "seed": str(scene["seed"]),
                     "episodes": str(scene["episodes"]),
                 }
-                for name, scene in named(found)
+                for name, scene in named(document)
             }.values()
         ),
     )
-    commands = [*([found["command"]] if "command" in found else []), command("report", folder)]
+    commands = [
+        *([document["command"]] if "command" in document else []),
+        command("report", folder),
+    ]
     listed = "".join(
         f"<dt>{escape(name)}</dt><dd>{escape(text)}</dd>" for name, text in facts.items()
     )

@@ -113,11 +113,11 @@ class Episodes(Sequence[Row]):
 
     def kinds(self) -> dict[str, Episodes]:
         """Return the episodes of each kind of terrain by label, if there is more than one kind."""
-        found: dict[str, list[Row]] = {}
+        by_kind: dict[str, list[Row]] = {}
         for row in self.rows:
-            found.setdefault(row["terrain"], []).append(row)
-        several = len(found) > 1
-        return {label: Episodes(tuple(found[label])) for label in sorted(found) if several}
+            by_kind.setdefault(row["terrain"], []).append(row)
+        several = len(by_kind) > 1
+        return {label: Episodes(tuple(by_kind[label])) for label in sorted(by_kind) if several}
 
     def binned(
         self, names: Sequence[str]
@@ -144,7 +144,7 @@ class Episodes(Sequence[Row]):
 
 def _bins(values: Any) -> Any:
     """Return the number of each value's bin, (K,)."""
-    distinct, found = np.unique(values, return_inverse=True)
+    distinct, indices = np.unique(values, return_inverse=True)
     if len(distinct) <= _MOST_BINS:
-        return found
+        return indices
     return np.searchsorted(np.quantile(values, [0.25, 0.5, 0.75]), values, side="left")

@@ -107,12 +107,12 @@ def with_best_known(result: Result, store: EpisodeStore) -> Result:
     if not isinstance(store, FolderStore):
         return result
     scenes: dict[tuple[str, str, int, int], list[Played]] = {}
-    for one in result.played:
-        scenes.setdefault(one.entry.ground, []).append(one)
+    for item in result.played:
+        scenes.setdefault(item.entry.ground, []).append(item)
     for together in scenes.values():
         if (best := _best(together, store)) is not None:
             together.append(best)
-    return replace(result, played=tuple(one for together in scenes.values() for one in together))
+    return replace(result, played=tuple(item for together in scenes.values() for item in together))
 
 
 def _best(together: Sequence[Played], store: FolderStore) -> Played | None:
@@ -129,7 +129,7 @@ def _best(together: Sequence[Played], store: FolderStore) -> Played | None:
     ]
     if not complete:
         return None
-    headers, episodes = max(complete, key=lambda one: _rank(one[1]))
+    headers, episodes = max(complete, key=lambda policy_run: _rank(policy_run[1]))
     if any(_rank(row.episodes) >= _rank(episodes) for row in together):
         return None
     here = versions_here(entry.config)
@@ -243,10 +243,10 @@ class _Files:
     def _write_record(self, result: Result) -> None:
         if self._record is not None:
             parts = [
-                (one.entry.config, [row[RECORDED] for row in one.episodes if RECORDED in row])
-                for one in result.rows
+                (item.entry.config, [row[RECORDED] for row in item.episodes if RECORDED in row])
+                for item in result.rows
             ]
-            labels = dict.fromkeys(one.entry.label for one in result.rows)
+            labels = dict.fromkeys(item.entry.label for item in result.rows)
             recording.write(self._record, ", ".join(labels), parts)
             self._tell(f"wrote {self._record}")
 
@@ -280,11 +280,11 @@ class _Files:
 
 def episode_rows(result: Result) -> Iterator[Row]:
     """Yield a flat row per episode; in each scene the policy's precede its baselines'."""
-    for one in result.played:
-        entry = one.entry
+    for item in result.played:
+        entry = item.entry
         who = {"scene": entry.terrain, "controller": entry.row_label}
         conditions = {"conditions": entry.conditions.name, "conditions_hash": entry.conditions.hash}
-        for row in one.episodes:
+        for row in item.episodes:
             own = {n: value for n, value in row.items() if n not in (DIGEST, RECORDED)}
             yield {**who, **own, **conditions, **entry.names}
 
@@ -295,16 +295,16 @@ def failure_records(result: Result) -> Iterator[tuple[str, replay.EpisodeRecord]
     scenes = dict(zip(map(id, entries), _scene_names(entries), strict=True))
     labels = list(dict.fromkeys(entry.label for entry in entries))
     policies = [Path(short(label)).stem for label in labels]
-    for one in result.rows:
-        if one.entry.stored:
+    for item in result.rows:
+        if item.entry.stored:
             continue
-        words = ["failure", scenes[id(one.entry)]]
+        words = ["failure", scenes[id(item.entry)]]
         if len(labels) > 1:  # a path's last part, and a number where it is not telling
-            at = labels.index(one.entry.label)
+            at = labels.index(item.entry.label)
             words += [policies[at], *([str(at + 1)] if policies.count(policies[at]) > 1 else [])]
         stem = _file_name(" ".join(words))
-        for row in one.episodes.failed[:MOST_FAILURES]:
-            record = replay.EpisodeRecord.of(one.entry.config, one.entry.source, row)
+        for row in item.episodes.failed[:MOST_FAILURES]:
+            record = replay.EpisodeRecord.of(item.entry.config, item.entry.source, row)
             yield f"{stem}_{row['episode']}.json", record
 
 
@@ -327,11 +327,11 @@ def _lost_rows(folder: Path, document: Document) -> str:
     A row of more episodes, or with a baseline that there is no longer, is lost, too.
     """
 
-    def counts(found: Document) -> Iterator[tuple[tuple[str, str, int, str], int]]:
-        for scene in found["scenes"]:
-            for one in (scene, *compared(scene)):
+    def counts(document: Document) -> Iterator[tuple[tuple[str, str, int, str], int]]:
+        for scene in document["scenes"]:
+            for summary in (scene, *compared(scene)):
                 place = scene["seed"], scene["conditions"]["hash"]
-                yield (scene["terrain"], one["controller"], *place), scene["episodes"]
+                yield (scene["terrain"], summary["controller"], *place), scene["episodes"]
 
     try:
         earlier = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))

@@ -84,13 +84,13 @@ def success_interval(method: SeedSamples) -> Interval:
     mean = float(np.mean([values.mean() for values in rates.values()]))
     if mean in (0.0, 1.0) or (method.seeds == 1 and len(rates) == 1):
         return proportion(round(mean * episodes), episodes)
-    found = mean_interval(rates)
-    if found.low is None or found.high is None:
-        return found
-    if found.low == found.high:
+    interval = mean_interval(rates)
+    if interval.low is None or interval.high is None:
+        return interval
+    if interval.low == interval.high:
         counts = [(round(float(v.mean()) * v.shape[1]), v.shape[1]) for v in rates.values()]
         return mean_of([proportion(reached, total) for reached, total in counts])
-    return within(found, 0.0, 1.0)
+    return within(interval, 0.0, 1.0)
 
 
 def within(estimate: Interval, least: float, most: float) -> Interval:
@@ -116,13 +116,13 @@ def success_difference(
         (mine,), (other,) = ours.reached.values(), theirs.reached.values()
         paired = _pair(mine[0], other[0])
         return paired, paired.p
-    found, p = difference_interval(ours.successes(), theirs.successes())
-    if found.low is None or found.high is None:
-        return found, p
-    if found.low < found.high:
-        return Interval(found.mean, max(-1.0, found.low), min(1.0, found.high)), p
+    interval, p = difference_interval(ours.successes(), theirs.successes())
+    if interval.low is None or interval.high is None:
+        return interval, p
+    if interval.low < interval.high:
+        return Interval(interval.mean, max(-1.0, interval.low), min(1.0, interval.high)), p
     if not (_agree(ours) and _agree(theirs)):
-        return Interval(found.mean, None, None), 1.0
+        return Interval(interval.mean, None, None), 1.0
     pairs = [
         _pair(values[0], others[0])
         for values, others in zip(ours.reached.values(), theirs.reached.values(), strict=True)
@@ -180,8 +180,8 @@ def difference_interval(ours: Scores, theirs: Scores) -> tuple[Interval, float]:
     paired = {k: ours[k].mean(axis=0) - theirs[k].mean(axis=0) for k in ours}
     seeds = [part for part in (mine[0], other[0]) if part is not None]
     rest = mine[2] + other[2]
-    found = float(np.mean(means(ours)) - np.mean(means(theirs)))
-    return _tested(found, seeds, _over_episodes(paired), rest)
+    mean = float(np.mean(means(ours)) - np.mean(means(theirs)))
+    return _tested(mean, seeds, _over_episodes(paired), rest)
 
 
 def better_interval(ours: Scores, theirs: Scores) -> Interval:
@@ -193,16 +193,16 @@ def better_interval(ours: Scores, theirs: Scores) -> Interval:
     """
     gaps = {k: theirs[k][None, :, :] - ours[k][:, None, :] for k in ours}  # (S, S', E)
     wins = {k: (gap > 0) + 0.5 * (gap == 0) for k, gap in gaps.items()}
-    found = float(np.mean([w.mean() for w in wins.values()]))
+    mean = float(np.mean([w.mean() for w in wins.values()]))
     mine = _parts({k: w.mean(axis=1) for k, w in wins.items()})
     other = _parts({k: w.mean(axis=0) for k, w in wins.items()})
     episodes = _over_episodes({k: w.mean(axis=(0, 1)) for k, w in wins.items()})
     seeds = [part for part in (mine[0], other[0]) if part is not None]
-    interval, _ = _tested(found, seeds, episodes, mine[2] + other[2])
+    interval, _ = _tested(mean, seeds, episodes, mine[2] + other[2])
     few = any(part.freedom + 1 < FEWEST_SEEDS for part in seeds)
     if few or interval.low is None or interval.high is None or interval.low == interval.high:
-        return Interval(found, None, None)
-    return Interval(found, max(0.0, interval.low), min(1.0, interval.high))
+        return Interval(mean, None, None)
+    return Interval(mean, max(0.0, interval.low), min(1.0, interval.high))
 
 
 def statistic_interval(
@@ -216,14 +216,14 @@ def statistic_interval(
     """
     own = means(scores)
     count = len(own)
-    found = float(statistic(own))
+    estimate = float(statistic(own))
     _, _, rest = _parts(scores)
     seeds: Part | None = None
     if count > 1:
         rows = rng.integers(count, size=(resamples, count))
         spread = float(np.var(statistic(own[rows]))) * count / (count - 1)
         seeds = Part(spread, count - 1)
-    return _interval(found, seeds, _jackknifed(scores, statistic), rest)
+    return _interval(estimate, seeds, _jackknifed(scores, statistic), rest)
 
 
 def resampled(scores: Scores, rng: np.random.Generator, resamples: int) -> FloatArray:
@@ -266,11 +266,11 @@ def _parts(scores: Scores) -> tuple[Part | None, Part | None, float]:
 
 def _over_episodes(values: Mapping[str, FloatArray]) -> Part | None:
     """Return the part of the episodes from one value for each, (E,) by scene."""
-    if min(len(found) for found in values.values()) < FEWEST_EPISODES:
+    if min(len(scores) for scores in values.values()) < FEWEST_EPISODES:
         return None
     each = [
-        Part(float(np.var(found, ddof=1)) / len(found) / len(values) ** 2, len(found) - 1)
-        for found in values.values()
+        Part(float(np.var(scores, ddof=1)) / len(scores) / len(values) ** 2, len(scores) - 1)
+        for scores in values.values()
     ]
     return _joined(each)
 
@@ -284,8 +284,8 @@ def _jackknifed(scores: Scores, statistic: Statistic) -> Part | None:
             return None
         without = np.repeat(own[None], size, axis=0)  # (E, S, K)
         without[:, :, at] = ((values.sum(axis=1, keepdims=True) - values) / (size - 1)).T
-        found = statistic(without)
-        spread = (size - 1) / size * float(np.sum((found - found.mean()) ** 2))
+        estimates = statistic(without)
+        spread = (size - 1) / size * float(np.sum((estimates - estimates.mean()) ** 2))
         each.append(Part(spread, size - 1))
     return _joined(each)
 
@@ -297,24 +297,24 @@ def _joined(parts: Sequence[Part]) -> Part:
     return Part(total, total**2 / below if below > 0 else sum(part.freedom for part in parts))
 
 
-def _interval(found: float, seeds: Part | None, episodes: Part | None, rest: float) -> Interval:
-    return _tested(found, [] if seeds is None else [seeds], episodes, rest)[0]
+def _interval(estimate: float, seeds: Part | None, episodes: Part | None, rest: float) -> Interval:
+    return _tested(estimate, [] if seeds is None else [seeds], episodes, rest)[0]
 
 
 def _tested(
-    found: float, seeds: Sequence[Part], episodes: Part | None, rest: float
+    estimate: float, seeds: Sequence[Part], episodes: Part | None, rest: float
 ) -> tuple[Interval, float]:
     """Return an estimate with its interval, and the two-sided p-value for 0."""
     if episodes is None:
-        return Interval(found, None, None), 1.0
+        return Interval(estimate, None, None), 1.0
     parts = [*seeds, episodes]
     # The residual is in both sums; the estimate of the variance must not fall below either.
     variance = max(_joined(parts).variance - rest, *(part.variance for part in parts))
-    if variance <= (_FLAT * max(1.0, abs(found))) ** 2:
-        return Interval(found, found, found), 0.0 if found else 1.0
+    if variance <= (_FLAT * max(1.0, abs(estimate))) ** 2:
+        return Interval(estimate, estimate, estimate), 0.0 if estimate else 1.0
     if any(part.freedom + 1 < FEWEST_SEEDS for part in seeds):
-        half, p = _cautious(found, parts, rest)
-        return Interval(found, found - half, found + half), p
+        half, p = _cautious(estimate, parts, rest)
+        return Interval(estimate, estimate - half, estimate + half), p
     below = sum(part.variance**2 / part.freedom for part in parts)
     if seeds and rest > 0:
         below += rest**2 / (sum(part.freedom for part in seeds) * episodes.freedom)
@@ -322,11 +322,11 @@ def _tested(
 
     freedom, error = variance**2 / below, math.sqrt(variance)
     half = float(stdtrit(freedom, 0.975)) * error
-    p = 2 * float(stdtr(freedom, -abs(found) / error))
-    return Interval(found, found - half, found + half), p
+    p = 2 * float(stdtr(freedom, -abs(estimate) / error))
+    return Interval(estimate, estimate - half, estimate + half), p
 
 
-def _cautious(found: float, parts: Sequence[Part], rest: float) -> tuple[float, float]:
+def _cautious(estimate: float, parts: Sequence[Part], rest: float) -> tuple[float, float]:
     """Return half the width of the interval of few seeds, and the p-value for 0.
 
     Each part has the quantile of its own degrees of freedom (Cochran 1964), the episodes' being the
@@ -345,7 +345,7 @@ def _cautious(found: float, parts: Sequence[Part], rest: float) -> tuple[float, 
     low, high = 0.0, 1.0  # the p-value is where the interval ends at 0
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
-        low, high = (middle, high) if half(middle) > abs(found) else (low, middle)
+        low, high = (middle, high) if half(middle) > abs(estimate) else (low, middle)
     return half(0.05), high
 
 

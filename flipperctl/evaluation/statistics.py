@@ -171,9 +171,9 @@ def holm(p_values: Sequence[float]) -> list[float]:
 
     The probability that any of those up to 0.05 is a false discovery is at most 5 %.
     """
-    found, largest = [1.0] * len(p_values), 0.0
+    corrected, largest = [1.0] * len(p_values), 0.0
     order = sorted(range(len(p_values)), key=p_values.__getitem__)
     for rank, at in enumerate(order):
         largest = max(largest, min(1.0, (len(p_values) - rank) * p_values[at]))
-        found[at] = largest
-    return found
+        corrected[at] = largest
+    return corrected

@@ -169,14 +169,18 @@ def commit() -> str | None:
 def _scoring(config: EvalConfig) -> dict[str, Any]:
     """Return what results depend on besides the conditions, as plain data."""
     whole = to_dict(config.environment())
-    found = measures()
-    read = [file for one in [*config.rewards.values(), *found.values()] for file in read_files(one)]
+    by_name = measures()
+    read = [
+        file
+        for plugin in [*config.rewards.values(), *by_name.values()]
+        for file in read_files(plugin)
+    ]
     return {
         **({"files": [content_digest(file) for file in read]} if read else {}),
         "rewards": whole["rewards"],
         "layout": to_dict(config.perception.layout),
-        "measures": {name: to_dict(measure) for name, measure in found.items()},
-        "sources": foreign_sources([*config.rewards.values(), *found.values()]),
+        "measures": {name: to_dict(measure) for name, measure in by_name.items()},
+        "sources": foreign_sources([*config.rewards.values(), *by_name.values()]),
     }
 
 
@@ -258,8 +262,8 @@ class FolderStore(EpisodeStore):
             rest = {n: value for n, value in row.items() if n not in (DIGEST, RECORDED)}
             lines.append({"record": "episode", "cell": name, **own, **rest})
         texts = (
-            json.dumps(one, separators=(",", ":"), default=lambda number: number.item()) + "\n"
-            for one in lines
+            json.dumps(line, separators=(",", ":"), default=lambda number: number.item()) + "\n"
+            for line in lines
         )
         file = self._folder / f"{name}{_BLOCK}"
         write_bytes(file, "".join(texts).encode())
@@ -315,12 +319,12 @@ def headers(folder: Path) -> Iterator[dict[str, Any]]:
 
 def played_policies(folder: Path) -> dict[tuple[str, str], set[PlayedPolicy]]:
     """Return the policies whose blocks lie in a folder, by label and hash of the conditions."""
-    found: dict[tuple[str, str], set[PlayedPolicy]] = {}
+    policies: dict[tuple[str, str], set[PlayedPolicy]] = {}
     for header in headers(folder):
         key = header["controller"], header["conditions_hash"]
         policy = PlayedPolicy(header["policy"], header["training_seed"], header.get("training"))
-        found.setdefault(key, set()).add(policy)
-    return found
+        policies.setdefault(key, set()).add(policy)
+    return policies
 
 
 def read_block(file: Path) -> tuple[dict[str, Any], list[Row]] | None:

@@ -33,7 +33,7 @@ Episodes = Mapping[str, Mapping[str, tuple[float, bool]]]
 
 def _policies(path: Path, measure: str) -> dict[str, Episodes]:
     """Return the episodes of each policy of a file, the evaluated one before its baselines."""
-    found: dict[str, dict[str, dict[str, tuple[float, bool]]]] = {}
+    policies: dict[str, dict[str, dict[str, tuple[float, bool]]]] = {}
     try:
         with path.open(newline="") as file:
             reader = csv.DictReader(file)
@@ -48,7 +48,7 @@ def _policies(path: Path, measure: str) -> dict[str, Episodes]:
             value = float(row[measure]), row["outcome"] == Outcome.REACHED
             if not np.isfinite(value[0]):
                 raise ValueError(f"{measure} {row[measure]!r}")
-            played = found.setdefault(label, {}).setdefault(scene, {})
+            played = policies.setdefault(label, {}).setdefault(scene, {})
             if played.setdefault(row["seed"], value) != value:
                 raise RequestError(
                     f"{path}: {label} has several results on {scene}, seed {row['seed']}, as with "
@@ -57,9 +57,9 @@ def _policies(path: Path, measure: str) -> dict[str, Episodes]:
                 )
     except (OSError, UnicodeDecodeError, csv.Error, ValueError, TypeError) as error:
         raise RequestError(f"{path}: cannot be read: {error}") from error
-    if not found:
+    if not policies:
         raise RequestError(f"{path}: there is no episode in it")
-    return dict(found)
+    return dict(policies)
 
 
 def _methods(folder: Path) -> dict[str, str]:
@@ -71,7 +71,12 @@ def _methods(folder: Path) -> dict[str, str]:
                 labels.setdefault(method, set()).add(scene["controller"])
     except (OSError, ValueError, LookupError, TypeError, AttributeError):
         return {}  # the episodes alone are needed
-    return {label: name for name, found in labels.items() if len(found) > 1 for label in found}
+    return {
+        label: name
+        for name, method_labels in labels.items()
+        if len(method_labels) > 1
+        for label in method_labels
+    }
 
 
 @dataclass(frozen=True)
@@ -91,9 +96,9 @@ class _Run:
     @classmethod
     def of(cls, folder: Path, episodes: Episodes, cells: Collection[PlayedPolicy]) -> _Run:
         """Return the run of a policy whose cells these are."""
-        seeds = {one.training_seed for one in cells}
-        digests = frozenset(one.digest for one in cells)
-        training = next((one.training for one in cells if one.training is not None), None)
+        seeds = {cell.training_seed for cell in cells}
+        digests = frozenset(cell.digest for cell in cells)
+        training = next((cell.training for cell in cells if cell.training is not None), None)
         return cls(folder, episodes, digests, seeds.pop() if len(seeds) == 1 else None, training)
 
     def is_of(self, other: _Run) -> bool:
@@ -160,12 +165,12 @@ def read(words: Sequence[str], measure: str) -> Stored:
                 f"{folder}: there is no {FILE}, nor one in a folder below it; a folder of "
                 f"flipperctl eval --output is allowed{first}"
             )
-        for one in folders:
-            if (place := one.resolve()) in seen:
-                reader.notices.append(f"{one} is named twice and counts once")
+        for entry in folders:
+            if (place := entry.resolve()) in seen:
+                reader.notices.append(f"{entry} is named twice and counts once")
                 continue
             seen.add(place)
-            reader.read(one, name or (folder.resolve().name if below else None), is_seed=below)
+            reader.read(entry, name or (folder.resolve().name if below else None), is_seed=below)
     return reader.shared()
 
 
@@ -189,8 +194,8 @@ class _Reader:
         ``is_seed``: whether the folder is one of those of a method's training seeds.
         """
         methods, played = _methods(folder), dict[str, set[PlayedPolicy]]()
-        for (label, _), found in played_policies(folder / FOLDER).items():
-            played.setdefault(label, set()).update(found)
+        for (label, _), played_there in played_policies(folder / FOLDER).items():
+            played.setdefault(label, set()).update(played_there)
         policies = _policies(folder / FILE, self._measure)
         first = next(iter(policies))
         for label, episodes in policies.items():
@@ -198,7 +203,7 @@ class _Reader:
             leads = label == first or (label in methods and methods[label] == methods.get(first))
             method = name if name and leads else methods.get(label, label)
             # A rule of a plugin is known by its cells; files have no seed either.
-            seedless = bool(cells) and all(one.training_seed is None for one in cells)
+            seedless = bool(cells) and all(cell.training_seed is None for cell in cells)
             is_rule = label in self._rulers or (seedless and not Path(label).suffix)
             mixed = method in self._runs and is_rule != (method in self._untrained)
             if is_seed and label == first and mixed:
@@ -254,10 +259,10 @@ class _Reader:
                 for run in known
             ]
             if method in self._rules:
-                played = [one for at, one in enumerate(played) if one not in played[:at]]
+                played = [row for at, row in enumerate(played) if row not in played[:at]]
             pairs = {name: np.array([run[name] for run in played]) for name in played[0]}
-            values = {name: found[..., 0].copy() for name, found in pairs.items()}
-            reached = {name: found[..., 1] > 0 for name, found in pairs.items()}
+            values = {name: outcomes[..., 0].copy() for name, outcomes in pairs.items()}
+            reached = {name: outcomes[..., 1] > 0 for name, outcomes in pairs.items()}
             methods.append(
                 SeedSamples(method, values, reached, trained=method not in self._untrained)
             )

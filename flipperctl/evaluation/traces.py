@@ -57,19 +57,19 @@ def choose(result: Result, document: Document) -> list[Chosen]:
     def add(played: Played, scene: str, policy: str) -> None:
         if played.entry.stored:  # another evaluation's policy, which may not be here
             return
-        for found, rows in (
+        for choice, rows in (
             (first, played.episodes[:1]),
             (failed, played.episodes.failed[:FAILURES]),
         ):
             chosen = [Chosen(played.entry, row, policy, scene) for row in rows]
-            found.update({c.key: c for c in chosen if c.key not in first})
+            choice.update({c.key: c for c in chosen if c.key not in first})
 
     scenes = named(document)
     called = names([scene.get("method") or scene["controller"] for _, scene in scenes])
-    for (scene, told), one in zip(scenes, result.rows, strict=True):
+    for (scene, told), item in zip(scenes, result.rows, strict=True):
         seed = f", seed {told['training_seed']}" if "training_seed" in told else ""
-        add(one, scene, called[told.get("method") or told["controller"]] + seed)
-        for other in [] if result.plan.has_methods else result.baselines(one):
+        add(item, scene, called[told.get("method") or told["controller"]] + seed)
+        for other in [] if result.plan.has_methods else result.baselines(item):
             add(other, scene, other.entry.label)
     return [*first.values(), *failed.values()][:MOST]
 
@@ -89,9 +89,9 @@ class Traces:
         except RequestError as error:
             tell(f"{error}; its episodes are played again")
             return
-        for one in chosen:
-            if one.key in earlier:
-                self._found[one.key] = replace(earlier[one.key], scene=one.scene)
+        for item in chosen:
+            if item.key in earlier:
+                self._found[item.key] = replace(earlier[item.key], scene=item.scene)
 
     def write(self, file: Path) -> None:
         """Write those that there are, in the order in which they were chosen, if there are any."""
@@ -107,11 +107,11 @@ class Traces:
         Raises:
             FlipperctlError: an episode cannot be played, or there was a stop.
         """
-        missing = [one for one in self._chosen if one.key not in self._found]
+        missing = [item for item in self._chosen if item.key not in self._found]
         failed: list[FlipperctlError] = []
         groups: dict[int, list[Chosen]] = {}
-        for one in missing:
-            groups.setdefault(id(one.entry), []).append(one)
+        for item in missing:
+            groups.setdefault(id(item.entry), []).append(item)
         for episodes in groups.values():
             try:
                 self._play(episodes, progress, stop)
@@ -119,7 +119,7 @@ class Traces:
                 failed.append(error)
         if missing:
             self.write(self._file)
-        if stop() and (left := sum(one.key not in self._found for one in missing)):
+        if stop() and (left := sum(item.key not in self._found for item in missing)):
             raise InterruptedRunError(
                 f"interrupted: {left} of {len(missing)} episodes are not in {self._file}"
             )
@@ -136,23 +136,23 @@ class Traces:
             def search(fraction: float) -> None:
                 report(done + fraction)
 
-            for done, one in enumerate(episodes):
+            for done, item in enumerate(episodes):
                 if stop():
                     return
                 seed = entry.config.eval.seed
                 runner = runner or EpisodeRunner(entry.config, entry.source, seed, search)
-                made, profile = runner.transitions(one.row["episode"])
-                policy, conditions, seed, episode, digest = one.key
-                self._found[one.key] = Trace.of(
+                made, profile = runner.transitions(item.row["episode"])
+                policy, conditions, seed, episode, digest = item.key
+                self._found[item.key] = Trace.of(
                     made,
                     profile,
                     policy=policy,
-                    scene=one.scene,
+                    scene=item.scene,
                     episode=episode,
                     seed=seed,
                     conditions=conditions,
                     digest=digest,
-                    risk=np.array(risks(one.row) or ()),
+                    risk=np.array(risks(item.row) or ()),
                 )
                 report(done + 1)
 
@@ -161,7 +161,7 @@ class Traces:
         from flipperctl.figures.episode import episode_figure
         from flipperctl.figures.figure import save
 
-        first = next((one.key for one in self._chosen if one.entry is entry), None)
+        first = next((item.key for item in self._chosen if item.entry is entry), None)
         if first is not None and (trace := self._found.get(first)) is not None:
             save(episode_figure(trace), file, title(trace))
 

@@ -111,11 +111,11 @@ def _row(scene: Mapping[str, Any], method: Mapping[str, Any], *, is_policy: bool
 
 def _passable(method: Mapping[str, Any]) -> dict[str, Any] | None:
     """Return the counts of passable episodes; None if it is not known which references count."""
-    found = method.get("passable", {})
-    if "references" not in found:
+    passable = method.get("passable", {})
+    if "references" not in passable:
         return None
-    crossed = round((found["success_rate"] or 0.0) * found["episodes"])
-    return {name: found[name] for name in ("episodes", "references")} | {"reached": crossed}
+    crossed = round((passable["success_rate"] or 0.0) * passable["episodes"])
+    return {name: passable[name] for name in ("episodes", "references")} | {"reached": crossed}
 
 
 def _ends(interval: Mapping[str, Any] | None) -> Ends | None:
@@ -163,7 +163,7 @@ def read_document(folder_or_file: Path) -> dict[str, Any]:
 
 def policy_rows(file: Path, results: Sequence[Path]) -> list[StoredRow]:
     """Return the stored results of a policy and its baselines; the label becomes its name."""
-    found = []
+    result = []
     for folder in results:
         rows, played = read_document(folder)["rows"], played_policies(folder / FOLDER)
         policies = list(dict.fromkeys(row["method"] for row in rows if row["is_policy"]))
@@ -176,14 +176,14 @@ def policy_rows(file: Path, results: Sequence[Path]) -> list[StoredRow]:
                 "and its baselines: evaluate it with --baseline okada,level, alone"
             )
         for row in (row for row in rows if row["is_policy"]):
-            digests = {one.digest for one in played.get((row["method"], row["hash"]), ())}
+            digests = {policy.digest for policy in played.get((row["method"], row["hash"]), ())}
             if digests and PolicyIdentity.of(PolicySource(checkpoint=file)).digest not in digests:
                 raise RequestError(
                     f"{folder}: {row['method']} had other weights there than {file} has now; "
                     "evaluate it again"
                 )
-        found += rows
-    return found
+        result += rows
+    return result
 
 
 def _is(label: str, file: Path) -> bool:
@@ -278,13 +278,13 @@ def _seconds(run: Path) -> float | None:
 
 def _changed(config: TrainConfig) -> dict[str, Any]:
     """Return the settings that differ from their defaults, by path, as JSON."""
-    found = {}
+    changed = {}
     for setting in settings(config):
         chosen = setting.path.partition(".")[0] in _SECTIONS and "[" not in setting.path
         plugin = setting.path == setting.section and setting.path != "teacher.controller"
         if chosen and not plugin and setting.value not in (setting.field.default, {}):
-            found[setting.path] = json.dumps(setting.value)
-    return found
+            changed[setting.path] = json.dumps(setting.value)
+    return changed
 
 
 def results(rows: Sequence[StoredRow]) -> Iterator[str]:
@@ -304,10 +304,10 @@ def results(rows: Sequence[StoredRow]) -> Iterator[str]:
     asked = dict.fromkeys(", ".join(r["passable"]["references"]) for r in rows if "passable" in r)
     for names in asked:
         yield f"Passable are the episodes that one of these crosses: {names}.\n"
-    for label, found in together.items():
+    for label, table_rows in together.items():
         yield f"Conditions {label}:\n"
         columns = (*_COLUMNS, _PASSABLE) if asked else _COLUMNS
-        yield from (*markdown(Table(columns, found)), "")
+        yield from (*markdown(Table(columns, table_rows)), "")
     if gaps := [_texts(row) for row in rows if row["difference"] is not None]:
         yield from (*markdown(Table(_DIFFERENCES, gaps)), "")
 

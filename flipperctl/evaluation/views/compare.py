@@ -96,9 +96,9 @@ def compare(
     ``against``: the method to compare with, by default the first; ``all`` for every pair.
     ``called``: names of methods, ``NAME=METHOD``.
     """
-    found = resolver.get(Measure.kind, measure, "--measure")
-    assert issubclass(found, Measure)
-    if found.better != "lower":
+    measure_class = resolver.get(Measure.kind, measure, "--measure")
+    assert issubclass(measure_class, Measure)
+    if measure_class.better != "lower":
         raise RequestError(f"--measure {measure}: a measure of which less is better is allowed")
     if price is None and measure not in _PRICED:
         raise RequestError(
@@ -110,12 +110,14 @@ def compare(
     stored = read(folders, measure)
     known = [method.name for method in stored.methods]
     chosen = chosen_names(called, known)
-    methods = [replace(one, name=chosen.get(one.name, one.name)) for one in stored.methods]
+    methods = [replace(row, name=chosen.get(row.name, row.name)) for row in stored.methods]
     stored = replace(stored, methods=tuple(methods))
     names = shown_names([method.name for method in methods])
     if against is not None and against != ALL:
         against = taken(against, names, "--against", further=[ALL])
-    return Comparison(stored, measure, found.unit, price or PRICE, against or next(iter(names)))
+    return Comparison(
+        stored, measure, measure_class.unit, price or PRICE, against or next(iter(names))
+    )
 
 
 def document(comparison: Comparison) -> Document:
@@ -165,8 +167,8 @@ def method_row(method: SeedSamples, prices: Mapping[str, float]) -> Document:
     least = min(0.0, *(float(values.min()) for values in scores.values()))
     most = max(prices[scene] for scene in scores)
 
-    def inside(found: Interval, most: float = most) -> Document:
-        return within(found, least, most).to_dict()
+    def inside(interval: Interval, most: float = most) -> Document:
+        return within(interval, least, most).to_dict()
 
     return {
         "method": method.name,
@@ -208,20 +210,26 @@ def tables(compared: Document, label: str) -> Iterator[Table]:
     episodes = ", ".join(f"{scene} {count}" for scene, count in compared["episodes"].items())
     rows: list[Document] = []
     gaps: list[Document] = []
-    called = shown_names([one["method"] for one in compared["methods"]])
-    for one in compared["methods"]:
-        name = called[one["method"]]
-        seeds = f" ({one['seeds']} seeds)" if one["seeds"] > 1 else ""
-        rows.append(one | {"name": f"{name}{seeds}", "success_text": rate_text(one["success"])})
-        parts = one["by_scene"].items() if len(compared["episodes"]) > 1 else ()
+    called = shown_names([method["method"] for method in compared["methods"]])
+    for method in compared["methods"]:
+        name = called[method["method"]]
+        seeds = f" ({method['seeds']} seeds)" if method["seeds"] > 1 else ""
+        rows.append(
+            method | {"name": f"{name}{seeds}", "success_text": rate_text(method["success"])}
+        )
+        parts = method["by_scene"].items() if len(compared["episodes"]) > 1 else ()
         empty = {"success_text": "", "iqm": "", "reached_mean": "", "dim": True}
         rows += [{"name": f"  {scene}", "score": score, **empty} for scene, score in parts]
-        for gap in one.get("comparisons", [one["comparison"]] if one["comparison"] else []):
+        for gap in method.get(
+            "comparisons", [method["comparison"]] if method["comparison"] else []
+        ):
             mean, p = gap["success"]["mean"], gap["p_success_holm"]
             success = "±0" if mean == 0 else f"{100 * mean:+.3g} (p {p_text(p)})"
             texts = {"p_text": p_text(gap["p_holm"]), "success_text": success}
             gaps.append(gap | {"name": name, "other": called[gap["against"]], **texts})
-    rough = [f"{k} {one:.4g}" for k, one in compared["prices"].items() if one > compared["price"]]
+    rough = [
+        f"{k} {price:.4g}" for k, price in compared["prices"].items() if price > compared["price"]
+    ]
     more = f", or its scene's roughest crossing: {', '.join(rough)}" if rough else ""
     notes = [f"Score: {label}; a failed episode counts {compared['price']:.4g}{more}."]
     yield Table(_METHODS, rows, f"Episodes of each seed: {episodes}", notes)
@@ -236,21 +244,21 @@ def paper_table(compared: Document, label: str) -> Table:
     interquartile mean. ``label``: of the measure.
     """
     methods = compared["methods"]
-    called = shown_names([one["method"] for one in methods])
+    called = shown_names([method["method"] for method in methods])
     unit = label[label.rindex("[") :]
     rows: list[Document] = []
-    for one in methods:
-        rate = one["success"]
+    for method in methods:
+        rate = method["success"]
         success = f"{100 * rate['mean']:.0f}"
         if rate["mean"] < 1 and rate["low"] is not None:
             success += f" [{100 * rate['low']:.0f}, {100 * rate['high']:.0f}]"
-        gap = (one["comparison"] or {}).get("score")
-        parts = one["by_scene"].items() if len(compared["episodes"]) > 1 else ()
-        own = {"name": called[one["method"]], "success": success, "gap": gap or ""}
-        rows.append(one | own | {"line": bool(parts)})
+        gap = (method["comparison"] or {}).get("score")
+        parts = method["by_scene"].items() if len(compared["episodes"]) > 1 else ()
+        own = {"name": called[method["method"]], "success": success, "gap": gap or ""}
+        rows.append(method | own | {"line": bool(parts)})
         empty = {"seeds": "", "success": "", "gap": "", "iqm": ""}
         rows += [{"name": f"  {scene}", "score": score, **empty} for scene, score in parts]
-    against = {one["comparison"]["against"] for one in methods if one["comparison"]}
+    against = {method["comparison"]["against"] for method in methods if method["comparison"]}
     last = Column("iqm", f"IQM {unit}")
     if len(against) == 1:
         (other,) = against
@@ -268,15 +276,15 @@ def paper_table(compared: Document, label: str) -> Table:
 
 def seed_warnings(compared: Document) -> Iterator[str]:
     """Yield lines on methods with too few training seeds."""
-    called = shown_names([one["method"] for one in compared["methods"]])
-    trained = [one for one in compared["methods"] if one["trained"]]
-    if alone := [called[one["method"]] for one in trained if one["seeds"] == 1]:
+    called = shown_names([method["method"] for method in compared["methods"]])
+    trained = [method for method in compared["methods"] if method["trained"]]
+    if alone := [called[method["method"]] for method in trained if method["seeds"] == 1]:
         yield (
             f"One training seed: {', '.join(alone)}. The interval is over episodes alone, and says "
             "nothing of other trainings (docs/comparing.md)."
         )
-    if few := [one for one in trained if 1 < one["seeds"] < 5]:
-        counts = ", ".join(f"{called[one['method']]} {one['seeds']}" for one in few)
+    if few := [method for method in trained if 1 < method["seeds"] < 5]:
+        counts = ", ".join(f"{called[method['method']]} {method['seeds']}" for method in few)
         yield (
             f"Few training seeds: {counts}; report 5 or more. One bad seed could change these "
             "numbers (docs/comparing.md)."

@@ -41,8 +41,10 @@ def in_default_engine(config: Config) -> Config:
     known = {name: sim.shared_setting(name) for name in _SHARED}
     shared: dict[str, Any] = {name: value for name, value in known.items() if value is not None}
     plane = resolver.create("sim", {"name": DEFAULT_ENGINE, **shared}, "sim")
-    sampled = (one for one in config.randomise.sampled() if one.section == "sim")
-    if foreign := [one.key for one in sampled if one.field not in type(plane).model_fields]:
+    sampled = (setting for setting in config.randomise.sampled() if setting.section == "sim")
+    if foreign := [
+        setting.key for setting in sampled if setting.field not in type(plane).model_fields
+    ]:
         raise ConfigError(
             f"{', '.join(foreign)}: sim={DEFAULT_ENGINE}, the engine to compare with, has no such "
             f"setting; add {' '.join(f'{key}=null' for key in foreign)}"
@@ -73,28 +75,28 @@ def explained(result: Result) -> Result:
             if row["seed"] in ends
         )
         causes[id(last)] = replace(last, episodes=Episodes(rows))
-    return replace(result, played=tuple(causes.get(id(one), one) for one in result.played))
+    return replace(result, played=tuple(causes.get(id(item), item) for item in result.played))
 
 
 def document(result: Result) -> list[Document]:
     """Return what each policy loses from engine to engine on each terrain, as plain data."""
-    found = [_document(group) for group in _groups(result)]
-    sensed = [one["sensed"]["gap"] for one in found if "sensed" in one]
-    correct_all([*(one["gap"] for one in found), *sensed])
-    for one in found:
-        one["success_gap"] = one["gap"]["success"]
-    return found
+    comparisons = [_document(group) for group in _groups(result)]
+    sensed = [comparison["sensed"]["gap"] for comparison in comparisons if "sensed" in comparison]
+    correct_all([*(comparison["gap"] for comparison in comparisons), *sensed])
+    for comparison in comparisons:
+        comparison["success_gap"] = comparison["gap"]["success"]
+    return comparisons
 
 
 def _groups(result: Result) -> Iterator[list[Played]]:
     """Yield the two or three steps of each policy on each terrain, if all were played."""
     groups: dict[int, list[Played]] = {}
-    for one in result.played:
-        if one.entry.comparison is not None:
-            groups.setdefault(one.entry.comparison, []).append(one)
+    for item in result.played:
+        if item.entry.comparison is not None:
+            groups.setdefault(item.entry.comparison, []).append(item)
     for number, group in groups.items():
         planned = [e for e in result.plan.entries if e.comparison == number]
-        whole = all(len(one.episodes) == len(group[0].episodes) for one in group)
+        whole = all(len(item.episodes) == len(group[0].episodes) for item in group)
         if len(group) == len(planned) and whole:
             yield group
 
@@ -112,8 +114,8 @@ def _document(group: Sequence[Played]) -> Document:
         }
         for row, before in last.episodes.failed.paired(ours.episodes)
     ]
-    counts = Counter(one["cause"] for one in failed).most_common()
-    found: Document = {
+    counts = Counter(failure["cause"] for failure in failed).most_common()
+    comparison: Document = {
         "terrain": entry.terrain,
         "controller": entry.label,
         "engines": [ours.entry.sim, entry.sim],
@@ -127,13 +129,13 @@ def _document(group: Sequence[Played]) -> Document:
         "failures": failed,
     }
     for sensed in rest:
-        found["sensed"] = {
+        comparison["sensed"] = {
             "sensor": sensed.entry.config.perception.plugin_name,
             "summary": summary(entry.terrain, sensed.episodes),
             "gap": difference(sensed.episodes, theirs.episodes),
             "kept": _kept(theirs, sensed),
         }
-    return found
+    return comparison
 
 
 def _kept(first: Played, then: Played) -> float | None:
@@ -157,17 +159,17 @@ _COLUMNS = (
 def tables(comparisons: Sequence[Mapping[str, Any]]) -> Iterator[Table]:
     """Yield the table of losses; a row for each step of each policy on each terrain."""
     rows = []
-    for one in comparisons:
-        causes = ", ".join(f"{cause} {count}" for cause, count in one["causes"].items())
-        steps = {" → ".join(one["engines"]): one}
-        if "sensed" in one:
-            steps[one["sensed"]["sensor"]] = one["sensed"]
+    for comparison in comparisons:
+        causes = ", ".join(f"{cause} {count}" for cause, count in comparison["causes"].items())
+        steps = {" → ".join(comparison["engines"]): comparison}
+        if "sensed" in comparison:
+            steps[comparison["sensed"]["sensor"]] = comparison["sensed"]
         for at, (step, lost) in enumerate(steps.items(), 1):
             kept = lost["kept"]
             rows.append(
                 {
-                    "terrain": one["terrain"],
-                    "policy": short(one["controller"]),
+                    "terrain": comparison["terrain"],
+                    "policy": short(comparison["controller"]),
                     "step": step,
                     "causes": causes if at == len(steps) else "",
                     "success": gap_text(lost["gap"]["success"]),
@@ -181,11 +183,11 @@ def tables(comparisons: Sequence[Mapping[str, Any]]) -> Iterator[Table]:
 
 def failure_lines(comparisons: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """Yield a line for each failure in the last step."""
-    for one in comparisons:
-        for f in one["failures"]:
+    for row in comparisons:
+        for f in row["failures"]:
             yield (
-                f"{one['terrain']}, episode {f['episode']}: {f['cause']} ({f['outcome']} after "
+                f"{row['terrain']}, episode {f['episode']}: {f['cause']} ({f['outcome']} after "
                 f"{f['time']:.1f} s at x {f['x']:.2f} m, pitch {f['pitch']:.2f}, roll "
                 f"{f['roll']:.2f}, yaw {f['yaw']:.2f} rad, {f['side']:.2f} m aside; "
-                f"{f['default_outcome']} in {one['engines'][0]})"
+                f"{f['default_outcome']} in {row['engines'][0]})"
             )

@@ -54,12 +54,12 @@ def document(result: Result, by: Sequence[Names] = ()) -> Document:
     ``by``: numbers whose combinations are groups.
     """
     scenes = []
-    for one in result.rows:
-        entry, others = one.entry, {o.entry.label: o.episodes for o in result.baselines(one)}
-        told = summary.summary(entry.terrain, one.episodes)
+    for item in result.rows:
+        entry, others = item.entry, {o.entry.label: o.episodes for o in result.baselines(item)}
+        told = summary.summary(entry.terrain, item.episodes)
         if result.references and "passable" in told:
             told["passable"]["references"] = list(result.references)
-        causes = Counter(row["failed_by"] for row in one.episodes if "failed_by" in row)
+        causes = Counter(row["failed_by"] for row in item.episodes if "failed_by" in row)
         scenes.append(
             {
                 **told,
@@ -68,47 +68,53 @@ def document(result: Result, by: Sequence[Names] = ()) -> Document:
                 "conditions": entry.conditions.to_dict(),
                 **({"failed_by": dict(causes.most_common())} if causes else {}),
                 **entry.names,
-                **baselines(entry.terrain, one.episodes, others),
+                **baselines(entry.terrain, item.episodes, others),
             }
         )
     correct(scenes)
     if by:
-        for scene, one in zip(scenes, result.rows, strict=True):
-            beside = result.baselines(one)
-            scene["by"] = {"+".join(names): list(_groups(one, beside, names)) for names in by}
+        for scene, item in zip(scenes, result.rows, strict=True):
+            beside = result.baselines(item)
+            scene["by"] = {"+".join(names): list(_groups(item, beside, names)) for names in by}
         correct([group for scene in scenes for part in scene["by"].values() for group in part])
     methods = summary.pooled(result)
     correct(methods)
-    found: Document = {"controller": ", ".join(dict.fromkeys(o.entry.label for o in result.rows))}
+    result_document: Document = {
+        "controller": ", ".join(dict.fromkeys(o.entry.label for o in result.rows))
+    }
     if (stopped := result.interruption) is not None:
-        found |= {
+        result_document |= {
             "interrupted": True,
             "finished_episodes": stopped.finished,
             "planned_episodes": stopped.planned,
             "not_begun": list(stopped.not_begun),
         }
     if result.failures:
-        found["failed"] = [
-            {"controller": one.controller, "terrain": one.terrain, "error": str(one.error)}
-            for one in result.failures
+        result_document["failed"] = [
+            {
+                "controller": failure.controller,
+                "terrain": failure.terrain,
+                "error": str(failure.error),
+            }
+            for failure in result.failures
         ]
-    found["scenes"] = scenes
+    result_document["scenes"] = scenes
     if methods:
-        found["methods"] = methods
+        result_document["methods"] = methods
     if result.plan.engines:
-        found["engines"] = engines.document(result)
-    return found
+        result_document["engines"] = engines.document(result)
+    return result_document
 
 
 def parse_groups(text: str | None, option: str, configs: Sequence[EvalConfig]) -> list[Names]:
     """Return the names in ``steps,slope+up``: a list of tables, each by one or several numbers."""
     if text is None:
         return []
-    found = [tuple(name.strip() for name in part.split("+")) for part in text.split(",")]
-    if not all(all(names) and len(set(names)) == len(names) for names in found):
+    groups = [tuple(name.strip() for name in part.split("+")) for part in text.split(",")]
+    if not all(all(names) and len(set(names)) == len(names) for names in groups):
         raise RequestError(f"{option}: names as in steps,slope+up are allowed; got {text!r}")
-    check_different(f"{option} {text}", ["+".join(sorted(names)) for names in found])
-    for name in dict.fromkeys(name for names in found for name in names):
+    check_different(f"{option} {text}", ["+".join(sorted(names)) for names in groups])
+    for name in dict.fromkeys(name for names in groups for name in names):
         known: dict[str, None] = {}
         for config in configs:
             rng = np.random.default_rng(0)
@@ -123,12 +129,12 @@ def parse_groups(text: str | None, option: str, configs: Sequence[EvalConfig]) -
                 f"{option}: no scene draws {name!r}{close_match(name, known)}; "
                 f"known: {', '.join(known)}"
             )
-    return found
+    return groups
 
 
-def _groups(one: Played, others: Sequence[Played], names: Names) -> Iterator[dict[str, Any]]:
-    terrain = one.entry.terrain
-    for ranges, episodes in one.episodes.binned(names):
+def _groups(item: Played, others: Sequence[Played], names: Names) -> Iterator[dict[str, Any]]:
+    terrain = item.entry.terrain
+    for ranges, episodes in item.episodes.binned(names):
         own = {
             other.entry.label: Episodes(tuple(row for _, row in episodes.paired(other.episodes)))
             for other in others
@@ -178,7 +184,7 @@ def policies(evaluated: Document, title: str, columns: Sequence[str] = ()) -> Ta
     scenes = dict.fromkeys(row["scene"] for row in rows)
     single = len(scenes) == 1 and not any(row.get("dim") for row in rows)
     several = len({row["policy"] for row in rows}) > 1 or any(
-        one["scene"] == other["scene"] for one, other in pairwise(rows)
+        earlier["scene"] == other["scene"] for earlier, other in pairwise(rows)
     )
     latex = r"Pitch variation $\hat\theta_R$ [rad]"
     counts = dict.fromkeys(
@@ -220,12 +226,14 @@ def _without_repeats(rows: Sequence[Row]) -> Iterator[Row]:
         yield row | {"scene": own, "line": not repeated and not dim}
 
 
-def _policies(found: Document) -> Iterator[tuple[str, str, Document]]:
+def _policies(evaluated: Document) -> Iterator[tuple[str, str, Document]]:
     """Yield scene, policy and numbers of each policy; a method is pooled over its seeds."""
-    methods = {summary.key_of(one): one for one in found.get("methods", ())}
-    called = short_names([scene.get("method") or scene["controller"] for scene in found["scenes"]])
+    methods = {summary.key_of(method): method for method in evaluated.get("methods", ())}
+    called = short_names(
+        [scene.get("method") or scene["controller"] for scene in evaluated["scenes"]]
+    )
     shown: set[object] = set()
-    for name, scene in named(found):
+    for name, scene in named(evaluated):
         key = summary.key_of(scene)
         pooled = methods.get(key) if "training_seed" in scene else None
         if pooled is None or key not in shown:
@@ -235,39 +243,39 @@ def _policies(found: Document) -> Iterator[tuple[str, str, Document]]:
 
 def policy_rows(evaluated: Document) -> Iterator[Row]:
     """Yield the rows of the table of policies; parts of a mix are dim."""
-    for name, policy, one in _policies(evaluated):
-        seeds = f" ({one['seeds']} seeds)" if "seeds" in one else ""
-        yield _row(name, f"{policy}{seeds}", one)
-        for part, inner in one.get("parts", {}).items():
+    for name, policy, numbers in _policies(evaluated):
+        seeds = f" ({numbers['seeds']} seeds)" if "seeds" in numbers else ""
+        yield _row(name, f"{policy}{seeds}", numbers)
+        for part, inner in numbers.get("parts", {}).items():
             yield _row(f"  {part}", policy, inner) | {"dim": True}
-        if "method" not in one:  # else they have rows of their own
-            for other in compared(one):
+        if "method" not in numbers:  # else they have rows of their own
+            for other in compared(numbers):
                 yield _row(name, other["controller"], other)
 
 
-def _row(name: str, policy: str, found: Document) -> Row:
-    passable = (found.get("passable") or {}).get("success")
-    outcomes = found.get("outcomes", {})
+def _row(name: str, policy: str, scene: Document) -> Row:
+    passable = (scene.get("passable") or {}).get("success")
+    outcomes = scene.get("outcomes", {})
     failures = [f"{n} {name}" for name, n in outcomes.items() if n and name != Outcome.REACHED]
-    failures += [f"by {cause} {n}" for cause, n in found.get("failed_by", {}).items()]
+    failures += [f"by {cause} {n}" for cause, n in scene.get("failed_by", {}).items()]
     return {
-        **found,
+        **scene,
         "scene": name,
         "policy": policy,
-        "time": (found["t_cost"] or {}).get("mean"),
-        "success_text": rate_text(found["success"]),
+        "time": (scene["t_cost"] or {}).get("mean"),
+        "success_text": rate_text(scene["success"]),
         "failures": ", ".join(failures),
         "passable_text": rate_text(passable) if passable else "",
         "counts": outcomes,
         "outcomes": " ".join(f"{name} {n}" for name, n in outcomes.items() if n),
-        "not_reached_variation": (found.get("not_reached") or {}).get("pitch_variation_100hz"),
-        "search": _search_text(found.get("search", {})),
+        "not_reached_variation": (scene.get("not_reached") or {}).get("pitch_variation_100hz"),
+        "search": _search_text(scene.get("search", {})),
     }
 
 
-def _search_text(found: Mapping[str, Any]) -> str:
+def _search_text(search: Mapping[str, Any]) -> str:
     parts = []
-    for key, value in found.items():
+    for key, value in search.items():
         counts = value.items() if isinstance(value, Mapping) else ()
         words = ", ".join(f"{word} {count}" for word, count in counts)
         parts.append(f"{key} {words}" if words else f"{key} {value:.6g}")
@@ -312,8 +320,8 @@ def parse_columns(text: str | None) -> list[str]:
 
 def difference_rows(evaluated: Document, with_scene: bool = True) -> Iterator[Row]:
     """Yield a row for each difference of a policy to a baseline."""
-    for name, policy, one in _policies(evaluated):
-        for other in compared(one):
+    for name, policy, scene in _policies(evaluated):
+        for other in compared(scene):
             yield {
                 "scene": name if with_scene else "",
                 "policy": policy,
@@ -337,22 +345,22 @@ def _sentence(row: Row, *, several: bool) -> str:
 def group_tables(name: str, scene: Mapping[str, Any]) -> Iterator[Table]:
     """Yield a table for each combination of numbers: success, and differences to the baselines."""
     who = short(scene.get("method") or scene["controller"])
-    for by, found in scene.get("by", {}).items():
-        if found:
-            labels = dict.fromkeys(o["controller"] for group in found for o in compared(group))
+    for by, groups in scene.get("by", {}).items():
+        if groups:
+            labels = dict.fromkeys(o["controller"] for group in groups for o in compared(group))
             head = [
-                *(Column(f"drawn_{one}", one) for one in found[0]["drawn"]),
+                *(Column(f"drawn_{key}", key) for key in groups[0]["drawn"]),
                 Column("episodes", "episodes"),
                 Column("success_text", "success"),
                 Column("pitch_variation_100hz", VARIATION),
                 *(Column(f"gap_{label}", f"Δ to {label} [rad]", sign="+") for label in labels),
             ]
             title = f"{who} on {name} by {by.replace('+', ' and ')}"
-            yield Table(head, [_group_row(group) for group in found], title)
+            yield Table(head, [_group_row(group) for group in groups], title)
 
 
 def _group_row(group: Mapping[str, Any]) -> dict[str, Any]:
-    ends = {name: (one["low"], one["high"]) for name, one in group["drawn"].items()}
+    ends = {name: (span["low"], span["high"]) for name, span in group["drawn"].items()}
     drawn = {
         f"drawn_{name}": f"{low:.4g}" if low == high else f"{low:.3g} to {high:.3g}"
         for name, (low, high) in ends.items()
@@ -382,9 +390,9 @@ def _alike(result: Result) -> Iterator[str]:
     """Yield a line for each scene whose outcomes and measures are all identical, once for all."""
     names = ("outcome", "t_cost", "pitch_variation_100hz", "max_pitch", "return")
     told: set[str] = set()
-    for one in result.rows:
-        entry, count = one.entry, len(one.episodes)
-        measured = {tuple(row[name] for name in names) for row in one.episodes}
+    for item in result.rows:
+        entry, count = item.entry, len(item.episodes)
+        measured = {tuple(row[name] for name in names) for row in item.episodes}
         if count > 1 == len(measured) and not (entry.method and entry.conditions.hash in told):
             told.add(entry.conditions.hash)
             yield (
@@ -396,19 +404,19 @@ def _alike(result: Result) -> Iterator[str]:
 
 def _conditions(result: Result) -> Iterator[str]:
     """Yield a line for each set of conditions with a setting that is not the default."""
-    found: dict[str, dict[str, None]] = {}
-    for one in result.rows:
-        conditions = one.entry.conditions
+    terrains_of: dict[str, dict[str, None]] = {}
+    for item in result.rows:
+        conditions = item.entry.conditions
         if words := conditions.line():
             text = f"conditions {conditions.name}: {words}"
-            found.setdefault(text, {})[one.entry.terrain] = None
-    for text, terrains in found.items():
-        yield text if len(found) == 1 else f"{', '.join(terrains)}: {text}"
+            terrains_of.setdefault(text, {})[item.entry.terrain] = None
+    for text, terrains in terrains_of.items():
+        yield text if len(terrains_of) == 1 else f"{', '.join(terrains)}: {text}"
 
 
-def _risks(found: Document) -> Iterator[str]:
+def _risks(evaluated: Document) -> Iterator[str]:
     """Yield a line for each policy that told its risk, if it failed or warned."""
-    for name, scene in named(found):
+    for name, scene in named(evaluated):
         told = scene.get("risk")
         if told is not None and (told["failures"] or told["false_alarms"]):
             who = short(scene.get("method") or scene["controller"])
@@ -430,16 +438,16 @@ def csv_rows(evaluated: Document, digits: int | None = None) -> Iterator[Row]:
         stored = is_best_known(method)
         others = [] if method else compared(scene)
         first = method if stored else scene["controller"]
-        for label, one in ((first, scene), *((other["controller"], other) for other in others)):
+        for label, numbers in ((first, scene), *((other["controller"], other) for other in others)):
             row: Row = {
                 "scene": scene["terrain"],
                 "method": label,
-                "n": one["episodes"],
-                "reached": one["outcomes"]["reached"],
+                "n": numbers["episodes"],
+                "reached": numbers["outcomes"]["reached"],
             }
-            for name in (*names, "flipper_travel", *(m for m in further if m in one)):
-                row |= _ends(name, one[name], digits)
-            failed = (one["not_reached"] or {}).get("pitch_variation_100hz")
+            for name in (*names, "flipper_travel", *(m for m in further if m in numbers)):
+                row |= _ends(name, numbers[name], digits)
+            failed = (numbers["not_reached"] or {}).get("pitch_variation_100hz")
             row |= _ends("not_reached_pitch_variation_100hz", failed, digits)
             rest = {n: scene[n] for n in ("suite_scene", "training_seed") if n in scene}
             conditions = scene["conditions"]
@@ -447,9 +455,9 @@ def csv_rows(evaluated: Document, digits: int | None = None) -> Iterator[Row]:
             yield {**row, "seed": scene["seed"], **hashed, **rest}
 
 
-def _ends(name: str, found: Mapping[str, Any] | None, digits: int | None) -> Row:
+def _ends(name: str, interval: Mapping[str, Any] | None, digits: int | None) -> Row:
     """Return the mean and the ends of its interval, each None where there is none."""
-    values = [None if found is None else found[end] for end in ("mean", "low", "high")]
+    values = [None if interval is None else interval[end] for end in ("mean", "low", "high")]
     if digits is not None:
         values = [None if value is None else round(value, digits) for value in values]
     return dict(zip((name, f"{name}_low", f"{name}_high"), values, strict=True))

@@ -45,10 +45,10 @@ def rank(row: Row) -> tuple[float, float]:
 
 def by_scene(rows: Iterable[Row]) -> dict[str, dict[str, Row]]:
     """Return the rows by scene and policy."""
-    found: dict[str, dict[str, Row]] = {}
+    rows_of: dict[str, dict[str, Row]] = {}
     for row in rows:
-        found.setdefault(row["scene"], {})[row["policy"]] = row
-    return found
+        rows_of.setdefault(row["scene"], {})[row["policy"]] = row
+    return rows_of
 
 
 def _best(rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
@@ -62,7 +62,7 @@ def _best(rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
         wins: dict[str, list[str]] = {}
         for name, row in best.items():
             wins.setdefault(row["policy"], []).append(name)
-        ordered = sorted(wins.items(), key=lambda one: -len(one[1]))
+        ordered = sorted(wins.items(), key=lambda item: -len(item[1]))
         texts = [
             f"**{policy}** on {len(names)}" + (f" ({', '.join(names)})" if at else "")
             for at, (policy, names) in enumerate(ordered)
@@ -116,15 +116,15 @@ def _ratio(scenes: Mapping[str, Mapping[str, Row]], policy: str) -> str | None:
     )
 
 
-def _losses(found: Document, rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
+def _losses(document: Document, rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
     """Yield where policies are clearly worse than the ruler.
 
     By the difference on the same episodes where the results have it, else by the intervals.
     """
     gaps = {
-        (one["scene"], one["policy"]): one["variation"]
-        for one in evaluation.difference_rows(found)
-        if one["against"] == RULER
+        (difference["scene"], difference["policy"]): difference["variation"]
+        for difference in evaluation.difference_rows(document)
+        if difference["against"] == RULER
     }
     worse, compared = [], False
     for scene, own in by_scene(rows).items():

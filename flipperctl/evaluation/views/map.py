@@ -167,9 +167,9 @@ def notes(entry: Entry, axes: tuple[Axis, Axis]) -> Iterator[str]:
     first, second = (range(len(axis.values)) for axis in axes)
     border = [*((i, 0) for i in first), *((0, j) for j in second)]
     source = entry.source
-    found = {n: at for at in border for n in source.notes(grid_config(entry.config, axes, at))}
+    point_of = {n: at for at in border for n in source.notes(grid_config(entry.config, axes, at))}
     known = set(source.notes(entry.config))
-    new = [(note, at) for note, at in found.items() if note not in known]
+    new = [(note, at) for note, at in point_of.items() if note not in known]
     if new:
         note, at = new[0]
         where = ", ".join(f"{a.name}={a.values[i]:g}" for a, i in zip(axes, at, strict=True))
@@ -224,8 +224,8 @@ def _corners(block: Block) -> list[Index]:
 def _divides(block: Block, points: Mapping[Index, GridPoint]) -> bool:
     """Return whether success changes within a block, where neighbours may have played points."""
     (left, right), (low, high) = block
-    found = [p.success for (i, j), p in points.items() if left <= i <= right and low <= j <= high]
-    changes = not (min(found) >= 1 - _TOLERANCE or max(found) <= _TOLERANCE)
+    rates = [p.success for (i, j), p in points.items() if left <= i <= right and low <= j <= high]
+    changes = not (min(rates) >= 1 - _TOLERANCE or max(rates) <= _TOLERANCE)
     return changes and (right - left > 1 or high - low > 1)
 
 
@@ -233,7 +233,7 @@ def _interpolated(
     blocks: Sequence[Block], points: Mapping[Index, GridPoint]
 ) -> dict[Index, GridPoint]:
     """Return the points that were not played, each linear between the corners of its block."""
-    found = {}
+    grid = {}
     for block in blocks:
         (left, right), (low, high) = block
         corners = [points[corner] for corner in _corners(block)]
@@ -246,8 +246,8 @@ def _interpolated(
                 near = [(c.pitch_variation, weight) for c, weight in pairs if weight > 0]
                 known = [value * weight for value, weight in near if value is not None]
                 variation = sum(known) if len(known) == len(near) else None
-                found[i, j] = GridPoint(0, success, variation)
-    return found
+                grid[i, j] = GridPoint(0, success, variation)
+    return grid
 
 
 def write(folder: Path, mapped: CapabilityMap) -> None:
@@ -355,11 +355,11 @@ def _is_number(setting: Setting) -> bool:
 
 def _axis(text: str, config: EvalConfig, known: Mapping[str, Setting]) -> Axis:
     name, _, ends = text.partition("=")
-    keys = tuple(key for one in name.split("+") for key in _keys(one, config, known))
+    keys = tuple(key for part in name.split("+") for key in _keys(part, config, known))
     refuse_ineffective(config, {key: f"--over {key}" for key in keys})
-    found = [known[key] for key in keys]
-    whole = not any(re.search(r"\b(float|Range)\b", s.field.type) for s in found)
-    low, high, count = _typed_range(ends, text) if ends else (*_default_range(found), _VALUES)
+    settings = [known[key] for key in keys]
+    whole = not any(re.search(r"\b(float|Range)\b", s.field.type) for s in settings)
+    low, high, count = _typed_range(ends, text) if ends else (*_default_range(settings), _VALUES)
     values = [float(v) for v in np.linspace(low, high, count)]
     rounded = [round(v) if whole else float(f"{v:.{DIGITS}g}") for v in values]
     if len(different := tuple(dict.fromkeys(rounded))) < 2:
@@ -367,7 +367,7 @@ def _axis(text: str, config: EvalConfig, known: Mapping[str, Setting]) -> Axis:
             f"--over {text}: two different values are needed, "
             f"{'in whole numbers' if whole else 'in six digits'}; got {different[0]:g} alone"
         )
-    return Axis(name, keys, found[0].field.unit, different)
+    return Axis(name, keys, settings[0].field.unit, different)
 
 
 def _keys(name: str, config: EvalConfig, known: Mapping[str, Setting]) -> tuple[str, ...]:
@@ -398,13 +398,13 @@ def _typed_range(ends: str, text: str) -> tuple[float, float, int]:
     return low, high, int(count)
 
 
-def _default_range(found: Sequence[Setting]) -> tuple[float, float]:
+def _default_range(settings: Sequence[Setting]) -> tuple[float, float]:
     """Return both ends of an axis without a typed range; ``found`` are its settings.
 
     A bound that is itself not allowed is replaced by a value a twentieth of the range inside it.
     """
     lows, highs = [], []
-    for setting in found:
+    for setting in settings:
         ends = {sign: float(number) for sign, number in _BOUND.findall(setting.field.bounds)}
         low = ends.get("≥", ends.get(">", -math.inf))
         high = ends.get("≤", ends.get("<", math.inf))
@@ -412,12 +412,12 @@ def _default_range(found: Sequence[Setting]) -> tuple[float, float]:
         lows.append(low + (inside if ">" in ends else 0.0))
         highs.append(high - (inside if "<" in ends else 0.0))
     low, high = max(lows), min(highs)
-    if middle := sum(float(np.mean(s.value or 0)) for s in found) / len(found):
+    if middle := sum(float(np.mean(s.value or 0)) for s in settings) / len(settings):
         near, far = sorted((0.5 * middle, 1.5 * middle))
         low, high = max(low, near), min(high, far)
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise RequestError(
-            f"--over {found[0].path}: give a range, as in --over {EXAMPLE}; its bounds and "
+            f"--over {settings[0].path}: give a range, as in --over {EXAMPLE}; its bounds and "
             "its present value give none"
         )
     return low, high

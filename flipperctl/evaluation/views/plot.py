@@ -80,20 +80,20 @@ class Request:
 
         The keys are those of ``stored``: the terrain with the hash of its conditions.
         """
-        found: dict[str, str] = {}
+        names_of: dict[str, str] = {}
         for path in self.paths():
             try:
                 document = json.loads((path / SUMMARY).read_text(encoding="utf-8"))
                 for name, scene in named(document):
-                    found[f"{scene['terrain']} {scene['conditions']['hash']}"] = name
+                    names_of[f"{scene['terrain']} {scene['conditions']['hash']}"] = name
             except (OSError, ValueError, LookupError, TypeError):
                 continue  # the episodes alone are needed
-        return found if len(set(found.values())) == len(found) else {}
+        return names_of if len(set(names_of.values())) == len(names_of) else {}
 
     def called(self, labels: Sequence[str]) -> dict[str, str]:
         """Return what the methods that are drawn are called, by label."""
         called = renamed(labels, self.names)
-        chosen = [taken(one, called, "--only") for one in self.only] or called
+        chosen = [taken(name, called, "--only") for name in self.only] or called
         return {label: called[label] for label in chosen}
 
     def one_metric(self) -> str:
@@ -127,8 +127,8 @@ def estimates(
 def _estimate(method: SeedSamples, scene: str, metric: str) -> dict[str, Any] | None:
     if metric == SUCCESS:
         reached = {scene: method.reached[scene]}
-        one = SeedSamples(method.name, {scene: method.values[scene]}, reached, method.trained)
-        return success_interval(one).to_dict()
+        samples = SeedSamples(method.name, {scene: method.values[scene]}, reached, method.trained)
+        return success_interval(samples).to_dict()
     values: FloatArray = method.values[scene]
     if _only_reached(metric):
         values = values[:, method.reached[scene].all(axis=0)]
@@ -136,8 +136,8 @@ def _estimate(method: SeedSamples, scene: str, metric: str) -> dict[str, Any] | 
 
 
 def _only_reached(metric: str) -> bool:
-    found = registry.get((Measure.kind, metric))
-    further = found is not None and issubclass(found, Measure) and not found.reached_only
+    measure = registry.get((Measure.kind, metric))
+    further = measure is not None and issubclass(measure, Measure) and not measure.reached_only
     return metric not in _ALWAYS and (metric in CORE or not further)
 
 
@@ -245,30 +245,33 @@ def _one_of(option: str, wanted: str | None, known: Sequence[str]) -> str:
 
 
 def _compared(asked: Request) -> tuple[compare.Comparison, dict[str, str]]:
-    found = compare.compare(asked.folders, measure=asked.one_metric())
-    return found, asked.called([method.name for method in found.stored.methods])
+    comparison = compare.compare(asked.folders, measure=asked.one_metric())
+    return comparison, asked.called([method.name for method in comparison.stored.methods])
 
 
 def _differences(asked: Request) -> tuple[Figure, Sequence[str]]:
     from flipperctl.figures.methods import differences_figure
 
-    found, called = _compared(asked)
+    comparison, called = _compared(asked)
     if len(called) < 2:
         raise RequestError(f"{asked.folders[0]}: two methods are needed for differences")
     against = taken(asked.against, called, "--against") if asked.against else next(iter(called))
-    rows, scenes = list(differences(found, called, found.measure, against)), asked.scenes()
+    rows, scenes = (
+        list(differences(comparison, called, comparison.measure, against)),
+        asked.scenes(),
+    )
     rows = [row | {"scene": scenes.get(row["scene"], row["scene"])} for row in rows]
-    drawn = differences_figure(rows, found.measure, called[against], **asked.sized())
-    return drawn, found.stored.notices
+    drawn = differences_figure(rows, comparison.measure, called[against], **asked.sized())
+    return drawn, comparison.stored.notices
 
 
 def _profiles(asked: Request) -> tuple[Figure, Sequence[str]]:
     from flipperctl.figures.methods import profiles_figure
 
-    found, called = _compared(asked)
-    levels, curves = profiles(found, called)
-    drawn = profiles_figure(levels, curves, found.measure, **asked.sized())
-    return drawn, found.stored.notices
+    comparison, called = _compared(asked)
+    levels, curves = profiles(comparison, called)
+    drawn = profiles_figure(levels, curves, comparison.measure, **asked.sized())
+    return drawn, comparison.stored.notices
 
 
 def _series(asked: Request) -> tuple[Figure, Sequence[str]]:

@@ -39,13 +39,13 @@ def published(evaluated: Document, *, strict: bool = True) -> Table | None:
         if not repeated:
             others[conditions["name"]] = None
         rows = scenes.setdefault(terrain, [])
-        for one in (scene, *([] if "method" in scene else compared(scene))):
-            variation = one["pitch_variation"] or {}
+        for summary in (scene, *([] if "method" in scene else compared(scene))):
+            variation = summary["pitch_variation"] or {}
             rows.append(
                 {
-                    "policy": short(scene.get("method") or one["controller"]),
-                    "success": rate_text(one["success"]),
-                    "time": (one["t_cost"] or {}).get("mean"),
+                    "policy": short(scene.get("method") or summary["controller"]),
+                    "success": rate_text(summary["success"]),
+                    "time": (summary["t_cost"] or {}).get("mean"),
                     "variation": variation.get("mean"),
                     "range": variation.get("range"),
                 }
@@ -54,13 +54,13 @@ def published(evaluated: Document, *, strict: bool = True) -> Table | None:
     for terrain, rows in scenes.items():
         theirs = [
             {
-                "policy": one.source,
+                "policy": published_row.source,
                 "success": "",
-                "time": one.t_cost,
-                "variation": one.pitch_variation,
-                "range": one.pitch_variation_range,
+                "time": published_row.t_cost,
+                "variation": published_row.pitch_variation,
+                "range": published_row.pitch_variation_range,
             }
-            for one in terrain.published
+            for published_row in terrain.published
         ]
         every = [{"terrain": "", "line": False, **row} for row in (*rows, *theirs)]
         table.rows += [every[0] | {"terrain": terrain.plugin_name, "line": True}, *every[1:]]

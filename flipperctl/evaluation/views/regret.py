@@ -82,8 +82,8 @@ def measure(scene: RegretScene, player: Player) -> Document | None:
         source.build(config)  # raises for a wrong layout or robot
     sources = {LEVEL: load_policy(LEVEL, "controller"), **scene.references}
     every = [(scene.name, scene.policy)]
-    every += [(n, one) for n, one in sources.items() if n == LEVEL or one != scene.policy]
-    own, *others = (player.play(config, one, f"{terrain}, {name}") for name, one in every)
+    every += [(n, policy) for n, policy in sources.items() if n == LEVEL or policy != scene.policy]
+    own, *others = (player.play(config, policy, f"{terrain}, {name}") for name, policy in every)
     if player.interrupted:
         return None
     played = dict(zip([name for name, _ in every[1:]], others, strict=True))
@@ -172,10 +172,10 @@ def table(scenes: Sequence[Document]) -> Table:
     rows: list[dict[str, Any]] = []
     for name, scene in _named(scenes):
         every = [(scene["name"], scene["policy"]), *scene["references"].items()]
-        for label, one in every:
-            success = f"{100 * one['success_rate']:.3g} %"
-            row = {**one, "policy": short(label), "success": success}
-            rows.append({**row, "scene": name if one is scene["policy"] else ""})
+        for label, numbers in every:
+            success = f"{100 * numbers['success_rate']:.3g} %"
+            row = {**numbers, "policy": short(label), "success": success}
+            rows.append({**row, "scene": name if numbers is scene["policy"] else ""})
         best = {"return": scene["best_known"]["return"], "policy": "best of each episode"}
         rows.append({"scene": "", "success": "", "above_level": "", "regret": "", **best})
         rows[-len(every) - 1]["line"] = True
@@ -223,8 +223,8 @@ def line(measured: Mapping[str, Any] | None) -> str:
         return ""
     own, above = measured["policy"]["return"], measured["policy"]["above_level"]
     rules = (
-        f"{'flippers held still' if name == LEVEL else name} {one['return']['mean']:.2f}"
-        for name, one in measured["references"].items()
+        f"{'flippers held still' if name == LEVEL else name} {reference['return']['mean']:.2f}"
+        for name, reference in measured["references"].items()
     )
     rewards = "; ".join([f"reward {own['mean']:.2f}", *rules])
     verdict = Verdict(measured["verdict"])
@@ -245,15 +245,15 @@ def falls_short(measured: Mapping[str, Any] | None) -> bool:
     return own["success_rate"] < level["success_rate"] or (above.get("low") or 0.0) > 0
 
 
-def _level_line(found: Mapping[str, Any]) -> str:
+def _level_line(scene: Mapping[str, Any]) -> str:
     """Return a line on success and pitch variation beside holding still, if they were measured."""
-    own, level = found["policy"], found["references"].get(LEVEL)
+    own, level = scene["policy"], scene["references"].get(LEVEL)
     if level is None:
         return ""
     told = []
-    for words, one in ((", pitch variation", own), (",", level)):
-        variation = "" if one[_PITCH] is None else f"{words} {one[_PITCH]:.2f} rad"
-        told.append(f"{one['success_rate']:.0%}{variation}")
+    for words, numbers in ((", pitch variation", own), (",", level)):
+        variation = "" if numbers[_PITCH] is None else f"{words} {numbers[_PITCH]:.2f} rad"
+        told.append(f"{numbers['success_rate']:.0%}{variation}")
     line = f"On the same episodes: success {told[0]} (flippers held still: {told[1]})"
     if (above := own["pitch_above_level"]) is not None:
         words = f"is not shown to pitch less than {_STILL}"

@@ -110,11 +110,11 @@ def audit_table(audited: Document, notes: Sequence[str]) -> Table:
     rows = [
         {
             "term": name,
-            **one,
-            "share_text": f"{one['share']:.1%}",
-            "saturated_text": "–" if one["saturated"] is None else f"{one['saturated']:.1%}",
+            **term,
+            "share_text": f"{term['share']:.1%}",
+            "saturated_text": "–" if term["saturated"] is None else f"{term['saturated']:.1%}",
         }
-        for name, one in audited["terms"].items()
+        for name, term in audited["terms"].items()
     ]
     title = (
         f"{audited['controller']} on {audited['terrain']} · {audited['episodes']} episodes, "
@@ -193,15 +193,18 @@ def measures(played: Mapping[str, Episodes]) -> dict[str, Document]:
     Measures are means over the seeds that every policy crossed; None if there are none.
     """
     common = common_episodes(played)
-    found: dict[str, Document] = {
+    by_label: dict[str, Document] = {
         label: {
             "success_rate": len(episodes.reached) / len(episodes),
             **{name: _mean(common[label].values(name)) for name in _MEASURES},
         }
         for label, episodes in played.items()
     }
-    means = {label: (one[_MEASURES[0]] or {"mean": 0.0})["mean"] for label, one in found.items()}
-    return {label: found[label] for label in sorted(found, key=means.__getitem__)}
+    means = {
+        label: (numbers[_MEASURES[0]] or {"mean": 0.0})["mean"]
+        for label, numbers in by_label.items()
+    }
+    return {label: by_label[label] for label in sorted(by_label, key=means.__getitem__)}
 
 
 def rank(label: str, terms: Rewards, played: Mapping[str, Episodes], prefix: str = "") -> Document:
@@ -212,15 +215,15 @@ def rank(label: str, terms: Rewards, played: Mapping[str, Episodes], prefix: str
     """
     common = common_episodes(played)
     names = paying_terms(terms)
-    paid = {one: returns(episodes, names, prefix).tolist() for one, episodes in common.items()}
-    means = {one: _mean(values) for one, values in paid.items()}
+    paid = {name: returns(episodes, names, prefix).tolist() for name, episodes in common.items()}
+    means = {name: _mean(values) for name, values in paid.items()}
     ordered = dict(sorted(means.items(), key=lambda item: -item[1]["mean"] if item[1] else 0.0))
     enough = len(next(iter(common.values()))) >= FEWEST
     pairs = list(combinations(common, 2)) if enough else []
     tested = (_contradiction(pair, common, paid, names, prefix) for pair in pairs)
     candidates = sorted(
-        (one for one in tested if one is not None),
-        key=lambda one: -one["pitch_variation_100hz_difference"]["mean"],
+        (contradiction for contradiction in tested if contradiction is not None),
+        key=lambda contradiction: -contradiction["pitch_variation_100hz_difference"]["mean"],
     )
     return {
         "rewards": label,
@@ -239,13 +242,24 @@ def decide(scenes: list[Document]) -> list[Document]:
     opposite signs has a p-value of 1.
     """
     rankings = [ranking for scene in scenes for ranking in scene["rankings"]]
-    found = [one for ranking in rankings for one in ranking["contradictions"]]
+    contradictions = [
+        contradiction for ranking in rankings for contradiction in ranking["contradictions"]
+    ]
     tests = sum(ranking["tests"] for ranking in rankings)
-    corrected = holm([*(one["p"] for one in found), *[1.0] * (tests - len(found))])
-    for one, p in zip(found, corrected, strict=False):
-        one["p_holm"] = p
+    corrected = holm(
+        [
+            *(contradiction["p"] for contradiction in contradictions),
+            *[1.0] * (tests - len(contradictions)),
+        ]
+    )
+    for contradiction, p in zip(contradictions, corrected, strict=False):
+        contradiction["p_holm"] = p
     for ranking in rankings:
-        kept = [one for one in ranking["contradictions"] if one["p_holm"] <= _SIGNIFICANT]
+        kept = [
+            contradiction
+            for contradiction in ranking["contradictions"]
+            if contradiction["p_holm"] <= _SIGNIFICANT
+        ]
         ranking["contradictions"] = kept
         if ranking.pop("tests"):
             ranking["verdict"] = str(Verdict.CONTRADICTS if kept else Verdict.AGREES)
@@ -297,20 +311,20 @@ def _mean(values: Sequence[float]) -> Document | None:
 
 def table(scenes: Sequence[Document]) -> Table:
     """Return a table with a row for each policy on each scene, smallest θ̂_R first."""
-    labels = dict.fromkeys(one["rewards"] for s in scenes for one in s["rankings"])
+    labels = dict.fromkeys(ranking["rewards"] for s in scenes for ranking in s["rankings"])
     rows: list[dict[str, Any]] = []
     for name, scene in named({"scenes": scenes}):
-        paid = {f"return_{one['rewards']}": one["returns"] for one in scene["rankings"]}
-        for at, (label, one) in enumerate(scene["policies"].items()):
-            numbers = {key: one[key] for key in _MEASURES}
-            numbers |= {key: found[label] for key, found in paid.items()}
+        paid = {f"return_{ranking['rewards']}": ranking["returns"] for ranking in scene["rankings"]}
+        for at, (label, policy) in enumerate(scene["policies"].items()):
+            numbers = {key: policy[key] for key in _MEASURES}
+            numbers |= {key: returns[label] for key, returns in paid.items()}
             rows.append(
                 {
                     "scene": f"{name} ({scene['common']} of {scene['episodes']})" if not at else "",
                     "line": not at,
                     "policy": short(label),
-                    "success": f"{100 * one['success_rate']:.3g} %",
-                    **{key: found and found["mean"] for key, found in numbers.items()},
+                    "success": f"{100 * policy['success_rate']:.3g} %",
+                    **{key: interval and interval["mean"] for key, interval in numbers.items()},
                 }
             )
     columns = (
@@ -336,14 +350,14 @@ def verdict_lines(scenes: Sequence[Document]) -> Iterator[str]:
         for ranking in scene["rankings"]:
             known = verdicts.setdefault(ranking["rewards"], {})
             known.setdefault(ranking["verdict"], []).append(name)
-            for found in ranking["contradictions"]:
-                term, part = next(iter(found["terms"].items()))
-                gain = interval_text(found["return_difference"])
-                variation = interval_text(found["pitch_variation_100hz_difference"])
+            for rival in ranking["contradictions"]:
+                term, part = next(iter(rival["terms"].items()))
+                gain = interval_text(rival["return_difference"])
+                variation = interval_text(rival["pitch_variation_100hz_difference"])
                 yield (
-                    f"{ranking['rewards']} on {name}: the reward of {found['paid']} is {gain} "
-                    f"larger than that of {found['calm']}, but its pitch variation is {variation} "
-                    f"rad larger (p {found['p_holm']:.2g}); the term {term} contributes {part:+.2f}"
+                    f"{ranking['rewards']} on {name}: the reward of {rival['paid']} is {gain} "
+                    f"larger than that of {rival['calm']}, but its pitch variation is {variation} "
+                    f"rad larger (p {rival['p_holm']:.2g}); the term {term} contributes {part:+.2f}"
                 )
     for label, by_verdict in verdicts.items():
         parts = [f"{words[v]} {', '.join(on)}" for v in words if (on := by_verdict.get(v))]

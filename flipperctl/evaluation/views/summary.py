@@ -37,13 +37,13 @@ VARIATION = "pitch variation [rad]"  # heading of the first figure, θ̂_R at 10
 
 def baselines(terrain: str, ours: Episodes, others: Mapping[str, Episodes]) -> Document:
     """Return the entry ``baseline``, the first one, and ``baselines`` if there are several."""
-    found = [
+    compared = [
         {"controller": label, **summary(terrain, played), "difference": difference(ours, played)}
         for label, played in others.items()
         if ours.paired(played)
     ]
-    first = {"baseline": found[0]} if found else {}
-    return first | ({"baselines": found} if len(found) > 1 else {})
+    first = {"baseline": compared[0]} if compared else {}
+    return first | ({"baselines": compared} if len(compared) > 1 else {})
 
 
 def compared(scene: Mapping[str, Any]) -> list[Document]:
@@ -62,7 +62,7 @@ def _summary(terrain: str, episodes: Episodes) -> Document:
     good, failed = episodes.reached, episodes.failed
     counts = Counter(row["outcome"] for row in episodes)
     success = proportion(len(good), len(episodes))
-    found: Document = {
+    document: Document = {
         "terrain": terrain,
         "episodes": len(episodes),
         "success_rate": success.mean,
@@ -70,22 +70,22 @@ def _summary(terrain: str, episodes: Episodes) -> Document:
         "outcomes": {str(outcome): counts[outcome] for outcome in Outcome},
     }
     for name in _MEASURED:
-        found[name] = estimate(good.values(name))
+        document[name] = estimate(good.values(name))
     for measure in episodes.measures():
         name = measure.plugin_name
-        found[name] = estimate((good if measure.reached_only else episodes).values(name))
+        document[name] = estimate((good if measure.reached_only else episodes).values(name))
     if any("crossed_by" in row for row in episodes):
-        found["passable"] = _passable(episodes)
-    found["not_reached"] = _not_reached(failed)
-    found["max_pitch"] = estimate(episodes.values("max_pitch"))
-    found["return"] = estimate(episodes.values("return"))
+        document["passable"] = _passable(episodes)
+    document["not_reached"] = _not_reached(failed)
+    document["max_pitch"] = estimate(episodes.values("max_pitch"))
+    document["return"] = estimate(episodes.values("return"))
     if search := _search(episodes):
-        found["search"] = search
+        document["search"] = search
     risks = [(EpisodeRisks.pop(dict(row)), not reached(row)) for row in episodes]
     told = summarise([(risk, fails) for risk, fails in risks if risk is not None])
     if told is not None:
-        found["risk"] = told
-    return found
+        document["risk"] = told
+    return document
 
 
 def estimate(values: Sequence[float]) -> Document | None:
@@ -121,19 +121,19 @@ def _not_reached(failed: Episodes) -> Document | None:
 
 def _search(episodes: Episodes) -> Document:
     """Return the mean of each number that searches reported, and the counts of each word."""
-    found: Document = {}
+    document: Document = {}
     for key in [name for name in episodes[0] if name.startswith(SEARCH)]:
         values: list[Any] = episodes.values(key)
         words = Counter(value for value in values if isinstance(value, str))
         mean = None if words else sum(values) / len(values)
-        found[key.removeprefix(SEARCH)] = dict(words.most_common()) if words else mean
-    return found
+        document[key.removeprefix(SEARCH)] = dict(words.most_common()) if words else mean
+    return document
 
 
 def difference(ours: Episodes, theirs: Sequence[Row]) -> Document:
     """Return the mean differences of success and measures at equal seeds, ours minus theirs."""
     pairs = {label: part.paired(theirs) for label, part in ours.kinds().items()}
-    parts = {label: _difference(found) for label, found in pairs.items() if found}
+    parts = {label: _difference(pair_rows) for label, pair_rows in pairs.items() if pair_rows}
     return _difference(ours.paired(theirs)) | ({"parts": parts} if parts else {})
 
 
@@ -143,7 +143,7 @@ def _difference(pairs: Sequence[tuple[Row, Row]]) -> Document:
     names = dict.fromkeys(_COMPARED, True)
     shared = Episodes(tuple(row for pair in pairs for row in pair)).measures()
     names |= {measure.plugin_name: measure.reached_only for measure in shared}
-    found: Document = {"success": paired_success(won, lost, len(pairs)).to_dict()}
+    gaps: Document = {"success": paired_success(won, lost, len(pairs)).to_dict()}
     for name, only_reached in names.items():
         values = [
             mine[name] - other[name]
@@ -152,8 +152,8 @@ def _difference(pairs: Sequence[tuple[Row, Row]]) -> Document:
             if not only_reached or (reached(mine) and reached(other))
         ]
         gap = interval(values).to_dict() | {"episodes": len(values)} if values else None
-        found[name] = gap
-    return found
+        gaps[name] = gap
+    return gaps
 
 
 def correct(scenes: Sequence[Document]) -> None:
@@ -163,10 +163,12 @@ def correct(scenes: Sequence[Document]) -> None:
 
 def correct_all(differences: Iterable[Document]) -> None:
     """Correct the p-values of success of differences that are shown together (Holm 1979)."""
-    every = (one for gap in differences for one in (gap, *gap.get("parts", {}).values()))
-    found = [one["success"] for one in every]
-    for one, p in zip(found, holm([one["p"] for one in found]), strict=True):
-        one["p_holm"] = p
+    every = (
+        difference for gap in differences for difference in (gap, *gap.get("parts", {}).values())
+    )
+    tests = [difference["success"] for difference in every]
+    for test, p in zip(tests, holm([other["p"] for other in tests]), strict=True):
+        test["p_holm"] = p
 
 
 def named(evaluated: Document) -> list[tuple[str, Document]]:
@@ -208,9 +210,9 @@ def key_of(scene: Mapping[str, Any]) -> tuple[Any, ...]:
 def pooled(result: Result) -> list[dict[str, Any]]:
     """Return the summary of each method with several training seeds on each scene."""
     groups: dict[tuple[Any, ...], list[Played]] = {}
-    for one in result.rows:
-        if one.entry.training_seed is not None:
-            groups.setdefault((one.entry.ground, one.entry.method), []).append(one)
+    for item in result.rows:
+        if item.entry.training_seed is not None:
+            groups.setdefault((item.entry.ground, item.entry.method), []).append(item)
     return [_pool(result, group) for group in groups.values() if len(group) > 1]
 
 
@@ -242,7 +244,7 @@ def _pool(result: Result, group: Sequence[Played]) -> dict[str, Any]:
 
 def _shared(group: Sequence[Played]) -> list[list[Row]]:
     """Return the episodes that all played, in the same order: a list for each of the S seeds."""
-    rows = [{row["seed"]: row for row in one.episodes} for one in group]
+    rows = [{row["seed"]: row for row in item.episodes} for item in group]
     shared = [seed for seed in rows[0] if all(seed in other for other in rows)]
     return [[own[seed] for seed in shared] for own in rows]
 
@@ -263,12 +265,12 @@ def _pooled_difference(group: Sequence[Played], other: Played) -> dict[str, Any]
     table = _shared([*group, other])
     ours, theirs = _method("", table[:-1]), _method("", table[-1:])
     success, p = success_difference(ours, theirs)
-    found: dict[str, Any] = {"success": success.to_dict() | {"p": p, "p_holm": p}}
+    gaps: dict[str, Any] = {"success": success.to_dict() | {"p": p, "p_holm": p}}
     for name in _COMPARED:
         v = _crossed(table, name)
         gap = None if v is None else difference_interval({"": v[:-1]}, {"": v[-1:]})[0]
-        found[name] = gap and gap.to_dict()
-    return found
+        gaps[name] = gap and gap.to_dict()
+    return gaps
 
 
 # How a policy's risk fits the ends of its episodes

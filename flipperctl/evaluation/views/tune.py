@@ -98,27 +98,27 @@ class Setting:
 
 def settings_of(controller: Controller, names: Sequence[str] | None = None) -> list[Setting]:
     """Return the numbers of a controller that have two bounds, or the named ones among them."""
-    found = {}
+    settings = {}
     for name, info in type(controller).model_fields.items():
         ends = {}
         for side, keys in (("low", ("ge", "gt")), ("high", ("le", "lt"))):
-            given = (getattr(one, key, None) for one in info.metadata for key in keys)
+            given = (getattr(constraint, key, None) for constraint in info.metadata for key in keys)
             ends[side] = next((bound for bound in given if bound is not None), math.inf)
         if info.annotation in (int, float) and all(map(math.isfinite, ends.values())):
             above, width = getattr(controller, name) - ends["low"], ends["high"] - ends["low"]
             scale = above if 0 < above < width / _WIDE else 0.0
-            found[name] = Setting(name, **ends, whole=info.annotation is int, scale=scale)
-    if not found:
+            settings[name] = Setting(name, **ends, whole=info.annotation is int, scale=scale)
+    if not settings:
         raise RequestError(
             f"{controller.plugin_name}: this controller has no number between two bounds to tune"
         )
     for name in names or ():
-        if name not in found:
+        if name not in settings:
             raise RequestError(
                 f"--settings: {controller.plugin_name} has no number {name!r} between two bounds"
-                f"{close_match(name, found)}; known: {', '.join(found)}"
+                f"{close_match(name, settings)}; known: {', '.join(settings)}"
             )
-    return [found[name] for name in dict.fromkeys(names or found)]
+    return [settings[name] for name in dict.fromkeys(names or settings)]
 
 
 @dataclass(frozen=True)
@@ -183,16 +183,16 @@ class Tuned:
     def of(
         cls,
         start: Mapping[str, Any],
-        found: Mapping[str, Any],
+        end: Mapping[str, Any],
         measure: Measure,
         draws: int,
         episodes: int,
     ) -> Tuned:
         """Score both on equal episodes, so many on each scene."""
-        old, new = measure([start, found], draws, episodes, "scores")
+        old, new = measure([start, end], draws, episodes, "scores")
         difference, p = difference_interval(new, old)
         ends = mean_interval(old), mean_interval(new)
-        return cls(start, found, *ends, difference, p, episodes * len(old))
+        return cls(start, end, *ends, difference, p, episodes * len(old))
 
 
 def search(
@@ -232,16 +232,16 @@ def search(
         bests.append(candidates[int(np.argmin(costs[number]))])
     favourite = values(strategy.result.xfavorite)
     finalists = [start]
-    for one in (favourite, *bests[-_RECENT:]):
-        if one not in finalists and valid(one):
-            finalists.append(one)
+    for candidate in (favourite, *bests[-_RECENT:]):
+        if candidate not in finalists and valid(candidate):
+            finalists.append(candidate)
     end = spending.generations
     final = measure(finalists, end, spending.final, "choice")
     at = int(np.argmin(list(map(_cost, final))))
     gain, _ = difference_interval(final[at], final[0])
     # The best of several is often so by chance; the start stays unless it is beaten beyond that.
-    found = start if gain.high is None or gain.high >= 0 else finalists[at]
-    return Tuned.of(start, found, measure, end + 1, spending.final)
+    winner = start if gain.high is None or gain.high >= 0 else finalists[at]
+    return Tuned.of(start, winner, measure, end + 1, spending.final)
 
 
 def _strategy(settings: Sequence[Setting], start: Fields, spending: Spending, seed: int) -> Any:
@@ -261,18 +261,18 @@ def _strategy(settings: Sequence[Setting], start: Fields, spending: Spending, se
 def _sample(strategy: Any, valid: Callable[[Sequence[float]], bool]) -> Any:
     """Return the first sample that the controller takes."""
     samples = (strategy.ask(1)[0] for _ in range(_TRIES))
-    found = next(filter(valid, samples), None)
-    if found is None:
+    sample = next(filter(valid, samples), None)
+    if sample is None:
         raise RequestError(
             f"none of {_TRIES} samples within the bounds is valid for the controller"
         )
-    return found
+    return sample
 
 
 def _cost(scores: Scores) -> float:
-    if not math.isfinite(found := float(means(scores).mean())):
-        raise NonFiniteError(f"the score of a candidate is {found}")
-    return found
+    if not math.isfinite(score := float(means(scores).mean())):
+        raise NonFiniteError(f"the score of a candidate is {score}")
+    return score
 
 
 @dataclass(frozen=True)
@@ -340,10 +340,10 @@ class Request:
             raise refusal(
                 controller, "learn", f"returned {short_repr(learnt)}; its own class is allowed"
             )
-        start, found = resolver.to_dict(controller), resolver.to_dict(learnt)
-        changed = [name for name in start if start[name] != found[name]]
+        start, end = resolver.to_dict(controller), resolver.to_dict(learnt)
+        changed = [name for name in start if start[name] != end[name]]
         playing = Playing(self.entries, self.objective, self.seed, player, tell_size)
-        before, after = ({name: one[name] for name in changed} for one in (start, found))
+        before, after = ({name: values[name] for name in changed} for values in (start, end))
         return Tuned.of(before, after, playing, 1, final)
 
     def tune(self, player: Player, tell_size: Callable[[int], None], state: Path) -> Tuned:
@@ -356,7 +356,7 @@ class Request:
         controller = self.controller
         settings = settings_of(controller, self.names)
         spending = Spending.of(self.budget, len(settings), len(self.entries), self.episodes)
-        start = {one.name: getattr(controller, one.name) for one in settings}
+        start = {setting.name: getattr(controller, setting.name) for setting in settings}
         fixed = resolver.to_dict(controller)
         asked: dict[str, Any] = {"controller": fixed, "start": start, "words": list(self.words)}
         asked |= {"spending": asdict(spending), "version": __version__}
@@ -374,19 +374,19 @@ class Request:
 
         playing = Playing(self.entries, self.objective, self.seed, player, tell_size)
         earlier = _earlier(state, asked)
-        found = search(
+        tuned = search(
             *(settings, start, valid, spending, playing),
             seed=self.seed,
             earlier=earlier,
             keep=keep,
         )
         state.unlink(missing_ok=True)
-        return found
+        return tuned
 
     def policy_file(self, tuned: Tuned) -> PolicyFile:
         """Return the file of the settings that were found."""
         before, after, difference = (
-            Score(**one.to_dict()) for one in (tuned.before, tuned.after, tuned.difference)
+            Score(**score.to_dict()) for score in (tuned.before, tuned.after, tuned.difference)
         )
         own = resolver.to_dict(self.controller) | dict(tuned.found)
         tuning = Tuning(
@@ -416,8 +416,8 @@ class Request:
         measured = f"pitch variation [rad], a failed episode at least {PRICE:.2f}"
         measured = measured if self.objective == "pitch" else "minus the reward [-]"
         old, new, change = (
-            interval_text(one.to_dict(), 3, sign=sign)
-            for one, sign in ((tuned.before, ""), (tuned.after, ""), (tuned.difference, "+"))
+            interval_text(score.to_dict(), 3, sign=sign)
+            for score, sign in ((tuned.before, ""), (tuned.after, ""), (tuned.difference, "+"))
         )
         notes = [f"{measured}, over {tuned.episodes} fresh training episodes:"]
         if tuned.found == tuned.start:
@@ -450,9 +450,9 @@ def _verdict(difference: Interval) -> str:
 def _earlier(state: Path, asked: Mapping[str, Any]) -> list[list[float]]:
     """Return the costs of the generations that an interrupted search of the same kept."""
     try:
-        found = json.loads(state.read_bytes())
-        costs = [list(map(float, one)) for one in found["costs"]]
-        same = found["search"] == json.loads(json.dumps(asked))
+        state_before = json.loads(state.read_bytes())
+        costs = [list(map(float, cost)) for cost in state_before["costs"]]
+        same = state_before["search"] == json.loads(json.dumps(asked))
     except FileNotFoundError:
         return []
     except (OSError, ValueError, TypeError, KeyError):
