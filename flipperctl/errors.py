@@ -45,13 +45,6 @@ class CheckpointError(RequestError):
     """A checkpoint is missing, damaged, foreign, or needs a plugin that is not installed."""
 
 
-class OldVersionError(ValueError):
-    """A file is of a version whose files are no longer read; the text follows its name."""
-
-    def __init__(self, version: str, advice: str) -> None:
-        super().__init__(f"is of version {version}; this version reads 0.3; {advice}")
-
-
 class PolicyError(RequestError):
     """An exported policy is missing, damaged or foreign, or received an input that does not fit."""
 
@@ -92,6 +85,14 @@ class InterruptedRunError(FlipperctlError):
     """The user interrupted the work; its results so far are saved."""
 
     exit_code = 130
+
+
+def other_format(number: object, allowed: int) -> str:
+    """Return the text, which follows a file's name, for a file of another format."""
+    return (
+        f"its format is {number!r:.40}, of another version of flipperctl; this one reads "
+        f"{allowed}; train or record again, or use that version"
+    )
 
 
 _PACKAGES = {"PIL": "pillow", "hydra": "hydra-core", "yaml": "pyyaml"}

@@ -16,8 +16,6 @@ if TYPE_CHECKING:  # pydantic costs 40 ms, and the command line's help needs onl
 _LONGEST = 600  # characters of a validator's message
 _ALIKE = 0.7
 """Smallest similarity of a misspelling: planner and none have 0.55, stair and stiar 0.8."""
-_GONE_PLUGINS = {("logger", "trackio"): "logger=wandb, or a logger of your own, takes its place"}
-"""(kind, name) of plugins of earlier versions, and what to use instead."""
 _BOUNDS = {"ge": "≥", "gt": ">", "le": "≤", "lt": "<"}
 
 
@@ -58,8 +56,6 @@ def missing_name(kind: str, name: str, known: Iterable[str]) -> str:
     Each engine and sensor has an entry point of its own, even in this package, and entry points
     are read from the installed metadata.
     """
-    if gone := _GONE_PLUGINS.get((kind, name)):
-        return f"; it is gone: {gone}"
     known = list(known)
     key, _, value = name.partition("=")
     if value in known:
@@ -127,15 +123,11 @@ def explain(
 
     ``validated`` is the validated document, which names the plugins within the model's fields.
     """
-    from flipperctl.api.removed import respelling
-
     first = error.errors()[0]
     location = ".".join(map(str, (*([where] if where else []), *first["loc"])))
     owner, known = _owner(model, first["loc"], validated or {})
     leaf = str(first["loc"][-1]) if first["loc"] else ""
     if first["type"] == "extra_forbidden":
-        if written := respelling(location, known):
-            return written
         hint = close_match(leaf, known)
         return f"{location}: there is no such key{hint}; known: {', '.join(known)}"
     if first["type"] == "unknown_plugin":
@@ -155,8 +147,6 @@ def explain(
 
 def explain_unknown_key(key: str, node: Mapping[str, Any]) -> str:
     """Return the error for a dotted key that the nested mapping ``node`` does not have."""
-    from flipperctl.api.removed import removal, respelling
-
     *parents, leaf = key.split(".")
     inside = ""  # the innermost existing section on the path to the key
     for parent in parents:
@@ -166,9 +156,6 @@ def explain_unknown_key(key: str, node: Mapping[str, Any]) -> str:
         node, inside = node[parent], f"{inside}.{parent}".lstrip(".")
     known = sorted(name for name in node if name != "name")
     place = f"{inside}={node['name']}" if "name" in node else inside
-    owner = str(node.get("name", inside.rpartition(".")[2]))
-    if gone := removal(owner, leaf, key) or respelling(key, known):
-        return gone
     inner = [path for path in _paths(node) if not inside and path.endswith(f".{leaf}")]
     hint = suggestion(*inner, quoted=False) if len(inner) <= 3 else ""
     if inside and not known:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -22,7 +21,6 @@ from pydantic import (
 from pydantic_core import core_schema
 
 from flipperctl.api.profile import Profile
-from flipperctl.api.removed import without_removed
 from flipperctl.core import FloatArray, observation
 
 MAX_HISTORY = 32
@@ -88,13 +86,6 @@ class Settings(BaseModel):
                     f"{type(self).__name__}.{name} cannot be set: settings do not change; keep "
                     "what changes in a local variable, or in an object that build returns"
                 ) from error
-
-    @model_validator(mode="before")
-    @classmethod
-    def _leave_out_removed(cls, values: Any) -> Any:
-        """Return the values without settings of earlier versions that changed nothing."""
-        section = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", cls.__name__).lower()
-        return without_removed(getattr(cls, "plugin_name", section), values)
 
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> Any:

@@ -39,6 +39,13 @@ TRUST = "FLIPPERCTL_TRUST"
 """Environment variable: folders below which runs load their copies of plugin files unasked."""
 BEST, LAST = Path("checkpoints/best.safetensors"), Path("checkpoints/last.safetensors")
 
+_FIXED: Mapping[str, Mapping[str, object]] = {
+    "sim": {"engine": "compiled"},
+    "agent": {"act_with": "target"},
+    "policy_gradient": {"value_rate": 1e-3, "value_passes": 8},
+}
+"""Section → former settings of files of this format, with the value that each has now."""
+
 
 @dataclass(frozen=True)
 class Checkpoint:
@@ -99,7 +106,7 @@ class Checkpoint:
 
     def _parse(self, settings: Mapping[str, Any]) -> TrainConfig:
         try:
-            return parse(TrainConfig, settings)
+            return parse(TrainConfig, _without_fixed(settings))
         except ConfigError as error:
             raise CheckpointError(
                 f"{self.path}: its configuration is not valid: {error}"
@@ -192,6 +199,16 @@ def plugin_references(config: TrainConfig) -> tuple[PluginReference, ...]:
         for plugin in plugged(config)
         for part in resolver.nested_plugins(plugin)
     )
+
+
+def _without_fixed(settings: Mapping[str, Any], section: str = "") -> dict[str, Any]:
+    """Return settings without former ones that have the value that is fixed now."""
+    former = _FIXED.get(section, {})
+    return {
+        name: _without_fixed(value, name) if isinstance(value, Mapping) else value
+        for name, value in settings.items()
+        if name not in former or value != former[name]
+    }
 
 
 def write(path: Path, document: Document, tensors: Mapping[str, torch.Tensor]) -> None:

@@ -29,14 +29,14 @@ from pydantic import (
 
 from flipperctl.core.reading import read_whole
 from flipperctl.core.targets import ACTIONS, JOINTS
-from flipperctl.errors import CheckpointError, OldVersionError
+from flipperctl.errors import CheckpointError, other_format
 from flipperctl.messages import explain
 
 if TYPE_CHECKING:
     import torch
 
 FORMAT: Final = 3
-"""Format number of version 0.3. Version 0.1 had 1; the documents of 0.2 lack ``actions``."""
+"""Format number of version 0.3."""
 EPISODES: Final = "episodes"
 """Document kind of recorded episodes, which are sealed like checkpoints."""
 RECENT = 100
@@ -274,7 +274,7 @@ def validated(model: type[RecordT], raw: Mapping[str, Any], number: int) -> Reco
     """Return a document of the format ``number`` as its model."""
     found = raw.get("format")
     if type(found) is not int or found != number:
-        raise ValueError(f"its format is {found!r:.40}; this version reads {number}")
+        raise ValueError(other_format(found, number))
     try:
         return model.model_validate_json(json.dumps(raw))
     except ValidationError as error:
@@ -286,8 +286,6 @@ def naming_document(path: Path) -> Iterator[None]:
     """Name the file whose document is not valid."""
     try:
         yield
-    except OldVersionError as error:
-        raise CheckpointError(f"{path} {error}") from error
     except ValueError as error:
         raise CheckpointError(f"{path}: its document is not valid: {error}") from error
 
@@ -297,10 +295,6 @@ def parse(text: str) -> Document:
     raw = decode(text)
     if raw.get("kind") == EPISODES:
         raise ValueError("it describes recorded episodes, which hold no policy")
-    number = raw.get("format")
-    if type(number) is int and "config" in raw and number in (1, 2):
-        version = f"0.{number}"
-        raise OldVersionError(version, f"train again, or use it with flipperctl {version}")
     return validated(Document, raw, FORMAT)
 
 

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
 from flipperctl import __version__
-from flipperctl.api import ACTIONS, Command, ObservationLayout, Outcome, RecordedEpisode, Robot
+from flipperctl.api import ACTIONS, Command, ObservationLayout, Outcome, RecordedEpisode
 from flipperctl.checkpoint import document as sealed
 from flipperctl.checkpoint.document import (
     EPISODES,
@@ -43,7 +43,7 @@ from flipperctl.checkpoint.document import (
 )
 from flipperctl.config import EnvConfig, to_dict
 from flipperctl.config.policy_file import drive_files
-from flipperctl.errors import CheckpointError, ConfigError, OldVersionError
+from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.files import OutputKind, write_bytes
 from flipperctl.sim.versions import engine_versions
 
@@ -242,11 +242,7 @@ def _parse(text: str) -> RecordingDocument:
     raw = decode(text)
     if (kind := raw.get("kind")) != EPISODES:
         raise ValueError(f"its kind is {kind!r:.40}, not {EPISODES!r}; is it a checkpoint?")
-    if raw.get("format") != 1:
-        found = validated(RecordingDocument, raw, FORMAT)
-        if all(set(Robot.model_fields) <= set(one.robot) for one in found.environments):
-            return found
-    raise OldVersionError("0.2", "record its episodes again")
+    return validated(RecordingDocument, raw, FORMAT)
 
 
 def _check(document: RecordingDocument, tensors: Mapping[str, torch.Tensor]) -> None:

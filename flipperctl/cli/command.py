@@ -58,8 +58,6 @@ class Command(TyperCommand):
         known = [name for option in options for name in option.opts] + [*self.foreign_options]
         for word in words:
             name = word.partition("=")[0]
-            check_moved(ctx.command_path, name)
-            check_moved(ctx.command_path, word)
             if name.startswith("-") and name not in ("-", *known):
                 taken = " ".join(str(argument.metavar) for argument in arguments)
                 primary = self.primary if re.search(r"OVERRIDE|\[SETTING\.\.\.\]", taken) else None
@@ -93,12 +91,6 @@ class Group(TyperGroup):
                 value = "" if (found := _value(name, args)) in self.commands else found
                 raise _unknown(name, value, known, getattr(named, "primary", "train"))
         return super().parse_args(ctx, args)
-
-    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        """Return the subcommand that the first word names."""
-        if not ctx.resilient_parsing:
-            check_moved(ctx.command_path, args[0])
-        return super().resolve_command(ctx, args)
 
 
 def _without_types(parameters: list[Any]) -> list[Any]:
@@ -169,59 +161,3 @@ class App(typer.Typer):
         """Register a function as a subcommand, whose help is its docstring."""
         text = re.sub(r"(?<=\S)\n(?=\S)", " ", inspect.getdoc(run) or "")  # paragraphs of any width
         self.command(name, help=text, cls=cls, context_settings=cls.context)(run)
-
-
-_ENGINES = "is now: flipperctl eval POLICY sim=planar,mujoco"
-_INTERVALS = "is gone; flipperctl compare DIR... gives the 95 % interval of each difference"
-_MOVED = {
-    "transfer": _ENGINES,
-    "inspect engines": _ENGINES,
-    "inspect conventions": (
-        "is now: flipperctl inspect plugins --check, or inspect checkpoint FILE --check of a policy"
-    ),
-    "convert": "is now: flipperctl robot ground BAG --output FILE.xyz",
-    "shadow": "is now: flipperctl robot shadow POLICY BAG",
-    "inspect perception": "is now: flipperctl robot check BAG",
-    "inspect config --describe": "is now: flipperctl explain KEY",
-    "inspect results": "is now: flipperctl compare DIR...",
-    "eval --map": "is now: flipperctl map POLICY --over SETTINGS",
-    "eval --replay": "is now: flipperctl replay FILE",
-    **{
-        f"{command} {option}": _INTERVALS
-        for command in ("eval", "compare")
-        for option in ("--detect", "--detect-success")
-    },
-    "eval eval.static_bound": "is gone; leave it out",
-    **{
-        f"bench {name}": f"is now: python -m benchmarks {name}, in a clone of the repository"
-        for name in (
-            *("engines", "learner", "latency", "scaling", "physics", "accuracy", "lookahead"),
-            *("solve", "startup"),
-        )
-    },
-    **{
-        f"bench bench.{name}": "is gone; python -m benchmarks in a clone of the repository has it"
-        for name in (
-            *("repeats", "seed", "controller", "episodes", "families", "updates", "batch_sizes"),
-            *("transitions", "calls", "decisions", "workers"),
-        )
-    },
-    **{
-        f"train experiment={name}": f"is now: {settings}"
-        for name, settings in {
-            "taught_annealed": "experiment=taught teacher.weight_end=0",
-            "taught_imitation": "experiment=taught teacher.td_weight=0",
-            "taught_margin": "experiment=taught teacher.loss=margin",
-            "taught_td": "experiment=taught teacher.weight=0 teacher.weight_end=0",
-            "generalist_first": "experiment=generalist",
-        }.items()
-    },
-    "eval generalist_first": "is gone; flipperctl eval generalist",
-}
-
-
-def check_moved(command_path: str, word: str) -> None:
-    """Refuse a command, an option or a setting that an earlier version had."""
-    name = " ".join([*command_path.split()[1:], word])
-    if name in _MOVED:
-        raise RequestError(f"{name} {_MOVED[name]}")

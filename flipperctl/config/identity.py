@@ -17,11 +17,13 @@ from typing import Any
 
 from flipperctl import guard
 from flipperctl.api import Plugin, Range
-from flipperctl.api.removed import former_names
 from flipperctl.config.resolver import nested_plugins, to_dict
 
 _OWN = ("flipperctl", "flipperctl_plugins")
 """Packages whose plugins the version of flipperctl describes."""
+
+_COUNTS = ("steps", "hurdles", "plates", "piles", "bars", "blocks", "waves", "obstacles")
+"""Ranges of the number of a terrain's parts."""
 
 
 def identity(plugin: Plugin) -> dict[str, Any]:
@@ -38,7 +40,7 @@ def identity(plugin: Plugin) -> dict[str, Any]:
         value = getattr(plugin, name)
         default = field.get_default(call_default_factory=True, validated_data={})
         if isinstance(value, Range) and isinstance(default, Range):
-            ends = zip(former_names(plugin.plugin_name, name), value, default, strict=True)
+            ends = zip(_ends(plugin.plugin_name, name), value, default, strict=True)
             settings |= {end: number for end, number, usual in ends if number != usual}
         elif value != default and not _names_files(value, names):
             settings[name] = _describe(value, plain[name])
@@ -46,6 +48,14 @@ def identity(plugin: Plugin) -> dict[str, Any]:
     if plugin.revision:
         found["revision"] = plugin.revision
     return found | ({"files": [content_digest(file) for file in files]} if files else {})
+
+
+def _ends(owner: str, name: str) -> tuple[str, str]:
+    """Return the names by which seeds and hashes know the ends of a range, as in version 0.2."""
+    if name in _COUNTS:
+        return "fewest", "most"
+    before = "" if name == "height" and owner in ("step", "paper_step") else f"{name}_"
+    return f"{before}low", f"{before}high"
 
 
 def read_files(plugin: Plugin) -> tuple[Path, ...]:

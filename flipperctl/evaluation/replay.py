@@ -35,6 +35,7 @@ from flipperctl.errors import (
     CheckpointError,
     ConfigError,
     RequestError,
+    other_format,
 )
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.names import names
@@ -203,10 +204,7 @@ def read_record(path: Path) -> EpisodeRecord:
         document = decode(path.read_text(encoding="utf-8"))
         number = document.get("format", _FORMAT) if isinstance(document, dict) else _FORMAT
         if number != _FORMAT:
-            raise RequestError(
-                f"{path}: its format is {number!r}; this version of flipperctl, {__version__}, "
-                f"reads format {_FORMAT}"
-            )
+            raise RequestError(f"{path}: {other_format(number, _FORMAT)}")
         return EpisodeRecord(**document)
     except OSError as error:
         raise RequestError(f"{path}: it cannot be read: {error.strerror}") from error

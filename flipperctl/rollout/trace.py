@@ -26,7 +26,7 @@ from flipperctl.api import (
     RobotState,
     Transition,
 )
-from flipperctl.errors import RequestError
+from flipperctl.errors import RequestError, other_format
 from flipperctl.files import write_bytes
 
 FORMAT = 1  # number of the file's format
@@ -207,9 +207,7 @@ def read(path: Path) -> list[Trace]:
         with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as file:
             document = json.loads(file["header"].tobytes())
             if document["format"] != FORMAT:
-                raise RequestError(
-                    f"{path}: its format is {document['format']!r}; this version reads {FORMAT}"
-                )
+                raise RequestError(f"{path}: {other_format(document['format'], FORMAT)}")
             return [_trace(file, at, header) for at, header in enumerate(document["traces"])]
     except FileNotFoundError as error:
         raise RequestError(f"{path}: there is no such file") from error

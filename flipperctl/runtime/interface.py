@@ -26,13 +26,13 @@ from flipperctl.core.observation import ANGLES
 from flipperctl.core.reading import read_whole
 from flipperctl.core.risk import LAGS, SCALE, EscapeRule, RiskSign
 from flipperctl.core.targets import ACTIONS, JOINTS, ActionKind, TargetRule
-from flipperctl.errors import MissingExtraError, OldVersionError, PolicyError
+from flipperctl.errors import MissingExtraError, PolicyError, other_format
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
 
 FORMAT_VERSION = 3
-"""Format of the metadata under ``flipperctl.*``; versions 0.1 and 0.2 had 1 and 2."""
+"""Format of the metadata under ``flipperctl.*``."""
 PREFIX = "flipperctl."
 CHECKSUM = f"{PREFIX}sha256"
 PLACEHOLDER = "0" * 64
@@ -49,7 +49,6 @@ No passable ground is as high or as deep. The limit detects heights in wrong uni
 about -10 in centimetres and -100 in millimetres.
 """
 _FORMAT = f"{PREFIX}format_version"
-_EXPORT_AGAIN = "train its policy again, and export it with this version"
 
 
 @dataclass(frozen=True)
@@ -170,15 +169,10 @@ def verify(data: bytes, where: str) -> bytes:
         raise PolicyError(
             f"{where} is damaged, or not a file of flipperctl export onnx: it holds no {_FORMAT}"
         )
-    found_version = data[version : version + 1]
-    if found_version == b"1":
-        raise PolicyError(f"{where} {OldVersionError('0.1', _EXPORT_AGAIN)}")
-    if found_version == b"%d" % FORMAT_VERSION:
-        raise PolicyError(f"{where} is damaged: its SHA-256 cannot be found")
-    raise PolicyError(
-        f"{where} has format version {found_version.decode(errors='replace')!r}, or is damaged; "
-        f"this version of flipperctl reads {FORMAT_VERSION}"
-    )
+    number = data[version : version + 1].decode(errors="replace")
+    if number != str(FORMAT_VERSION):
+        raise PolicyError(f"{where} may be damaged: {other_format(number, FORMAT_VERSION)}")
+    raise PolicyError(f"{where} is damaged: its SHA-256 cannot be found")
 
 
 def _find_entry(data: bytes, key: str, length: int) -> int | None:
@@ -319,13 +313,8 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
     ``where``: name of the file, for the errors.
     """
     version = metadata.get(f"{PREFIX}format_version")
-    if version == "2":
-        raise PolicyError(f"{where} {OldVersionError('0.2', _EXPORT_AGAIN)}")
     if version != str(FORMAT_VERSION):
-        raise PolicyError(
-            f"{where} has format version {version!r}; "
-            f"this version of flipperctl reads {FORMAT_VERSION}"
-        )
+        raise PolicyError(f"{where}: {other_format(version, FORMAT_VERSION)}")
 
     def entry(name: str, allowed: str, check: Check, absent: str = "") -> Any:
         """Return an entry's value after ``check``; ``absent`` is the text of a missing one."""

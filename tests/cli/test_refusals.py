@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from flipperctl.agent import replay as memory
-from flipperctl.cli import command as commands
 from tests.cli.call import refused
 
 REFUSED = """
@@ -47,7 +46,6 @@ inspect terrain stair eval.seed=4 -> eval.seed=4 | --seed
 eval okada terrain=stair,stair -> is given twice; once is allowed
 eval planner okada controller.smoothness=9 -> controller.smoothness | known in controller=okada:
 eval okada --baseline 'level, level' -> is given twice; once is allowed
-eval okada terrain=step terrain.high=0.3 -> terrain.high is gone; write terrain.height=[low,high]
 eval okada terrain=step terrain.height=[0.3,0.1] -> terrain.height | low ≤ high | [0.3, 0.1]
 eval okada terrain=step terrain.height=high -> terrain.height | or one number | 'high'
 eval okada terrain=step terrain.height=0.3 episode.run_up=0.2 -> overlaps the robot at the start
@@ -104,7 +102,6 @@ train terrain=step terrain.hihgt=0.2 -> terrain.hihgt | 'height'
 train +agent.gama=0.9 -> agent.gama | 'gamma'
 train agent.gamma=1.5 -> gamma | < 1 | 1.5
 train terrain.steps=2.5 -> terrain.steps | integer | 2.5
-train terrain.fewest=6 -> terrain.fewest is gone; write terrain.steps=[low,high], or one number
 train rewards=paper rewards.pitch.lambda_2=inf -> rewards.pitch.lambda_2 | finite
 train 'rewards={}' -> rewards={} | ~rewards drops every term
 train '~rewards' -> rewards: | a training needs a term | none
@@ -225,8 +222,6 @@ new engine planar -> engine plugin 'planar' | already | planar/__init__.py:
 new terrain mine --output file -> file | cannot be written
 bench --small speed -> 'speed' | evaluation | key=value
 bench --small decisions -> 'decisions' | did you mean 'decision'
-bench --small solve -> solve | clone | python -m benchmarks solve
-bench --small bench.repeats=3 -> bench.repeats | python -m benchmarks
 bench --small --repeats 1 -> --repeats | greater than or equal to 2
 bench --small terrain=stiar -> terrain | 'stiar' | 'stair'
 bench --small seed=1,2 -> one configuration | 2
@@ -313,18 +308,3 @@ def test_a_number_that_no_float_holds_is_named(
     word: str, zeros: int, text: str, tmp_path: Path
 ) -> None:
     assert text in refused("train", word.format(f"1{'0' * zeros}"), cwd=tmp_path)
-
-
-@pytest.mark.parametrize(
-    "typed",
-    ["transfer", "inspect engines", "eval --detect", "eval eval.static_bound", "bench latency"],
-)
-def test_what_has_moved_is_named(typed: str, tmp_path: Path) -> None:
-    """Whoever types a command or an option of an earlier version is told what to type now."""
-    error = refused(*typed.split(), cwd=tmp_path)
-    assert error == f"error: {typed} {commands._MOVED[typed]}\n"
-
-
-def test_values_and_further_words_may_follow(tmp_path: Path) -> None:
-    error = refused("eval", "--replay=failure_stair_3.json", "okada", cwd=tmp_path)
-    assert error == "error: eval --replay is now: flipperctl replay FILE\n"

@@ -1,13 +1,11 @@
 """From names and overrides to settings: every way in gives the same settings, or the same words."""
 
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 from flipperctl.config import (
     EnvConfig,
-    EvalConfig,
     RayCollector,
     Teacher,
     TrainConfig,
@@ -19,7 +17,6 @@ from flipperctl.config import (
 from flipperctl.config.defaults import notes_on_budget
 from flipperctl.config.models import with_stand_ins
 from flipperctl.errors import ConfigError
-from tests.cli.call import refused
 from tests.short import short_config
 
 PLAIN = to_dict(TrainConfig(terrain="flat", network="mlp"))
@@ -60,10 +57,6 @@ def logged(overrides: dict[str, Any]) -> TrainConfig:
         (
             lambda: logged({"logger.wandb.project": "x"}),
             r"logger\.wandb: .*chosen: tensorboard; logger=wandb",
-        ),
-        (
-            lambda: logged({"logger": "trackio"}),
-            r"logger\.trackio: .*'trackio'; it is gone: logger=wandb",
         ),
         (lambda: logged({"logger": 3}), "logger: names, or a mapping"),
         (
@@ -145,21 +138,6 @@ def test_a_resumed_run_may_have_other_loggers() -> None:
     assert to_dict(one)["logger"]["wandb"] == to_dict(both)["logger"]["wandb"] | {"mode": "offline"}
     mine = {"mine": {"name": "mine", "server": "here"}, **PLAIN["logger"]}  # its plugin is missing
     assert with_stand_ins({**PLAIN, "logger": mine}, {})["logger"] == PLAIN["logger"]
-
-
-def test_a_setting_that_is_gone_is_left_out_at_its_last_value(tmp_path: Path) -> None:
-    config = TrainConfig(terrain="flat", network="mlp", sim="mujoco")
-    plain = to_dict(config)
-    plain["sim"] |= {"roll_gain": 0.0, "ground_width": 4.0, "rotor_inertia": 1.0}
-    plain["agent"] |= {"act_with": "target"}
-    plain["agent"]["policy_gradient"] |= {"value_rate": 0.001, "value_passes": 8}
-    assert parse(TrainConfig, plain) == config
-    mpc = resolver.create("controller", {"name": "mpc", "averaging": 0.5}, "controller")
-    assert mpc == resolver.create("controller", "mpc", "controller")
-    with pytest.raises(ConfigError, match=r"gone; its value was 30\.0; it is 5"):
-        parse(EvalConfig, {"terrain": "flat", "perception": {"name": "lidar", "wander_time": 5}})
-    text = refused("eval", "mpc", "controller.averaging=0", cwd=tmp_path)
-    assert "controller.averaging is gone; its value was 0.5\n" in text
 
 
 @pytest.mark.parametrize(

@@ -90,10 +90,6 @@ def test_noise_keeps_the_direction_and_height_of_vertical_faces() -> None:
             {"name": "mirror", "terrain": {"name": "gap", "width_lo": 1}},
             "terrain.parts.1.terrain.width_lo: there is no such key (did you mean 'width'?",
         ),
-        (
-            {"name": "ramp", "slope_high": 20},
-            "terrain.parts.1.slope_high is gone; write terrain.parts.1.slope=[low,high], or one ",
-        ),
         ({"rise": 1}, "terrain.parts.1: a terrain's name, or a mapping"),
     ],
 )

@@ -9,7 +9,6 @@ from flipperctl_plugins.terrains.rough import Rough
 
 from flipperctl.api import Profile
 from flipperctl.config import resolver
-from flipperctl.errors import ConfigError
 
 FAMILIES = "building_stair curb_and_ramp gap pallet plates plum rail ramp rubble uplift wave"
 
@@ -149,14 +148,6 @@ def test_a_family_stays_within_its_ranges_and_every_profile_differs(name: str) -
     highest = resolver.create("terrain", name, "terrain").model_dump().get("height", (0.0, 20.0))
     assert max(p.points[:, 1].max() for p in profiles) <= highest[1]
     assert {(p.label, *p.points[0]) for p in profiles} == {(name, 0.0, 0.0)}
-
-
-def test_old_names_of_ranges_say_what_to_write() -> None:
-    match = (
-        r"^terrain\.width_low is gone; write terrain\.width=\[low,high\], or one number for both"
-    )
-    with pytest.raises(ConfigError, match=match):
-        resolver.create("terrain", {"name": "uplift", "width_low": 0.9}, "terrain")
 
 
 STEEP = {"slope": 45, "stride": 0.6}

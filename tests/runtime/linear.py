@@ -41,9 +41,6 @@ METADATA = {
 ROBOT = {**METADATA["robot"], "track_radius": 0.1, "track_speed": 0.2, "flipper_speed": 0.436}
 RULE = {"window": STEP, "limit": math.pi / 3}
 """What a file for the controller also has: all of the robot, and the rule of its targets."""
-VERSION_0_1 = {"format_version": 1, "terrain_config": None, "checksum": False}
-VERSION_0_2 = {"format_version": 2, "highest": None}
-"""Arguments of ``write`` for files of earlier versions."""
 PAPER = {"highest": False, "observation": HEIGHTS[:15] + ANGLES, "size": 18}
 """Arguments of ``write`` for the paper's layout."""
 RISK = {"horizon": 10, "threshold": 0.7, "lags": [1, 2, 4, 8, 16], "scale": 0.03}

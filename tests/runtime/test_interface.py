@@ -9,7 +9,7 @@ from flipperctl.core.lidar.ground import MapQuality
 from flipperctl.errors import PolicyError
 from flipperctl.runtime import OnnxPolicy
 from flipperctl.runtime.interface import FORMAT_VERSION, add_checksum, verify
-from tests.runtime.linear import MAP, METADATA, RISK, SIZE, VERSION_0_1, VERSION_0_2, write
+from tests.runtime.linear import MAP, METADATA, RISK, SIZE, write
 
 NEWER = FORMAT_VERSION + 1
 
@@ -64,12 +64,10 @@ def test_a_wrong_map_is_refused(change: dict, tmp_path: Path) -> None:
         ),
         (
             {"format_version": NEWER},
-            f"version '{NEWER}'; this version of flipperctl reads {FORMAT_VERSION}",
+            f"format is '{NEWER}', of another version .*; this one reads {FORMAT_VERSION}",
         ),
-        ({"format_version": NEWER, "checksum": False}, f"format version '{NEWER}', or is damaged"),
-        ({"format_version": None}, "format version None; this version of flipperctl reads"),
-        (VERSION_0_1, r"is of version 0\.1; this version reads 0\.3; train .*and export it"),
-        (VERSION_0_2, r"is of version 0\.2; this version reads 0\.3; train .*and export it"),
+        ({"format_version": NEWER, "checksum": False}, f"may be damaged: its format is '{NEWER}'"),
+        ({"format_version": None}, "its format is None, of another version"),
         ({"frames": None}, r"flipperctl\.frames is ''"),
         ({"targets": None}, r"flipperctl\.targets is ''"),
         ({"bins": None}, r"flipperctl\.bins is ''.*a whole number above 0 is allowed"),
