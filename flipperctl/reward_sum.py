@@ -80,11 +80,11 @@ class RewardSum:
     @property
     def not_predicted(self) -> dict[str, str]:
         """What a term needs and a prediction lacks, by the name of each such term."""
-        found = {name: term.not_predicted for name, term in self.terms.items()}
-        for name, text in found.items():
+        texts = {name: term.not_predicted for name, term in self.terms.items()}
+        for name, text in texts.items():
             if not isinstance(text, str):
                 raise _undeclared(name, self.terms[name], "not_predicted is", text, "a text is")
-        return {name: text for name, text in found.items() if text}
+        return {name: text for name, text in texts.items() if text}
 
 
 class _Term:
@@ -127,23 +127,23 @@ class _Term:
     def values(self, ts: Transitions) -> FloatArray:
         """Return the checked values of M decisions by the term's form for many, (M,) [-]."""
         try:
-            found: Any = self.term.array(ts)
+            paid: Any = self.term.array(ts)
         except PluginFailedError as error:
             raise self._with_path(error) from error.__cause__
-        is_array = isinstance(found, np.ndarray)
-        if not (is_array and found.dtype.kind in "fiu" and found.shape == (len(ts),)):
-            what = f"an array of {found.dtype} and shape {found.shape}" if is_array else ""
+        is_array = isinstance(paid, np.ndarray)
+        if not (is_array and paid.dtype.kind in "fiu" and paid.shape == (len(ts),)):
+            what = f"an array of {paid.dtype} and shape {paid.shape}" if is_array else ""
             raise refusal(
                 self.term,
                 "array",
-                f"returned {what or short_repr(found)} as rewards.{self.name}; an array of floats "
+                f"returned {what or short_repr(paid)} as rewards.{self.name}; an array of floats "
                 f"of shape ({len(ts)},) is allowed",
             )
         # The extremes are NaN if one of the values is.
-        if not (self._allows(float(found.min())) and self._allows(float(found.max()))):
-            index = next(i for i, value in enumerate(found.tolist()) if not self._allows(value))
-            raise self._value_error(float(found[index]), ts[index], "array")
-        values: FloatArray = found
+        if not (self._allows(float(paid.min())) and self._allows(float(paid.max()))):
+            index = next(i for i, value in enumerate(paid.tolist()) if not self._allows(value))
+            raise self._value_error(float(paid[index]), ts[index], "array")
+        values: FloatArray = paid
         return values
 
     def _allows(self, value: float) -> bool:
@@ -191,10 +191,10 @@ class _Term:
 
 
 def _undeclared(
-    name: str, term: RewardTerm, what: str, found: object, allowed: str, more: str = ""
+    name: str, term: RewardTerm, what: str, value: object, allowed: str, more: str = ""
 ) -> PluginError:
     return PluginError(
-        f"rewards.{name}: {plugin_label(term)}: {what} {short_repr(found)}; {allowed} "
+        f"rewards.{name}: {plugin_label(term)}: {what} {short_repr(value)}; {allowed} "
         f"allowed{more} ({definition(term)})"
     )
 

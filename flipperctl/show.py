@@ -165,8 +165,8 @@ def _broken(line: str, to: Console, indent: int = 0) -> list[str]:
     text, width = _plain(line, to), max(20, widest - indent)
     if cell_len(text) <= width:
         return [text]
-    if found := _COMMAND.fullmatch(text):
-        before, command = found["before"], found["command"]
+    if match := _COMMAND.fullmatch(text):
+        before, command = match["before"], match["command"]
         return [*folded(before, width, whole=True), f"  {command}"] if before else [command]
     return folded(text, width, whole=True)
 
@@ -258,20 +258,20 @@ def _plain(text: str, of: Console) -> str:
 
 def folded(text: str, width: int, *, whole: bool = False) -> list[str]:
     """Return the lines of a text, broken at spaces; also within too long words unless ``whole``."""
-    found, line = [], ""
+    lines, line = [], ""
     indent = " " * (len(text) - len(text.lstrip()))
     for word in text.split():
         while cell_len(word) > width and not whole:
             if line:
-                found.append(line)
+                lines.append(line)
                 line = ""
-            found.append(word[:width])
+            lines.append(word[:width])
             word = word[width:]
         if line and cell_len(f"{line} {word}") > width:
-            found.append(line)
+            lines.append(line)
             line = ""
-        line = f"{line} {word}" if line else f"{indent if not found else ''}{word}"
-    return [*found, line] if line or not found else found
+        line = f"{line} {word}" if line else f"{indent if not lines else ''}{word}"
+    return [*lines, line] if line or not lines else lines
 
 
 def latex(table: Table) -> str:
@@ -281,7 +281,7 @@ def latex(table: Table) -> str:
     """
     names = sum(column.named for column in table.columns)
     head = [c.latex or latex_text(c.heading[:1].upper() + c.heading[1:]) for c in table.columns]
-    found = [
+    rows_text = [
         _LATEX_HEAD,
         *(f"% {' '.join(text.split())}" for text in (table.title, *table.notes) if text),
         r"{\footnotesize\setlength{\tabcolsep}{3pt}%",
@@ -292,7 +292,7 @@ def latex(table: Table) -> str:
     ]
     for at, (row, texts) in enumerate(zip(table.rows, table.texts(), strict=True)):
         if row.get("line") and at:
-            found.append(r"\addlinespace")
+            rows_text.append(r"\addlinespace")
         # LaTeX's own dash, which every font has; names keep theirs.
         cells = [
             (r"\quad " if text.startswith(" ") else "") + latex_text(text)
@@ -300,8 +300,8 @@ def latex(table: Table) -> str:
             else latex_text(_NEGATIVE.sub("−", text.replace(NONE, "--")))
             for text, column in zip(texts, table.columns, strict=True)
         ]
-        found.append(" & ".join(cells) + r" \\")
-    return "\n".join([*found, r"\bottomrule", r"\end{tabular}}", ""])
+        rows_text.append(" & ".join(cells) + r" \\")
+    return "\n".join([*rows_text, r"\bottomrule", r"\end{tabular}}", ""])
 
 
 def latex_text(text: str) -> str:
@@ -361,10 +361,13 @@ def html(table: Table, marks: Mapping[str, str]) -> str:
 
 def _bar(row: Mapping[str, Any], column: Column, group: Sequence[Mapping[str, Any]]) -> str:
     """Return the bar of an interval; an empty one where another row of the group has one."""
-    found = [one for other in group if isinstance(one := other.get(column.key), Mapping)]
-    ends = [0.0, *(one[k] for one in found for k in ("mean", "low", "high") if one[k] is not None)]
+    intervals = [cell for other in group if isinstance(cell := other.get(column.key), Mapping)]
+    ends = [
+        0.0,
+        *(cell[k] for cell in intervals for k in ("mean", "low", "high") if cell[k] is not None),
+    ]
     low, high, value = min(ends), max(ends), row.get(column.key)
-    if not found or low == high:
+    if not intervals or low == high:
         return ""
     parts = []
     if isinstance(value, Mapping):

@@ -51,10 +51,10 @@ def assemble(
     ``heights``: those of ``bin_heights``; ``front``, ``rear``: angles of the
     flippers in frame R, above the chassis positive [rad]; ``pitch``: nose up positive [rad].
     """
-    found = np.empty(len(heights) + len(ANGLES), dtype=np.float32)
-    found[: len(heights)] = heights
-    found[len(heights) :] = front, rear, pitch
-    return found
+    observation = np.empty(len(heights) + len(ANGLES), dtype=np.float32)
+    observation[: len(heights)] = heights
+    observation[len(heights) :] = front, rear, pitch
+    return observation
 
 
 def to_level(points: FloatArray, pitch: float) -> FloatArray:
@@ -125,9 +125,9 @@ def bin_heights(
 def occupied(points: FloatArray, bins: int, bin_width: float) -> NDArray[np.bool_]:
     """Return which bins have points, (N,); ``points`` are (P, 2) as for ``bin_heights`` [m]."""
     index = (points[:, 0] + reach(bins, bin_width)) / bin_width
-    found = np.zeros(bins, np.bool_)
-    found[np.clip(index.astype(np.int64), 0, bins - 1)] = True
-    return found
+    seen = np.zeros(bins, np.bool_)
+    seen[np.clip(index.astype(np.int64), 0, bins - 1)] = True
+    return seen
 
 
 def fill_gaps(

@@ -56,11 +56,11 @@ def resemblances(observations: NDArray[np.float32]) -> NDArray[np.float32]:
     ``observations``: (T, n) in SI units, oldest first. A resemblance is 1 for equal ones, and 0
     for an observation from before the episode.
     """
-    found = np.zeros((len(observations), len(LAGS)), np.float32)
+    columns = np.zeros((len(observations), len(LAGS)), np.float32)
     for column, lag in enumerate(LAGS):
         difference = np.abs(observations[lag:] - observations[:-lag]).mean(axis=1)
-        found[lag:, column] = np.exp(-difference / SCALE)
-    return found
+        columns[lag:, column] = np.exp(-difference / SCALE)
+    return columns
 
 
 def with_recurrence(
@@ -152,12 +152,12 @@ class EpisodeRisk:
         difference = self._kept.take(self._rows[at], axis=0)  # (lags, n)
         difference -= observation
         np.abs(difference, out=difference)
-        found: NDArray[np.float32] = difference.dot(self._mean)
-        np.exp(found, out=found)
+        nearness: NDArray[np.float32] = difference.dot(self._mean)
+        np.exp(nearness, out=nearness)
         if count < length - 1:
-            found *= self._known[count]
+            nearness *= self._known[count]
         self._count = count + 1
-        return found
+        return nearness
 
 
 @dataclass(frozen=True)

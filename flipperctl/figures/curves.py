@@ -66,11 +66,11 @@ class Curve:
 
 def known_metrics(runs: Runs) -> list[str]:
     """Return the columns that can be drawn: those with a number in any row."""
-    rows = [row for seeds in runs.values() for one in seeds for row in one]
+    rows = [row for seeds in runs.values() for run_rows in seeds for row in run_rows]
     names = dict.fromkeys(name for row in rows for name in row)
     apart = ("decision", "success_rate", "decisions", "mean_return", "seconds", "seed", "episode")
-    found = [n for n in names if n not in apart and any(map(math.isfinite, _numbers(rows, n)))]
-    return [SUCCESS, *found]
+    metrics = [n for n in names if n not in apart and any(map(math.isfinite, _numbers(rows, n)))]
+    return [SUCCESS, *metrics]
 
 
 def uses_validations(runs: Runs) -> bool:
@@ -191,13 +191,13 @@ def _of(rows: Sequence[Row], kind: str) -> list[Row]:
 
 
 def _numbers(rows: Sequence[Row], key: str) -> list[float]:
-    found = []
+    values = []
     for row in rows:
         try:
-            found.append(float(row.get(key) or "nan"))
+            values.append(float(row.get(key) or "nan"))
         except ValueError:
-            found.append(math.nan)
-    return found
+            values.append(math.nan)
+    return values
 
 
 def _series(
@@ -269,8 +269,8 @@ def _handles(runs: Runs, alone: bool, axes: Sequence[Axes], *, marked: bool) -> 
     if alone:
         every = {str(line.get_label()): line for panel in axes for line in panel.get_lines()}
         return [line for name, line in every.items() if not name.startswith("_")]
-    found = []
+    handles = []
     for at, (name, seeds) in enumerate(runs.items()):
         text = f"{name} ({len(seeds)} seeds)" if len(seeds) > 1 else name
-        found.append(Line2D([], [], label=text, **look(at, marked=marked)))
-    return found
+        handles.append(Line2D([], [], label=text, **look(at, marked=marked)))
+    return handles

@@ -270,6 +270,6 @@ def label(name: str, *, folded: bool = False) -> str:
         return f"{words[:at]}\n{words[at + 1 :]}" if at > _LONG else words
     if name in _WORDS:
         return _WORDS[name]
-    found, words = registry.get((Measure.kind, name)), name.replace("_", " ")
-    unit = found.unit if found is not None and issubclass(found, Measure) else "-"
+    measure, words = registry.get((Measure.kind, name)), name.replace("_", " ")
+    unit = measure.unit if measure is not None and issubclass(measure, Measure) else "-"
     return f"{words[0].upper()}{words[1:]}" + ("" if unit in ("", "-") else f" [{unit}]")

@@ -111,7 +111,7 @@ def film(
         coarser = _COARSER if path.suffix.lower() == ".gif" else 1
         height = _STACKED if len(takes[0].parts) > 1 else _ALONE
         clips = [
-            [_drawn(*one, every * coarser, height) for one in zip(row, take.parts, strict=True)]
+            [_drawn(*view, every * coarser, height) for view in zip(row, take.parts, strict=True)]
             for row, take in zip(envs, takes, strict=True)
         ]
     else:
@@ -231,7 +231,7 @@ def _from_the_side(
     for row_of_views, box in zip(views, boxes, strict=True):
         for view, *_ in row_of_views:
             view.prepare(box, height, angles=angles)
-    return [[_seen(*one) for one in row_of_views] for row_of_views in views]
+    return [[_seen(*shown) for shown in row_of_views] for row_of_views in views]
 
 
 def _seen(view: SideView, times: FloatArray, pitches: FloatArray, outcome: str) -> Iterator[Shot]:

@@ -190,19 +190,19 @@ def _looks(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
     """Return colour and marker of each method."""
     methods = dict.fromkeys(row["method"] for row in rows)
     shown = {name: look(at) for at, name in enumerate(methods)}
-    return {name: {key: one[key] for key in ("color", "marker")} for name, one in shown.items()}
+    return {name: {key: style[key] for key in ("color", "marker")} for name, style in shown.items()}
 
 
 def _placed(rows: Sequence[Row]) -> list[tuple[float, Row]]:
     """Return the height of each row, and the row; the first on top."""
     methods = list(dict.fromkeys(row["method"] for row in rows))
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
-    found = []
+    placed = []
     for row in rows:
         at, scene = methods.index(row["method"]), scenes.index(row["scene"])
         inside = (at - (len(methods) - 1) / 2) / (len(methods) + 0.7)
-        found.append((-float(at) if len(scenes) == 1 else -scene - inside, row))
-    return found
+        placed.append((-float(at) if len(scenes) == 1 else -scene - inside, row))
+    return placed
 
 
 def _beside(rows: Sequence[Row], count: int, width: float) -> tuple[Figure, list[Axes]]:

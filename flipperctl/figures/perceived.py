@@ -67,7 +67,7 @@ def draw_perceived(
 ) -> None:
     """Write the film of a replay, or the picture of its instant nearest to ``at`` [s]."""
     check_perceived(path, at)
-    times = [one.time for one in replay.instants]
+    times = [instant.time for instant in replay.instants]
     apart = max(np.diff(times).tolist(), default=0.0)
     if at is not None and not times[0] - apart <= at <= times[-1] + apart:
         allowed = f"{times[0]:g} to {times[-1]:g} s of the recording are allowed"
@@ -75,14 +75,14 @@ def draw_perceived(
     with styled("screen"):
         picture = _PerceivedPicture(replay, robot, f", {_RATE} × real time" if at is None else "")
     if at is not None:
-        picture.show(min(replay.instants, key=lambda one: abs(one.time - at)))
+        picture.show(min(replay.instants, key=lambda instant: abs(instant.time - at)))
         save(picture.figure, path)
         return
     pauses = [*(pause / _RATE for pause in np.diff(times).tolist()), LAST]
 
     def frames() -> Iterator[Frame]:
-        for index, (one, shown) in enumerate(zip(replay.instants, pauses, strict=True)):
-            yield picture.show(one), shown
+        for index, (instant, shown) in enumerate(zip(replay.instants, pauses, strict=True)):
+            yield picture.show(instant), shown
             report_progress((index + 1) / len(times))
 
     write_film(path, frames())
@@ -108,7 +108,7 @@ class _PerceivedPicture:
         count = len(first.deviation)
         self._edges = (np.arange(count) - count / 2) * replay.bin_width
         reach = count * replay.bin_width / 2
-        points = np.concatenate([one.ground.points[:, 1] for one in replay.instants])
+        points = np.concatenate([instant.ground.points[:, 1] for instant in replay.instants])
         low = min(_DEEP, max(float(points.min()), -1.5)) - 0.05
         high = max(_HIGH, min(float(points.max()), 1.5)) + 0.05
         half = max(reach, robot.reach) + 0.15

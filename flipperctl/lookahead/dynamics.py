@@ -319,7 +319,7 @@ def expand(
     steps: int,
     ground: FloatArray,
     k: FloatArray,
-    found: FloatArray,
+    reached: FloatArray,
     place: FloatArray,
     variation: FloatArray,
     steep: FloatArray,
@@ -334,10 +334,10 @@ def expand(
     contacts, rows = np.empty((most, 6)), np.empty((most, 10))
     extra, motion, pair = np.zeros((3, 5)), np.empty(3), np.empty((2, 5))
     for row in range(len(states)):
-        found[row] = states[row]
-        found[row, 8], found[row, 9] = targets[row, 0], targets[row, 1]
+        reached[row] = states[row]
+        reached[row, 8], reached[row, 9] = targets[row, 0], targets[row, 1]
         variation[row], steep[row], outcome[row] = advance(
-            *(found[row], steps, ground, k),
+            *(reached[row], steps, ground, k),
             *(contacts, rows, extra, motion, pair, poses[row]),
         )
-        place[row, 0], place[row, 1] = chassis(found[row], k)
+        place[row, 0], place[row, 1] = chassis(reached[row], k)

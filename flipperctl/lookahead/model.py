@@ -131,9 +131,9 @@ class Model:
         """Return the state of a robot that is known, (``STATE``,), with these flipper targets."""
         x, z = robot.position.tolist()
         rates = (*robot.velocity.tolist(), robot.pitch_rate)
-        found = self.state((x, z, robot.pitch), (robot.front, robot.rear), rates)
-        found[TARGETS:] = targets
-        return found
+        state = self.state((x, z, robot.pitch), (robot.front, robot.rear), rates)
+        state[TARGETS:] = targets
+        return state
 
     def chassis(self, state: FloatArray) -> tuple[float, float]:
         """Return x and z of the chassis centre [m]."""
@@ -148,7 +148,7 @@ class Model:
         With ``poses``, the branch has the poses at 100 Hz, and ends at the finish.
         """
         count = len(states)
-        found, place = np.empty((count, STATE)), np.empty((count, 2))
+        states_after, place = np.empty((count, STATE)), np.empty((count, 2))
         variation, steepest = np.empty(count), np.empty(count)
         outcome = np.empty(count, np.int64)
         lasting = simulated(duration)
@@ -161,9 +161,9 @@ class Model:
         path = np.empty((count, samples, 5))
         dynamics.expand(
             *(np.ascontiguousarray(states), np.ascontiguousarray(targets), steps),
-            *(self._ground, numbers, found, place, variation, steepest, outcome, path),
+            *(self._ground, numbers, states_after, place, variation, steepest, outcome, path),
         )
-        return Branch(found, place, variation, steepest, outcome, path)
+        return Branch(states_after, place, variation, steepest, outcome, path)
 
 
 def next_targets(
@@ -344,14 +344,14 @@ class Ground:
         count = np.diff(index, axis=1)
         total = self._sums[index[:, 1:]] - self._sums[index[:, :-1]]
         heights = total / np.maximum(count, 1)
-        found = [heights, self._tops(index)] if self._highest else [heights]
+        columns = [heights, self._tops(index)] if self._highest else [heights]
         if not count.all():
             middle = (edges[:, 1:] + edges[:, :-1]) / 2
             level = np.interp(middle, self._line[:, 0], self._line[:, 1])
-            found = [np.where(count == 0, level, one) for one in found]
+            columns = [np.where(count == 0, level, column) for column in columns]
         angles = states[:, [FLIPPERS, FLIPPERS + 1, 2]]
         below = places[:, 1:]
-        return np.column_stack([*(one - below for one in found), angles]).astype(np.float32)
+        return np.column_stack([*(column - below for column in columns), angles]).astype(np.float32)
 
     def _tops(self, index: NDArray[np.int64]) -> FloatArray:
         """Return the height of the highest point from each index to the next, (M, N) [m].

@@ -74,18 +74,20 @@ class HandSetCost:
         kept = {name: getattr(self, name)[rows] for name in ("variation", "paid", "steep")}
         return replace(self, **kept)
 
-    def extend(self, parent: NDArray[np.int64], action: NDArray[np.int64], found: Branch) -> Scores:
+    def extend(
+        self, parent: NDArray[np.int64], action: NDArray[np.int64], branch: Branch
+    ) -> Scores:
         """Return the scores of plans that are one decision longer."""
-        of, robot, states = self.settings, self.robot, found.states
-        variation = self.variation[parent] + found.pitch_variation
+        of, robot, states = self.settings, self.robot, branch.states
+        variation = self.variation[parent] + branch.pitch_variation
         step = (
             of.flippers * np.abs(states[:, TARGETS:]).sum(axis=1)
             + of.lean * np.abs(states[:, 2])
             + of.turn * np.abs(TURNS[action]).sum(axis=1)
         )
         paid = self.paid[parent] + step
-        steep = np.maximum(self.steep[parent], found.steepest)
-        distance = found.places[:, 0] - self.begin
+        steep = np.maximum(self.steep[parent], branch.steepest)
+        distance = branch.places[:, 0] - self.begin
         lost = robot.decision_period * (self.depth + 1) - distance / robot.track_speed
         lost = np.maximum(lost, 0.0)  # otherwise plans would push themselves along by flippers
         calm = HURRY**-self.hurry

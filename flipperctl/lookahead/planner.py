@@ -123,8 +123,8 @@ class Beam:
                     farthest = x, int(children.parent[row]), int(children.action[row])
                 at = ((children.places[:, 0] - begin) / self.bin_length).astype(np.int64)
                 at = np.maximum(at, index)
-                for found in np.unique(at[at > index]).tolist():
-                    bins.setdefault(found, []).append(children.take(at == found))
+                for depth in np.unique(at[at > index]).tolist():
+                    bins.setdefault(depth, []).append(children.take(at == depth))
                 fresh = [children.take(at == index)]
                 if not len(fresh[0].cost):
                     break
@@ -179,18 +179,18 @@ class Beam:
                 chosen = taken == HOLD
             parent, taken, targets = parent[chosen], taken[chosen], targets[chosen]
         period, speed = self.robot.decision_period, self.robot.track_speed
-        found = self.model.expand(nodes.states[parent], targets, period)
+        branch = self.model.expand(nodes.states[parent], targets, period)
         self.spent += len(parent)
         time = nodes.time[parent] + period
-        variation = nodes.variation[parent] + found.pitch_variation
-        steep = np.maximum(nodes.steep[parent], found.steepest)
-        left = (self.goal.finish - found.places[:, 0]) / speed  # negative past the finish
+        variation = nodes.variation[parent] + branch.pitch_variation
+        steep = np.maximum(nodes.steep[parent], branch.steepest)
+        left = (self.goal.finish - branch.places[:, 0]) / speed  # negative past the finish
         cost = time + left + self.goal.smoothness * variation
         cost += STEEP * np.maximum(0.0, steep - STEEP_FROM)
         children = _Nodes(
-            found.states, found.places, time, variation, steep, cost, first + parent, taken
+            branch.states, branch.places, time, variation, steep, cost, first + parent, taken
         )
-        return children.take(found.steepest < self.model.overturn)
+        return children.take(branch.steepest < self.model.overturn)
 
     def _ended(self, nodes: _Nodes, last: float) -> NDArray[np.bool_]:
         """Return which nodes end the search; short of the finish, add the cost of their pitch."""
@@ -423,9 +423,9 @@ class _Search:
         goal = replace(self._goal, distance=distance, pitch=pitch)
         cell = self._settings.cell
         beam = Beam(self._model, self._robot, goal, width, bin_length=_BIN_LENGTH, cell=cell)
-        found = self._played(beam, prefix, patience)
+        plan = self._played(beam, prefix, patience)
         self._spent += beam.spent
-        self._add(source, found)
+        self._add(source, plan)
 
     def _played(self, beam: Beam, prefix: Sequence[int], patience: int) -> Trajectory:
         """Return a trajectory that begins with the actions ``prefix`` and follows plans.
@@ -449,14 +449,14 @@ class _Search:
             best = beam.follow(here, plan)
             if not best.complete or age >= patience or best.cost > expected + _TOLERANCE:
                 slack = _TOLERANCE + beam.goal.pitch * _LEANING
-                found = beam.search(
+                candidate = beam.search(
                     here, budget=budget - beam.spent, bound=bound - played.cost + slack
                 )
                 done = min(1.0, (self._spent + beam.spent) / self._settings.budget)
                 self._report(_INITIAL_SHARE + (1 - _INITIAL_SHARE) * done)
                 age = 0
-                if not (best.complete and best.cost <= found.cost):
-                    best = found
+                if not (best.complete and best.cost <= candidate.cost):
+                    best = candidate
                 if not best.complete and math.isfinite(bound):
                     break  # no plan from here costs less than the bound
             plan = best.actions or (HOLD,)

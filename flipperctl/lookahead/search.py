@@ -80,7 +80,9 @@ class Account(Protocol):
     def poses(self) -> bool:
         """Whether the poses between two decisions are needed."""
 
-    def extend(self, parent: NDArray[np.int64], action: NDArray[np.int64], found: Branch) -> Scores:
+    def extend(
+        self, parent: NDArray[np.int64], action: NDArray[np.int64], branch: Branch
+    ) -> Scores:
         """Return the scores of longer plans: ``action`` (M,) from the nodes ``parent`` (M,)."""
 
     def take(self, rows: NDArray[np.int64]) -> Account:
@@ -160,10 +162,10 @@ class Search:
         for step in range(self.depth):
             here = levels[-1]
             parent, action, targets = moves(here.states, robot)
-            found = model.expand(here.states[parent], targets, robot.decision_period, poses=poses)
+            branch = model.expand(here.states[parent], targets, robot.decision_period, poses=poses)
             simulated += len(parent)
             first = action if step == 0 else here.first[parent]
-            scores = here.account.extend(parent, action, found)
+            scores = here.account.extend(parent, action, branch)
             cost = scores.cost
             if len(rows := np.flatnonzero(scores.ended)):
                 np.minimum.at(final, first[rows], cost[rows])
@@ -172,26 +174,26 @@ class Search:
                 row = rows[(cost[rows] - _EQUAL * holds).argmin()]
                 if ended is None or cost[row] < least:
                     actions, states = _trace(levels, int(parent[row]))
-                    actions, states = (*actions, int(action[row])), [*states, found.states[row]]
+                    actions, states = (*actions, int(action[row])), [*states, branch.states[row]]
                     ended = actions, np.array(states), float(scores.lost_time[row])
                     least = float(cost[row])
-            alive = ~scores.ended & (found.steepest < model.overturn)
+            alive = ~scores.ended & (branch.steepest < model.overturn)
             if not alive.any():
                 if step or ended is not None:
                     break
-                alive = found.steepest == found.steepest.min()  # as far from falling as possible
+                alive = branch.steepest == branch.steepest.min()  # as far from falling as possible
             follows = np.flatnonzero(
                 alive
                 & (parent == here.seed)
                 & (action == (former[step] if step < len(former) else HOLD))
             )
-            kept = self._keep(found, (cost, scores.hurried), first, alive, follows)
+            kept = self._keep(branch, (cost, scores.hurried), first, alive, follows)
             seed = int(np.flatnonzero(kept == follows[0])[0]) if len(follows) else -1
             costs, best = np.full(len(ACTIONS), np.inf), float(cost[kept[0]])
             np.minimum.at(costs, first[alive], cost[alive])
             levels.append(
                 _Level(
-                    states=found.states[kept],
+                    states=branch.states[kept],
                     account=scores.account.take(kept),
                     first=first[kept],
                     parent=parent[kept],
@@ -209,7 +211,7 @@ class Search:
 
     def _keep(
         self,
-        found: Branch,
+        branch: Branch,
         costs: tuple[FloatArray, FloatArray],
         first: NDArray[np.int64],
         alive: NDArray[np.bool_],
@@ -222,7 +224,7 @@ class Search:
         cost, hurried = costs
         rows = np.flatnonzero(alive)
         rows = rows[np.argsort(cost[rows], kind="stable")]
-        rows = rows[_distinct(found, rows, self.robot)]
+        rows = rows[_distinct(branch, rows, self.robot)]
         quick = rows[np.argsort(hurried[rows], kind="stable")][: self.width // 3]
         calm = rows[~np.isin(rows, quick)][: self.width - len(quick)]
         kept = np.concatenate([calm, quick, follows])
@@ -254,10 +256,10 @@ def target_cell(robot: Robot) -> float:
     return min(0.1, 0.5 * robot.angle_step)
 
 
-def _distinct(found: Branch, rows: NDArray[np.int64], robot: Robot) -> NDArray[np.int64]:
+def _distinct(branch: Branch, rows: NDArray[np.int64], robot: Robot) -> NDArray[np.int64]:
     """Return the position of the first of ``rows`` in each cell, in ascending order."""
-    states, cell = found.states[rows], [*_CELL, *2 * [target_cell(robot)]]
-    keys = np.column_stack([found.places[rows], states[:, 2], states[:, TARGETS:]]) / cell
+    states, cell = branch.states[rows], [*_CELL, *2 * [target_cell(robot)]]
+    keys = np.column_stack([branch.places[rows], states[:, 2], states[:, TARGETS:]]) / cell
     _, index = np.unique(np.round(keys).astype(np.int64), axis=0, return_index=True)
     return np.sort(index)
 
@@ -343,18 +345,20 @@ class Returns:
             estimate=self.estimate[rows],
         )
 
-    def extend(self, parent: NDArray[np.int64], action: NDArray[np.int64], found: Branch) -> Scores:
+    def extend(
+        self, parent: NDArray[np.int64], action: NDArray[np.int64], branch: Branch
+    ) -> Scores:
         """Return the scores of plans that are one decision longer."""
         period = self.robot.decision_period
         before = self.nodes.take(parent)
-        after = before.after(found, action, period)
-        ts = transitions(before, after, found, self.profile, self.robot)
+        after = before.after(branch, action, period)
+        ts = transitions(before, after, branch, self.profile, self.robot)
         reward = self.rewards.array(ts)
-        ended = found.outcome != RUNNING
+        ended = branch.outcome != RUNNING
         ahead = np.zeros(len(parent))
         going = np.flatnonzero(~ended)
         ahead[going] = self.horizon(after.take(going))
-        distance = found.places[:, 0] - self.begin
+        distance = branch.places[:, 0] - self.begin
         way = self.robot.track_speed * period * (self.depth + 1)
         if self.standing:
             # The longer the robot has stood, the likelier the episode ends before it moves. The

@@ -132,21 +132,21 @@ class Graph:
         return np.array([self._nearest(key) for key in self._keys(nodes)], np.int64)
 
     def _nearest(self, key: tuple[int, ...]) -> int:
-        found = self._cells.get(key, -1)
-        if found >= 0:
-            return found
+        node = self._cells.get(key, -1)
+        if node >= 0:
+            return node
         for shift in _BESIDE:
             beside = (*(k + s for k, s in zip(key[:3], shift, strict=True)), *key[3:])
-            if (found := self._cells.get(beside, -1)) >= 0:
-                return found
+            if (node := self._cells.get(beside, -1)) >= 0:
+                return node
         return -1
 
     def _explore(self) -> Iterator[_Edges]:
         """Represent the reachable states wave by wave; yield the decisions of each wave."""
         frontier, base = self._represent(self._roots()), 0
         while len(frontier) and len(self._cells) < _MOST:
-            found = self._decide(frontier)
-            yield found._replace(parent=found.parent + base)
+            layer = self._decide(frontier)
+            yield layer._replace(parent=layer.parent + base)
             base += len(frontier)
             frontier = self._waves[-1]
 
@@ -161,8 +161,8 @@ class Graph:
         x = course.start - settle * robot.track_speed
         z = course.profile.height(course.start) + robot.track_radius + drop
         states = np.array([self._model.state((x, z, 0.0), (f, r)) for f in angles for r in angles])
-        found = self._model.expand(states, states[:, TARGETS:], settle)
-        standing = found.take(np.flatnonzero(found.outcome == RUNNING))
+        branch = self._model.expand(states, states[:, TARGETS:], settle)
+        standing = branch.take(np.flatnonzero(branch.outcome == RUNNING))
         return Nodes.at_rest(standing.states, standing.places)
 
     def _keys(self, nodes: Nodes) -> list[tuple[int, ...]]:
@@ -231,13 +231,13 @@ def _redirected(poses: FloatArray, after: Nodes, rows: NDArray[np.int64]) -> Flo
     The way to another position is spread over the decision, which would else end with an impact.
     The pitch jumps at the end, since a spread difference could hide pitch variation.
     """
-    found, share = poses[rows], np.linspace(0.0, 1.0, poses.shape[1])[:, None]
+    path, share = poses[rows], np.linspace(0.0, 1.0, poses.shape[1])[:, None]
     end = after.take(rows)
-    found[:, :, :2] += share * (end.places - found[:, -1, :2])[:, None]
-    found[:, -1, 2] = end.states[:, 2]
-    found[:, -1, 3:] = end.states[:, FLIPPERS:TARGETS]
+    path[:, :, :2] += share * (end.places - path[:, -1, :2])[:, None]
+    path[:, -1, 2] = end.states[:, 2]
+    path[:, -1, 3:] = end.states[:, FLIPPERS:TARGETS]
     poses = poses.copy()
-    poses[rows] = found
+    poses[rows] = path
     return poses
 
 
@@ -250,10 +250,10 @@ def _iterated(reward: FloatArray, kept: FloatArray, child: NDArray[np.int64]) ->
     best = np.zeros(len(reward))
     for _ in range(_SWEEPS):
         values = reward + kept * best[child]
-        found = values.max(axis=1)
-        if np.abs(found - best).max() < _ACCURACY:
+        improved = values.max(axis=1)
+        if np.abs(improved - best).max() < _ACCURACY:
             break
-        best = found
+        best = improved
     return values
 
 
@@ -317,11 +317,11 @@ def _levelled(
     """Return observations (M, n) whose heights from the bin ``first`` (M,) on are level."""
     bins = np.arange(layout.heights) % layout.bins
     last = seen[np.arange(len(seen)), first - 1]
-    found = seen.copy()
-    found[:, : layout.heights] = np.where(
+    levelled = seen.copy()
+    levelled[:, : layout.heights] = np.where(
         bins >= first[:, None], last[:, None], seen[:, : layout.heights]
     )
-    return found
+    return levelled
 
 
 def with_stops(values: FloatArray) -> FloatArray:
@@ -459,9 +459,9 @@ class ValueIterationPolicy:
 
     def _horizon(self, nodes: Nodes) -> FloatArray:
         """Return the values of the states that represent ``nodes``, (M,) [-]."""
-        found = self._graph.lookup(nodes)
+        rows = self._graph.lookup(nodes)
         best = self._graph.best
-        return np.asarray(np.where(found < 0, best.min(), best[found]))
+        return np.asarray(np.where(rows < 0, best.min(), best[rows]))
 
     def _here(self) -> Nodes:
         """Return the true state as a node."""

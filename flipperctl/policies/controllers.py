@@ -58,14 +58,14 @@ def plugin_policy(controller: Controller) -> PluginPolicy:
     with naming(controller, "build"):  # what it returned may fail as well
         policy = controller.build()
         lacks = [n for n in ("reset", "act") if not callable(getattr(policy, n, None))]
-        found = PluginPolicy(controller, policy)
+        built = PluginPolicy(controller, policy)
     if lacks:
         text = (
             f"returned {short_repr(policy)}, which lacks {' and '.join(lacks)}; an object with "
             "reset and act is allowed"
         )
         raise refusal(controller, "build", text)
-    return found
+    return built
 
 
 class PluginPolicy:
@@ -136,10 +136,10 @@ class PluginPolicy:
         """Return the policy's finite cost of each action, (9,) [s]."""
         with self._calling("costs"):
             answer: object = self._policy.costs(p)
-            found = np.asarray(answer, np.float64)
-        if found.shape != (len(ACTIONS),) or not np.isfinite(found).all():
+            costs = np.asarray(answer, np.float64)
+        if costs.shape != (len(ACTIONS),) or not np.isfinite(costs).all():
             raise self._refusal("costs", answer, f"{len(ACTIONS)} finite costs are allowed")
-        return found
+        return costs
 
     def took(self, action: int) -> None:
         """Tell the policy which action was taken after its ``costs``."""
@@ -154,18 +154,18 @@ class PluginPolicy:
     def state_groups(self, rng: np.random.Generator) -> StateGroups:
         """Return groups of states of the episode's ground with finite values of their actions."""
         with self._calling("groups"):
-            found = self._policy.groups(rng)
+            labelled = self._policy.groups(rng)
             shaped = (
-                isinstance(found, StateGroups)
-                and found.observations.ndim == 3
-                and found.values.shape == (*found.observations.shape[:2], len(ACTIONS))
-                and found.values.size > 0
-                and bool(np.isfinite(found.values).all())
-                and bool(np.isfinite(found.observations).all())
+                isinstance(labelled, StateGroups)
+                and labelled.observations.ndim == 3
+                and labelled.values.shape == (*labelled.observations.shape[:2], len(ACTIONS))
+                and labelled.values.size > 0
+                and bool(np.isfinite(labelled.values).all())
+                and bool(np.isfinite(labelled.observations).all())
             )
         if not shaped:
-            raise self._refusal("groups", found, "StateGroups of finite numbers are allowed")
-        groups: StateGroups = found
+            raise self._refusal("groups", labelled, "StateGroups of finite numbers are allowed")
+        groups: StateGroups = labelled
         return groups
 
 

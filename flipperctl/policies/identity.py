@@ -120,16 +120,16 @@ def _digest(document: object) -> str:
 def unlike_trainings(trainings: Sequence[Mapping[str, Any]]) -> str:
     """Return a sentence on the settings that differ; an empty one if none does."""
     first, *others = map(without_input_paths, trainings or [{}])  # none, of a rule
-    found: dict[str, list[Any]] = {}
+    unlike: dict[str, list[Any]] = {}
     for other in others:
         for path, here, there in differences(first, other):
             # A setting that one lacks is newer than its training; a plugin was left out.
             if ABSENT not in (here, there) or isinstance(here if there is ABSENT else there, dict):
-                found.setdefault(path, [here]).append(there)
-    if not found:
+                unlike.setdefault(path, [here]).append(there)
+    if not unlike:
         return ""
-    named = ", ".join(f"{key} ({_shown(values)})" for key, values in [*found.items()][:_NAMED])
-    more = f" and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
+    named = ", ".join(f"{key} ({_shown(values)})" for key, values in [*unlike.items()][:_NAMED])
+    more = f" and {len(unlike) - _NAMED} more" if len(unlike) > _NAMED else ""
     return (
         f"its policies were trained with different settings: {named}{more}; trainings of one "
         "method differ in their seeds alone, and METHOD=DIR gives others a name of their own"

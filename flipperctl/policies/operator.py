@@ -82,17 +82,17 @@ class Operator(Controller):
         ours = to_dict(config.environment())
         for drive in _drives(self.files):
             theirs = drive.environment.model_dump(mode="json")
-            found = [
+            differences = [
                 f"{path}={_text(there)} (here {_text(here)})"
                 for section in _SECTIONS
                 for path, here, there in _differing(ours[section], theirs[section], section)
                 if path.rpartition(".")[2] not in config.sim.without_effect
             ]
-            if found:
-                more = f" and {len(found) - _MOST} more" if len(found) > _MOST else ""
+            if differences:
+                more = f" and {len(differences) - _MOST} more" if len(differences) > _MOST else ""
                 raise ConfigError(
-                    f"{drive.file}: it was driven with {', '.join(found[:_MOST])}{more}; drives "
-                    "are played under the settings under which they were driven"
+                    f"{drive.file}: it was driven with {', '.join(differences[:_MOST])}{more}; "
+                    "drives are played under the settings under which they were driven"
                 )
 
 
@@ -111,8 +111,8 @@ class _Recorded:
 
     def reset(self, simulator: Simulator) -> None:
         """Begin the drive of the episode's seed."""
-        found = None if simulator.seed is None else self._drives.get(simulator.seed)
-        if found is None:
+        recorded_drive = None if simulator.seed is None else self._drives.get(simulator.seed)
+        if recorded_drive is None:
             labels = [drive.episode.terrain for drive in self._drives.values()]
             counted = ", ".join(f"{n} on {t}" for t, n in _counts(labels))
             raise PolicyError(
@@ -120,7 +120,7 @@ class _Recorded:
                 f"{simulator.seed}); it holds {counted}: --episodes and the settings of the drive "
                 "choose its draws"
             )
-        self._drive, self._decision, self._told = found, 0, 0
+        self._drive, self._decision, self._told = recorded_drive, 0, 0
 
     def act(self, p: Perception) -> int:
         """Check what is perceived; the action has no effect."""
@@ -149,12 +149,12 @@ class _Recorded:
 
 def _drives(files: list[Path]) -> Iterator[_Drive]:
     for file in files:
-        found = recording.read(file)
-        period = found.document.command_period
+        drives = recording.read(file)
+        period = drives.document.command_period
         if period is None:
             raise ConfigError(f"{file}: it holds no commands; flipperctl drive records them")
-        for entry, episode in zip(found.document.episodes, found.episodes, strict=True):
-            yield _Drive(file, episode, found.document.environments[entry.environment], period)
+        for entry, episode in zip(drives.document.episodes, drives.episodes, strict=True):
+            yield _Drive(file, episode, drives.document.environments[entry.environment], period)
 
 
 def _differing(

@@ -96,8 +96,8 @@ def load_policy(
             raise CheckpointError(
                 f"{prefix}{name}: a policy file is that of a controller; a trained policy is needed"
             )
-        found = policy_file.settings_of(name, where)
-        own = {**found, **(fields or {}), "name": found["name"]}
+        stored = policy_file.settings_of(name, where)
+        own = {**stored, **(fields or {}), "name": stored["name"]}
         settings = resolver.to_dict(resolver.create("controller", own, prefix + name))
         return PolicySource(settings=settings, name=name)
     if takes == "controller":
@@ -212,9 +212,9 @@ class PolicySource:
 
     def controller(self) -> Controller:
         """Return the controller plugin, for a source without a file."""
-        found = resolver.create("controller", self.settings, "controller")
-        assert isinstance(found, Controller)
-        return found
+        controller = resolver.create("controller", self.settings, "controller")
+        assert isinstance(controller, Controller)
+        return controller
 
 
 def controller_policy(
@@ -265,10 +265,10 @@ def controller_notes(
         yield f"{controller.drives}: driven by {', '.join(controller.drivers)}"
     if isinstance(controller, Mpc) and controller.value and controller.fallback:
         learned = learned_value(controller.value, f"{path}.value")
-        found = list(learned.misfits(config.robot, config.perception.layout))
-        if found:
+        misfits = list(learned.misfits(config.robot, config.perception.layout))
+        if misfits:
             yield (
-                f"{path}.value: {controller.value} was not trained for {', '.join(found)}; plans "
+                f"{path}.value: {controller.value} was not trained for {', '.join(misfits)}; plans "
                 f"have the hand-set cost instead; {path}.value={controller.value} keeps the values"
             )
 
@@ -345,14 +345,14 @@ def check_robot(interface: Interface, robot: Robot, file: Path) -> None:
     On the real robot, the file's own action table, target limit and decision period apply,
     whatever the simulator's settings. All other properties are the robot's own.
     """
-    found = list(_disagreements(interface, robot))
-    if not found:
+    disagreements = list(_disagreements(interface, robot))
+    if not disagreements:
         return
     own = parse(Robot, interface.robot)
     changed = [name for name in _APPLIED if not _close(getattr(own, name), getattr(robot, name))]
     if not changed:
         raise ConfigError(
-            f"{file} applies {', '.join(found)}, unlike the robot in its own metadata; "
+            f"{file} applies {', '.join(disagreements)}, unlike the robot in its own metadata; "
             f"flipperctl inspect checkpoint {shlex.quote(str(file))} --check shows where"
         )
     values = {name: json.dumps(getattr(robot, name)) for name in changed}
@@ -361,7 +361,9 @@ def check_robot(interface: Interface, robot: Robot, file: Path) -> None:
     if changed == ["flipper_speed"]:
         speed = values["flipper_speed"]
         advice += f", or keep the file's period with randomise.flipper_speed={speed}"
-    raise ConfigError(f"{file} applies {', '.join(found)}, also on the real robot; {advice}")
+    raise ConfigError(
+        f"{file} applies {', '.join(disagreements)}, also on the real robot; {advice}"
+    )
 
 
 def _disagreements(interface: Interface, robot: Robot) -> Iterator[str]:
@@ -378,8 +380,8 @@ def _disagreements(interface: Interface, robot: Robot) -> Iterator[str]:
     if not _close(interface.decision_period, period):
         given = robot.control_period is not None
         cause = "robot.control_period" if given else "robot.angle_step / robot.flipper_speed"
-        found = f"{interface.decision_period:.6g} s"
-        yield f"a decision period of {found} ({cause} asks for {period:.6g})"
+        period_text = f"{interface.decision_period:.6g} s"
+        yield f"a decision period of {period_text} ({cause} asks for {period:.6g})"
 
 
 def _close(ours: float | None, theirs: float | None) -> bool:

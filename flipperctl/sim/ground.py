@@ -103,7 +103,7 @@ def inflated(
     The circle has ``radius`` [m]; its centre is at ``origin`` and every ``spacing`` [m] past it.
     ``line`` is (V, 2) [m] with x that never decreases.
     """
-    found = np.full(count, -np.inf)
+    heights = np.full(count, -np.inf)
     for i in range(len(line) - 1):
         x0, z0, x1, z1 = line[i, 0], line[i, 1], line[i + 1, 0], line[i + 1, 1]
         slope = (z1 - z0) / (x1 - x0) if x1 > x0 else 0.0
@@ -120,8 +120,8 @@ def inflated(
                 height = max(height, z0 + math.sqrt(radius * radius - (x - x0) ** 2))
             if abs(x - x1) <= radius:
                 height = max(height, z1 + math.sqrt(radius * radius - (x - x1) ** 2))
-            found[j] = max(found[j], height)
-    return found
+            heights[j] = max(heights[j], height)
+    return heights
 
 
 OVERLAP = 0.005

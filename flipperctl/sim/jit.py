@@ -60,17 +60,17 @@ def machine_code_folder() -> Path | None:
 
 def code_digest(folders: Iterable[Path], libraries: Iterable[Path]) -> str:
     """Return a digest of the Python files in folders, of libraries' files and of versions."""
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     versions = (sys.version, numba.__version__, llvmlite.__version__, np.__version__)
-    found.update(repr(versions).encode())
+    digest.update(repr(versions).encode())
     sources = [
         (p, p.relative_to(folder)) for folder in folders for p in sorted(folder.rglob("*.py"))
     ]
     for path, name in (*sources, *((path, Path(path.name)) for path in libraries)):
         content = path.read_bytes()
-        found.update(f"{name.as_posix()} {len(content)}\n".encode())
-        found.update(content)
-    return found.hexdigest()[:16]
+        digest.update(f"{name.as_posix()} {len(content)}\n".encode())
+        digest.update(content)
+    return digest.hexdigest()[:16]
 
 
 def _libraries() -> list[Path]:

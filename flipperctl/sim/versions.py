@@ -26,10 +26,10 @@ def simulated(duration: float) -> float:
 def engine_versions(engine: Engine) -> dict[str, str]:
     """Return the versions of the libraries that affect the engine's results."""
     with naming(engine, "versions"):  # the returned object's code may fail too
-        found: object = engine.versions()
-        versions = dict(found) if isinstance(found, Mapping) else {}
+        answer: object = engine.versions()
+        versions = dict(answer) if isinstance(answer, Mapping) else {}
     texts = all(isinstance(text, str) for item in versions.items() for text in item)
-    if not (isinstance(found, Mapping) and texts):
-        text = f"returned {short_repr(found)}; allowed: a mapping of names to texts"
+    if not (isinstance(answer, Mapping) and texts):
+        text = f"returned {short_repr(answer)}; allowed: a mapping of names to texts"
         raise refusal(engine, "versions", text)
     return versions

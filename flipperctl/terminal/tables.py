@@ -89,9 +89,9 @@ _POSES = {
 def print_perception(perception: dict[str, Any], output: Path | None) -> None:
     """Print how a robot's sensing fared on its recording; ``output`` was written."""
     rows = {"scans used": str(perception["scans"])}
-    rows["scans refused"] = str(sum(one["count"] for one in perception["refused"].values()))
-    for name, one in perception["refused"].items():
-        rows[f"  {name}"] = f"{one['count']}: {one['reason']}"
+    rows["scans refused"] = str(sum(refusal["count"] for refusal in perception["refused"].values()))
+    for name, refusal in perception["refused"].items():
+        rows[f"  {name}"] = f"{refusal['count']}: {refusal['reason']}"
     rows["estimates"] = str(perception["decisions"])
     rows |= {f"  would hold: {name}": str(count) for name, count in perception["held"].items()}
     coverage, deviation = perception["coverage"], perception["deviation"]
@@ -125,13 +125,13 @@ def print_shadow(shadow: dict[str, Any]) -> None:
 
 
 def _print_recording(
-    title: str, who: str, found: dict[str, Any], rows: Mapping[str, str], last: str | None
+    title: str, who: str, recording: dict[str, Any], rows: Mapping[str, str], last: str | None
 ) -> None:
-    topics = ", ".join(f"{device} {topic}" for device, topic in found["topics"].items())
-    print_text(f"{who}: {found['seconds']:.1f} s; {topics}")
+    topics = ", ".join(f"{device} {topic}" for device, topic in recording["topics"].items())
+    print_text(f"{who}: {recording['seconds']:.1f} s; {topics}")
     cells = [{"what": what, "found": text} for what, text in rows.items()]
     print_table(Table(_FOUND, cells, title), console())
-    for line in (*found["remarks"], *([] if last is None else [last])):
+    for line in (*recording["remarks"], *([] if last is None else [last])):
         print_text(line)
 
 

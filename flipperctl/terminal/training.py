@@ -31,15 +31,15 @@ def print_best(run: Finished) -> None:
     """Print the best validation of a newly trained run, its return, and the commands to use it."""
     if not run.trained:
         return
-    best, found = run.summary["best"], run.summary.get("regret")
+    best, measured = run.summary["best"], run.summary.get("regret")
     longer = f"train.decisions={2 * run.summary['decisions']}"
     again = f"Longer:   {command('train', '--resume', run.directory, longer)}\n"
     print_note(
         f"\nTrained {run.summary['decisions']} decisions in {run.summary['seconds']:.0f} s.\n"
         f"Best validation, at decision {best['decision']}: success {best['success_rate']:.0%}, "
         f"{way_text(best)}, reward {best['mean_return']:.2f}.\n"
-        f"{_risk_line(best)}{regret.line(found)}"
-        f"{again if regret.falls_short(found) else ''}"
+        f"{_risk_line(best)}{regret.line(measured)}"
+        f"{again if regret.falls_short(measured) else ''}"
         f"Watch:    {command('watch', run.directory)}\n"
         f"Evaluate: {command('eval', run.directory)}\n"
         f"Export:   {command('export', 'onnx', run.directory)}"
@@ -49,5 +49,5 @@ def print_best(run: Finished) -> None:
 def _risk_line(validation: Mapping[str, Any]) -> str:
     """Return a line about the policy's risk, if it learnt one."""
     start = "risk_"
-    found = {n.removeprefix(start): v for n, v in validation.items() if n.startswith(start)}
-    return f"Its risk, there: {summary.risk_text(found)}.\n" if "threshold" in found else ""
+    measured = {n.removeprefix(start): v for n, v in validation.items() if n.startswith(start)}
+    return f"Its risk, there: {summary.risk_text(measured)}.\n" if "threshold" in measured else ""

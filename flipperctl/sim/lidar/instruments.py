@@ -213,10 +213,10 @@ class OwnHits:
 
     def distances(self, front: float, rear: float) -> FloatArray:
         """Return the distance to the robot along each ray, (R,), infinite if it misses it [m]."""
-        found = self._to_chassis.copy()
+        distances = self._to_chassis.copy()
         flippers = self._body.distances_to_flippers(self._origin, self._rays, front, rear)
-        found[self._near] = np.minimum(found[self._near], flippers)
-        return found
+        distances[self._near] = np.minimum(distances[self._near], flippers)
+        return distances
 
 
 _STEEP = math.tan(math.radians(70.0))
@@ -279,10 +279,10 @@ class Returns:
             gap[mixing] = _edges([_at(side, mixing) for side in sides], errors.mixed_gap)
             returned &= grazes >= self._lost(sides)
             true = true + between * gap
-        found = true + errors.bias + errors.noise * noise
+        measured = true + errors.bias + errors.noise * noise
         if errors.resolution:
-            found = errors.resolution * np.round(found / errors.resolution)
-        return found, returned
+            measured = errors.resolution * np.round(measured / errors.resolution)
+        return measured, returned
 
     def _lost(self, sides: list[_Neighbours]) -> FloatArray:
         """Return the fraction of the returns that are lost by grazing incidence, (R,)."""
@@ -316,9 +316,9 @@ def _at(side: _Neighbours, chosen: NDArray[np.int64]) -> _Neighbours:
     return _Neighbours(side.slope.ravel()[chosen], side.gap.ravel()[chosen])
 
 
-def _angle(one: FloatArray, other: FloatArray) -> FloatArray:
+def _angle(first: FloatArray, other: FloatArray) -> FloatArray:
     """Return the angles between unit vectors (V, 3), (V,) [rad]."""
-    return np.asarray(2 * np.arcsin(np.linalg.norm(one - other, axis=-1) / 2))
+    return np.asarray(2 * np.arcsin(np.linalg.norm(first - other, axis=-1) / 2))
 
 
 def _compared(true: FloatArray, other: FloatArray, angle: FloatArray) -> _Neighbours:
@@ -333,10 +333,10 @@ def _compared(true: FloatArray, other: FloatArray, angle: FloatArray) -> _Neighb
         return _Neighbours(slope, np.where(both, other - true, np.nan))
 
 
-def _flatter(one: _Neighbours, other: _Neighbours) -> FloatArray:
+def _flatter(first: _Neighbours, other: _Neighbours) -> FloatArray:
     """Return the smaller slope of both sides; an edge on one side does not count."""
-    found = np.fmin(np.abs(one.slope), np.abs(other.slope))
-    return np.asarray(np.where(np.isnan(found), 0.0, found))
+    slope = np.fmin(np.abs(first.slope), np.abs(other.slope))
+    return np.asarray(np.where(np.isnan(slope), 0.0, slope))
 
 
 def _edges(sides: list[_Neighbours], largest: float) -> FloatArray:
@@ -393,13 +393,13 @@ class Scanner(Instrument):
             self._cast = ()
             return self._scan(self._distances(state, slice(None), self._own), None, rng)
         number = len(self._cast)
-        found = self._distances(state, self._parts[number], self._own[number : number + 1])
-        self._cast = (*self._cast, (state.time, found))
+        ranges = self._distances(state, self._parts[number], self._own[number : number + 1])
+        self._cast = (*self._cast, (state.time, ranges))
         if len(self._cast) < len(self._parts):
             return None
         times, distances = zip(*self._cast, strict=True)
         self._cast = ()
-        ages = np.repeat(state.time - np.array(times), [len(found) for found in distances])
+        ages = np.repeat(state.time - np.array(times), [len(row) for row in distances])
         return self._scan(np.concatenate(distances), ages if len(times) > 1 else None, rng)
 
     def _distances(self, state: RobotState, part: slice, own: Sequence[OwnHits]) -> FloatArray:
@@ -411,7 +411,7 @@ class Scanner(Instrument):
         x, z = state.position
         origin = np.array([x, state.side, z]) + turn @ self._place
         ground = self._world.cast_rays(origin, self._in_robot[part] @ turn.T, self._reach)
-        hits = [one.distances(state.front, state.rear) for one in own]
+        hits = [limb.distances(state.front, state.rear) for limb in own]
         return np.minimum(ground, np.concatenate(hits))
 
     def _scan(self, true: FloatArray, ages: FloatArray | None, rng: np.random.Generator) -> Scan:

@@ -88,10 +88,10 @@ def grousers(track: Track, robot: RobotGeometry, travel: float) -> tuple[FloatAr
 def ground_meshes(strips: Sequence[Strip], low: float, high: float) -> list[Mesh]:
     """Return the ground between two y [m]: treads, risers, cut sides, edges and a rule."""
     base = min(float(strip.line[:, 1].min()) for strip in strips) - _DEEP
-    found: dict[str, list[FloatArray]] = {}
+    by_colour: dict[str, list[FloatArray]] = {}
 
     def add(colour: str, *parts: FloatArray) -> None:
-        found.setdefault(colour, []).extend(parts)
+        by_colour.setdefault(colour, []).extend(parts)
 
     for strip in strips:
         right, left = max(strip.low, low), min(strip.high, high)
@@ -109,7 +109,7 @@ def ground_meshes(strips: Sequence[Strip], low: float, high: float) -> list[Mesh
         for x in np.arange(math.ceil(line[0, 0] / _APART), line[-1, 0] / _APART) * _APART:
             at = np.array([x, np.interp(x, *line.T)])
             add(_RULE, _bar(at, at, right, left, _LINE))
-    return [Mesh(np.concatenate(parts), colour) for colour, parts in found.items()]
+    return [Mesh(np.concatenate(parts), colour) for colour, parts in by_colour.items()]
 
 
 def profile_line(strips: Sequence[Strip], y: float) -> Mesh:

@@ -73,18 +73,18 @@ def ground_urdf(ground: Sequence[Box]) -> str:
 def _link(root: ElementTree.Element, model: Any, body: str, name: str) -> None:
     """Add a link with the mass, the inertia and the shapes of a body of the model."""
     link = ElementTree.SubElement(root, "link", name=name)
-    found = model.body(body)
+    body_model = model.body(body)
     inertial = ElementTree.SubElement(link, "inertial")
-    ElementTree.SubElement(inertial, "origin", xyz=_numbers(found.ipos), rpy="0 0 0")
-    ElementTree.SubElement(inertial, "mass", value=_numbers(found.mass))
-    tensor = _tensor(found)
+    ElementTree.SubElement(inertial, "origin", xyz=_numbers(body_model.ipos), rpy="0 0 0")
+    ElementTree.SubElement(inertial, "mass", value=_numbers(body_model.mass))
+    tensor = _tensor(body_model)
     moments = dict(zip(("ixx", "iyy", "izz"), map(_number, np.diag(tensor)), strict=True))
     products = {"ixy": tensor[0, 1], "ixz": tensor[0, 2], "iyz": tensor[1, 2]}
     others = {name: _number(value) if value else "0" for name, value in products.items()}
     ElementTree.SubElement(inertial, "inertia", moments | others)
     for index in range(model.ngeom):
         geom = model.geom(index)
-        if int(geom.bodyid[0]) != found.id:
+        if int(geom.bodyid[0]) != body_model.id:
             continue
         if int(geom.type[0]) == int(mujoco.mjtGeom.mjGEOM_BOX):
             _shape(link, geom.pos, (0.0, 0.0, 0.0), ("box", {"size": _numbers(2 * geom.size)}))

@@ -79,14 +79,14 @@ def surface_strips(
             "terrain's largest_gap"
         )
     heights = _continued(heights, y)
-    found: list[Strip] = []
+    strips: list[Strip] = []
     for (low, high), column in zip(pairwise(borders), heights.T, strict=True):
         line = _outline(profile, surface.x, column)
         free = all(abs(low - border) > CLOSE for border in kept)
-        if found and free and np.array_equal(found[-1].line, line):
-            low, line = found.pop().low, line
-        found.append(Strip(low, high, line))
-    return found
+        if strips and free and np.array_equal(strips[-1].line, line):
+            low, line = strips.pop().low, line
+        strips.append(Strip(low, high, line))
+    return strips
 
 
 def _continued(heights: FloatArray, y: FloatArray) -> FloatArray:
@@ -158,22 +158,22 @@ def lay(profile: Profile, sim: MujocoSettings, rng: np.random.Generator) -> Grou
     """Return the ground; the roughness is sampled from ``rng``."""
     strips = _strips(profile, sim)
     base = min(float(strip.line[:, 1].min()) for strip in strips) - _BELOW - sim.roughness
-    found, driven = list[Box](), list[Strip]()
+    boxes, driven = list[Box](), list[Strip]()
     for low, high, line in strips:
         strip = _lowered(line, sim.one_sided) if high <= 0 else line
         if sim.roughness and max(-low, high) <= _ROUGH_HALF:
             ends = profile.start - ROUGH_MARGIN, profile.end + ROUGH_MARGIN
             strip = _roughened(strip, ends, sim.roughness, rng)
         driven.append(Strip(low, high, strip))
-        found += _extruded(strip, low, high, base)
+        boxes += _extruded(strip, low, high, base)
         if profile.surface is not None and len(strips) > 1:
-            found += _columns(_without_repeats(strip), low, high, base)
-        if len(found) > MOST:
+            boxes += _columns(_without_repeats(strip), low, high, base)
+        if len(boxes) > MOST:
             raise TerrainError(
                 f"sim=mujoco: the ground below {len(profile.points)} points needs more than "
                 f"{MOST} boxes; {_SMALLER if profile.surface else _SIMPLER}"
             )
-    return Ground(driven, found)
+    return Ground(driven, boxes)
 
 
 def _strips(profile: Profile, sim: MujocoSettings) -> list[Strip]:
@@ -197,11 +197,11 @@ def _strips(profile: Profile, sim: MujocoSettings) -> list[Strip]:
 
 
 def _within(borders: set[float], half: float) -> list[float]:
-    found: list[float] = []
+    edges: list[float] = []
     for y in sorted(y for y in borders if abs(y) <= half):
-        if not found or y - found[-1] > CLOSE:
-            found.append(y)
-    return found
+        if not edges or y - edges[-1] > CLOSE:
+            edges.append(y)
+    return edges
 
 
 def _lowered(line: FloatArray, fraction: float) -> FloatArray:

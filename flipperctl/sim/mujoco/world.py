@@ -109,9 +109,9 @@ class Tracks:
         """
         if self._force is None:
             return
-        found = data.contact.efc_address >= 0
-        normal = data.efc_force[data.contact.efc_address[found]]  # (C,) [N]
-        sides = self._sides[data.contact.geom[found]].sum(axis=1)  # (C,), the ground has 0
+        active = data.contact.efc_address >= 0
+        normal = data.efc_force[data.contact.efc_address[active]]  # (C,) [N]
+        sides = self._sides[data.contact.geom[active]].sum(axis=1)  # (C,), the ground has 0
         rate = SAMPLE_PERIOD / _AVERAGING
         left, right = (
             (1 - rate) * before + rate * float(normal[sides == side].sum())
@@ -354,12 +354,12 @@ class MujocoWorld:
             mujoco.mj_kinematics(self.model, self.data)
             self._ground_is_placed = True
         count = len(directions)
-        shapes, found = np.empty(count, np.int32), np.empty(count)
+        shapes, distances = np.empty(count, np.int32), np.empty(count)
         rays = np.ascontiguousarray(directions, np.float64).ravel()
         start = np.asarray(origin, np.float64)
         scene = self.model, self.data, start, rays, _RAY_GROUPS, True, -1
-        mujoco.mj_multiRay(*scene, shapes, found, None, count, reach)
-        return np.where((shapes >= 0) & (found <= reach), found, np.inf)
+        mujoco.mj_multiRay(*scene, shapes, distances, None, count, reach)
+        return np.where((shapes >= 0) & (distances <= reach), distances, np.inf)
 
     def draw(self, width: int, height: int) -> NDArray[np.uint8]:
         """Return a picture of the current state from ``sim.view``, (H, W, 3).

@@ -411,7 +411,7 @@ def check_layout() -> None:
     Raises:
         ConfigError: they differ, so that compiled code would write to foreign memory.
     """
-    found: dict[str, Any] = {}
+    layout: dict[str, Any] = {}
     answers: dict[str, Any] = {}
 
     def read(arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:
@@ -425,7 +425,7 @@ def check_layout() -> None:
             contacts=len(arbiter.contact_point_set.points),
             address=address(struct.contacts),
         )
-        found.update(
+        layout.update(
             normal=tuple(doubles[NORMAL : NORMAL + 2].tolist()),
             surface_velocity=tuple(doubles[SURFACE : SURFACE + 2].tolist()),
             friction=float(doubles[FRICTION]),
@@ -434,13 +434,13 @@ def check_layout() -> None:
         )
 
     def pressed(arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:
-        size = found["contacts"] * CONTACT * _DOUBLE
-        if found != answers or not size:
+        size = layout["contacts"] * CONTACT * _DOUBLE
+        if layout != answers or not size:
             return  # the address may be wrong
-        contacts = np.frombuffer(ffi.buffer(ffi.cast("char *", found["address"]), size))
+        contacts = np.frombuffer(ffi.buffer(ffi.cast("char *", layout["address"]), size))
         sums = [contacts[at::CONTACT].sum() for at in (NORMAL_IMPULSE, TANGENT_IMPULSE)]
         x, y = answers["normal"]
-        found["impulse"] = np.round(sums @ np.array([[x, y], [-y, x]]), 9).tolist()
+        layout["impulse"] = np.round(sums @ np.array([[x, y], [-y, x]]), 9).tolist()
         # Pymunk returns the impulse on the other body.
         answers["impulse"] = np.round(-np.array(arbiter.total_impulse), 9).tolist()
 
@@ -455,8 +455,8 @@ def check_layout() -> None:
     space.add(body, shape, ground)
     space.on_collision(1, 1, pre_solve=read, post_solve=pressed)
     space.step(0.005)
-    if found != answers:
+    if layout != answers:
         raise ConfigError(
-            f"sim=planar cannot be used with pymunk {pymunk.version}: its contact has {found} "
+            f"sim=planar cannot be used with pymunk {pymunk.version}: its contact has {layout} "
             f"where pymunk itself has {answers}; install another pymunk"
         )

@@ -40,14 +40,14 @@ def distances(
         t = _cross(begin, along) / turn
         s = _cross(begin, directions[:, None]) / turn
         met = (t >= 0) & (t <= reach) & (s >= 0) & (s <= 1)
-    found: FloatArray = np.where(met, t, np.inf).min(axis=1, initial=np.inf)
-    return found
+    nearest: FloatArray = np.where(met, t, np.inf).min(axis=1, initial=np.inf)
+    return nearest
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return the cross products of vectors in the plane, over the last axis."""
-    found: FloatArray = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
-    return found
+    product: FloatArray = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return product
 
 
 _GRAZING = 1e-9

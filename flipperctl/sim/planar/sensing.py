@@ -221,8 +221,8 @@ class TerrainSensor:
         if s.dropout > 0:
             offered &= rng.random(len(points)) >= s.dropout
         limits = -self._reach, near
-        found = self._rays.fill_gaps(points, index, offered, self._spacing, limits)
-        return found[0], found[1]
+        sensed = self._rays.fill_gaps(points, index, offered, self._spacing, limits)
+        return sensed[0], sensed[1]
 
 
 NEAREST = 0.3
@@ -296,9 +296,9 @@ def correlated(x: FloatArray, length: float, rng: np.random.Generator) -> FloatA
     stays = np.exp(-np.diff(x) / length)
     steps = rng.standard_normal(len(x))
     steps[1:] *= np.sqrt(1 - stays**2)
-    found = np.empty(len(x))
+    series = np.empty(len(x))
     value = 0.0
     for i, (keep, step) in enumerate(zip([0.0, *stays.tolist()], steps.tolist(), strict=True)):
         value = keep * value + step
-        found[i] = value
-    return found
+        series[i] = value
+    return series
