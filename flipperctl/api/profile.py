@@ -10,9 +10,11 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from flipperctl.core import FloatArray
+
+_SPACING = 0.02  # distance of the points of a profile's cloud along its outline [m]
 
 
 class Surface(ABC):
@@ -176,26 +178,20 @@ class Profile:
     @cached_property
     def cloud(self) -> FloatArray:
         """Points every 0.02 m of the outline with 3 m of level ground on both sides, (P, 2) [m]."""
-        return self.sample(0.02, 3.0)
-
-    @cached_property
-    def _far_cloud(self) -> FloatArray:
-        """Points of ``cloud`` with 15 m of level ground on both sides, (P, 2) [m]."""
-        beyond = np.arange(1, 601) * 0.02
-        first, last = self.cloud[0], self.cloud[-1]
-        before = np.column_stack([first[0] - beyond[::-1], np.full(len(beyond), first[1])])
-        past = np.column_stack([last[0] + beyond, np.full(len(beyond), last[1])])
-        return np.vstack([before, self.cloud, past])
+        return self.sample(_SPACING, 3.0)
 
     def around(self, x: float, reach: float, *, far: bool = False) -> FloatArray:
         """Return points of the ground within ``reach`` [m] of x, (P', 2) in world [m].
 
-        ``far``: with 15 m of level ground on both sides, for a robot anywhere; else 3 m, as in
-        ``cloud``.
+        ``far``: the level ground on both sides has no end, for a robot anywhere; else it ends after
+        3 m, as in ``cloud``.
         """
-        cloud = self._far_cloud if far else self.cloud
-        along = cloud[:, 0].data  # a memoryview, which is faster for bisect
-        return cloud[bisect_left(along, x - reach) : bisect_left(along, x + reach)]
+        along = self.cloud[:, 0].data  # a memoryview, which is faster for bisect
+        if far and not (along[0] <= x - reach and x + reach <= along[-1]):
+            return np.column_stack(
+                [each[0] for each in self.around_each(np.array([x]), reach, far=far)]
+            )
+        return self.cloud[bisect_left(along, x - reach) : bisect_left(along, x + reach)]
 
     def around_each(
         self, x: FloatArray | float, reach: FloatArray | float, *, far: bool = False
@@ -208,24 +204,33 @@ class Profile:
         if not getattr(x, "ndim", 0):  # faster than numpy's function
             points = self.around(float(x), float(reach), far=far)
             return points[:, 0], points[:, 1]
-        cloud = self._far_cloud if far else self.cloud
-        columns = self._far_columns if far else self._columns
-        first = np.searchsorted(cloud[:, 0], x - reach)
-        counts = np.maximum(0, np.searchsorted(cloud[:, 0], x + reach) - first)
+        along = self.cloud[:, 0]
+        begin, end = np.subtract(x, reach), np.add(x, reach)
+        first, last = np.searchsorted(along, begin), np.searchsorted(along, end)
+        beyond = far and bool(((begin < along[0]) | (end > along[-1])).any())
+        if beyond:
+            first, last = _continued(along, begin, first), _continued(along, end, last)
+        counts = np.maximum(0, last - first)
         step = np.arange(counts.max(initial=0))
-        index = np.where(step < counts[:, None], first[:, None] + step, len(cloud))
-        return columns[0].take(index), columns[1].take(index)
+        index, valid = first[:, None] + step, step < counts[:, None]
+        inside = np.where(valid, np.clip(index, 0, len(along) - 1) if beyond else index, len(along))
+        ground_x, ground_z = (column.take(inside) for column in self._columns)
+        return ground_x + (index - inside) * _SPACING if beyond else ground_x, ground_z
 
     @cached_property
     def _columns(self) -> FloatArray:
         """X and z of ``cloud``, and NaN at their end, (2, P + 1) [m]."""
-        return _columns(self.cloud)
-
-    @cached_property
-    def _far_columns(self) -> FloatArray:
-        return _columns(self._far_cloud)
+        return np.vstack([self.cloud, [math.nan, math.nan]]).T.copy()
 
 
-def _columns(points: FloatArray) -> FloatArray:
-    """Return x and z of points (P, 2), and NaN at their end, (2, P + 1) [m]."""
-    return np.vstack([points, [math.nan, math.nan]]).T.copy()
+def _continued(along: FloatArray, x: FloatArray, index: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the index of the first point that is not before each x, (M,), on endless ground.
+
+    ``index`` is the one in ``along``, x of the points (P,) [m]. Level ground goes on past both ends
+    at the points' spacing, with indices below 0 and from P on.
+    """
+    for end, at in ((0, x < along[0]), (len(along) - 1, x > along[-1])):
+        steps = np.rint((x - along[end]) / _SPACING).astype(np.intp)  # to the nearest point
+        steps += along[end] + steps * _SPACING < x
+        index = np.where(at, end + steps, index)
+    return index

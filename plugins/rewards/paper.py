@@ -1,7 +1,7 @@
 """The paper's three reward terms: R_flipper, R_pitch and R_end (Eqs. 4 to 7)."""
 
 import math
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from pydantic import Field, model_validator
@@ -14,6 +14,9 @@ from flipperctl.api import (
     limited,
     reward,
 )
+
+_LEAST_COSINE = 0.1
+"""Bound of the length that is searched for terrain: that at a pitch of 84°, overturned [-]."""
 
 
 @reward("flipper")
@@ -53,12 +56,26 @@ class Flipper(RewardTerm):
     def __call__(self, t: Transition) -> float:
         """Return the reward in [-1, 0]."""
         robot, state = t.robot, t.after
-        reach = robot.hinge_offset + self.far + robot.track_radius
-        x, z = t.profile.around_each(state.position[..., 0], reach)
+        middle, reach = self._reach(t)
+        x, z = t.profile.around_each(middle, reach, far=True)
         x, z = x - state.position[..., :1], z - state.position[..., 1:]
         candidate = candidate_angles(x, z, state.pitch, robot, near=self.near, far=self.far)
         deviation = abs(state.front - candidate) - self.tolerance
         return -limited(self.lambda_1 * deviation, 0.0, 1.0)
+
+    def _reach(self, t: Transition) -> tuple[Any, Any]:
+        """Return middle and half length of the world x that can hold considered terrain [m].
+
+        ``near`` and ``far`` count along the chassis: x cos θ_R + z sin θ_R lies between them, for
+        any height z that the profile has.
+        """
+        pitch, (x, z) = t.after.pitch, np.moveaxis(t.after.position, -1, 0)
+        cos, sin = np.maximum(np.cos(pitch), _LEAST_COSINE), np.sin(pitch)
+        heights = t.profile.points[:, 1]
+        low, high = sin * (heights.min() - z), sin * (heights.max() - z)
+        begin = (t.robot.hinge_offset + self.near - np.maximum(low, high)) / cos
+        end = (t.robot.hinge_offset + self.far - np.minimum(low, high)) / cos
+        return x + (begin + end) / 2, (end - begin) / 2 + t.robot.track_radius
 
 
 @reward("pitch")

@@ -285,11 +285,14 @@ def test_past_a_face_down_the_finish_is_on_the_lower_level(run_out: float) -> No
 def test_level_ground_far_from_the_edges_carries_a_robot() -> None:
     """Reward terms and measures see the ground under a robot that starts or ends far away."""
     profile = Profile([(0.0, 0.0), (0.0, 0.2), (1.0, 0.2)])
-    for x, z in ((-9.0, 0.0), (10.5, 0.2)):
+    for x, z in ((-900.0, 0.0), (-9.0, 0.0), (10.5, 0.2), (30.0, 0.2)):
         found = profile.around(x, 1.0, far=True)
         assert found[0, 0] <= x - 0.9
         assert found[-1, 0] >= x + 0.9
         assert (found[:, 1] == z).all()
+        assert np.diff(found[:, 0]) == pytest.approx(0.02)
+        in_arrays = profile.around_each(np.array([0.5, x]), 1.0, far=True)
+        assert np.array_equal([column[1, : len(found)] for column in in_arrays], found.T)
 
 
 def test_a_robot_that_passes_the_finish_on_raised_flippers_finishes_past_the_last_edge() -> None:

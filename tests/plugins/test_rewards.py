@@ -15,6 +15,7 @@ from flipperctl.api import (
     RobotGeometry,
     RobotState,
     Transition,
+    Transitions,
     candidate_angle,
     registry,
 )
@@ -173,6 +174,40 @@ def test_the_candidate_is_in_the_frame_of_the_pitched_chassis() -> None:
     lifted = state(front=0.0, z=0.1 - 0.28 * math.sin(0.1))
     paid = term("flipper", lambda_1=1.0)(decision(lifted, pitches=(0.1, 0.1)))
     assert paid == pytest.approx(-(0.1 - math.pi / 36), abs=1e-6)
+
+
+def brute_force(profile: Profile, at: RobotState) -> float:
+    """Return θ* over every disc of radius r on the outline, with 80 m of level ground around it."""
+    x, z = (profile.sample(0.02, 80.0) - at.position).T
+    ahead = math.cos(at.pitch) * x + math.sin(at.pitch) * z - ROBOT.hinge_offset
+    up = math.cos(at.pitch) * z - math.sin(at.pitch) * x
+    tangent = np.arctan2(up, ahead) + np.arcsin(np.minimum(1.0, 0.1 / np.hypot(ahead, up)))
+    return ROBOT.clip(float(tangent[(ahead >= 0.1) & (ahead <= 0.45)].max()))
+
+
+@pytest.mark.parametrize(
+    ("points", "places"),
+    [
+        ([(0.0, 0.0)], (-20.0013, 0.0113, 3.4013, 55.0013)),
+        ([(0.0, 0.0), (0.0, 0.2), (0.6, 0.2), (0.6, 0.0)], (-0.7013, 0.3113, 1.2013, 4.4013)),
+        ([(0.0, 0.0), (2.0, 1.1), (2.0, 0.6)], (0.4013, 1.7013, 2.3013, 30.0013)),
+        ([(0.0, 0.0), (3.0, -1.7), (3.2, -1.2)], (-3.6013, 1.1013, 2.7013, 7.0013)),
+    ],
+)
+def test_the_candidate_is_that_of_all_discs_at_any_pitch(
+    points: list[tuple[float, float]], places: tuple[float, ...]
+) -> None:
+    profile, degrees = Profile(points), [*range(-60, 61, 12), -57, -47, 47, 50, 57]
+    poses = [
+        state(x, profile.height(x) + 0.1 + 0.28 * abs(math.sin(pitch)), pitch=pitch, front=-2.0)
+        for x in places
+        for pitch in map(math.radians, degrees)
+    ]
+    decisions = [transition(pose, pose, profile=profile) for pose in poses]
+    flipper = term("flipper", lambda_1=0.2, tolerance=0.0)  # the reward is -0.2 (θ* + 2)
+    expected = [-0.2 * (brute_force(profile, pose) + 2.0) for pose in poses]
+    assert [flipper(each) for each in decisions] == pytest.approx(expected, abs=1e-9)
+    assert flipper.array(Transitions.of(decisions)).tolist() == list(map(flipper, decisions))
 
 
 # R_pitch (Eqs. 5 and 6), λ2 = 5 per rad over the last three pitches
