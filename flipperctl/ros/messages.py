@@ -12,6 +12,7 @@ turned by the heading; ``lidar`` is frame S.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from importlib import import_module
 from types import ModuleType
 from typing import Any
 
@@ -37,16 +38,15 @@ _NOT_MEASURED = -1.0
 
 
 def require_rosbags(what: str) -> ModuleType:
-    """Return the package ``rosbags``; ``what`` needs it."""
+    """Return the package ``rosbags``; ``what`` needs it, and ``mcap``."""
     try:
-        import rosbags
-        import rosbags.rosbag2
-        import rosbags.typesys
+        for name in ("mcap", "rosbags", "rosbags.rosbag2", "rosbags.typesys"):
+            import_module(name)
     except ImportError as error:
         raise MissingExtraError(
-            f"{what} needs rosbags, which is not installed; run pip install 'flipperctl[ros]'"
+            f"{what} needs {name}, which is not installed; run pip install 'flipperctl[ros]'"
         ) from error
-    return rosbags
+    return import_module("rosbags")
 
 
 def typestore() -> Any:

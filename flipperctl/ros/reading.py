@@ -8,10 +8,9 @@ a frame in another at a time, interpolated between the transforms that were reco
 from __future__ import annotations
 
 import math
-import struct
 from bisect import bisect_left, insort
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,29 +22,16 @@ from flipperctl.api import FloatArray
 from flipperctl.core.lidar.messages import Pose as ChassisPose
 from flipperctl.errors import RequestError
 from flipperctl.messages import close_match
-from flipperctl.ros.messages import require_rosbags, typestore
+from flipperctl.ros.messages import require_rosbags
 from flipperctl.runtime.point_cloud import PointTimes, read_cloud
 
 CLOUD, ODOMETRY = "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/Odometry"
 _FRAMES = "tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"
 _STATIC = "tf_static"
-_METADATA = "metadata.yaml"
-_FILES = {
-    ".mcap": (b"\x89MCAP", "'mcap recover {} -o whole.mcap'"),
-    ".db3": (b"SQLite format 3", "'ros2 bag reindex' on its folder"),
-    ".bag": (b"#ROSBAG", "'rosbag reindex {}'"),
-}
-"""Suffix of a bag's file → its first bytes, and what mends one."""
 _LISTED = 12
 """Topics of a bag that an error names [-]."""
 _UNIT = 0.05
 """Most by which the length of a quaternion may differ from 1 [-]."""
-_DAMAGED = (
-    *(ArithmeticError, AssertionError, EOFError, LookupError, MemoryError, OSError, RuntimeError),
-    *(TypeError, ValueError),
-    struct.error,
-)
-"""What readers raise at bytes that make no sense."""
 FARTHEST = 0.25
 """Longest time to the nearest transform [s]."""
 
@@ -266,8 +252,7 @@ def messages(
 ) -> Iterator[tuple[str, float, Any]]:
     """Yield topic, time of recording [s] and message, of these topics and of these types."""
     chosen = [c for c in reader.connections if c.topic in topics or c.msgtype in kinds]
-    # Without a connection, rosbags would yield the messages of all.
-    for connection, stamp, data in reader.messages(connections=chosen) if chosen else ():
+    for connection, stamp, data in reader.messages(chosen):
         yield connection.topic, stamp * 1e-9, reader.deserialize(data, connection.msgtype)
 
 
@@ -310,37 +295,19 @@ def read_transforms(path: Path, reader: Any) -> Transforms:
 def opened(path: Path) -> Iterator[Any]:
     """Open a bag; an error of its content names the file."""
     require_rosbags("reading a bag")
-    from rosbags import rosbag1, rosbag2
-    from rosbags.highlevel import AnyReader, AnyReaderError
+    from flipperctl.ros.storage import METADATA, STORAGES, Bag
 
     if not path.exists():
         raise RequestError(f"{path}: there is no such file or folder")
-    if path.is_dir() and not (path / _METADATA).exists():
-        inside = sorted(one.name for one in path.iterdir() if one.suffix in _FILES)
+    if path.is_dir() and not (path / METADATA).exists():
+        inside = sorted(file.name for file in path.iterdir() if file.suffix in STORAGES)
         hint = f"; {' and '.join(inside[:3])} in it can be given itself" if inside else ""
         raise RequestError(
-            f"{path}: this folder has neither {_METADATA}, as a bag of ROS 2, nor poses.txt, as a "
+            f"{path}: this folder has neither {METADATA}, as a bag of ROS 2, nor poses.txt, as a "
             f"folder of clouds{hint}"
         )
-    # A bag without definitions of its types, as of early ROS 2, has those of the distribution.
-    try:
-        with AnyReader([path], default_typestore=typestore()) as reader:
-            yield reader
-    except (AnyReaderError, rosbag1.ReaderError, rosbag2.ReaderError, *_DAMAGED) as error:
-        text = " ".join(str(error).split()).rstrip(".") or type(error).__name__
-        raise RequestError(f"{path} cannot be read as a bag: {text}{_remedy(path)}") from error
-
-
-def _remedy(path: Path) -> str:
-    """Return what makes a whole bag of one that was never closed, as after a loss of power."""
-    for file in sorted(path.iterdir()) if path.is_dir() else [path]:
-        begins, tool = _FILES.get(file.suffix, (b"", ""))
-        if not tool or not file.is_file():
-            continue
-        with suppress(OSError), file.open("rb") as stream:
-            if stream.read(16).startswith(begins):
-                return f"; if the recording was cut off, {tool.format(file)} mends it"
-    return ""
+    with ExitStack() as stack:
+        yield Bag(path, stack)
 
 
 def chosen_topic(path: Path, reader: Any, topic: str | None) -> str:

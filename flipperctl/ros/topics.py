@@ -187,7 +187,7 @@ def _joints_in(reader: Any, topic: str, wanted: Sequence[str]) -> set[str]:
     """Return the wanted joints that the messages of a topic have, all or a part in each."""
     names: set[str] = set()
     chosen = [c for c in reader.connections if c.topic == topic]
-    for connection, _, data in reader.messages(connections=chosen):
+    for connection, _, data in reader.messages(chosen):
         # Most messages are of known or other joints: their bytes are searched before they are read.
         if any(name not in names and name.encode() in data for name in wanted):
             message = reader.deserialize(data, connection.msgtype)
