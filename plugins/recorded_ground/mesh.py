@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from flipperctl.api import FloatArray
 
 from .clouds import upright
+from .dae import read_dae
 from .layers import Choice, Crossings, Ground, ground_of_faces
 from .line import Line
 
@@ -271,28 +272,28 @@ def read_mesh(path: Path, unit: float | None, up: str | None, most: int, choice:
     Raises:
         ValueError: it has no faces, more than ``most``, or a coordinate that is not finite.
     """
-    import trimesh
-
     if (size := path.stat().st_size) > most * BYTES_PER_FACE:
         raise ValueError(
             f"the mesh is too large: {size / 1e6:.0f} MB for largest_mesh of {most} faces"
         )
-    suffix = path.suffix.lower()
-    stated = (
-        _dae_frame(path) if suffix == ".dae" and (unit is None or up is None) else (1.0, "Z_UP")
-    )
+    suffix, stated = path.suffix.lower(), (1.0, "Z_UP")
+    if suffix == ".dae":
+        file = read_dae(path)
+        triangles, stated = file.corners, (file.unit, file.up)
+    else:
+        import trimesh
+
+        with path.open("rb") as stream:
+            kind = {"file_type": suffix[1:], "process": False, "skip_materials": True}
+            mesh: Any = trimesh.load_mesh(stream, **kind)
+        triangles = mesh.triangles if hasattr(mesh, "triangles") else np.empty((0, 3, 3))
     frame = f" with {stated[1]}, which it states; terrain.up prevails" if up is None else ""
     unit, up = _checked_frame(unit, up, *stated)
-    with path.open("rb") as file:
-        found: Any = trimesh.load_mesh(
-            file, file_type=suffix[1:], process=False, skip_materials=True
-        )
-    count = len(getattr(found, "faces", ()))
-    if count == 0:
+    if (count := len(triangles)) == 0:
         raise ValueError("it has no faces")
     if count > most:
         raise ValueError(f"the mesh is too large: it has {count} faces; largest_mesh allows {most}")
-    points = np.asarray(found.triangles, dtype=np.float64).reshape(-1, 3) * unit
+    points = np.asarray(triangles, dtype=np.float64).reshape(-1, 3) * unit
     if not np.isfinite(points).all():
         raise ValueError("a coordinate of the mesh is not a finite number")
     corners = upright(points, up).reshape(-1, 3, 3)
@@ -309,15 +310,6 @@ def _remark_on_side(corners: FloatArray, stated: str, frame: str) -> Iterator[st
             f"it is {z:.2f} m high and {x:.2f} by {y:.2f} m in plan{frame}; many programs write "
             "Y_UP without turning the mesh: does it lie on its side?"
         )
-
-
-def _dae_frame(path: Path) -> tuple[float, str]:
-    """Return the unit [m] and the axis that points up, which a DAE file states."""
-    import collada
-
-    with path.open("rb") as file:
-        asset = collada.Collada(file, ignore=[collada.common.DaeError]).assetInfo
-    return float(asset.unitmeter or 1.0), str(asset.upaxis or "Y_UP")
 
 
 def _checked_frame(

@@ -107,6 +107,94 @@ def test_a_mesh_that_a_dae_may_lay_on_its_side_is_said(tmp_path: Path) -> None:
         assert all("it is 3.00 m high and 1.30 by 4.00 m in plan with Y_UP" in one for one in found)
 
 
+MATERIAL = """<bind_material><technique_common><instance_material symbol="m" target="#{}"/>
+</technique_common></bind_material>"""
+LOOKS = {
+    "no material of that name": ('#g"/>', f'#g">{MATERIAL.format("gone")}</instance_geometry>'),
+    "no effect of a material": (
+        *("<library_geo", '<library_materials><material id="m"><instance_effect url="#gone"/>'),
+        "</material></library_materials><library_geo",
+    ),
+    "no image of an effect": (
+        *("<library_geo", '<library_effects><effect id="e"><profile_COMMON><newparam sid="s">'),
+        "<surface><init_from>gone</init_from></surface></newparam></profile_COMMON></effect>",
+        "</library_effects><library_geo",
+    ),
+    "no colours of the faces": (
+        *('offset="0"/>', 'offset="0"/><input semantic="COLOR" source="#gone" offset="0"/>'),
+        '<input semantic="SHADE" source="#gone" offset="0"/>',
+    ),
+    "no normals of the places": (
+        *('source="#p"/>', 'source="#p"/><input semantic="NORMAL" source="#gone"/>'),
+    ),
+    "numbers of textures that are none": (
+        *('<vertices id="v">', '<source id="t"><float_array id="ta" count="1">x</float_array>'),
+        '</source><vertices id="v">',
+    ),
+    "a light and lines": (
+        *("</triangles>", "</triangles><lines/><linestrips><p/></linestrips>"),
+        '<triangles count="0"><input semantic="VERTEX" source="#v" offset="0"/></triangles>',
+    ),
+}
+
+
+@pytest.mark.parametrize("look", LOOKS)
+def test_faces_of_a_dae_are_read_whatever_they_look_like(look: str, tmp_path: Path) -> None:
+    file = tmp_path / "block.dae"
+    write(file, block())
+    old, *new = LOOKS[look]
+    assert old in file.read_text()
+    file.write_text(file.read_text().replace(old, "".join(new), 1))
+    assert_block(profile(file, **LINE), 0.02)
+
+
+def test_faces_of_a_dae_may_be_polygons_with_indices_of_more_than_corners(tmp_path: Path) -> None:
+    file, mesh = tmp_path / "block.dae", block()
+    write(file, mesh)
+    before, _, rest = file.read_text().partition("<triangles")
+    indices = " ".join(f"7 {corner}" for corner in np.asarray(mesh.faces).ravel().tolist())
+    polygons = f"""<polylist count="{len(mesh.faces)}">
+<input semantic="TEXCOORD" source="#gone" offset="0"/>
+<input semantic="VERTEX" source="#v" offset="1"/><vcount>{"3 " * len(mesh.faces)}</vcount>
+<p>{indices}</p></polylist>"""
+    file.write_text(before + polygons + rest.partition("</triangles>")[2])
+    assert_block(profile(file, **LINE), 0.02)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "error"),
+    [
+        (
+            'source="#p"',
+            'source="#q"',
+            r"24 of its faces cannot be read: \{'q'\} is not in their mesh",
+        ),
+        ("#g", "#other", r"24 of its 24 faces cannot be read: Geometry #other not found"),
+        ("<mesh>", "<mesh><unheard/>", None),
+        ("</p>", " x</p>", r"24 of its 2\d faces cannot be read: "),
+        (
+            '"#g"/>',
+            '"#g"/><instance_controller url="#s"/>',
+            r"skins \(instance_controller\) are not",
+        ),
+        ('<node id="n">', '<node id="n"><skew>1</skew>', r"places .* cannot be read: .*skew"),
+        ('<scene><instance_visual_scene url="#s"/></scene>', "", "it has no scene"),
+        ("<COLLADA", "<COLLADA <", "it is not XML"),
+    ],
+)
+def test_what_cannot_be_read_of_a_dae_is_refused_with_its_number_of_faces(
+    old: str, new: str, error: str | None, tmp_path: Path
+) -> None:
+    file = tmp_path / "block.dae"
+    write(file, block())
+    file.write_text(file.read_text().replace(old, new))
+    if error is None:
+        assert_block(profile(file, **LINE), 0.02)
+        return
+    with pytest.raises(TerrainError, match=error):
+        profile(file, **LINE)
+
+
 def test_a_slope_is_cut_along_any_line(tmp_path: Path) -> None:
     # One open triangle of z = 0.1 x + 0.2 y, of which a line to (1, 1) rises by 0.3 m on √2 m.
     file = tmp_path / "slope.stl"
