@@ -11,14 +11,19 @@ from numbers import Real
 from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 
 from flipperctl.api import Profile, Terrain
+from flipperctl.config.resolver import construct, nested_plugins
 from flipperctl.errors import TerrainError
 from flipperctl.guard import refusal, short_repr
+from flipperctl.messages import explain
 from flipperctl.sim.ground import check_extent, thinned
 
 LONGEST = 1000.0
 """Longest profile [m]; its episode takes more than an hour of simulated time."""
+MOST_POINTS = 100_000
+"""Most points of a profile [-]; the tracks feel no shorter edges, and each takes time."""
 HIGHEST = 100.0
 """Largest height above or below the first edge [m], the bound of the observation space."""
 FARTHEST_END = 10.0
@@ -30,12 +35,28 @@ FARTHEST = 1e7
 def generate_profile(terrain: Terrain, rng: np.random.Generator, difficulty: float) -> Profile:
     """Return the checked profile that a terrain generates for an episode."""
     at = terrain.at(difficulty)
-    if not isinstance(at, Terrain):
-        raise refusal(terrain, "at", f"returned {_typed_repr(at)}; a Terrain is allowed")
+    if at is not terrain:
+        _require_valid(at, terrain)
     profile = at.labelled(rng)
     if fault := next(_faults(profile), None):
         raise refusal(terrain, "generate", f"returned a profile {fault}", TerrainError)
     return profile
+
+
+def _require_valid(at: object, terrain: Terrain) -> None:
+    """Refuse what is no terrain, or has settings that its fields or validators do not allow."""
+    if not isinstance(at, Terrain):
+        raise refusal(terrain, "at", f"returned {_typed_repr(at)}; a Terrain is allowed")
+    for part in nested_plugins(at):  # model_copy validates nothing
+        cls, values = type(part), dict(part)
+        try:
+            again = construct(cls, values)
+        except ValidationError as error:
+            text = f"returned settings that are not allowed: {explain(error, '', cls)}"
+            raise refusal(terrain, "at", text, TerrainError) from error
+        if again != part:
+            text = f"returned {short_repr(part)}; its settings, validated, are {short_repr(again)}"
+            raise refusal(terrain, "at", text, TerrainError)
 
 
 def _faults(profile: Profile) -> Iterator[str]:
@@ -55,6 +76,11 @@ def _faults(profile: Profile) -> Iterator[str]:
                 f"whose drawn numbers have {name} = {short_repr(value)}; a finite number is allowed"
             )
     points, length = profile.points, profile.end - profile.start
+    if len(points) > MOST_POINTS:
+        yield (
+            f"of {len(points):,} points; at most {MOST_POINTS:,} are allowed, one for each 10 mm "
+            f"of {LONGEST:g} m"
+        )
     farthest = float(np.abs(points).max())
     if not farthest <= FARTHEST:
         yield (

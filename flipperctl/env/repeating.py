@@ -16,7 +16,7 @@ import numpy as np
 from flipperctl.api import Plugin, action_index
 from flipperctl.core.targets import Action
 from flipperctl.errors import FlipperctlError, PluginFailedError
-from flipperctl.guard import definition, plugin_label
+from flipperctl.guard import definition, plugin_label, refusal
 from flipperctl.randomness import moved_since
 
 _OPTIONS = ("config", "actions", "render_mode", "renderer")
@@ -111,7 +111,7 @@ def require_repeatable(env: Any, seed: int) -> None:
     used = env.foreign
     if not used:
         return
-    first, again = list(_beginning(env, seed)), list(_beginning(env, seed))
+    first, again = list(beginning(env, seed)), list(beginning(env, seed))
     for (what, one), (_, other) in zip(first, again, strict=False):
         if one != other:
             raise PluginFailedError(
@@ -119,9 +119,17 @@ def require_repeatable(env: Any, seed: int) -> None:
                 "choice must come from the generators that a plugin is given "
                 f"({definition(used[0])})"
             )
+    terrain = env.config.terrain
+    if terrain not in used or (hardest := terrain.at(1.0)) is terrain:
+        return
+    grounds = [at.labelled(np.random.default_rng(seed)).points for at in (terrain, hardest)]
+    if grounds[0].tobytes() != grounds[1].tobytes():
+        text = f"returned other ground for difficulty 1 and seed {seed} than the terrain's"
+        raise refusal(terrain, "at", f"{text}; it must be unchanged there")
 
 
-def _beginning(env: Any, seed: int) -> Iterator[tuple[str, object]]:
+def beginning(env: Any, seed: int) -> Iterator[tuple[str, object]]:
+    """Yield what equal plugins repeat at the beginning of an episode, by what it is."""
     observation, _ = env.reset(seed=seed)
     yield "their ground", env.profile.points.tobytes()
     yield "their first observation", observation.tobytes()

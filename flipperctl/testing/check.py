@@ -128,6 +128,9 @@ def _checks(cls: type[Plugin], pictures: Path | None) -> Iterator[Check]:
     searches = getattr(cls, "searches_first", False)
     for name, test, everywhere in _tests[cls.kind]:
         yield at(name, test, everywhere=everywhere and not searches)
+    if cls.kind != "logger":  # which gives nothing
+        elsewhere = import_module("flipperctl.testing.elsewhere")
+        yield at("another process", elsewhere.another_process, everywhere=False)
     if cls.kind == "terrain" and pictures is not None:
         yield Check(cls, "pictures", lambda: module.write_pictures(every(), pictures))
 

@@ -197,6 +197,15 @@ def _built(network: Network, layout: ObservationLayout = LAYOUTS[-1]) -> torch.n
     return module
 
 
+def untrained_values(network: Network) -> list[list[float]]:
+    """Return the Q-values, (B, 9), of a network that was built with seed 0."""
+    import torch
+
+    with torch.no_grad():
+        found: list[list[float]] = _built(network).eval()(_observations(network)).tolist()
+    return found
+
+
 def _observations(network: Network, layout: ObservationLayout = LAYOUTS[-1]) -> torch.Tensor:
     """Return random numbers of the magnitude of observations, (B, frames · n)."""
     from flipperctl.agent.contract import observations
@@ -249,6 +258,12 @@ def in_time(controller: Controller) -> None:
         median(times) <= period,
         f"its median decision takes {median(times):.2f} s; the next one is due after {period:g} s",
     )
+
+
+def first_actions(controller: Controller) -> Sequence[Action]:
+    """Return the actions of a controller's first decisions on the first scene."""
+    actions, _ = _Player(controller, 0).play()
+    return actions
 
 
 def _scenes(controller: Controller) -> Sequence[Scene]:

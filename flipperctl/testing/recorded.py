@@ -6,7 +6,7 @@ The episodes are played once, by simple rules that need no registered plugin.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from itertools import pairwise
@@ -230,9 +230,7 @@ def named(measure: Measure) -> None:
 @of("measure", "values", everywhere=False)
 def values(measure: Measure) -> None:
     """Check that values are finite and depend on the episode alone, which they do not change."""
-    recorded = [
-        replace(t, perception=_mapped(t)) if measure.mapped_only else t for t in transitions()
-    ]
+    recorded = _recorded_for(measure, transitions())
     ends = [0, *(at + 1 for at, t in enumerate(recorded) if t.outcome is not None)]
     for episode in (recorded[first:last] for first, last in pairwise(ends)):
         if not applies(measure, episode):
@@ -248,6 +246,17 @@ def values(measure: Measure) -> None:
             require(value == again, f"it returns {value!r} and, called again, {again!r}")
         unchanged = [t.path.tobytes() for t in episode] == before
         require(unchanged, "it changes the poses of the episode")
+
+
+def first_value(measure: Measure) -> float | None:
+    """Return the value of an episode on the first scene; None if the measure has none of it."""
+    played = decisions(SCENES[0].environment(), SCENES[0].policy, 0)
+    episode = _recorded_for(measure, [decision.transition for decision in played])
+    return measure(episode) if applies(measure, episode) else None
+
+
+def _recorded_for(measure: Measure, episode: Sequence[Transition]) -> list[Transition]:
+    return [replace(t, perception=_mapped(t)) if measure.mapped_only else t for t in episode]
 
 
 def _mapped(t: Transition) -> Perception:

@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.colors import to_rgb
 
-from flipperctl.api import Profile, Robot, Terrain
+from flipperctl.api import Profile, Range, Robot, Terrain
 from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.ground import MOST_POINTS, generate_profile
 from flipperctl.errors import ConformanceError, TerrainError
 from flipperctl.figures.figure import save
 from flipperctl.figures.render import CHASSIS, EARTH, Renderer
@@ -25,6 +26,8 @@ _MIN_AREA = 1e-3
 SEEDS = range(5)
 MAX_LENGTH, MAX_HEIGHT = 100.0, 20.0
 """Largest length of a profile, and largest height above or below its first edge [m]."""
+_DRAWS = 25
+"""Number of seeds over which a ground must vary, were it one of two kinds [-]."""
 DECISIONS = 5
 """Number of decisions with held flippers: 0.6 m, the last third with front flippers on the
 terrain [-]."""
@@ -59,6 +62,26 @@ def profiles(terrain: Terrain) -> None:
         )
 
 
+@of("terrain", "varies", everywhere=False)
+def varies(terrain: Terrain) -> None:
+    """Check that the ground of a terrain with sampled settings varies over the seeds."""
+    generators = [np.random.default_rng(seed) for seed in range(_DRAWS)]
+    grounds = {_generated(terrain, rng, at).points.tobytes() for at, rng in enumerate(generators)}
+    states = {repr(generator.bit_generator.state) for generator in generators}
+    require(
+        len(states) == _DRAWS,
+        "generate leaves generators of unequal seeds in equal states; it may only draw from rng",
+    )
+    sampled = [
+        name for name, value in terrain if isinstance(value, Range) and value.low < value.high
+    ]
+    require(
+        not sampled or len(grounds) > 1,
+        f"its ground is the same for {_DRAWS} seeds, although {', '.join(sampled)} is sampled; "
+        "every call of generate must draw it from rng",
+    )
+
+
 @of("terrain", "difficulty")
 def graded(terrain: Terrain) -> None:
     """Check that difficulties from 0 to 1 work and are followed by ones from 0 to 1."""
@@ -69,7 +92,14 @@ def graded(terrain: Terrain) -> None:
                 0 <= difficulty <= 1 and 0 <= following <= 1,
                 f"difficulty {difficulty:g} leads to {following:g}; 0 to 1 is allowed",
             )
-        _draw(terrain.at(difficulty), 0)
+        generate_profile(terrain, np.random.default_rng(0), difficulty)
+    hardest = terrain.at(1.0)
+    for seed in SEEDS:
+        require(
+            _draw(hardest, seed).points.tobytes() == _draw(terrain, seed).points.tobytes(),
+            f"at(1) has other ground than the terrain itself with seed {seed}; at difficulty 1 it "
+            "must be unchanged",
+        )
 
 
 @of("terrain", "start")
@@ -130,12 +160,20 @@ def write_pictures(variants: Sequence[Variant], folder: Path) -> None:
 
 
 def _draw(terrain: Terrain, seed: int) -> Profile:
+    return _generated(terrain, np.random.default_rng(seed), seed)
+
+
+def _generated(terrain: Terrain, rng: np.random.Generator, seed: int) -> Profile:
     try:
-        profile = terrain.generate(np.random.default_rng(seed))
+        profile = terrain.generate(rng)
     except ValueError as error:
         raise ConformanceError(f"generate raises with seed {seed}: {error}") from error
     require(
         isinstance(profile, Profile),
         f"generate returns a {type(profile).__name__}; it must return a Profile",
+    )
+    require(
+        len(profile.points) <= MOST_POINTS,
+        f"its profile has {len(profile.points):,} points; at most {MOST_POINTS:,} are allowed",
     )
     return profile

@@ -16,6 +16,7 @@ KINDS = ("terrain", "reward", "network", "controller", "sim", "perception", "mea
 
 AT_NIGHT = re.compile(
     r"perception-lidar-(episodes|returns)|controller-mpc-(actions|repeats|in time)"
+    r"|.*-another process"
     r"|network-(?!conv|stacked).*-onnx|network-(?!noisy).*-trains|terrain-(?!midway).*-picture"
 )
 """They take long, and tests of these rooms and one of their kind prove the same in short."""

@@ -4,19 +4,27 @@ import math
 import random
 import unittest
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 from pydantic import Field
 
-from flipperctl import api
+from flipperctl import api, plugins
 from flipperctl.api import Outcome, Profile, RewardTerm, Terrain
-from flipperctl.errors import MissingExtraError
+from flipperctl.config import TrainConfig
+from flipperctl.errors import (
+    ConformanceError,
+    MissingExtraError,
+    PluginFailedError,
+    TerrainError,
+)
 from flipperctl.export import policy as export_policy
 from flipperctl.testing import Conformance, NotChecked, checks
 from flipperctl.testing.check import variants
 from flipperctl.testing.recorded import transitions, transitions_in_arrays
+from flipperctl.training.run import check
 from tests.testing.failing import failure
 
 Draw = Callable[[float, np.random.Generator], object]
@@ -44,6 +52,15 @@ def box(height: float, length: float = 1.0) -> Profile:
     return Profile([(0, 0), (0, height), (length, height)])
 
 
+def level(points: int) -> Profile:
+    return Profile(np.stack([np.linspace(0, 1, points), np.zeros(points)], axis=1))
+
+
+def reset(rng: np.random.Generator) -> Profile:
+    rng.bit_generator.state = np.random.default_rng(0).bit_generator.state
+    return box(rng.uniform(0.1, 0.2))
+
+
 @pytest.mark.parametrize(
     ("check", "draw", "words"),
     [
@@ -54,6 +71,8 @@ def box(height: float, length: float = 1.0) -> Profile:
         ("profiles", lambda h, rng: box(random.random()), ["only rng is allowed"]),
         ("profiles", lambda h, rng: box(h, 500 * h + 1), ["101 m long", "at most 100 m", "=0.4"]),
         ("profiles", lambda h, rng: box(-99 * h), ["39.6 m", "20 m is allowed"]),
+        ("profiles", lambda h, rng: level(200_000), ["200,000 points", "at most 100,000"]),
+        ("varies", lambda h, rng: reset(rng), ["unequal seeds in equal states"]),
         ("start", lambda h, rng: box(400.0), ["observation space"]),
     ],
 )
@@ -73,6 +92,76 @@ def test_a_difficulty_stays_between_0_and_1() -> None:
             return 2 * difficulty
 
     assert "difficulty 1 leads to 2; 0 to 1 is allowed" in failure(Harder, "difficulty")
+
+
+@pytest.mark.usefixtures("registry")
+def test_a_sampled_ground_varies() -> None:
+    class Mine(Terrain):
+        """A terrain that draws its height from a generator of its own."""
+
+        height: api.Range = Field(api.Range(0.1, 0.2), ge=0, le=1, description="height [m]")
+
+        def generate(self, rng: np.random.Generator) -> Profile:
+            return box(self.height.sample(np.random.default_rng(0)))
+
+    assert "the same for 25 seeds, although height is sampled" in failure(Mine, "varies")
+
+
+@pytest.mark.parametrize(
+    ("height", "words"),
+    [
+        (-5.0, ["at returned settings that are not allowed: height", "the value is -5"]),
+        ("0.2", ["at returned Mine(height='0.2'); its settings, validated, are Mine(height=0.2)"]),
+        (0.3, ["at(1) has other ground than the terrain itself"]),
+    ],
+)
+@pytest.mark.usefixtures("registry")
+def test_what_a_curriculum_returns_is_validated(height: object, words: list[str]) -> None:
+    class Mine(terrain(lambda h, rng: box(float(h)))):
+        """A terrain that is copied past its validation."""
+
+        def at(self, difficulty: float) -> Terrain:
+            return self.model_copy(update={"height": height})
+
+    Mine.__name__ = Mine.__qualname__ = "Mine"
+    text = failure(Mine, "difficulty")
+    assert [word for word in words if word not in text] == [], text
+    with pytest.raises((TerrainError, PluginFailedError), match=r"terrain 'mine'.* at "):
+        check(TrainConfig(terrain=Mine(), network="mlp"))  # the start of a training
+
+
+ELSEWHERE = """
+import os
+from flipperctl.api import Profile, Terrain, terrain
+first = []
+
+@terrain("by_process")
+class ByProcess(Terrain):
+    def generate(self, rng):
+        return Profile([(0, 0), (0.5, 0.1 + os.getpid() * 1e-8), (1, 0)])
+
+@terrain("by_hash")
+class ByHash(Terrain):
+    def generate(self, rng):
+        return Profile([(0, 0), (0.5, 0.1 + hash("a") % 1000 * 1e-5), (1, 0)])
+
+@terrain("by_memory")
+class ByMemory(Terrain):
+    def generate(self, rng):
+        first.append(rng.uniform(0.1, 0.2))
+        return Profile([(0, 0), (0.5, first[0]), (1, 0)])
+"""
+
+
+@pytest.mark.usefixtures("registry")
+def test_ground_of_another_process_is_equal(tmp_path: Path) -> None:
+    (tmp_path / "elsewhere.py").write_text(ELSEWHERE)
+    plugins.load([tmp_path / "elsewhere.py"])
+    for name in ("by_process", "by_hash", "by_memory"):
+        found = checks(api.registry["terrain", name])
+        (elsewhere,) = (c for c in found if c.name == "another process")
+        with pytest.raises(ConformanceError, match="ground with seed 0 differs in another process"):
+            elsewhere()
 
 
 def rewarding(pay: Callable[[api.Transition], object]) -> type[RewardTerm]:
