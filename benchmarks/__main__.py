@@ -12,7 +12,7 @@ from flipperctl import entry
 from flipperctl.cli import options, train
 from flipperctl.cli.command import App, TrainingCommand
 from flipperctl.cli.main import run_app
-from flipperctl.terminal.streams import plain_streams
+from flipperctl.terminal.streams import replace_missing_characters
 
 HELP = """Measure flipperctl against its limits and another learner, in a clone of the repository.
 
@@ -64,5 +64,5 @@ def benchmarks(
 
 
 if __name__ == "__main__":
-    plain_streams()
+    replace_missing_characters()
     entry.run(lambda: run_app(app, sys.argv[1:], "python -m benchmarks"))

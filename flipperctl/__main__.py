@@ -7,24 +7,23 @@ from flipperctl import entry
 
 def main() -> None:
     """Run the command line; without the packages that it needs, say so."""
-    entry.stop_at_once()
+    entry.run(_main)
+
+
+def _main() -> int:
     try:
-        from flipperctl.cli.main import main as run
+        from flipperctl.cli.main import run  # inside, so that Ctrl-C meanwhile is one line
     except ModuleNotFoundError as error:
         missing = (error.name or "flipperctl").partition(".")[0]
         if missing == "flipperctl":
             raise  # an error of flipperctl, not of the installation
-        entry.run(lambda: _refuse(missing))
-    run()
+        from flipperctl.errors import RequestError
 
-
-def _refuse(missing: str) -> int:
-    from flipperctl.errors import RequestError
-
-    raise RequestError(
-        f"the package {missing} is missing: this installation has only "
-        "flipperctl.runtime; install flipperctl with its dependencies for the command line"
-    )
+        raise RequestError(
+            f"the package {missing} is missing: this installation has only "
+            "flipperctl.runtime; install flipperctl with its dependencies for the command line"
+        ) from error
+    return run()
 
 
 if __name__ == "__main__":

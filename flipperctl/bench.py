@@ -357,5 +357,4 @@ def _main(words: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    entry.stop_at_once()
     entry.run(lambda: _main(sys.argv[1:]))

@@ -3,28 +3,23 @@
 In: the folder, and functions that write files. Out: the command's files, which replace those that
 the same command wrote there earlier. The file ``.results.json`` lists each command's files, so that
 the user's own are never removed. A second process that wants the same folder fails at once with an
-error that names the holder. The operating system releases the lock when the process dies; on a file
-system without locks, a lock file names the process.
+error. The operating system releases the lock when the process dies.
 """
 
 from __future__ import annotations
 
-import errno
 import itertools
 import json
 import os
 import shutil
 import socket
-import time
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from filelock import BaseFileLock, FileLock, SoftFileLock, Timeout
+from filelock import FileLock, Timeout
 
 from flipperctl import checkpoint
 from flipperctl.config import strict_yaml
@@ -34,8 +29,6 @@ from flipperctl.files import failure, make_folder, write_json
 CONFIG, METRICS, SUMMARY = Path("config.yaml"), Path("metrics.csv"), Path("summary.json")
 """Files of a training run."""
 HYDRA = Path(".hydra")
-_UNSUPPORTED = {errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP}
-_PATIENCE = 1.0  # time to wait for the holder's note before the holder counts as unknown [s]
 
 
 @contextmanager
@@ -43,27 +36,27 @@ def hold(directory: Path, name: str = "run", use: str = "being trained") -> Iter
     """Hold the lock of an existing directory until the context ends or this process dies.
 
     ``name`` distinguishes the locks of one directory: a sweep and its only run may share one. The
-    files ``.<name>.lock`` and ``.<name>.lock.json`` (a note on the holder) lie in the directory.
-    The first is never removed: if it were removed while another process opens it, two processes
-    could hold the lock. ``use`` describes the use of the directory in the error's text.
+    file ``.<name>.lock`` lies in the directory and is never removed: if it were removed while
+    another process opens it, two processes could hold the lock. ``use`` describes the use of the
+    directory in the error's text.
 
     Raises:
         RunHeldError: another process holds the lock; nothing was written.
         OutputError: the directory cannot be written.
     """
     path = directory / f".{name}.lock"
-    note = directory / f".{name}.lock.json"
+    lock = FileLock(path)
     try:
-        lock = _acquire(path)
+        lock.acquire(blocking=False)
     except Timeout as error:
-        raise RunHeldError(_held_text(directory, path, note, use)) from error
+        raise RunHeldError(
+            f"{directory} is {use} by another process; wait for it, or stop it"
+        ) from error
     except OSError as error:
         raise failure(path, error) from error
     try:
-        write_json(note, holder())
         yield
     finally:
-        note.unlink(missing_ok=True)
         lock.release()
 
 
@@ -74,81 +67,35 @@ def names(directory: Path, *, numbered: bool) -> Iterator[Path]:
         yield from (directory.with_name(f"{directory.name}_{i}") for i in itertools.count(2))
 
 
-def _acquire(path: Path) -> BaseFileLock:
-    """Acquire a lock of the operating system, or a lock file where the file system has none."""
-    with warnings.catch_warnings():
-        # The library warns when it uses a lock file instead; the user need not act on that.
-        warnings.simplefilter("ignore", UserWarning)
-        try:
-            lock: BaseFileLock = FileLock(path)
-            lock.acquire(blocking=False)
-        except OSError as error:  # a network file system without its lock service
-            if isinstance(error, Timeout) or error.errno not in _UNSUPPORTED:
-                raise
-            lock = SoftFileLock(path.with_suffix(".softlock"))  # it replaces that of a dead process
-            lock.acquire(blocking=False)
-    return lock
+def holder() -> tuple[str, int]:
+    """Return the host and the identifier of this process, for ``is_dead`` in other processes."""
+    return socket.gethostname(), os.getpid()
 
 
-def holder() -> dict[str, Any]:
-    """Return the identifier and host of this process, and the time, for other processes."""
-    since = datetime.now().astimezone().isoformat(sep=" ", timespec="seconds")
-    return {"pid": os.getpid(), "host": socket.gethostname(), "since": since}
-
-
-def is_held(directory: Path) -> bool:
-    """Return whether a process works in the directory: one of here or of another machine.
-
-    A note alone may be that of a dead process.
-    """
-    path = directory / ".run.lock"
-    if not path.exists() and not path.with_suffix(".softlock").exists():
+def is_dead(holder: tuple[str, int]) -> bool:
+    """Return whether a process of this machine has ended; False if that is unknown."""
+    host, process = holder
+    if host != socket.gethostname():
         return False
     try:
-        _acquire(path).release()
-    except (Timeout, OSError):  # a folder that may only be read has the note alone
-        note = _read_note(directory / ".run.lock.json")
-        return note is not None and not is_dead(note)
+        os.kill(process, 0)
+    except ProcessLookupError:
+        return True
+    except PermissionError:  # it runs under another user
+        pass
     return False
 
 
-def _held_text(directory: Path, path: Path, note: Path, use: str) -> str:
-    """Return the error's text for a held folder.
-
-    The holder writes its note after it has the lock, so that the note may be missing or, after a
-    crash, be that of a dead process.
-    """
-    deadline = time.monotonic() + _PATIENCE
-    while (found := _read_note(note)) is None or is_dead(found):
-        if time.monotonic() >= deadline:
-            return f"{directory} is {use} by another process; wait for it, or stop it"
-        time.sleep(0.02)
-    soft = path.with_suffix(".softlock")
-    advice = f" (if it is gone, delete {soft})" if soft.exists() else ""
-    return (
-        f"{directory} is {use} by process {found['pid']} on {found['host']} since "
-        f"{found['since']}; wait for it, or stop it{advice}"
-    )
-
-
-def _read_note(note: Path) -> dict[str, Any] | None:
-    """Return the note that the file has now; None if it is missing or damaged."""
-    try:
-        found = json.loads(note.read_text())
-        return dict(found) if {"pid", "host", "since"} <= found.keys() else None
-    except (OSError, ValueError, AttributeError):  # missing, damaged or not a mapping
-        return None
-
-
-def is_dead(holder: dict[str, Any]) -> bool:
-    """Return whether a process of this machine has ended; False if that is unknown."""
-    if holder["host"] != socket.gethostname() or os.name != "posix":
+def is_held(directory: Path) -> bool:
+    """Return whether a process trains in the directory; False if the folder may only be read."""
+    path = directory / ".run.lock"
+    if not path.exists():
         return False
     try:
-        os.kill(int(holder["pid"]), 0)
-    except (ProcessLookupError, TypeError, ValueError, OverflowError):
+        FileLock(path).acquire(blocking=False).lock.release()
+    except Timeout:
         return True
-    except PermissionError:  # it runs under another user
+    except OSError:
         pass
     return False
 

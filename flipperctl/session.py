@@ -17,7 +17,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Any
 
 from flipperctl import entry, plugins, results
 from flipperctl.errors import InterruptedRunError
@@ -130,7 +129,7 @@ class CommandProcess:
     """Those among them that ``--plugins`` named."""
     folder: Path
     """Working directory, which is another one in a worker of a running cluster."""
-    holder: dict[str, Any]
+    holder: tuple[str, int]
     """The process (``results.holder``), whose death a job notices."""
 
     @classmethod

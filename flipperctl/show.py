@@ -20,7 +20,6 @@ from rich.console import Console
 from rich.text import Text
 
 from flipperctl.files import OutputKind
-from flipperctl.spelling import spell_plainly
 
 _GAP = "  "
 _WIDEST = 100  # largest width of a line of text [columns]
@@ -106,14 +105,6 @@ def interval_text(interval: Mapping[str, Any] | None, digits: int = 2, *, sign: 
     return f"{mean} [{low}, {high}]"
 
 
-class PlainConsole(Console):
-    """A console that replaces missing characters before the layout, so columns stay aligned."""
-
-    def render_str(self, text: str, **options: Any) -> Text:
-        """Render a text as rich does, with characters that the stream can show."""
-        return super().render_str(spell_plainly(text, self.encoding), **options)
-
-
 def console(*, stderr: bool = False, natural: int = NATURAL) -> Console:
     """Return a console with the width of COLUMNS, else of the terminal, else ``natural``.
 
@@ -123,7 +114,7 @@ def console(*, stderr: bool = False, natural: int = NATURAL) -> Console:
     columns = os.environ.get("COLUMNS", "")
     wanted = int(columns) if columns.isdecimal() else 0
     on_terminal = file is not None and file.isatty()
-    return PlainConsole(stderr=stderr, width=wanted or (None if on_terminal else natural))
+    return Console(stderr=stderr, width=wanted or (None if on_terminal else natural))
 
 
 def print_text(text: str, *, stderr: bool = False) -> None:
@@ -141,7 +132,7 @@ def print_facts(facts: Mapping[str, str], to: Console) -> None:
     wide = max(map(cell_len, facts), default=0) + 4
     for name, text in facts.items():
         first, *rest = _broken(text, to, wide)
-        head = f"  {_plain(name, to)}".ljust(wide)
+        head = f"  {name}".ljust(wide)
         _print(to, [head + first, *(" " * wide + part for part in rest)])
 
 
@@ -162,7 +153,7 @@ def _broken(line: str, to: Console, indent: int = 0) -> list[str]:
     A command at the end, after a colon, gets a line of its own if both are too long for one.
     """
     widest = to.width if "COLUMNS" in os.environ else min(to.width, _WIDEST)
-    text, width = _plain(line, to), max(20, widest - indent)
+    text, width = line, max(20, widest - indent)
     if cell_len(text) <= width:
         return [text]
     if match := _COMMAND.fullmatch(text):
@@ -176,8 +167,8 @@ def lines(table: Table, to: Console) -> Iterator[Text]:
     if table.title:
         for text in _broken(table.title, to):
             yield Text(text, "bold")
-    cells = [[_plain(text, to) for text in row] for row in table.texts()]
-    headings = [_plain(column.heading, to) for column in table.columns]
+    cells = [list(row) for row in table.texts()]
+    headings = [column.heading for column in table.columns]
     columns = [[row[at] for row in cells] for at in range(len(headings))]
     cell_widths = [max([1, *map(cell_len, column)]) for column in columns]
     widths = [max(pair) for pair in zip(cell_widths, map(cell_len, headings), strict=True)]
@@ -250,10 +241,6 @@ def _block(
 
 def _longest_word(text: str) -> int:
     return max((cell_len(word) for word in text.split()), default=1)
-
-
-def _plain(text: str, of: Console) -> str:
-    return spell_plainly(text, of.encoding)
 
 
 def folded(text: str, width: int, *, whole: bool = False) -> list[str]:

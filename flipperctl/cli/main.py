@@ -14,7 +14,12 @@ from flipperctl import entry
 from flipperctl.cli import evaluate, inspect, live, lookup, plot, reward, robot, train, tune, write
 from flipperctl.cli.command import App, TrainingCommand
 from flipperctl.errors import InterruptedRunError, RequestError
-from flipperctl.terminal.streams import begin_notices, log_to_stderr, plain_streams, reserved_stdout
+from flipperctl.terminal.streams import (
+    begin_notices,
+    log_to_stderr,
+    replace_missing_characters,
+    reserved_stdout,
+)
 
 # Without these defaults, Typer imports pydantic to validate absent flags, which delays every
 # subcommand's help by 65 ms.
@@ -82,13 +87,15 @@ app.add_typer(_robots)
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line and leave with its exit code (0, 1, 2 or 130)."""
-    plain_streams()
+    entry.run(lambda: run(arguments))
+
+
+def run(words: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code; ``words``: None for those that were typed."""
+    arguments = list(sys.argv[1:] if words is None else words)
+    replace_missing_characters()
     if os.environ.get(entry.DEBUG) == "1":
         log_to_stderr()
-    entry.run(lambda: _run(list(sys.argv[1:] if arguments is None else arguments)))
-
-
-def _run(arguments: list[str]) -> int:
     begin_notices()
     if arguments == ["--version"]:
         from flipperctl import __version__

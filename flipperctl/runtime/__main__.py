@@ -104,7 +104,6 @@ def describe(interface: Interface) -> str:
 
 def main() -> None:
     """Print the interface of the file named on the command line."""
-    entry.stop_at_once()
     entry.run(lambda: _main(sys.argv[1:]))
 
 

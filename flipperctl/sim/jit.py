@@ -3,8 +3,7 @@
 Numba compiles a function again when the file that defines it changes. It does not notice a change
 in a function of another file that is compiled into it, in a constant of another file, or in a
 library whose structs compiled code reads by their offsets. Therefore a digest of all of these is
-part of the folder's name. Containers and services may have no writable folder; every process then
-compiles again.
+part of the folder's name. Without a writable folder, every process compiles again.
 """
 
 from __future__ import annotations
@@ -15,11 +14,9 @@ import importlib.util
 import logging
 import os
 import shutil
-import stat
 import sys
 import tempfile
-import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -27,22 +24,20 @@ from typing import Any
 import llvmlite
 import numba
 import numpy as np
-from numba.misc.appdirs import AppDirs
 
 PACKAGE = Path(__file__).parents[1]
 SOURCES = ("api", "core", "lookahead", "sim")
 """Folders of the package that hold all functions and constants in compiled code."""
 _NAME = "machine_code"
-_KEPT = 4  # number of folders of other digests that are kept however old they are
-_UNUSED = 86_400.0  # time without a process that used a folder, after which it may be removed [s]
+_KEPT = 4  # number of folders of other digests that are kept
 
 
 @cache
 def machine_code_folder() -> Path | None:
     """Return the writable folder for the current digest, or None without one.
 
-    It lies in the folder that ``NUMBA_CACHE_DIR`` names, or else beside the package's byte code, in
-    the user's numba folder, or in the temporary folder. A few folders of earlier digests are kept.
+    It lies in the folder that ``NUMBA_CACHE_DIR`` names, or else beside the package's byte code, or
+    in the user's cache. A few folders of earlier digests are kept.
     """
     digest = code_digest((PACKAGE / name for name in SOURCES), _libraries())
     for base in _bases():
@@ -80,51 +75,20 @@ def _libraries() -> list[Path]:
     return [path for place in places for path in sorted(place.glob("_chipmunk*")) if path.is_file()]
 
 
-def _bases() -> Iterator[Path]:
+def _bases() -> Sequence[Path]:
     if configured := vars(numba.config)["CACHE_DIR"]:
-        yield Path(configured)
-        return
-    yield PACKAGE / "__pycache__"
-    user = AppDirs(appname="numba", appauthor=False)  # type: ignore[no-untyped-call]
-    yield Path(user.user_cache_dir) / "flipperctl"
-    if (private := private_folder()) is not None:
-        yield private
+        return [Path(configured)]
+    cache = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
+    return PACKAGE / "__pycache__", Path(cache) / "flipperctl"
 
 
 def _remove_unused(used: Path) -> None:
-    """Remove folders of other digests that no process has used for a day, except the newest.
-
-    A process that still uses one of them compiles again. A folder is renamed first, so that only
-    one of several processes removes it.
-    """
-    oldest = time.time() - _UNUSED
+    """Remove folders of other digests but the newest; a process that uses one compiles again."""
     with contextlib.suppress(OSError):  # another process may remove them at the same time
         others = [path for path in used.parent.iterdir() if path != used]
         others.sort(key=lambda path: path.stat().st_mtime, reverse=True)
         for path in others[_KEPT:]:
-            if path.stat().st_mtime < oldest:
-                doomed = path.with_name(f"{path.name}.{os.getpid()}")
-                path.rename(doomed)
-                shutil.rmtree(doomed, ignore_errors=True)
-
-
-def private_folder() -> Path | None:
-    """Return this user's own folder for numba among the temporary files, or None without one.
-
-    Numba unpickles the files in its cache, so no other user may be able to write there.
-    """
-    user = os.getuid() if hasattr(os, "getuid") else "user"
-    try:
-        folder = Path(tempfile.gettempdir()) / f"flipperctl-numba-{user}"
-        folder.mkdir(mode=0o700, exist_ok=True)
-        found = folder.lstat()
-    except OSError:  # the temporary folder is not writable, or a file is in its place
-        return None
-    if not stat.S_ISDIR(found.st_mode):
-        return None
-    if user != "user" and (found.st_uid != user or found.st_mode & 0o077):
-        return None
-    return folder
+            shutil.rmtree(path, ignore_errors=True)
 
 
 _LOG = logging.getLogger(__name__)

@@ -2,8 +2,8 @@
 
 Notices on a configuration, of plugins about their data and on sampled robots, are printed once.
 
-A character that the encoding of a stream lacks (``LANG=C``, an old code page) is replaced by a
-plain spelling, instead of an error.
+A character that the encoding of a stream lacks (an old code page) is replaced by a question mark,
+instead of an error.
 """
 
 from __future__ import annotations
@@ -16,18 +16,15 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, redirect_stdout, suppress
 from typing import TYPE_CHECKING, TextIO
 
-from flipperctl import entry
-from flipperctl.spelling import PLAIN
-
 if TYPE_CHECKING:
     from flipperctl.config import EnvConfig
 
 
-def plain_streams() -> None:
+def replace_missing_characters() -> None:
     """Make stdout and stderr replace characters that their encoding lacks."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # it is None if there is no console
-            stream.reconfigure(errors=PLAIN)
+            stream.reconfigure(errors="replace")
 
 
 _document: TextIO | None = None  # standard output, while it is reserved
@@ -73,10 +70,6 @@ def _moved(out: TextIO) -> Iterator[TextIO]:
     moved = os.fdopen(saved, "w", encoding=out.encoding, errors=out.errors)
     try:
         yield moved
-    except OSError as error:
-        if error.filename is None and entry.is_broken(moved):
-            error.filename = entry.STDOUT
-        raise
     finally:
         os.dup2(saved, descriptor)
         with suppress(OSError):  # the first attempt to write has raised it

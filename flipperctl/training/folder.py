@@ -27,11 +27,8 @@ from flipperctl.training.listeners import NAME, read_rows
 from flipperctl.training.sweep import REACHED, of_reached
 
 _SUMS = "SHA256SUMS"
-_LOCK, _LOCK_NOTE = Path(".run.lock"), Path(".run.lock.json")
-_WRITTEN = (
-    *(CONFIG, METRICS, SUMMARY, EPISODES, checkpoint.BEST, checkpoint.LAST),
-    *(Path(NAME), _LOCK_NOTE),
-)
+_LOCK = Path(".run.lock")
+_WRITTEN = (CONFIG, METRICS, SUMMARY, EPISODES, checkpoint.BEST, checkpoint.LAST, Path(NAME))
 
 
 def check_free(directory: Path) -> None:

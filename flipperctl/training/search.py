@@ -304,7 +304,11 @@ class _Search:
         fail_stale_trials(self.study)
         for trial in self._trials():
             owner = trial.user_attrs.get(_OWNER)
-            if not trial.state.is_finished() and owner is not None and is_dead(owner):
+            if (
+                not trial.state.is_finished()
+                and isinstance(owner, list)
+                and is_dead((owner[0], owner[1]))
+            ):
                 self._close(trial.number)
 
     def _close(self, number: int) -> None:

@@ -59,7 +59,7 @@ def stopping(folder: Path) -> Iterator[Callable[[], bool]]:
         mark.unlink(missing_ok=True)
 
 
-def stop_of(folder: Path, sweeper: dict[str, Any]) -> Callable[[], bool]:
+def stop_of(folder: Path, sweeper: tuple[str, int]) -> Callable[[], bool]:
     """Return a function that returns whether the job must stop: with its sweep, or ``sweeper``.
 
     ``sweeper``: the process that waits for the job (``results.holder``), which may have died.

@@ -3,8 +3,6 @@
 import errno
 import io
 import json
-import re
-import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -16,8 +14,6 @@ from rich.cells import cell_len
 from flipperctl import entry
 from flipperctl.cli.main import main, run_app
 from flipperctl.show import console
-from flipperctl.spelling import spell_plainly
-from flipperctl.terminal.streams import plain_streams
 
 LOUD = """
 import os
@@ -49,24 +45,25 @@ def test_what_plugins_and_their_processes_print_goes_to_stderr(tmp_path: Path) -
         assert printed in done.stderr
 
 
-def test_an_error_of_the_system_is_one_of_standard_output_only_if_that_fails(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_what_the_system_refuses_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     def full() -> int:
-        raise OSError(errno.ENOSPC, "as of a semaphore in a full /dev/shm")
+        raise OSError(errno.ENOSPC, "")
 
     def many() -> int:
         raise OSError(errno.EMFILE, "", "some.csv")
 
-    for program in (full, many):
+    def memory() -> int:
+        raise MemoryError("Unable to allocate 745. GiB")
+
+    for program in (full, many, memory):
         with pytest.raises(SystemExit) as left:
             entry.run(program)
         assert left.value.code == 1
-    first, second = capsys.readouterr().err.splitlines()
-    assert first.startswith("error: No space left on device: ")
-    assert "/dev/shm" in first
-    assert "train.mode=exact" in first
-    assert second == "error: some.csv: Too many open files"
+    assert capsys.readouterr().err.splitlines() == [
+        "error: the system refuses: No space left on device",
+        "error: some.csv: Too many open files",
+        "error: there is not enough memory: Unable to allocate 745. GiB",
+    ]
 
 
 def test_a_truncated_file_is_no_interruption() -> None:
@@ -77,12 +74,6 @@ def test_a_truncated_file_is_no_interruption() -> None:
     app.command()(read)
     with pytest.raises(EOFError, match="cut off"):
         run_app(app, [], "reader")
-
-
-def test_closed_standard_streams_lead_nowhere(tmp_path: Path) -> None:
-    script = f"exec {shlex.quote(sys.executable)} -m flipperctl inspect config terrain=flat"
-    words = ["sh", "-c", f"{script} <&- >&- 2>&-"]
-    assert subprocess.run(words, cwd=tmp_path).returncode == 0
 
 
 FLAT = ("eval", "--controller", "level", "--episodes", "1", "terrain=flat")
@@ -103,39 +94,11 @@ def call_encoded(monkeypatch: pytest.MonkeyPatch, encoding: str, *arguments: str
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "cp1252"])
-def test_tables_are_spelt_plainly_and_stay_aligned(
+def test_an_encoding_that_lacks_a_character_is_no_error(
     encoding: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    lines = call_encoded(monkeypatch, encoding, "explain", "step")
-    table = [line for line in lines if re.search("allowed|>= ", line)][:3]  # then the search
-    assert len({line.index(" m  ") for line in table[1:]}) == 1
-    assert table[0].index("unit") == table[1].index(" m  ") + 1
-    dash = "–" if encoding == "cp1252" else "-"  # which has it
+    dash = "–" if encoding == "cp1252" else "?"  # which has it
     assert any(f"[{dash}]" in line for line in call_encoded(monkeypatch, encoding, *FLAT))
-
-
-@pytest.mark.parametrize(
-    ("text", "plain"),
-    [
-        ("θ̂_R ≥ 0.5…", "theta^_R >= 0.5..."),
-        ("2–4 × 10°", "2-4 x 10deg"),
-        ("Zürich é", "Zurich e"),
-        ("漢", "?"),
-    ],
-)
-def test_spelling(text: str, plain: str) -> None:
-    assert spell_plainly(text, "ascii") == plain
-    assert spell_plainly(text, "utf-8") == text
-
-
-def test_bytes_of_a_file_name_come_out_as_they_went_in(monkeypatch: pytest.MonkeyPatch) -> None:
-    written = io.BytesIO()
-    stream = io.TextIOWrapper(written, encoding="ascii")
-    monkeypatch.setattr(sys, "stdout", stream)
-    plain_streams()
-    stream.write("r\udcc3\udcbcn")
-    stream.flush()
-    assert written.getvalue() == "rün".encode()
 
 
 def test_a_pipe_gets_the_natural_width_or_columns(monkeypatch: pytest.MonkeyPatch) -> None:

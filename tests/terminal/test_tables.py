@@ -8,9 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.cells import cell_len
+from rich.console import Console
 
 from flipperctl import show
-from flipperctl.show import Column, PlainConsole, Table, print_table
+from flipperctl.show import Column, Table, print_table
 from flipperctl.terminal import tables
 from tests.cli.call import call
 
@@ -30,7 +31,7 @@ COMMANDS = {
 
 def printed(table: Table, width: int) -> list[str]:
     stream = io.StringIO()
-    print_table(table, PlainConsole(file=stream, width=width))
+    print_table(table, Console(file=stream, width=width))
     return stream.getvalue().splitlines()
 
 
