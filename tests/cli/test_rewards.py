@@ -107,7 +107,7 @@ def test_whatever_happens_meanwhile_the_training_is_finished_and_goes_on(
         context.setattr(final_regret, "measure", troubled)
         done = call("train", "--resume", "run", cwd=tmp_path)
     code, text = {
-        "death": (1, "MemoryError"),
+        "death": (1, "there is not enough memory"),
         "failure": (0, "the return of the best policy is not measured: the rule fell over"),
     }.get(trouble, (130, "the training is finished and saved"))
     assert (done.code, text in done.err) == (code, True), done.err
