@@ -19,9 +19,9 @@ class Plugin(Settings):
     """What tells two plugins apart whose name, settings and files are equal; empty for none."""
 
     def files_read(self) -> tuple[Path, ...]:
-        """Return the files whose content affects the plugin's results; none by default.
+        """Return files whose content affects the plugin's results, beside the ``Path`` settings.
 
-        The hash of an evaluation's conditions covers their content.
+        The keys of stored episodes, seeds and resumed runs cover the content of both.
         """
         return ()
 

@@ -15,6 +15,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel
+
 from flipperctl import guard
 from flipperctl.api import Plugin, Range
 from flipperctl.config.resolver import nested_plugins, to_dict
@@ -59,13 +61,26 @@ def _ends(owner: str, name: str) -> tuple[str, str]:
 
 
 def read_files(plugin: Plugin) -> tuple[Path, ...]:
-    """Return the files that the plugin reads."""
+    """Return the files that the plugin reads, and every path in its settings."""
     with guard.naming(plugin, "files_read"):  # iterating over the result may fail as well
-        found = tuple(plugin.files_read())
-    if not all(isinstance(file, Path) for file in found):
-        text = f"returned {guard.short_repr(found)}; allowed: Paths"
+        files = tuple(plugin.files_read())
+    if not all(isinstance(file, Path) for file in files):
+        text = f"returned {guard.short_repr(files)}; allowed: Paths"
         raise guard.refusal(plugin, "files_read", text)
-    return found
+    return tuple(dict.fromkeys((*files, *_paths([value for _, value in plugin]))))
+
+
+def _paths(value: object) -> Iterator[Path]:
+    """Yield the paths in a setting, at any depth; plugins in settings have their own."""
+    if isinstance(value, Path):
+        yield value
+    elif isinstance(value, BaseModel) and not isinstance(value, Plugin):
+        yield from _paths([inner for _, inner in value])
+    elif isinstance(value, Mapping):
+        yield from _paths(list(value.values()))
+    elif isinstance(value, list | tuple | set | frozenset):
+        for inner in value:
+            yield from _paths(inner)
 
 
 def all_files_read(plugins: Iterable[Plugin]) -> list[Path]:
@@ -74,8 +89,15 @@ def all_files_read(plugins: Iterable[Plugin]) -> list[Path]:
 
 
 def content_digest(file: Path) -> str | None:
-    """Return the SHA-256 of a file's content; None if it cannot be read, as its reader reports."""
+    """Return the SHA-256 of the content of a file, or of the files below a folder by their names.
+
+    None if it cannot be read, as its reader reports.
+    """
     try:
+        if file.is_dir():
+            inner = sorted(path for path in file.rglob("*") if path.is_file())
+            named = [f"{path.relative_to(file)} {content_digest(path)}" for path in inner]
+            return hashlib.sha256("\n".join(named).encode()).hexdigest()
         with file.open("rb") as opened:
             return hashlib.file_digest(opened, "sha256").hexdigest()
     except OSError:

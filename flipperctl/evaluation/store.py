@@ -22,7 +22,7 @@ from typing import Any
 
 import flipperctl
 from flipperctl.config import EvalConfig, to_dict
-from flipperctl.config.identity import content_digest, foreign_sources, read_files
+from flipperctl.config.identity import all_files_read, content_digest, foreign_sources
 from flipperctl.env.metrics import CORE, measures
 from flipperctl.errors import FlipperctlError
 from flipperctl.evaluation.conditions import Conditions
@@ -170,13 +170,9 @@ def _scoring(config: EvalConfig) -> dict[str, Any]:
     """Return what results depend on besides the conditions, as plain data."""
     whole = to_dict(config.environment())
     by_name = measures()
-    read = [
-        file
-        for plugin in [*config.rewards.values(), *by_name.values()]
-        for file in read_files(plugin)
-    ]
+    files = all_files_read([*config.rewards.values(), *by_name.values()])
     return {
-        **({"files": [content_digest(file) for file in read]} if read else {}),
+        **({"files": [content_digest(file) for file in files]} if files else {}),
         "rewards": whole["rewards"],
         "layout": to_dict(config.perception.layout),
         "measures": {name: to_dict(measure) for name, measure in by_name.items()},

@@ -16,7 +16,13 @@ from typing import Any
 from flipperctl.api import Controller
 from flipperctl.checkpoint import find, read_policy
 from flipperctl.config import TrainConfig, identity, to_dict
-from flipperctl.config.identity import ABSENT, content_digest, differences, foreign_sources
+from flipperctl.config.identity import (
+    ABSENT,
+    all_files_read,
+    content_digest,
+    differences,
+    foreign_sources,
+)
 from flipperctl.errors import CheckpointError
 from flipperctl.lookahead import Mpc
 from flipperctl.policies.operator import Operator
@@ -65,7 +71,9 @@ class PolicyIdentity:
         if exported is not None:
             return cls(source.label(), digest, exported.seed)
         assert config is not None
-        if sources := foreign_sources([config.network]):  # its code acts as well
+        # Its code and its files act as well.
+        files = map(content_digest, all_files_read([config.network]))
+        if sources := [*foreign_sources([config.network]), *files]:
             digest = _digest([digest, *sources])
         return cls(source.label(), digest, config.seed, method_settings(config))
 

@@ -292,7 +292,12 @@ def _documented(cls: type[Plugin]) -> None:
             continue
         for names, side in ((("ge", "gt"), "ge= or gt="), (("le", "lt"), "le= or lt=")):
             bounded = any(getattr(m, n, None) is not None for m in info.metadata for n in names)
-            require(bounded, f"has a field {field!r} without a bound on one side: give it {side}")
+            inside = "; beside other types, Annotated[float, Field(…)] within the union has them"
+            require(
+                bounded,
+                f"has a field {field!r} without a bound on one side: give it {side}"
+                f"{inside if set(get_args(info.annotation)) - {type(None)} else ''}",
+            )
 
 
 def _checkpoint(plugin: Plugin) -> None:

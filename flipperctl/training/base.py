@@ -17,7 +17,7 @@ import torch
 
 from flipperctl import checkpoint
 from flipperctl.agent.learner import join
-from flipperctl.api import Listener, Outcome
+from flipperctl.api import Listener, Logger, Outcome
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.checkpoint.document import State
 from flipperctl.config import TrainConfig
@@ -63,7 +63,8 @@ class BaseTrainer(ABC):
         self.listeners = list(listeners)
         self.env = FlipperEnv(config=config.environment(), actions=config.actions)
         self.progress = Progress(ground.first_difficulty(config.terrain))
-        self._files = all_files_read(checkpoint.plugged(config))
+        plugged = checkpoint.plugged(config)
+        self._files = all_files_read(p for p in plugged if p.kind != Logger.kind)
         self._digests = tuple(map(content_digest, self._files))
         self._stopwatch = Stopwatch(directory)
         self._restored = False
@@ -190,7 +191,7 @@ class BaseTrainer(ABC):
         for file, now, then in zip(self._files, self._digests, state.files, strict=False):
             if None not in (now, then) and now != then:
                 raise CheckpointError(
-                    f"{file} has changed since the run began, and a resumed run keeps its ground; "
+                    f"{file} has changed since the run began, and a resumed run keeps it; "
                     "restore the file, or start a new run from this one's policy: "
                     f"agent.start_from={self.directory}"
                 )

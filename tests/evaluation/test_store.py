@@ -10,9 +10,11 @@ from concurrent.futures import Future
 from contextlib import nullcontext
 from pathlib import Path
 
+import numpy as np
 import pytest
+from pydantic import Field
 
-from flipperctl import files
+from flipperctl import api, files
 from flipperctl.api import Policy
 from flipperctl.checkpoint import shipped_policies
 from flipperctl.config import EvalConfig, with_overrides
@@ -277,6 +279,32 @@ def test_a_file_that_a_reward_reads_is_part_of_what_is_stored(
         played.clear()
         evaluate([(config(1), OKADA)], store=FolderStore(tmp_path / "cells"))
         assert played == expected, content
+
+
+@pytest.mark.usefixtures("registry")
+def test_the_content_of_a_path_setting_is_part_of_what_is_stored(
+    tmp_path: Path, played: list[int]
+) -> None:
+    @api.terrain("from_file")
+    class FromFile(api.Terrain):
+        """A bump whose height is in a file, or in a file of a folder."""
+
+        places: dict[str, tuple[Path, ...]] = Field({}, description="files or folders [-]")
+
+        def generate(self, rng: np.random.Generator) -> api.Profile:
+            place = self.places["height"][0]
+            file = place / "h.txt" if place.is_dir() else place
+            return api.Profile([(0, 0), (0.5, float(file.read_text())), (1, 0)])
+
+    table = tmp_path / "h.txt"
+    for place in (table, tmp_path):
+        terrain = FromFile(places={"height": (place,)})
+        for content, expected in (("0.1", [0]), ("0.1", []), ("0.2", [0])):
+            table.write_text(content)
+            played.clear()
+            scene = with_overrides(config(1), {"terrain": terrain})
+            evaluate([(scene, OKADA)], store=FolderStore(tmp_path.parent / "cells"))
+            assert played == expected, (place, content)
 
 
 def test_a_policy_that_is_replaced_meanwhile_is_refused(

@@ -114,9 +114,6 @@ def test_several_paths_in_one_setting_and_a_file_that_is_missing(tmp_path: Path)
         def generate(self, rng: Any) -> Profile:
             raise NotImplementedError
 
-        def files_read(self) -> tuple[Path, ...]:
-            return self.paths
-
     (tmp_path / "one.csv").write_text(KERB)
     found = identity(Two(paths=(tmp_path / "one.csv", tmp_path / "none.csv"), note="n"))
     (digest, missing) = found.pop("files")
