@@ -23,6 +23,7 @@ from scipy.spatial.transform import Rotation
 from flipperctl.api import FloatArray, Robot
 from flipperctl.errors import MissingExtraError, RequestError
 from flipperctl.files import OutputKind, check_output, write_bytes
+from flipperctl.ros.checking import Checked, examine
 from flipperctl.ros.reading import (
     Points,
     Pose,
@@ -33,7 +34,7 @@ from flipperctl.ros.reading import (
     read_transforms,
     times_of,
 )
-from flipperctl.ros.topics import Names
+from flipperctl.ros.topics import Names, Topics
 
 _HEADER = "# ground by flipperctl: x y z [m]\n"
 """First line of each file, by which an earlier one is recognised."""
@@ -45,6 +46,9 @@ _SHORTEST = 0.5
 """Shortest line that can be driven over [m]."""
 _SLICE, _GAP = 0.1, 0.15
 """Width of the strip that ``profile_file`` reads, and largest gap in it, which it bridges [m]."""
+_STEP, _MOST_STEPS, _STRAY = 0.05, 300, 0.3
+"""Distance between the places of a way, their largest number, and how far a straight one strays
+[m, -, m]."""
 _INSET = 0.02
 """Distance of the line's ends from the last points [m]."""
 POSES = "poses.txt"
@@ -72,12 +76,19 @@ def convert(
     check_output(output, GROUND)
     if source.is_dir() and (source / POSES).exists():
         scans, _ = read_folder(source, output)
-        sizes, skipped, remarks = [len(points) for points, _ in scans], 0, list[str]()
+        sizes, skipped = [len(points) for points, _ in scans], 0
+        remarks, checks = list[str](), list[dict[str, Any]]()
     else:
-        scans, sizes, skipped, remarks = _scans(source, names)
+        scans, sizes, skipped, checked = _scans(source, names)
+        remarks, checks = checked.remarks, checked.rows
     ahead = robot.reach + _MARGIN
     points = _thinned(_seen(scans, ahead, reach, cell), cell)
-    start, end = _known_line(source, points, scans, ahead)
+    line = _known_line(source, points, scans, ahead)
+    if line is None:
+        remarks.append(
+            f"the robot nowhere drove {_SHORTEST} m straight on, so that no line is proposed: set "
+            "terrain.start and terrain.end"
+        )
     rows = (f"{x:.4f} {y:.4f} {z:.4f}\n" for x, y, z in points.tolist())
     write_bytes(output, (_HEADER + "".join(rows)).encode())
     return {
@@ -91,28 +102,32 @@ def convert(
             "most": max(sizes),
         },
         "points": len(points),
-        "start": [round(float(number), 3) + 0.0 for number in start],
-        "end": [round(float(number), 3) + 0.0 for number in end],
-        "length": float(np.linalg.norm(end - start)),
+        **_ends(line),
+        "checks": checks,
         "remarks": remarks,
     }
 
 
+def _ends(line: tuple[FloatArray, FloatArray] | None) -> dict[str, Any]:
+    """Return a line as plain data, with None for everything if there is none."""
+    if line is None:
+        return dict.fromkeys(("start", "end", "length"))
+    start, end = ([round(float(number), 3) + 0.0 for number in place] for place in line)
+    return {"start": start, "end": end, "length": float(np.linalg.norm(line[1] - line[0]))}
+
+
 def _known_line(
     source: Path, points: FloatArray, scans: Scans, ahead: float
-) -> tuple[FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray] | None:
     """Return the ends, (2,) each [m], of the longest part of the robot's way whose ground was seen.
 
-    The way is the straight line from its first to its last place, and as far ``ahead`` as the robot
-    reaches. The ground below the robot at the start is never seen.
+    The way is the longest part that was nearly straight, and as far ``ahead`` as the robot reaches.
+    The ground below the robot at the start is never seen. None: it never drove straight on.
     """
-    first, last = scans[0][1].place[:2], scans[-1][1].place[:2]
+    first, last = _straightest(np.array([pose.place[:2] for _, pose in scans]))
     length = float(np.linalg.norm(last - first))
     if length < _SHORTEST:
-        raise RequestError(
-            f"{source}: the robot is {length:.2f} m from its start at the end; at least "
-            f"{_SHORTEST} m is needed for a line over the ground"
-        )
+        return None
     direction = (last - first) / length
     offset = points[:, :2] - first
     beside = offset @ np.array([-direction[1], direction[0]])
@@ -128,7 +143,25 @@ def _known_line(
     return first + direction * (longest[0] + _INSET), first + direction * (longest[-1] - _INSET)
 
 
-def _scans(source: Path, names: Names) -> tuple[Scans, list[int], int, list[str]]:
+def _straightest(places: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the ends of the longest nearly straight part of a way, (N, 2) [m]."""
+    steps = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1)))
+    spacing = max(_STEP, steps[-1] / _MOST_STEPS)
+    _, thinned = np.unique(np.floor(steps / spacing), return_index=True)
+    way = places[np.unique(np.append(thinned, len(places) - 1))]
+    best = way[0], way[0]
+    for i in range(len(way)):
+        lengths = np.linalg.norm(way - way[i], axis=1)
+        longer = lengths > np.linalg.norm(best[1] - best[0]) + spacing
+        for j in (k for k in np.argsort(-lengths) if k > i and longer[k]):
+            x, y = (way[j] - way[i]) / lengths[j]
+            if np.abs((way[i:j] - way[i]) @ (-y, x)).max() <= _STRAY:
+                best = way[i], way[j]
+                break
+    return best
+
+
+def _scans(source: Path, names: Names) -> tuple[Scans, list[int], int, Checked]:
     """Return the clouds of a bag in the frame of the chassis, and what became of its messages.
 
     That is the number of points of each that is used, the number of those without a pose, and what
@@ -138,8 +171,12 @@ def _scans(source: Path, names: Names) -> tuple[Scans, list[int], int, list[str]
     with opened(source) as reader:
         topic = chosen_topic(source, reader, names.clouds)
         transforms, times = read_transforms(source, reader), times_of(source, reader, topic)
+        checked = examine(reader, names, transforms, Topics(topic))
+        checked.require(source)
         for number, (*_, message) in enumerate(messages(reader, [topic])):
             count = number + 1
+            if number in checked.repeated:
+                continue
             for part in _parts(read_points(f"{source}: {topic}", message, times)):
                 points += len(part.points)
                 pose = transforms.pose(names.fixed, names.base, part.time)
@@ -154,9 +191,10 @@ def _scans(source: Path, names: Names) -> tuple[Scans, list[int], int, list[str]
             f"{source}: none of the {count} clouds of {topic} has a transform to "
             f"{names.fixed!r} at its stamp; is another clock in the stamps?"
         )
-    remarks = [f"{topic}: {remark}" for remark in times.remarks()]
-    remarks += transforms.remarks(names.fixed, names.base)
-    return scans, [*sizes.values()], count - len(sizes), remarks
+    checked.remarks += [f"{topic}: {remark}" for remark in times.remarks()]
+    checked.remarks += transforms.remarks(names.fixed, names.base)
+    skipped = count - len(sizes) - len(checked.repeated)
+    return scans, [*sizes.values()], skipped, checked
 
 
 def _parts(cloud: Points) -> Iterator[Points]:

@@ -126,7 +126,7 @@ def replay(source: Path, sensor: Sensor, robot: Robot, pose: str | None, names: 
         frame = RobotSetup().cloud_frame
         for (points, where), time in zip(scans, stamps.tolist(), strict=True):
             run.take(Step(time, {"cloud": Cloud(time, frame, points)}), where)
-        return run.finish(source, {"cloud": "files"}, [])
+        return run.finish(source, {"cloud": "files"}, [], [])
     recording = read_recording(source, names)
     x, _, z = recording.mount.place.tolist()
     place = {"mount_x": x, "mount_z": z, "mount_axis": recording.axis}
@@ -135,7 +135,9 @@ def replay(source: Path, sensor: Sensor, robot: Robot, pose: str | None, names: 
     for step in recording.steps():
         cloud = step.messages.get("cloud")
         run.take(step, None if cloud is None else recording.pose(cloud.time))
-    return run.finish(source, recording.topics, recording.remarks)
+    for _ in recording.checked.repeated:
+        run.refuse("cloud_repeats", "its points are those before, although the robot moved")
+    return run.finish(source, recording.topics, recording.remarks, recording.checked.rows)
 
 
 def _pose(recording: Recording, pose: str | None) -> str:
@@ -193,7 +195,7 @@ class _Run:
             where = FramePose(where.place - self._origin, where.turn)
         if self._tracked and "cloud" in messages:
             if where is None:
-                self._refuse("cloud_pose", "no transform tells where the chassis was")
+                self.refuse("cloud_pose", "no transform tells where the chassis was")
                 return
             self._estimator.update(
                 Measured("tracking", step.messages["cloud"].time, estimated(where))
@@ -211,15 +213,16 @@ class _Run:
                     self._poses.append((self._estimator.pose, estimated(where)))
         fault = self._intake.refused("cloud")
         if "cloud" in messages and fault is not None and fault is not before:
-            self._refuse(fault.name, fault.reason)
+            self.refuse(fault.name, fault.reason)
         elif "cloud" in messages and self._scans == scans:
-            self._refuse("cloud_older", "it is no newer than the one before, as of two LiDARs")
+            self.refuse("cloud_older", "it is no newer than the one before, as of two LiDARs")
         if self._cloud is not None and step.now >= self._due - 1e-6:
             late = step.now - self._due > self._period
             self._due = step.now + self._period if late else self._due + self._period
             self._estimate(step.now, self._cloud)
 
-    def _refuse(self, name: str, reason: str) -> None:
+    def refuse(self, name: str, reason: str) -> None:
+        """Count a cloud that is not used."""
         self._refused[name] += 1
         self._reasons.setdefault(name, reason)
 
@@ -228,7 +231,7 @@ class _Run:
         try:
             ground, angles = self._estimator.estimate(now)
         except PerceptionError as error:  # all stamps are far behind the recording's clock
-            self._refuse("estimate", str(error))
+            self.refuse("estimate", str(error))
             return
         self._estimates.append(1000 * (perf_counter() - begun))
         pose, fault = self._estimator.pose, None if self._tracked else self._intake.fault(now)
@@ -246,11 +249,18 @@ class _Run:
             )
         )
 
-    def finish(self, source: Path, topics: dict[str, str], remarks: list[str]) -> Replay:
+    def finish(
+        self,
+        source: Path,
+        topics: dict[str, str],
+        remarks: list[str],
+        checks: list[dict[str, Any]],
+    ) -> Replay:
         """Return the result; RequestError if no scan was used."""
         if not (instants := self._instants):
             why = "; ".join(f"{n} × {self._reasons[name]}" for name, n in self._refused.items())
-            raise RequestError(f"{source}: no cloud can be used: {why or 'there is none'}")
+            why = "; ".join([why or "there is none", *remarks])
+            raise RequestError(f"{source}: no cloud can be used: {why}")
         seen = np.array([one.ground.seen for one in instants])  # (T, N)
         filled = [one.ground.filled for one in instants if one.ground.filled is not None]
         deviation = np.array([one.ground.deviation for one in instants])  # (T, N) [m]
@@ -282,6 +292,7 @@ class _Run:
             "estimate_ms": _quantiles(self._estimates),
             "scan_ms": _quantiles(self._updates),
             "drift": drift(self._poses),
+            "checks": checks,
             "remarks": remarks,
         }
         return Replay(width, half_width, instants, summary)

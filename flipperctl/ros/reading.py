@@ -8,10 +8,11 @@ a frame in another at a time, interpolated between the transforms that were reco
 from __future__ import annotations
 
 import math
-from bisect import bisect_left, insort
+from bisect import bisect_right
 from collections.abc import Collection, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from flipperctl.api import FloatArray
+from flipperctl.core.crosschecks import Difference, Peak, by_clock, by_steps, compared
 from flipperctl.core.lidar.messages import Pose as ChassisPose
 from flipperctl.errors import RequestError
 from flipperctl.messages import close_match
@@ -84,39 +86,67 @@ def estimated(pose: Pose) -> ChassisPose:
     return ChassisPose(x, y, z, roll, pitch, math.atan2(forward[1], forward[0]))
 
 
-@dataclass
 class _Track:
     """The poses of a frame in its parent, by time."""
 
-    fixed: Pose | None = None
-    times: list[float] = field(default_factory=list)
-    poses: dict[float, Pose] = field(default_factory=dict)
+    def __init__(self) -> None:
+        self.fixed: list[Pose] = []
+        self._heard: list[tuple[float, float, Pose]] = []  # time, time of receipt, pose
 
-    def add(self, time: float, pose: Pose) -> None:
-        if time not in self.poses:
-            insort(self.times, time)
-        self.poses[time] = pose
+    def add(self, time: float | None, received: float, pose: Pose) -> None:
+        """Add a pose at a time [s]; None if it is fixed."""
+        if time is None:
+            self.fixed.append(pose)
+        else:
+            self._heard.append((time, received, pose))
+            self.__dict__.pop("_sorted", None)
+
+    @cached_property
+    def _sorted(self) -> tuple[list[float], list[Pose], bool]:
+        """Times and poses in their order, and whether several poses are all the same."""
+        heard = sorted(self._heard, key=lambda one: one[0])
+        poses = [pose for *_, pose in heard]
+        still = len(poses) > 1 and all(poses[0].near(pose) for pose in poses)
+        return [time for time, *_ in heard], poses, still
 
     def at(self, time: float) -> Pose | None:
-        """Return the pose at a time; None if the nearest one is too far away."""
-        if self.fixed is not None:
-            return self.fixed
-        after = bisect_left(self.times, time)
-        if after < len(self.times) and self.times[after] == time:
-            return self.poses[time]
-        around = self.times[max(0, after - 1) : after + 1]
-        nearest = min(around, key=lambda one: abs(one - time))
-        if abs(nearest - time) > FARTHEST:
+        """Return the pose at a time; None if the nearest one is too far away.
+
+        One that is the same before and after a time is that of the time, however far these are.
+        """
+        if self.fixed:
+            return self.fixed[-1]
+        times, poses, still = self._sorted
+        after = bisect_right(times, time)
+        if after and times[after - 1] == time:
+            return poses[after - 1]
+        first, last = max(0, after - 1), min(after, len(times) - 1)
+        nearest = min(first, last, key=lambda i: abs(times[i] - time))
+        inside = first != last
+        same = still or (inside and poses[first].near(poses[last]))
+        if abs(times[nearest] - time) > FARTHEST and not same:
             return None
-        if len(around) == 1:
-            return self.poses[nearest]
-        part = (time - around[0]) / (around[1] - around[0])
-        first, second = (self.poses[one] for one in around)
+        if not inside:
+            return poses[nearest]
+        part = (time - times[first]) / (times[last] - times[first])
+        begin, end = poses[first], poses[last]
         # Of the two quaternions of a rotation, the one on the side of the first.
-        near = second.turn if first.turn @ second.turn >= 0 else -second.turn
-        turn = (1 - part) * first.turn + part * near
-        place = (1 - part) * first.place + part * second.place
+        near = end.turn if begin.turn @ end.turn >= 0 else -end.turn
+        turn = (1 - part) * begin.turn + part * near
+        place = (1 - part) * begin.place + part * end.place
         return Pose(place, turn / np.linalg.norm(turn))
+
+    def checked(self, link: str) -> tuple[list[Difference], float | None]:
+        """Return what its poses and stamps contradict, and their delay [s], if they have any."""
+        heard = [*self.fixed, *(pose for *_, pose in self._heard)]
+        places, turns = np.array([p.place for p in heard]), np.array([p.turn for p in heard])
+        if self.fixed:  # all poses that it has must be the same
+            sizes = by_steps(np.zeros(len(heard)), places, turns).values()
+            static = Peak(max((peak.size for peak in sizes if peak), default=0.0))
+            return compared(link, transforms_static=static), None
+        times, received, _ = map(np.array, zip(*self._heard, strict=True))
+        stamps, delay = by_clock(received, times)
+        return compared(link, **by_steps(times, places, turns), **stamps), delay
 
 
 _Link = tuple[str, str]
@@ -132,16 +162,14 @@ class Transforms:
         self._tracks: dict[str, dict[str, _Track]] = {}  # child → parent → its poses
         self._known: dict[_Link, list[tuple[list[_Link], list[_Link]]]] = {}
 
-    def add(self, parent: str, child: str, time: float | None, pose: Pose) -> None:
+    def add(
+        self, parent: str, child: str, time: float | None, pose: Pose, received: float = 0.0
+    ) -> None:
         """Add the pose of ``child`` in ``parent`` at a time [s]; None if it is fixed."""
         tracks = self._tracks.setdefault(child.lstrip("/"), {})
         if parent.lstrip("/") not in tracks:
             self._known.clear()
-        track = tracks.setdefault(parent.lstrip("/"), _Track())
-        if time is None:
-            track.fixed = pose
-        else:
-            track.add(time, pose)
+        tracks.setdefault(parent.lstrip("/"), _Track()).add(time, received, pose)
 
     @property
     def frames(self) -> list[str]:
@@ -183,6 +211,18 @@ class Transforms:
                     "needed"
                 )
         return told[0][1] if told else None
+
+    def checked(self, frame: str, of: str) -> tuple[list[Difference], list[float]]:
+        """Return what the links between two frames contradict, and the delays of those [s]."""
+        frame, of = frame.lstrip("/"), of.lstrip("/")
+        if frame == of:
+            return [], []
+        links = dict.fromkeys(
+            link for way in self._ways(frame, of) for part in way for link in part
+        )
+        results = [self._tracks[c][p].checked(f"transform {p} → {c}") for c, p in links]
+        differences = [one for part, _ in results for one in part]
+        return differences, [delay for _, delay in results if delay is not None]
 
     def on(self, base: str, frame: str, time: float) -> Pose | None:
         """Return the pose of a device's frame on the chassis, which needs no transform itself."""
@@ -261,19 +301,19 @@ def read_transforms(path: Path, reader: Any) -> Transforms:
 
     The pose of an odometry is a transform as well, for a frame that has no other.
     """
-    transforms, odometry = Transforms(path), list[tuple[str, Any]]()
-    for topic, _, message in messages(reader, kinds=(*_FRAMES, ODOMETRY)):
+    transforms, odometry = Transforms(path), list[tuple[str, float, Any]]()
+    for topic, received, message in messages(reader, kinds=(*_FRAMES, ODOMETRY)):
         if hasattr(message, "pose"):
-            odometry.append((topic, message))
+            odometry.append((topic, received, message))
             continue
         static = topic.rstrip("/").endswith(_STATIC)
         for one in message.transforms:
             time = None if static else seconds(one.header.stamp)
             pose = _pose(one.transform.translation, one.transform.rotation)
             if pose is not None:
-                transforms.add(one.header.frame_id, one.child_frame_id, time, pose)
+                transforms.add(one.header.frame_id, one.child_frame_id, time, pose, received)
     topics: dict[str, set[str]] = {}
-    for topic, one in odometry:
+    for topic, _, one in odometry:
         if not transforms.has(one.child_frame_id):
             topics.setdefault(one.child_frame_id.lstrip("/"), set()).add(topic)
     for frame, names in topics.items():
@@ -282,12 +322,12 @@ def read_transforms(path: Path, reader: Any) -> Transforms:
                 f"{path}: the poses of {frame!r} come from {' and '.join(sorted(names))}, and from "
                 "no transform; a bag with one of them, or with tf, is allowed"
             )
-    for _, one in odometry:
+    for _, received, one in odometry:
         if one.child_frame_id.lstrip("/") in topics:
             pose = _pose(one.pose.pose.position, one.pose.pose.orientation)
             if pose is not None:
                 parent, time = one.header.frame_id, seconds(one.header.stamp)
-                transforms.add(parent, one.child_frame_id, time, pose)
+                transforms.add(parent, one.child_frame_id, time, pose, received)
     return transforms
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,10 +21,10 @@ from flipperctl.api import Sensor
 from flipperctl.core.lidar.body import Mount, mounting
 from flipperctl.errors import RequestError
 from flipperctl.files import OutputKind, check_output, write_bytes
+from flipperctl.ros.checking import Checked, examine, tells
 from flipperctl.ros.reading import (
     Pose,
     Transforms,
-    chosen_topic,
     messages,
     opened,
     read_points,
@@ -32,7 +32,7 @@ from flipperctl.ros.reading import (
     seconds,
     times_of,
 )
-from flipperctl.ros.topics import Names, Orientations, found_devices
+from flipperctl.ros.topics import Names, Topics, found_devices
 from flipperctl.runtime.messages import (
     CONVENTIONS,
     REP_103,
@@ -66,16 +66,8 @@ class Recording:
 
     path: Path
     names: Names
-    clouds: str
-    """Topic of the clouds."""
-    attitude: str | None
-    """Topic of the inertial unit, as far as it tells orientations."""
-    imu: Orientations | None
-    """Which of its messages hold one."""
-    belts: str | None
-    """Topic of the belts' speed."""
-    joints: Mapping[str, Collection[str]]
-    """Topic → the joints whose angles come from it."""
+    checked: Checked
+    """What cross-checks found, and the devices that they leave."""
     transforms: Transforms
     times: PointTimes
     """Unit and zero of the times of the points."""
@@ -85,16 +77,22 @@ class Recording:
     """Remarks on the devices and frames."""
 
     @property
+    def used(self) -> Topics:
+        """The topics of the devices that can be used."""
+        return self.checked.topics
+
+    @property
     def topics(self) -> dict[str, str]:
         """Device → topic, for the devices that the bag has."""
-        topics = {"cloud": self.clouds, "attitude": self.attitude}
-        topics |= {"joints": ", ".join(self.joints), "odometry": self.belts}
+        used = self.used
+        topics = {"cloud": used.clouds, "attitude": used.attitude}
+        topics |= {"joints": ", ".join(used.joints), "odometry": used.belts}
         return {device: topic for device, topic in topics.items() if topic}
 
     @property
     def remarks(self) -> list[str]:
         """What a reader of the result should know; complete once the messages were read."""
-        return [*self.noted, *(f"{self.clouds}: {text}" for text in self.times.remarks())]
+        return [*self.noted, *(f"{self.used.clouds}: {text}" for text in self.times.remarks())]
 
     @property
     def axis(self) -> float:
@@ -122,17 +120,24 @@ class Recording:
         The points of clouds come as a ``Mount`` at the place of the sensor ahead of and above the
         chassis centre, (x, 0, z), with its ``axis`` would measure them, so that rings stay rings.
         """
-        devices = {self.clouds: "cloud", **dict.fromkeys(self.joints, "joints")}
-        others = ("attitude", self.attitude), ("odometry", self.belts)
+        used, clouds, last = self.used, -1, -math.inf
+        devices = {used.clouds: "cloud", **dict.fromkeys(used.joints, "joints")}
+        others = ("attitude", used.attitude), ("odometry", used.belts)
         devices |= {topic: device for device, topic in others if topic}
         joints = NewestJoints(self.names.front, self.names.rear)
         waiting: Step | None = None
         with opened(self.path) as reader:
-            for topic, now, message in messages(reader, devices):
+            for topic, received, message in messages(reader, devices):
+                now = received
+                if self.checked.by_stamps:
+                    stamp = seconds(message.header.stamp) if hasattr(message, "header") else last
+                    now = last = max(last, stamp)
                 told: Message | None
                 match device := devices[topic]:
                     case "cloud":
-                        told = self._cloud(message)
+                        clouds += 1
+                        again = clouds in self.checked.repeated
+                        told = None if again else self._cloud(message)
                     case "attitude":
                         told = self._attitude(message)
                     case "joints":
@@ -153,13 +158,13 @@ class Recording:
 
     def _joints(self, joints: NewestJoints, topic: str, message: Any) -> JointAngles | None:
         """Return the newest angles; None as long as one is unknown, or of other joints."""
-        ours = self.joints[topic]
+        ours = self.used.joints[topic]
         pairs = zip(message.name, message.position, strict=False)
         angles = {name: angle for name, angle in pairs if name in ours}
         return joints.take(_stamp(message), angles.keys(), angles.values())
 
     def _cloud(self, message: Any) -> Cloud:
-        read = read_points(f"{self.path}: {self.clouds}", message, self.times)
+        read = read_points(f"{self.path}: {self.used.clouds}", message, self.times)
         mount = self.transforms.on(self.names.base, read.frame, read.time)
         time, ages = read.time, None
         if read.shifts is not None and len(read.shifts):
@@ -172,7 +177,7 @@ class Recording:
         return Cloud(time, self.names.base, points @ mounting(self.axis), ages)
 
     def _attitude(self, message: Any) -> Attitude | None:
-        if self.imu is not None and not self.imu.told(message):
+        if not tells(message):
             return None
         frame, time = message.header.frame_id.lstrip("/"), _stamp(message)
         q, rates = message.orientation, message.angular_velocity
@@ -194,17 +199,18 @@ def read_recording(path: Path, names: Names) -> Recording:
     """Return what a bag holds; its messages are not read yet."""
     remarks: list[str] = []
     with opened(path) as reader:
-        clouds = chosen_topic(path, reader, names.clouds)
+        topics = found_devices(path, reader, names, remarks)
         transforms = read_transforms(path, reader)
-        times = times_of(path, reader, clouds)
-        devices = found_devices(path, reader, names, transforms, remarks)
-        heads = (message.header for *_, message in messages(reader, [clouds]))
+        times = times_of(path, reader, topics.clouds)
+        checked = examine(reader, names, transforms, topics)
+        checked.require(path)
+        heads = (message.header for *_, message in messages(reader, [topics.clouds]))
         places = (
             transforms.on(names.base, head.frame_id, seconds(head.stamp)) for head in heads
         )  # transforms may begin later than the clouds
         mount = next((one for one in places if one is not None), Pose.none())
-    remarks += transforms.remarks(names.fixed, names.base)
-    return Recording(path, names, clouds, *devices, transforms, times, mount, remarks)
+    remarks += [*checked.remarks, *transforms.remarks(names.fixed, names.base)]
+    return Recording(path, names, checked, transforms, times, mount, remarks)
 
 
 def _stamp(message: Any) -> float:
@@ -258,6 +264,7 @@ def shadow(
         "output": str(log),
         "topics": recording.topics,
         **decided.summary(),
+        "checks": recording.checked.rows,
         "remarks": recording.remarks,
     }
 

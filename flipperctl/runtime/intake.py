@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from flipperctl.core.crosschecks import exceeds
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Scan
 from flipperctl.runtime.messages import (
     ABSENT,
@@ -152,6 +153,8 @@ class Intake:
         if isinstance(message, JointAngles):
             front = _number(device, "front", message.front, math.pi)
             rear = _number(device, "rear", message.rear, math.pi)
+            if text := exceeds("joints_pair", message.apart, "the joints of a pair"):
+                raise _RefusedError(Fault("joints_pair", text))
             return time, Joints(signs.front * front, signs.rear * rear)
         return time, Belts(signs.x * _number(device, "speed", message.speed, _FASTEST))
 
@@ -159,9 +162,12 @@ class Intake:
         """Refuse a cloud whose points would enter the map with another posture than the robot's."""
         for device in self._cloud_needs:
             limit, known = getattr(self._limits.ages, device), self._times.get(device)
+            late = known is None or time - known > limit
+            if late and device in self._refused:  # the true reason
+                raise _RefusedError(self._refused[device])
             if known is None:
                 raise _refusal("cloud", "posture", f"came before any {device}", "one before it")
-            if time - known > limit:
+            if late:
                 found = f"is {time - known:.2f} s newer than {device}"
                 raise _refusal("cloud", "posture", found, f"at most {limit:g} s")
 

@@ -212,6 +212,8 @@ class JointAngles:
     """Angle of the front flippers, before the sign of ``Signs`` [rad]."""
     rear: float
     """Angle of the rear flippers, before the sign of ``Signs`` [rad]."""
+    apart: float = 0.0
+    """By how much the two flippers of a pair differ at most [rad]."""
 
 
 @dataclass(frozen=True)
@@ -249,8 +251,12 @@ class NewestJoints:
     """The newest angle of each flipper's joint."""
 
     def __init__(self, front: Sequence[str], rear: Sequence[str]) -> None:
-        """``front`` and ``rear``: names of the joints of each pair."""
-        self._pairs = front, rear
+        """``front`` and ``rear``: names of the joints of each pair.
+
+        A - before a name tells that the joint counts the other way.
+        """
+        self._signs = {n.lstrip("-"): -1 if n.startswith("-") else 1 for n in (*front, *rear)}
+        self._pairs = [[name.lstrip("-") for name in pair] for pair in (front, rear)]
         self._angles: dict[str, tuple[float, float]] = {}  # joint → its stamp and angle
 
     def take(
@@ -260,14 +266,21 @@ class NewestJoints:
 
         None: the message is of other joints, or there is a joint without an angle yet.
         """
-        ours = {name for pair in self._pairs for name in pair}
-        told = {n: (stamp, float(p)) for n, p in zip(names, positions, strict=False) if n in ours}
+        pairs = zip(names, positions, strict=False)
+        told = {n: (stamp, self._signs[n] * float(p)) for n, p in pairs if n in self._signs}
         self._angles |= told
-        if not told or ours - self._angles.keys():
+        if not told or self._signs.keys() - self._angles.keys():
             return None
         oldest = float(np.min([time for time, _ in self._angles.values()]))  # NaN if one is
         front, rear = (math.fsum(self._angles[n][1] for n in p) / len(p) for p in self._pairs)
-        return JointAngles(oldest, front, rear)
+        return JointAngles(oldest, front, rear, self.apart[0])
+
+    @property
+    def apart(self) -> tuple[float, str]:
+        """By how much the joints of a pair differ at most [rad], and their names."""
+        spread = {" and ".join(p): np.ptp([self._angles[n][1] for n in p]) for p in self._pairs}
+        pair = max(spread, key=lambda one: float(np.nan_to_num(spread[one])))
+        return float(spread[pair]), pair
 
 
 _MEMORY = 2.0

@@ -114,6 +114,27 @@ def print_perception(perception: dict[str, Any], output: Path | None) -> None:
     _print_recording("perception", str(perception["source"]), perception, rows, last)
 
 
+_COMPARED = (
+    Column("quantity", "quantity", named=True),
+    Column("first", "A"),
+    Column("second", "B"),
+    Column("largest", "difference"),
+    Column("allowed", "allowed"),
+    Column("verdict", "verdict"),
+)
+
+
+def _print_checks(rows: Sequence[dict[str, Any]]) -> None:
+    """Print what independent measurements of each quantity differ by."""
+    cells = []
+    for row in rows:
+        unit, style = "" if row["unit"] == "1" else f" {row['unit']}", "bold red"
+        shown = {"largest": f"{row['difference']:.3g}{unit}", "allowed": f"{row['warn']:g}{unit}"}
+        cells.append(row | shown | {"style": "" if row["verdict"] == "ok" else style})
+    if cells:
+        print_table(Table(_COMPARED, cells, "cross-checks"), console())
+
+
 def print_shadow(shadow: dict[str, Any]) -> None:
     """Print how a policy fared on a recording in shadow mode, and where its log is."""
     rows = {"decisions": str(shadow["decisions"])}
@@ -131,6 +152,7 @@ def _print_recording(
     print_text(f"{who}: {recording['seconds']:.1f} s; {topics}")
     cells = [{"what": what, "found": text} for what, text in rows.items()]
     print_table(Table(_FOUND, cells, title), console())
+    _print_checks(recording["checks"])
     for line in (*recording["remarks"], *([] if last is None else [last])):
         print_text(line)
 
@@ -177,15 +199,20 @@ def print_bag(bag: dict[str, Any]) -> None:
 
 def print_ground(ground: dict[str, Any]) -> None:
     """Print what recorded ground covers, and how to drive over it."""
-    (x0, y0), (x1, y1) = ground["start"], ground["end"]
     without = f" ({ground['clouds_without_pose']} more have no pose)"
     each = ground["points_per_cloud"]
+    _print_checks(ground["checks"])
     for remark in ground["remarks"]:
         print_text(remark)
+    along = "" if ground["start"] is None else f", along {ground['length']:.2f} m"
     print_text(
         f"{ground['output']}: {ground['points']} points of {ground['clouds']} clouds"
         f"{without if ground['clouds_without_pose'] else ''} with {each['least']} to "
-        f"{each['most']} points each, along {ground['length']:.2f} m\n"
-        "drive over it: flipperctl eval level terrain=profile_file "
-        f"terrain.path={ground['output']} 'terrain.start=[{x0},{y0}]' 'terrain.end=[{x1},{y1}]'"
+        f"{each['most']} points each{along}"
     )
+    if ground["start"] is not None:
+        (x0, y0), (x1, y1) = ground["start"], ground["end"]
+        print_text(
+            "drive over it: flipperctl eval level terrain=profile_file "
+            f"terrain.path={ground['output']} 'terrain.start=[{x0},{y0}]' 'terrain.end=[{x1},{y1}]'"
+        )

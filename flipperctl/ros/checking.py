@@ -1,0 +1,268 @@
+"""Cross-checks of a recording: what its devices and poses say of one another.
+
+In: an opened bag, its topics and transforms. Out: how far independent measurements differ
+(``flipperctl.core.crosschecks``), the devices that these contradict, and the clouds that tell
+nothing new. One pass reads the messages; no cloud is held in memory.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from flipperctl.api import FloatArray
+from flipperctl.core import crosschecks
+from flipperctl.core.crosschecks import Difference, Peak, compared
+from flipperctl.errors import RequestError
+from flipperctl.ros.reading import Pose, Transforms, messages, seconds
+from flipperctl.ros.topics import Names, Topics
+from flipperctl.runtime.messages import ABSENT, NewestJoints
+
+_PERIOD = 0.1
+"""Time between two poses that are compared with other measurements [s]."""
+_AVERAGED = 0.5
+"""Time over which accelerations are averaged [s]."""
+_OTHER_CLOCK = 2.0
+"""Delay of all messages from which their stamps are of another clock [s]."""
+
+
+@dataclass
+class Checked:
+    """What the cross-checks found."""
+
+    topics: Topics
+    """The devices without those that are not used."""
+    differences: list[Difference] = field(default_factory=list)
+    """The largest of each check."""
+    remarks: list[str] = field(default_factory=list)
+    begun: float = 0.0
+    """The first stamp, from which times count [s]."""
+    repeated: Collection[int] = ()
+    """Numbers of the clouds that tell nothing new."""
+    by_stamps: bool = False
+    """Whether the time of the recording is another than that of the stamps, which then counts."""
+
+    def require(self, path: Path) -> None:
+        """Raise RequestError if stamps or poses are contradicted, on which all depends."""
+        for one in self.differences:
+            if one.verdict == "refused" and one.check.name.startswith(("stamps", "transforms")):
+                raise RequestError(f"{path}: {one.sentence(self.begun)}")
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """The rows of the table of checks."""
+        return [one.row(self.begun) for one in self.differences]
+
+
+class _Heard:
+    """What the messages of a bag say, as lists."""
+
+    def __init__(self, reader: Any, names: Names, topics: Topics) -> None:
+        self.stamps: dict[str, list[tuple[float, float]]] = {}  # topic → time of receipt, stamp
+        self.contents: list[int] = []  # digests of the clouds
+        self.units: list[tuple[float, str, FloatArray, FloatArray, FloatArray]] = []
+        """Stamp, frame, vertical, turn rates and acceleration of the inertial unit."""
+        self.belts: list[tuple[float, float, Pose | None]] = []
+        self.apart: list[tuple[float, float, str]] = []  # stamp, angle and names of two joints
+        joints = NewestJoints(names.front, names.rear)
+        wanted = {topics.clouds, topics.attitude, topics.belts, *topics.joints} - {None}
+        for topic, received, message in messages(reader, {str(one) for one in wanted}):
+            stamp = received
+            if hasattr(message, "header"):
+                stamp = seconds(message.header.stamp)
+                # Joints may come in parts, whose stamps are then the same.
+                part = " of " + message.name[0] if topic in topics.joints and message.name else ""
+                self.stamps.setdefault(topic + part, []).append((received, stamp))
+            if topic == topics.clouds:
+                self.contents.append(hash(bytes(message.data)))
+            elif topic == topics.attitude:
+                self.units.append((stamp, *_unit(message)))
+            elif topic == topics.belts:
+                twisted = hasattr(message, "twist")
+                speed = float(message.twist.twist.linear.x if twisted else message.data)
+                self.belts.append((stamp, speed, _posed(message.pose.pose) if twisted else None))
+            elif joints.take(stamp, message.name, message.position):
+                self.apart.append((stamp, *joints.apart))
+
+
+def _unit(message: Any) -> tuple[str, FloatArray, FloatArray, FloatArray]:
+    """Return frame, vertical, rates and acceleration of an ``Imu``; NaN for what it tells not."""
+    q, rates, a = message.orientation, message.angular_velocity, message.linear_acceleration
+    x, y, z, w = q.x, q.y, q.z, q.w
+    up = np.array([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
+    told = message.orientation_covariance[0] != -1 and 0.5 < math.hypot(x, y, z, w) < 1.5
+    push = np.array([a.x, a.y, a.z])
+    if message.linear_acceleration_covariance[0] == -1:
+        push[:] = np.nan
+    frame = message.header.frame_id.lstrip("/")
+    return frame, up if told else up * np.nan, np.array([rates.x, rates.y, rates.z]), push
+
+
+def _posed(pose: Any) -> Pose:
+    p, q = pose.position, pose.orientation
+    turn = np.array([q.x, q.y, q.z, q.w])
+    length = float(np.linalg.norm(turn))
+    return Pose(np.array([p.x, p.y, p.z]), turn / length) if length else Pose.none()
+
+
+def tells(message: Any) -> bool:
+    """Return whether an ``Imu`` says that it holds an orientation."""
+    return bool(np.isfinite(_unit(message)[1]).all())
+
+
+def examine(reader: Any, names: Names, transforms: Transforms, topics: Topics) -> Checked:
+    """Compare what the devices of a bag say; ``topics``: those that are used."""
+    heard = _Heard(reader, names, topics)
+    stamps = {topic: np.array(rows) for topic, rows in heard.stamps.items()}  # (N, 2)
+    times = stamps.get(topics.clouds, np.empty((0, 2)))[:, 1]
+    posed, poses = _poses(transforms, names, times, heard)
+    differences: list[Difference] = []
+
+    # Stamps and links, each against itself and against the clock of the others.
+    links, delays = _links(transforms, names)
+    differences += links
+    for topic, (received, own) in ((topic, rows.T) for topic, rows in stamps.items()):
+        peaks, delay = crosschecks.by_clock(received, own)
+        differences += compared(topic, **peaks)
+        delays[topic] = delay
+    usual = sorted(delays.values())[(len(delays) - 1) // 2] if delays else 0.0
+    for source, delay in delays.items():
+        differences += compared(source, stamps_others=Peak(abs(delay - usual)))
+
+    # Devices against the poses and against each other.
+    differences += _attitude(heard, topics, names, transforms)
+    if topics.belts is not None and len(posed) > 1:
+        turns = Rotation.from_quat([one.turn for one in poses]).as_matrix()
+        told = np.array([row[:2] for row in heard.belts])
+        if topics.belts not in stamps and abs(usual) > _OTHER_CLOCK:
+            told[:, 0] -= usual  # they have no stamps
+        places = np.array([one.place for one in poses])
+        ways = crosschecks.by_way(told[:, 0], told[:, 1], posed, places, turns[:, :, 0])
+        differences += compared(topics.belts, **ways)
+    if heard.apart:
+        stamp, apart, which = max(heard.apart, key=lambda one: one[1])
+        differences += compared(which, joints_pair=Peak(apart, stamp))
+    repeated: list[int] = []
+    if len(times) and len(posed) > 1:
+        steps = np.linalg.norm(np.diff([one.place for one in poses], axis=0), axis=1)
+        moved = np.interp(times, posed, np.append(0.0, np.cumsum(steps)))
+        again, peak = crosschecks.repeats(heard.contents, moved)
+        repeated = np.flatnonzero(again).tolist()
+        differences += compared(topics.clouds, cloud_repeats=peak)
+
+    largest = crosschecks.largest(differences)
+    begun = min((float(rows[:, 1].min()) for rows in stamps.values()), default=0.0)
+    checked = Checked(topics, largest, begun=begun, repeated=frozenset(repeated))
+    _judge(checked, heard)
+    if abs(usual) > _OTHER_CLOCK:
+        checked.by_stamps = True
+        checked.remarks.append(
+            f"the stamps are {usual:.4g} s behind the recording's clock, as a simulator's are "
+            "(--use-sim-time records its clock): their clock counts"
+        )
+    return checked
+
+
+def _links(transforms: Transforms, names: Names) -> tuple[list[Difference], dict[str, float]]:
+    """Return what the links that lead to the chassis contradict, and their delays [s]."""
+    try:
+        differences, delays = transforms.checked(names.fixed, names.base)
+    except RequestError:  # it is told where it is needed
+        return [], {}
+    return differences, {f"transforms of {names.base}": one for one in delays[-1:]}
+
+
+def _poses(
+    transforms: Transforms, names: Names, times: FloatArray, heard: _Heard
+) -> tuple[FloatArray, list[Pose]]:
+    """Return times and poses of the chassis, by transforms or else by the belts' odometry."""
+    times = np.concatenate([times, [row[0] for row in (*heard.units, *heard.belts)]])
+    known = []
+    for time in _spread(times):
+        try:
+            pose = transforms.pose(names.fixed, names.base, time)
+        except RequestError:
+            pose = None
+        if pose is not None:
+            known.append((time, pose))
+    if not known:
+        kept = {round(time / _PERIOD): (time, p) for time, _, p in heard.belts if p is not None}
+        known = sorted(kept.values(), key=lambda one: one[0])
+    return np.array([time for time, _ in known]), [pose for _, pose in known]
+
+
+def _spread(times: FloatArray) -> list[float]:
+    """Return times of these, at least a period apart, in their order [s]."""
+    times = np.sort(times[np.isfinite(times)])
+    _, first = np.unique(np.floor(times / _PERIOD), return_index=True)
+    return [float(time) for time in times[first]]
+
+
+def _attitude(
+    heard: _Heard, topics: Topics, names: Names, transforms: Transforms
+) -> list[Difference]:
+    """Compare the attitudes with poses, gravity and turn rates."""
+    if topics.attitude is None or not heard.units:
+        return []
+    times = np.array([row[0] for row in heard.units])
+    ups, rates, pushes = (np.array([row[i] for row in heard.units]) for i in (2, 3, 4))
+    changes, by_rates = crosschecks.TiltByRates(), Peak(0.0)
+    for time, up, rate in zip(times.tolist(), ups.tolist(), rates.tolist(), strict=True):
+        by_rates = max(by_rates, Peak(changes.add(time, up, rate), time))
+    parts = np.floor((times - times[0]) / _AVERAGED)
+    groups = [parts == part for part in np.unique(parts)]
+    middle = np.array([times[one].mean() for one in groups])
+    up, push = (np.array([rows[one].mean(axis=0) for one in groups]) for rows in (ups, pushes))
+    peaks = {
+        "attitude_rates": by_rates,
+        "attitude_gravity": crosschecks.by_gravity(middle, up, push),
+    }
+    sampled, verticals, turns = [], [], []
+    wanted = set(_spread(times))
+    for time, frame, vertical, *_ in heard.units:
+        if time not in wanted:
+            continue
+        try:
+            pose = transforms.pose(names.fixed, names.base, time)
+            mount = transforms.on(names.base, frame, time)
+        except RequestError:
+            break
+        if pose is not None and mount is not None:
+            sampled.append(time)
+            verticals.append(mount.directions(vertical[None])[0])
+            turns.append(pose.turn)
+    if sampled:
+        chassis = Rotation.from_quat(turns).as_matrix()
+        peaks |= crosschecks.by_poses(np.array(sampled), np.array(verticals), chassis)
+    return compared(topics.attitude, **peaks)
+
+
+def _judge(checked: Checked, heard: _Heard) -> None:
+    """Leave out the devices that are contradicted, and say so."""
+    lost = sum(not np.isfinite(row[2]).all() for row in heard.units)
+    topics = checked.topics
+    if topics.attitude is not None and lost == len(heard.units):
+        why = "it has no message"
+        if lost:
+            why = f"it tells no orientation (its covariance or quaternion says so); {ABSENT}"
+        checked.remarks.append(f"{topics.attitude} is not used: {why}")
+        topics = replace(topics, attitude=None)
+    elif lost:
+        part = f"{lost} of {len(heard.units)} messages"
+        checked.remarks.append(f"{topics.attitude}: {part} tell no orientation; {ABSENT}")
+    for one in checked.differences:
+        device, sentence = one.check.name.partition("_")[0], one.sentence(checked.begun)
+        if one.verdict == "ok":
+            continue
+        if one.verdict == "refused" and device in ("attitude", "belts"):
+            sentence += f": no {device} is used"
+            absent: dict[str, Any] = {device: None}
+            topics = replace(topics, **absent)
+        checked.remarks.append(sentence)
+    checked.topics = topics
