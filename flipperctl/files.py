@@ -1,7 +1,8 @@
-"""Writes files atomically."""
+"""Writes files atomically; reads tables, and names file and line of what cannot be read."""
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import errno
 import glob
@@ -12,13 +13,12 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from flipperctl.errors import FlipperctlError, OutputError, WriteError
+from flipperctl.errors import FlipperctlError, OutputError, RequestError, WriteError
 from flipperctl.messages import close_match
 
 _PART = ".part"
@@ -68,7 +68,7 @@ def _part(path: Path) -> Path:
     return path.with_name(f".{path.name}.{os.getpid()}-{secrets.token_hex(4)}{_PART}")
 
 
-@contextmanager
+@contextlib.contextmanager
 def new_folder(path: Path) -> Iterator[Path]:
     """Let the body write a folder of the name of ``path``, which stands there once it is whole.
 
@@ -109,6 +109,65 @@ def write_csv(
     writer.writeheader()
     writer.writerows(rows)
     write_bytes(path, text.getvalue().encode())
+
+
+class CsvRow(dict[str, str]):
+    """A row of a table as text by column, and its place."""
+
+    where: str
+    """File and line, for errors."""
+
+    def number(self, column: str) -> float:
+        """Return the number in a column.
+
+        Raises:
+            RequestError: the text there is none.
+        """
+        try:
+            return float(self[column])
+        except ValueError:
+            raise self.refusal(column, "a number is allowed") from None
+
+    def refusal(self, column: str, text: str) -> RequestError:
+        """Return the error for what a column has."""
+        return RequestError(f"{self.where}: {column}: {text}; the value is {self[column]!r:.40}")
+
+
+def read_csv(path: Path, needed: Collection[str] = ()) -> list[CsvRow]:
+    """Return the rows of a table in UTF-8, with or without a byte order mark.
+
+    Blank lines count as none. A last row that is cut off, as while it is written, is left out.
+
+    Raises:
+        RequestError: the file cannot be read, lacks a column of ``needed``, or has a row with
+            another number of cells than its header.
+    """
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+        lines = csv.reader(io.StringIO(text, newline=""), strict=True)
+        header = next(lines, [])
+        for name in needed:
+            if name not in header:
+                raise RequestError(
+                    f"{path}, line 1: there is no column {name!r}{close_match(name, header)}; "
+                    f"names separated by commas are allowed; it has {','.join(header)!r:.60}"
+                )
+        rows = []
+        for cells in filter(None, lines):
+            row = CsvRow(zip(header, cells, strict=False))
+            row.where = f"{path}, line {lines.line_num}"
+            if len(cells) != len(header):
+                if len(cells) < len(header) and not text.endswith("\n") and not any(lines):
+                    break
+                raise RequestError(f"{row.where}: {len(cells)} cells in {len(header)} columns")
+            rows.append(row)
+    except OSError as error:
+        raise RequestError(f"{path} cannot be read: {error.strerror}") from error
+    except UnicodeDecodeError as error:
+        raise RequestError(f"{path} is not text in UTF-8: {error}") from error
+    except csv.Error as error:
+        raise RequestError(f"{path}, line {lines.line_num}: {error}") from error
+    return rows
 
 
 def make_folder(path: Path) -> Path:

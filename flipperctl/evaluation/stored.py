@@ -6,7 +6,6 @@ methods with the episodes that all of them played.
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -21,7 +20,7 @@ from flipperctl.errors import RequestError
 from flipperctl.evaluation.plan import is_best_known
 from flipperctl.evaluation.seeds import SeedSamples
 from flipperctl.evaluation.store import FOLDER, PlayedPolicy, played_policies
-from flipperctl.messages import close_match
+from flipperctl.files import read_csv
 from flipperctl.policies.identity import unlike_trainings
 
 FILE, SUMMARY = "episodes.csv", "summary.json"
@@ -34,29 +33,20 @@ Episodes = Mapping[str, Mapping[str, tuple[float, bool]]]
 def _policies(path: Path, measure: str) -> dict[str, Episodes]:
     """Return the episodes of each policy of a file, the evaluated one before its baselines."""
     policies: dict[str, dict[str, dict[str, tuple[float, bool]]]] = {}
-    try:
-        with path.open(newline="") as file:
-            reader = csv.DictReader(file)
-            columns, rows = reader.fieldnames or (), list(reader)
-        for key in (*_KEYS, measure):
-            if key not in columns:
-                raise RequestError(f"{path}: there is no column {key!r}{close_match(key, columns)}")
-        for row in rows:
-            label, scene = row["controller"], f"{row['scene']} {row['conditions_hash']}"
-            if is_best_known(label):
-                continue  # it stands only where it beats all others
-            value = float(row[measure]), row["outcome"] == Outcome.REACHED
-            if not np.isfinite(value[0]):
-                raise ValueError(f"{measure} {row[measure]!r}")
-            played = policies.setdefault(label, {}).setdefault(scene, {})
-            if played.setdefault(row["seed"], value) != value:
-                raise RequestError(
-                    f"{path}: {label} has several results on {scene}, seed {row['seed']}, as with "
-                    "several of its settings; a folder of eval --output for each of them, named as "
-                    "in METHOD=DIR, is allowed"
-                )
-    except (OSError, UnicodeDecodeError, csv.Error, ValueError, TypeError) as error:
-        raise RequestError(f"{path}: cannot be read: {error}") from error
+    for row in read_csv(path, (*_KEYS, measure)):
+        label, scene = row["controller"], f"{row['scene']} {row['conditions_hash']}"
+        if is_best_known(label):
+            continue  # it stands only where it beats all others
+        value = row.number(measure), row["outcome"] == Outcome.REACHED
+        if not np.isfinite(value[0]):
+            raise row.refusal(measure, "a finite number is allowed")
+        played = policies.setdefault(label, {}).setdefault(scene, {})
+        if played.setdefault(row["seed"], value) != value:
+            raise RequestError(
+                f"{row.where}: {label} has several results on {scene}, seed {row['seed']}, as with "
+                "several of its settings; a folder of eval --output for each of them, named as in "
+                "METHOD=DIR, is allowed"
+            )
     if not policies:
         raise RequestError(f"{path}: there is no episode in it")
     return dict(policies)

@@ -31,6 +31,7 @@ from flipperctl.figures.figure import (
     points,
 )
 from flipperctl.figures.figure import style_axes as style
+from flipperctl.files import CsvRow
 from flipperctl.messages import close_match
 
 METRICS = (SUCCESS, VARIATION, "return")
@@ -46,8 +47,7 @@ _TRAINED = ("loss", "epsilon", "lag", "difficulty")
 _REACHED_ONLY = (VARIATION, "pitch_variation", "t_cost")
 
 Average = Literal["mean", "iqm"]
-Row = Mapping[str, str]
-Runs = Mapping[str, Sequence[Sequence[Row]]]
+Runs = Mapping[str, Sequence[Sequence[CsvRow]]]
 """Rows of each training seed, by method."""
 
 
@@ -134,7 +134,7 @@ def curves_figure(
 
 
 def over_seeds(
-    seeds: Sequence[Sequence[Row]], metric: str, validated: bool, window: int, average: Average
+    seeds: Sequence[Sequence[CsvRow]], metric: str, validated: bool, window: int, average: Average
 ) -> Curve:
     """Return the curve of a method from the rows of its seeds."""
     each = [_series(rows, metric, validated, window) for rows in seeds]
@@ -168,16 +168,9 @@ def running_mean(values: FloatArray, window: int) -> FloatArray:
     return np.where(weight > 0, mean, math.nan)
 
 
-def column(rows: Sequence[Row], key: str) -> FloatArray:
+def column(rows: Sequence[CsvRow], key: str) -> FloatArray:
     """Return one column as numbers, (T,), with NaN for an empty or missing cell."""
-    values = []
-    for i, row in enumerate(rows):
-        text = row.get(key) or "nan"
-        try:
-            values.append(float(text))
-        except ValueError as error:
-            raise ValueError(f"row {i + 1}, {key}: a number is allowed; got {text!r}") from error
-    return np.array(values)
+    return np.array([row.number(key) if row.get(key) else math.nan for row in rows])
 
 
 def _averaged(table: FloatArray, average: Average) -> FloatArray:
@@ -186,11 +179,11 @@ def _averaged(table: FloatArray, average: Average) -> FloatArray:
     return np.asarray(np.sort(table, axis=0)[cut : len(table) - cut].mean(axis=0))
 
 
-def _of(rows: Sequence[Row], kind: str) -> list[Row]:
+def _of(rows: Sequence[CsvRow], kind: str) -> list[CsvRow]:
     return [row for row in rows if row.get("kind", "episode") == kind]
 
 
-def _numbers(rows: Sequence[Row], key: str) -> list[float]:
+def _numbers(rows: Sequence[CsvRow], key: str) -> list[float]:
     values = []
     for row in rows:
         try:
@@ -201,7 +194,7 @@ def _numbers(rows: Sequence[Row], key: str) -> list[float]:
 
 
 def _series(
-    rows: Sequence[Row], metric: str, validated: bool, window: int
+    rows: Sequence[CsvRow], metric: str, validated: bool, window: int
 ) -> tuple[FloatArray, FloatArray]:
     """Return the decisions and the values of one run's metric, (T,) each."""
     if validated and metric not in _TRAINED:
@@ -230,7 +223,7 @@ def _draw(axes: Axes, curve: Curve, index: int, *, marked: bool) -> None:
     )
 
 
-def _draw_run(axes: Axes, rows: Sequence[Row], metric: str, window: int) -> None:
+def _draw_run(axes: Axes, rows: Sequence[CsvRow], metric: str, window: int) -> None:
     """Draw the training episodes and the validations of one run."""
     first, second = look(0), look(1)
     if _of(rows, "episode"):

@@ -36,6 +36,7 @@ from flipperctl.evaluation.views.evaluation import (
     print_result,
 )
 from flipperctl.evaluation.views.summary import Document, rate_text
+from flipperctl.files import read_csv
 from flipperctl.results import METRICS
 from flipperctl.scripting import progress as shown
 from flipperctl.scripting.policy import Function, LoadedPolicy, function_policy, load
@@ -50,7 +51,6 @@ from flipperctl.scripting.settings import (
 from flipperctl.session import interrupts
 from flipperctl.terminal.streams import print_note
 from flipperctl.terminal.training import check_resumed, print_best
-from flipperctl.training.listeners import read_rows
 from flipperctl.training.run import Finished, check, check_resumable, start
 from flipperctl.training.run import resume as resume_run
 
@@ -94,7 +94,7 @@ class Run:
 
         ``kind`` is ``episode`` or ``validation``; a number that a row lacks is None.
         """
-        rows = read_rows(self.directory / METRICS)
+        rows = read_csv(self.directory / METRICS)
         return [{name: _value(cell) for name, cell in row.items()} for row in rows]
 
     def metrics_frame(self) -> DataFrame:

@@ -19,7 +19,7 @@ from flipperctl import checkpoint
 from flipperctl.agent.learner import join
 from flipperctl.api import Listener, Logger, Outcome
 from flipperctl.checkpoint import Checkpoint
-from flipperctl.checkpoint.document import State
+from flipperctl.checkpoint.document import Document, State
 from flipperctl.config import TrainConfig
 from flipperctl.config.defaults import notes_on_budget
 from flipperctl.config.identity import all_files_read, content_digest
@@ -31,7 +31,7 @@ from flipperctl.files import write_json
 from flipperctl.rollout.collect import Collector
 from flipperctl.rollout.episode import Row
 from flipperctl.training.episodes import Progress
-from flipperctl.training.listeners import Stopwatch
+from flipperctl.training.listeners import Companion
 from flipperctl.training.validation import PolicyArrays, Validator
 
 COUNTERS = ("decision", "episode", "started", "lost", "updates", "loss", "difficulty")
@@ -66,7 +66,7 @@ class BaseTrainer(ABC):
         plugged = checkpoint.plugged(config)
         self._files = all_files_read(p for p in plugged if p.kind != Logger.kind)
         self._digests = tuple(map(content_digest, self._files))
-        self._stopwatch = Stopwatch(directory)
+        self.companion = Companion(directory)
         self._restored = False
 
     def _validating(self, agent: PolicyArrays) -> None:
@@ -88,7 +88,7 @@ class BaseTrainer(ABC):
         with ExitStack() as opened:
             for listener in self.listeners:
                 opened.push(closer(listener))
-            self._stopwatch.start()
+            self.companion.start()
             if not self.progress.decision:
                 for text in notes_on_budget(self.config):
                     self._report(text)
@@ -155,7 +155,7 @@ class BaseTrainer(ABC):
             "episode": progress.episode,
             "epsilon": self._exploring()[0],
             "loss": progress.loss if progress.updates else None,
-            "seconds": round(self._stopwatch.seconds, 3),
+            "seconds": round(self.companion.seconds, 3),
         }
 
     def _state(self, **own: Any) -> State:
@@ -168,6 +168,16 @@ class BaseTrainer(ABC):
             files=self._digests,
             **own,
         )
+
+    @property
+    def rows(self) -> int:
+        """Number of rows that the run has written: one for each episode and each validation."""
+        return self.progress.episode + len(self.validator.history)
+
+    def _write_last(self, document: Document, tensors: Mapping[str, torch.Tensor]) -> None:
+        """Write ``last.safetensors``, and before it what it states of the clock."""
+        self.companion.write(self.rows)
+        checkpoint.write(self.directory / checkpoint.LAST, document, tensors)
 
     def _save_best(self) -> None:
         """Write ``best.safetensors`` if the policy is the best so far.
@@ -201,7 +211,7 @@ class BaseTrainer(ABC):
         self.progress.recent.extend(state.recent)
         self.validator.history[:] = state.validations
         self._restored = True
-        self._stopwatch.read()
+        self.companion.read()
 
     @abstractmethod
     def _restore(self, saved: Checkpoint, state: State) -> None:
@@ -219,7 +229,7 @@ class BaseTrainer(ABC):
             "decisions": progress.decision,
             "episodes": progress.episode,
             "lost_episodes": progress.lost,
-            "seconds": round(self._stopwatch.seconds, 1),
+            "seconds": round(self.companion.seconds, 1),
             "success_rate": progress.success_rate,
             **{name: found and found.model_dump() for name, found in validations.items()},
         }

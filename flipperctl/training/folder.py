@@ -20,10 +20,10 @@ from flipperctl import checkpoint, plugins
 from flipperctl.config import TrainConfig, parse, to_dict
 from flipperctl.config.identity import differences
 from flipperctl.errors import CheckpointError, ConfigError, OutputError, RequestError
-from flipperctl.files import make_folder, remove_partial, write_bytes
+from flipperctl.files import CsvRow, make_folder, read_csv, remove_partial, write_bytes
 from flipperctl.results import CONFIG, HYDRA, METRICS, SUMMARY, holds_run, is_held, read_config
 from flipperctl.training.episodes import EPISODES, PARTS
-from flipperctl.training.listeners import NAME, read_rows
+from flipperctl.training.listeners import NAME, Companion
 from flipperctl.training.sweep import REACHED, of_reached
 
 _SUMS = "SHA256SUMS"
@@ -77,27 +77,59 @@ def read(directory: Path) -> tuple[checkpoint.Checkpoint | None, TrainConfig]:
     """Return the checkpoint to resume from, None if the run begins again, and the configuration."""
     if (directory / checkpoint.LAST).is_file():
         saved = checkpoint.read(directory / checkpoint.LAST)
-        return saved, saved.config()
-    config = directory / CONFIG
-    document, fault = read_config(config)
+        config = saved.config()
+        _check_unedited(directory, config)
+        return saved, config
+    document, fault = read_config(directory / CONFIG)
     if document:
-        try:
-            if isinstance(document, dict):
-                return None, parse(TrainConfig, document)
-            raise ConfigError("it is not a mapping")
-        except ConfigError as error:
-            raise CheckpointError(f"{config}: its configuration does not fit: {error}") from error
+        return None, _parsed(directory / CONFIG, document)
     if (directory / checkpoint.BEST).is_file():
         return None, checkpoint.read(directory / checkpoint.BEST).config()
     raise CheckpointError(
-        f"{config} is damaged ({fault}) and there is no checkpoint, so the run cannot be resumed; "
-        f"delete {directory} and start the run again"
+        f"{directory / CONFIG} is damaged ({fault}) and there is no checkpoint, so the run "
+        f"cannot be resumed; delete {directory} and start the run again"
     )
 
 
-def write_config(directory: Path, config: TrainConfig) -> None:
-    """Write the configuration as ``config.yaml``."""
-    write_bytes(directory / CONFIG, OmegaConf.to_yaml(to_dict(config)).encode())
+def _parsed(file: Path, document: object) -> TrainConfig:
+    """Return the configuration that a ``config.yaml`` states."""
+    try:
+        if isinstance(document, dict):
+            return parse(TrainConfig, document)
+        raise ConfigError("it is not a mapping")
+    except ConfigError as error:
+        raise CheckpointError(f"{file}: its configuration does not fit: {error}") from error
+
+
+def _check_unedited(directory: Path, config: TrainConfig) -> None:
+    """Refuse a ``config.yaml`` that states other settings than ``config``, the checkpoint's."""
+    file = directory / CONFIG
+    if not file.is_file() or not (content := file.read_bytes()):
+        return
+    if Companion(directory).read().has_written(content):
+        return  # a kill may leave that of a resumed run before its first checkpoint
+    advice = (
+        "a run goes on with the configuration of its checkpoint: restore the file or delete it, "
+        "and give a change to train.<field> to the command"
+    )
+    document, fault = read_config(file)
+    if document is None:
+        raise CheckpointError(f"{file} was edited: {fault}; {advice}")
+    edited = to_dict(_parsed(file, document))
+    changes = [
+        f"{path}: {there} in the file, {here} in the checkpoint"
+        for path, here, there in differences(to_dict(config), edited)
+    ]
+    if changes:
+        raise CheckpointError(f"{file} was edited: {', '.join(changes)}; {advice}")
+
+
+def write_config(directory: Path, config: TrainConfig, companion: Companion) -> None:
+    """Write the configuration as ``config.yaml``, unless an equal one is there, comments or not."""
+    if read_config(directory / CONFIG)[0] != (plain := to_dict(config)):
+        content = OmegaConf.to_yaml(plain).encode()
+        companion.announce(content)
+        write_bytes(directory / CONFIG, content)
 
 
 def keep_plugins(directory: Path) -> None:
@@ -163,7 +195,7 @@ def discard(directory: Path, loggers: Iterable[str]) -> None:
 _SHOWN = ("decision", "success_rate", *REACHED, "return", "mean_return")
 
 
-Rows = list[dict[str, str]]
+Rows = list[CsvRow]
 
 
 def read_run(run: Path) -> tuple[Rows, Rows]:
@@ -172,7 +204,7 @@ def read_run(run: Path) -> tuple[Rows, Rows]:
     if not metrics.is_file():
         hint = sweep_hint(run) or "is it a run directory?"
         raise RequestError(f"{run} holds no {METRICS}; {hint}")
-    rows = read_rows(metrics)
+    rows = read_csv(metrics, ("kind", "decision"))
     episodes, validations = (
         [row for row in rows if row["kind"] == kind] for kind in ("episode", "validation")
     )
@@ -186,8 +218,7 @@ def summarise(run: Path, episodes: Rows, validations: Rows) -> dict[str, Any]:
     """
     file = run / SUMMARY
     numbers = [
-        {key: float(cell) if (cell := row.get(key)) else None for key in _SHOWN}
-        for row in validations
+        {key: row.number(key) if row.get(key) else None for key in _SHOWN} for row in validations
     ]
     return {
         "run": str(run),

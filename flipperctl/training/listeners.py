@@ -1,28 +1,34 @@
 """What watches a training: ``metrics.csv``, the plugins of its loggers, and its time.
 
 The writer of ``metrics.csv`` is a listener of the trainer; a resumed run continues the file from
-its checkpoint. A logger that fails is dropped with a warning on stderr. The time is in
-``timing.json``, separate from the checkpoints, so that equal runs have equal checkpoint files.
+its checkpoint. A logger that fails is dropped with a warning on stderr. What a checkpoint states of
+the time, and of ``metrics.csv``, which has times, is in ``timing.json``, separate from the
+checkpoints, so that equal runs have equal checkpoint files.
 """
 
 from __future__ import annotations
 
 import contextlib
 import csv
-import json
-import math
+import hashlib
+import io
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from pydantic import Field
+
 from flipperctl import guard
 from flipperctl.api import Listener, Logger, RunInfo
+from flipperctl.checkpoint.document import Count, Label, NonNegative, Record
 from flipperctl.config import TrainConfig, to_dict
 from flipperctl.env.metrics import logged
 from flipperctl.errors import CheckpointError, MissingExtraError, WriteError
-from flipperctl.files import failure, write_csv, write_json
+from flipperctl.files import failure, write_bytes, write_json
+from flipperctl.results import names as numbered
 from flipperctl.show import print_text
 
 
@@ -37,31 +43,55 @@ def columns() -> tuple[str, ...]:
     )
 
 
+class Mark(Record):
+    """What a checkpoint states of ``metrics.csv``: the rows that the run had written."""
+
+    length: Count
+    """[bytes]."""
+    sha256: Label
+    """Of these bytes."""
+
+
 class MetricsCsv:
-    """Writes one row for each episode and each validation; the column ``kind`` tells which."""
+    """Appends one row for each episode and each validation; the column ``kind`` tells which."""
 
     def __init__(
         self,
         path: Path,
         terms: Sequence[str],
         randomised: Sequence[str] = (),
-        resume_at: int | None = None,
+        rows: int = 0,
+        mark: Mark | None = None,
+        tell: Callable[[str], None] = lambda text: None,
     ) -> None:
         """``terms``: names of the reward terms; ``randomised``: names of the randomised settings.
 
-        ``resume_at``: decision after which the rows of an existing file are dropped; None begins a
-        new file.
+        ``rows``: number of rows that a resumed run had written at its checkpoint, and ``mark`` what
+        that states of the file, which is cut there. ``tell`` is called with a line if the file is
+        not that of an uninterrupted run.
+
+        Raises:
+            CheckpointError: the file is not that of the run up to its checkpoint; it is kept.
         """
-        self._columns = [*columns(), *randomised, *(f"reward_{term}" for term in terms)]
-        kept: list[Mapping[str, Any]] = []
-        if resume_at is not None and path.is_file():
-            complete = [row for row in read_rows(path) if None not in row.values()]  # not cut off
-            numbered = [row for row in complete if row.get("decision", "").isdigit()]
-            kept = [row for row in numbered if int(row["decision"]) <= resume_at]
-        write_csv(path, kept, self._columns)
-        self._path = path
-        self._file = path.open("a", encoding="utf-8", newline="", buffering=1)
-        self._writer = csv.DictWriter(self._file, self._columns, extrasaction="ignore")
+        names = [*columns(), *randomised, *(f"reward_{term}" for term in terms)]
+        begun = _line(names)
+        if path.exists() and (rows or mark):
+            begun = _verified(path, begun, rows, mark, tell)
+            names_there = next(csv.reader([begun.partition(b"\n")[0].decode()]))
+            if missing := [name for name in names if name not in names_there]:
+                tell(f"{path} goes on with its columns, which lack {', '.join(missing)}")
+            names = names_there
+        elif rows:
+            tell(f"there is no {path}; a new one begins with the rows from here on")
+        elif path.exists() and path.read_bytes() != begun:
+            place = next(place for place in numbered(path, numbered=True) if not place.exists())
+            path.rename(place)
+            tell(f"{path} has rows of an earlier start; it is kept as {place.name}")
+        if not path.exists():
+            write_bytes(path, begun)
+        self._path, self._columns = path, names
+        self._length, self._digest = len(begun), hashlib.sha256(begun)
+        self._file = path.open("ab")
 
     def episode(self, row: Mapping[str, Any]) -> None:
         """Append the row of an episode."""
@@ -77,26 +107,59 @@ class MetricsCsv:
     def _write(self, row: Mapping[str, Any]) -> None:
         if not self._path.exists():  # rows would go to a deleted file
             raise WriteError(f"{self._path} was deleted while the run was training")
+        line = _line([row.get(name) for name in self._columns])
         try:
-            self._writer.writerow(row)
+            self._file.write(line)
+            self._file.flush()
         except OSError as error:
             raise failure(self._path, error) from error
+        self._length += len(line)
+        self._digest.update(line)
+
+    def mark(self) -> Mark:
+        """Return where the file ends now, once the disk has it."""
+        os.fsync(self._file.fileno())
+        return Mark(length=self._length, sha256=self._digest.hexdigest())
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
 
 
-def read_rows(path: Path) -> list[dict[str, str]]:
-    """Return the rows of a ``metrics.csv`` as text by column name."""
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            return list(csv.DictReader(file))
-    except (UnicodeDecodeError, csv.Error) as error:
+def _line(cells: Sequence[Any]) -> bytes:
+    text = io.StringIO()
+    csv.writer(text).writerow(cells)
+    return text.getvalue().encode()
+
+
+def _verified(
+    path: Path, header: bytes, rows: int, mark: Mark | None, tell: Callable[[str], None]
+) -> bytes:
+    """Cut the file at the end of the ``rows`` of a checkpoint; return what it holds then.
+
+    A checkpoint of an earlier version has no mark: nothing is cut, so that the file must have the
+    rows of the run and no others.
+    """
+    content = path.read_bytes()
+    kept = content if mark is None else content[: mark.length]
+    if mark is None:
+        rows_there = content.count(b"\n") - 1
+        whole = content.startswith(header) and content.endswith(b"\n") and rows_there == rows
+        fault = f"has other columns or rows than the {rows} rows of the run up to its checkpoint"
+    elif len(kept) < mark.length:
+        whole, fault = False, f"has {len(kept):,} of the {mark.length:,} bytes of the run's rows"
+    else:
+        whole = hashlib.sha256(kept).hexdigest() == mark.sha256
+        fault = f"was changed within the {mark.length:,} bytes of the run's rows"
+    if not whole:
         raise CheckpointError(
-            f"{path} is damaged ({error}); without this file the run goes on, and has no earlier "
-            "rows"
-        ) from error
+            f"{path} {fault}, and is kept; restore it, or move it away: the run then goes on with "
+            "a new one"
+        )
+    if cut := content[len(kept) :].count(b"\n"):
+        tell(f"{path}: {cut} lines after the checkpoint are cut; the run repeats their episodes")
+    os.truncate(path, len(kept))
+    return kept
 
 
 def openers(
@@ -169,32 +232,65 @@ class GuardedLogger:
 NAME = "timing.json"
 
 
-class Stopwatch:
-    """Measures the time of a run over all its starts."""
+class _Stated(Record):
+    """The contents of ``timing.json``."""
+
+    seconds: NonNegative = 0.0
+    metrics: dict[Count, Mark] = Field(default_factory=dict)
+    """Of the two newest checkpoints, by the number of rows that the run had written."""
+    config: Label = ""
+    """SHA-256 of ``config.yaml`` as it was written last."""
+
+
+class Companion:
+    """What the last checkpoint states of the clock and of files that depend on it.
+
+    It is written before the checkpoint, and keeps what the checkpoint before it states, so that a
+    kill between the two leaves both. A run resumes without it, too.
+    """
 
     def __init__(self, directory: Path) -> None:
-        self._path = directory / NAME
-        self._earlier = 0.0
+        self._path, self._stated = directory / NAME, _Stated()
         self._started_at = time.perf_counter()
+        self.mark: Callable[[], Mark | None] = lambda: None
+        """Returns where ``metrics.csv`` ends now; None of a run without it."""
 
     @property
     def seconds(self) -> float:
-        """Time that the run has taken so far [s]."""
-        return self._earlier + time.perf_counter() - self._started_at
+        """Time that the run has taken over all its starts [s]."""
+        return self._stated.seconds + time.perf_counter() - self._started_at
 
     def start(self) -> None:
         """Start counting, on top of the time from ``read``."""
         self._started_at = time.perf_counter()
 
-    def write(self) -> None:
-        """Write the time so far to ``timing.json``."""
-        write_json(self._path, {"seconds": round(self.seconds, 3)})
+    def read(self) -> Companion:
+        """Read what the file states, nothing if it is missing or damaged; return this object."""
+        self._stated = _Stated()
+        with contextlib.suppress(OSError, ValueError, RecursionError):
+            self._stated = _Stated.model_validate_json(self._path.read_bytes())
+        return self
 
-    def read(self) -> None:
-        """Read the time at the last checkpoint, without which a run resumes, too."""
-        try:
-            seconds = json.loads(self._path.read_text(encoding="utf-8"))["seconds"]
-        except (OSError, ValueError, RecursionError, LookupError, TypeError):
-            return
-        if isinstance(seconds, int | float) and math.isfinite(seconds) and seconds >= 0:
-            self._earlier = float(seconds)
+    def marked(self, rows: int) -> Mark | None:
+        """Return the mark of the checkpoint at which the run had written so many rows."""
+        return self._stated.metrics.get(rows)
+
+    def has_written(self, config: bytes) -> bool:
+        """Return whether these are the bytes of ``config.yaml`` as the run wrote it."""
+        return self._stated.config == hashlib.sha256(config).hexdigest()
+
+    def write(self, rows: int) -> None:
+        """Write what a checkpoint states at which the run has written so many rows."""
+        marks = {number: mark for number, mark in self._stated.metrics.items() if number < rows}
+        if mark := self.mark():
+            marks[rows] = mark
+        self._update(metrics=dict(sorted(marks.items())[-2:]))
+
+    def announce(self, config: bytes) -> None:
+        """Write that ``config.yaml`` will have these bytes, which a kill may leave before it."""
+        self._update(config=hashlib.sha256(config).hexdigest())
+
+    def _update(self, **changes: Any) -> None:
+        self._stated = self._stated.model_copy(update=changes)
+        now = {"seconds": round(self.seconds, 3)}
+        write_json(self._path, self._stated.model_copy(update=now).model_dump())

@@ -367,20 +367,27 @@ def _train(
     directory, config = trainer.directory, trainer.config
     total, done = config.train.decisions, trainer.progress.decision
     columns = list(config.rewards), config.randomise.names
+    written = trainer.rows, trainer.companion.marked(trainer.rows)
+
+    def metrics() -> MetricsCsv:
+        opened = MetricsCsv(directory / METRICS, *columns, *written, reports.tell)
+        trainer.companion.mark = opened.mark
+        return opened
+
     makers: list[Callable[[], Listener]] = [
-        lambda: MetricsCsv(directory / METRICS, *columns, resume_at),
+        metrics,
         *openers(config, directory, resume_at),
         *(partial(make, total, done) for make in reports.listeners),
     ]
     if resume_at is None:  # else a kill leaves a metrics.csv that belongs to no run
-        run_folder.write_config(directory, config)
+        run_folder.write_config(directory, config, trainer.companion)
     with contextlib.ExitStack() as opened:  # the trainer closes them once it runs
         for make in makers:
             trainer.listeners.append(make())
             opened.push(closer(trainer.listeners[-1]))
         opened.pop_all()
     if resume_at is not None:  # once the files of a resumed run are read
-        run_folder.write_config(directory, config)
+        run_folder.write_config(directory, config, trainer.companion)
     stopped_late: list[InterruptedRunError] = []
     try:
         with interrupts("finishing the episode and saving …") as interrupted:

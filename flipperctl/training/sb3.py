@@ -309,8 +309,7 @@ class Sb3Trainer(BaseTrainer):
             generators=Generators.model_validate(dict.fromkeys(Generators.model_fields, blank)),
         )
         document = checkpoint.describe(self.config, "last", state=state)
-        checkpoint.write(self.directory / checkpoint.LAST, document, join(tensors))
-        self._stopwatch.write()
+        self._write_last(document, join(tensors))
         self._save_best()
 
     def _held(self) -> dict[str, torch.Tensor]:

@@ -8,17 +8,16 @@ job. One Ctrl-C stops every run, in any process in which a launcher trains it.
 from __future__ import annotations
 
 import contextlib
-import csv
 import json
 import re
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError, RunHeldError
-from flipperctl.files import make_folder, write_csv
+from flipperctl.files import make_folder, read_csv, write_csv
 from flipperctl.results import SUMMARY, hold, holds_run, is_dead, names
 from flipperctl.session import interrupts
 
@@ -136,14 +135,17 @@ def sweep_run(
     return SweepRun(number, swept, folder, error, summary if isinstance(summary, dict) else {})
 
 
-def write_comparison(folder: Path, runs: Sequence[SweepRun]) -> list[SweepRun]:
+def write_comparison(
+    folder: Path, runs: Sequence[SweepRun], earlier: Sequence[Mapping[str, Any]] = ()
+) -> list[SweepRun]:
     """Write ``sweep.csv`` into the sweep's ``folder``; return the runs that it compares.
 
-    A run that was refused because its folder holds another run is left out.
+    ``earlier``: the rows that the file has. A run that was refused because its folder holds another
+    run is left out.
     """
     compared = [run for run in runs if not (run.summary and isinstance(run.error, RequestError))]
     if compared:
-        rows = _earlier_rows(folder, compared) + [run.row() for run in compared]
+        rows = [*_not_replaced(earlier, folder, compared), *(run.row() for run in compared)]
         write_csv(folder / FILE, sorted(rows, key=_job_number))
     return compared
 
@@ -153,25 +155,19 @@ def _job_number(row: Mapping[str, Any]) -> int:
     return int(number) if number.isdecimal() else 0
 
 
-def _earlier_rows(folder: Path, runs: Sequence[SweepRun]) -> list[dict[str, Any]]:
-    """Return the rows of an earlier sweep in the folder, without those that ``runs`` replace.
+def _not_replaced(
+    rows: Iterable[Mapping[str, Any]], folder: Path, runs: Sequence[SweepRun]
+) -> Iterator[Mapping[str, Any]]:
+    """Yield the rows of an earlier sweep in the folder, without those that ``runs`` replace.
 
     The folder may have been moved since, so that rows are known by the places of their runs in it.
-    A damaged file has no rows.
     """
     here, folders = folder.absolute(), [run.folder.absolute() for run in runs]
     replaced = [(p.relative_to(here) if p.is_relative_to(here) else p).parts for p in folders]
-    try:
-        with (folder / FILE).open(encoding="utf-8", newline="") as file:
-            rows = list(csv.DictReader(file))
-    except (OSError, UnicodeDecodeError, csv.Error):
-        return []
-    kept = []
     for row in rows:
-        parts = Path(row.get("folder") or "").parts
+        parts = Path(row["folder"]).parts
         if not any(parts[-len(place) :] == place for place in replaced):
-            kept.append(row)
-    return kept
+            yield row
 
 
 Job = Sequence[str]
@@ -242,11 +238,13 @@ class Sweep:
                 except RunHeldError:
                     if not self._numbered:
                         raise
+            table = self.folder / FILE  # it is read before any job, since it is written anew
+            earlier = read_csv(table, ("job", "folder")) if table.exists() else []
             try:
                 with stopping(self.folder) as self.stop:
                     yield
             finally:
-                self._show(self.folder, write_comparison(self.folder, self.runs))
+                self._show(self.folder, write_comparison(self.folder, self.runs, earlier))
 
     def launch(self, jobs: Sequence[Job], first: int) -> list[JobResult]:
         """Train each job and return the results, fewer after an interrupt.

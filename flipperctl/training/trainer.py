@@ -178,10 +178,6 @@ class Trainer(BaseTrainer):
         resumed run resends the ``outstanding`` requests.
         """
         self._recorder.save()
-        self._write_last(outstanding)
-        self._stopwatch.write()
-
-    def _write_last(self, outstanding: Sequence[RolloutRequest]) -> None:
         parts = {"replay": self.replay.filled(), "groups": self.valued.memory.filled()}
         parts |= {f"weights{request.version}": dict(request.weights) for request in outstanding}
         held = {p: {n: torch.from_numpy(a) for n, a in kept.items()} for p, kept in parts.items()}
@@ -199,7 +195,7 @@ class Trainer(BaseTrainer):
             generators=Generators.model_validate(generators),
         )
         document = checkpoint.describe(self.config, "last", state=state)
-        checkpoint.write(self.directory / checkpoint.LAST, document, tensors)
+        self._write_last(document, tensors)
 
     def _save_all(self, outstanding: Sequence[RolloutRequest]) -> None:
         self.save(outstanding)

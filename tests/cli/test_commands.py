@@ -12,7 +12,7 @@ import pytest
 from flipperctl import bench, checkpoint
 from flipperctl.cli.train import split_arguments
 from flipperctl.env.metrics import RESERVED, measures
-from flipperctl.training.listeners import read_rows
+from flipperctl.files import read_csv
 from flipperctl.training.trainer import Trainer
 from tests.cli.call import EXACT, call
 
@@ -50,7 +50,7 @@ def test_train_stops_by_ctrl_c_and_resumes_to_every_promised_file(
     promised = {"config.yaml", "metrics.csv", "summary.json", checkpoint.BEST, checkpoint.LAST}
     assert set(map(str, promised)) <= found
     assert any("tfevents" in name for name in found)
-    rows = read_rows(run / "metrics.csv")
+    rows = read_csv(run / "metrics.csv")
     assert {row["kind"] for row in rows} == {"episode", "validation"}
     decisions = [int(row["decision"]) for row in rows]
     assert decisions == sorted(decisions)

@@ -138,14 +138,14 @@ def test_a_run_without_a_checkpoint_begins_anew_and_one_at_its_end_is_closed(
 def test_a_run_with_other_settings_is_refused_by_name(whole: Path, tmp_path: Path) -> None:
     folder = Path(shutil.copytree(whole, tmp_path / "s w"))
     before = (folder / "0_seed=1" / checkpoint.LAST).read_bytes()
-    (folder / "sweep.csv").write_text("as it was")
+    (folder / "sweep.csv").write_text("job,folder,as it was\n")
     done = sweep(tmp_path, "hydra.sweep.dir=s w", "agent.gamma=0.9")
     assert done.code == 2
     error = done.err.splitlines()[-1]
     assert "0_seed=1 already holds a run with other settings" in error
     assert "agent.gamma: 0.99 there, 0.9 here" in error
     assert (folder / "0_seed=1" / checkpoint.LAST).read_bytes() == before
-    assert (folder / "sweep.csv").read_text() == "as it was"
+    assert (folder / "sweep.csv").read_text() == "job,folder,as it was\n"
 
 
 def test_ctrl_c_before_the_first_run_begins_nothing(

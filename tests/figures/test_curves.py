@@ -1,39 +1,45 @@
 """Learning curves over seeds, with numbers worked by hand."""
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from flipperctl.errors import RequestError
 from flipperctl.figures.curves import column, curves_figure, over_seeds, running_mean
+from flipperctl.files import CsvRow, read_csv
 
-Rows = list[dict[str, str]]
+Rows = list[CsvRow]
 
 
 def validations(*values: float, rate: float = 1.0) -> Rows:
     """Return the rows of a run with a validation at each hundredth decision."""
     return [
-        {
-            "kind": "validation",
-            "decision": f"{100 * (at + 1)}",
-            "success_rate": f"{rate}",
-            "pitch_variation_100hz": f"{value}",
-            "return": f"{10 * value}",
-        }
+        CsvRow(
+            {
+                "kind": "validation",
+                "decision": f"{100 * (at + 1)}",
+                "success_rate": f"{rate}",
+                "pitch_variation_100hz": f"{value}",
+                "return": f"{10 * value}",
+            }
+        )
         for at, value in enumerate(values)
     ]
 
 
 def episodes(count: int, outcome: str = "reached") -> Rows:
     return [
-        {
-            "kind": "episode",
-            "decision": f"{10 * (at + 1)}",
-            "outcome": outcome if at % 2 else "reached",
-            "pitch_variation_100hz": f"{1 + at % 2}",
-            "loss": "" if at < 3 else "0.1",
-        }
+        CsvRow(
+            {
+                "kind": "episode",
+                "decision": f"{10 * (at + 1)}",
+                "outcome": outcome if at % 2 else "reached",
+                "pitch_variation_100hz": f"{1 + at % 2}",
+                "loss": "" if at < 3 else "0.1",
+            }
+        )
         for at in range(count)
     ]
 
@@ -102,6 +108,8 @@ def test_running_mean_by_hand() -> None:
     assert running_mean(values, 2) == pytest.approx(np.array(expected), nan_ok=True)
 
 
-def test_a_bad_cell_is_named() -> None:
-    with pytest.raises(ValueError, match=r"row 2, loss: a number is allowed; got 'high'"):
-        column([{"loss": ""}, {"loss": "high"}], "loss")
+def test_a_bad_cell_is_named(tmp_path: Path) -> None:
+    (tmp_path / "metrics.csv").write_text("kind,loss\nepisode,\nepisode,high\n")
+    words = r"metrics\.csv, line 3: loss: a number is allowed; the value is 'high'"
+    with pytest.raises(RequestError, match=words):
+        column(read_csv(tmp_path / "metrics.csv"), "loss")

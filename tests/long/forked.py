@@ -179,7 +179,7 @@ def _members(group: int) -> list[int]:
 def result(run: Path) -> dict[str, Any]:
     """Return the contents of a finished run without times; equal runs have equal results."""
     from flipperctl import checkpoint
-    from flipperctl.training.listeners import read_rows
+    from flipperctl.files import read_csv
 
     found: dict[str, Any] = {}
     for name in (checkpoint.BEST, checkpoint.LAST):
@@ -189,7 +189,7 @@ def result(run: Path) -> dict[str, Any]:
             digest.update(key.encode() + saved.tensors[key].numpy().tobytes())
         found[f"{name.stem} tensors"] = digest.hexdigest()
         found[f"{name.stem} document"] = _without_times(saved.document)
-    found["metrics"] = [_without_times(row) for row in read_rows(run / "metrics.csv")]
+    found["metrics"] = [_without_times(row) for row in read_csv(run / "metrics.csv")]
     found["summary"] = _without_times(json.loads((run / "summary.json").read_text()))
     return found
 

@@ -9,7 +9,8 @@ import pytest
 from flipperctl import checkpoint
 from flipperctl.env.privileged import SIZE
 from flipperctl.errors import CheckpointError
-from flipperctl.training.listeners import MetricsCsv, read_rows
+from flipperctl.files import read_csv
+from flipperctl.training.listeners import MetricsCsv
 from flipperctl.training.run import resume
 from flipperctl.training.trainer import Trainer
 from tests.short import few, short_config, trainer
@@ -109,7 +110,7 @@ def test_difficulty_grows_with_success_and_is_kept_when_a_run_is_resumed(tmp_pat
     whole.listeners.append(MetricsCsv(tmp_path / "metrics.csv", []))
     whole.run(stop=lambda: whole.progress.difficulty >= 0.25)
     expected = 0.0
-    rows = read_rows(tmp_path / "metrics.csv")
+    rows = read_csv(tmp_path / "metrics.csv")
     for row in (row for row in rows if row["kind"] == "episode"):
         assert (row["terrain"], float(row["difficulty"])) == ("flat", pytest.approx(expected))
         expected = config.terrain.next_difficulty(expected, row["outcome"] == "reached")

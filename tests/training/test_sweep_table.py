@@ -1,9 +1,12 @@
 """What the rows of runs and sweeps say of validations, and which rows stay."""
 
-import csv
 from pathlib import Path
 
-from flipperctl.training.sweep import FILE, SweepRun, of_reached, write_comparison
+import pytest
+
+from flipperctl.errors import RequestError
+from flipperctl.files import read_csv
+from flipperctl.training.sweep import FILE, Sweep, SweepRun, of_reached, write_comparison
 
 
 def test_a_validation_that_reached_nothing_has_no_way_to_the_finish(tmp_path: Path) -> None:
@@ -20,21 +23,20 @@ def test_a_validation_that_reached_nothing_has_no_way_to_the_finish(tmp_path: Pa
     assert of_reached({**best, "return": 1.0})["return"] == 1.0
 
 
-def rows(folder: Path) -> list[tuple[str, str]]:
-    with (folder / FILE).open(encoding="utf-8", newline="") as file:
-        return [(row["job"], row["folder"]) for row in csv.DictReader(file)]
-
-
 def test_a_sweep_that_was_moved_has_each_run_once(tmp_path: Path) -> None:
     sweep = tmp_path / "sweep"
     sweep.mkdir()
     write_comparison(sweep, [SweepRun(i, {}, sweep / f"{i}_a", None, {}) for i in range(2)])
     moved = sweep.rename(tmp_path / "moved")
-    write_comparison(moved, [SweepRun(0, {}, moved / "0_a", None, {})])
-    assert rows(moved) == [("0", str(moved / "0_a")), ("1", str(sweep / "1_a"))]
+    write_comparison(moved, [SweepRun(0, {}, moved / "0_a", None, {})], read_csv(moved / FILE))
+    rows = [(row["job"], row["folder"]) for row in read_csv(moved / FILE)]
+    assert rows == [("0", str(moved / "0_a")), ("1", str(sweep / "1_a"))]
 
 
-def test_a_damaged_table_of_a_sweep_is_written_anew(tmp_path: Path) -> None:
-    (tmp_path / FILE).write_bytes(b"job,folder\n0,\xff")
-    write_comparison(tmp_path, [SweepRun(0, {}, tmp_path / "0_a", None, {})])
-    assert rows(tmp_path) == [("0", str(tmp_path / "0_a"))]
+def test_a_table_that_cannot_be_read_is_refused_before_any_job(tmp_path: Path) -> None:
+    (tmp_path / FILE).write_text("job;folder\n0;0_seed=1\n")
+    sweep = Sweep(tmp_path, lambda *_: [], lambda *_: None, named=True, serial=True)
+    with pytest.raises(RequestError, match=r"sweep\.csv, line 1: there is no column 'job'"):  # noqa: SIM117
+        with sweep.held():
+            pytest.fail("a job would begin")
+    assert (tmp_path / FILE).read_text() == "job;folder\n0;0_seed=1\n"
