@@ -24,7 +24,10 @@ def __getattr__(name: str) -> object:
     if name in __all__:
         from importlib import import_module
 
-        found: object = getattr(import_module("flipperctl.scripting"), name)
+        from flipperctl.undisturbed import undisturbed
+
+        with undisturbed():  # libraries draw random numbers when they are imported
+            found: object = getattr(import_module("flipperctl.scripting"), name)
     elif name == "__version__":
         found = _version()
     else:

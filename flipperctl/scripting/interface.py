@@ -45,7 +45,7 @@ from flipperctl.scripting.settings import (
     begin,
     check_evaluation,
     check_training,
-    short_errors,
+    public,
     words,
 )
 from flipperctl.session import interrupts
@@ -89,6 +89,7 @@ class Run:
     def __fspath__(self) -> str:
         return str(self.directory)
 
+    @public()
     def metrics(self) -> list[dict[str, float | str | None]]:
         """Return the rows of ``metrics.csv``: one for each episode and each validation.
 
@@ -97,6 +98,7 @@ class Run:
         rows = read_csv(self.directory / METRICS)
         return [{name: _value(cell) for name, cell in row.items()} for row in rows]
 
+    @public()
     def metrics_frame(self) -> DataFrame:
         """Return the rows of ``metrics.csv`` as a data frame of pandas.
 
@@ -131,7 +133,7 @@ FLIPPER = "flipperctl.env:flipperctl/Flipper-v0"
 """The environment, for ``gymnasium.make``."""
 
 
-@short_errors()
+@public()
 def train(
     *,
     directory: str | os.PathLike[str] | None = None,
@@ -186,7 +188,7 @@ def train(
     return Run(finished.directory, finished.summary)
 
 
-@short_errors()
+@public()
 def environment(
     *,
     render_mode: str | None = None,
@@ -284,10 +286,12 @@ class Evaluation:
         """Return plain data: what ``flipperctl eval --json`` prints."""
         return self.document
 
+    @public()
     def show(self, columns: Sequence[str] = ()) -> None:
         """Print the tables that ``flipperctl eval`` prints, with further ``columns``."""
         print_result(self.result, self.document, parse_columns(",".join(columns) or None))
 
+    @public()
     def scenes_frame(self) -> DataFrame:
         """Return a row for each scene and policy: means with their 95 % intervals.
 
@@ -298,6 +302,7 @@ class Evaluation:
         """
         return data_frame(csv_rows(self.document))
 
+    @public()
     def episodes_frame(self) -> DataFrame:
         """Return a row for each episode of the policies and baselines, as in ``episodes.csv``.
 
@@ -310,7 +315,7 @@ class Evaluation:
 Named = str | os.PathLike[str] | LoadedPolicy | Function
 
 
-@short_errors()
+@public()
 def evaluate(
     policy: Named | Sequence[Named],
     *,
@@ -414,7 +419,7 @@ def evaluate(
     return done[0]
 
 
-@short_errors()
+@public()
 def plot(
     *sources: str | os.PathLike[str],
     kind: str | None = None,

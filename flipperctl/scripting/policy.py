@@ -38,14 +38,14 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import NonFiniteError, PolicyError, RequestError
 from flipperctl.evaluation.conditions import read_config
 from flipperctl.policies.source import FilePolicy, PolicySource, load_policy
-from flipperctl.scripting.settings import Paths, begin, short_errors
+from flipperctl.scripting.settings import Paths, begin, public
 from flipperctl.terminal.streams import print_note
 
 if TYPE_CHECKING:
     from torch import nn
 
 
-@short_errors()
+@public()
 def load(policy: str | os.PathLike[str], *, plugins: Paths = (), **fields: object) -> LoadedPolicy:
     """Load a policy to call.
 
@@ -81,6 +81,7 @@ class _FunctionController(Controller):
 
     function: ClassVar[Function]
 
+    @public()
     def act(self, p: Perception) -> Any:
         """Return what the function returns for the observation."""
         found = type(self).function(p.observation)
@@ -116,7 +117,7 @@ def function_policy(function: Function) -> str:
     return name
 
 
-@short_errors()
+@public()
 def save(
     network: nn.Module,
     env: gymnasium.Env[Any, Any],
@@ -184,6 +185,7 @@ class LoadedPolicy:
         """Robot that the policy drives; None of a controller before its first ``reset``."""
         return None if self._config is None else self._config.robot
 
+    @public()
     def reset(self, env: gymnasium.Env[Any, Any] | None = None) -> None:
         """Begin an episode.
 
@@ -207,6 +209,7 @@ class LoadedPolicy:
         assert self._policy is not None
         self._policy.reset(task.simulator())
 
+    @public()
     def __call__(self, observation: ArrayLike) -> Action:
         """Return the action, an index into ``flipperctl.api.ACTIONS`` or rates, for an observation.
 
@@ -234,6 +237,7 @@ class LoadedPolicy:
         self._recent.append(array)
         return policy.act_on(tuple(self._recent))
 
+    @public()
     def act(self, perception: Perception) -> Action:
         """Return the action, an index into ``flipperctl.api.ACTIONS`` or rates, for a perception.
 

@@ -24,6 +24,7 @@ from flipperctl.config.words import quoted
 from flipperctl.errors import ConfigError, PluginError, RequestError
 from flipperctl.session import remember_plugins
 from flipperctl.terminal.streams import begin_notices
+from flipperctl.undisturbed import undisturbed
 
 Paths = Sequence[str | os.PathLike[str]]
 
@@ -39,13 +40,15 @@ def begin(plugins: Paths) -> None:
 
 
 @contextlib.contextmanager
-def short_errors() -> Iterator[None]:
-    """Leave the errors behind a refused request out of its traceback, since its text has them.
+def public() -> Iterator[None]:
+    """Be around every public function: the caller's process keeps its state, see ``undisturbed``.
 
-    With ``FLIPPERCTL_DEBUG=1`` they stay.
+    The errors behind a refused request are left out of its traceback, since its text has them. With
+    ``FLIPPERCTL_DEBUG=1`` they stay.
     """
     try:
-        yield
+        with undisturbed():
+            yield
     except RequestError as error:
         if os.environ.get(entry.DEBUG) != "1":
             error.__cause__ = None

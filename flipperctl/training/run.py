@@ -282,13 +282,11 @@ def resume(
 
 @contextlib.contextmanager
 def _held(directory: Path) -> Iterator[None]:
-    """Lock the directory; afterwards remove it if it is empty, and give torch its threads back."""
-    threads = torch.get_num_threads()
+    """Lock the directory; afterwards remove it if it is empty."""
     try:
         with hold(directory):
             yield
     finally:
-        torch.set_num_threads(threads)
         with contextlib.suppress(OSError):  # it holds files
             directory.rmdir()
 

@@ -1,0 +1,62 @@
+"""Leaves the state of the caller's process as it is, and depends on none of it.
+
+A script's global generators, and its settings of numpy and torch, are the same before and after
+every public function, which computes with the same settings in every script.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import random
+import sys
+from collections.abc import Iterator
+
+import numpy as np
+
+_COMPUTING = ("cpu", "cuda", "mps", "xpu")
+"""Kinds of devices that torch computes on."""
+
+
+@contextlib.contextmanager
+def undisturbed() -> Iterator[None]:
+    """Compute in the body with settings of our own; put back what the caller has.
+
+    That is: the states of the generators of Python, numpy and torch; numpy's handling of errors;
+    torch's default type and device, automatic casts, gradients and number of threads. torch is not
+    imported for this.
+    """
+    with contextlib.ExitStack() as caller:
+        caller.callback(random.setstate, random.getstate())
+        caller.callback(np.random.set_state, np.random.get_state())  # noqa: NPY002
+        caller.enter_context(
+            np.errstate(divide="warn", over="warn", under="ignore", invalid="warn")
+        )
+        if "torch" in sys.modules:
+            _keep_torch(caller)
+        yield
+
+
+def _keep_torch(caller: contextlib.ExitStack) -> None:
+    import torch
+
+    # A seed of the caller's also holds for graphics cards that are first used in the body.
+    caller.callback(torch.set_rng_state, torch.get_rng_state())
+    if torch.cuda.is_initialized():
+        caller.callback(torch.cuda.set_rng_state_all, torch.cuda.get_rng_state_all())
+    elif torch.cuda.is_available():
+        seed = torch.initial_seed()
+        caller.callback(lambda: torch.cuda.is_initialized() and torch.cuda.manual_seed_all(seed))
+
+    caller.callback(torch.set_num_threads, torch.get_num_threads())
+    torch.set_num_threads(1)
+    caller.callback(torch.set_default_dtype, torch.get_default_dtype())
+    torch.set_default_dtype(torch.float32)
+    caller.enter_context(torch.inference_mode(False))
+    caller.enter_context(torch.enable_grad())
+
+    # Both slow torch down, so that they are overridden only where the caller has them.
+    if torch.get_default_device().type != "cpu":
+        caller.enter_context(torch.device("cpu"))
+    for kind in _COMPUTING:
+        if torch.amp.is_autocast_available(kind) and torch.is_autocast_enabled(kind):
+            caller.enter_context(torch.autocast(kind, enabled=False))
