@@ -25,6 +25,7 @@ from matplotlib.lines import Line2D
 
 from flipperctl import __version__
 from flipperctl.api import FloatArray, Measure, Profile, registry
+from flipperctl.figures import settings
 from flipperctl.figures.render import EARTH, FAINT, GROUND, INK
 from flipperctl.files import OutputKind, check_output, write_bytes
 
@@ -90,9 +91,7 @@ def styled(style: Style) -> Iterator[None]:
     """Draw in a style, whatever the user's own settings of matplotlib are."""
     before = _style.set(style)
     try:
-        with matplotlib.rc_context():
-            matplotlib.rcdefaults()
-            _settings.update({**_COMMON, **STYLES[style]})
+        with settings(**(_COMMON | STYLES[style])):
             yield
     finally:
         _style.reset(before)
@@ -230,9 +229,9 @@ def render(figure: Figure, suffix: str, about: str = "") -> bytes:
         ".png": {"Software": "flipperctl", "Description": text},
     }
     # Without a salt, ids of SVG are random; publishers refuse Type 3 fonts, which are the default.
-    wanted: Any = {"svg.hashsalt": "flipperctl", "pdf.fonttype": 42}
+    wanted = {"svg.hashsalt": "flipperctl", "pdf.fonttype": 42}
     buffer = io.BytesIO()
-    with matplotlib.rc_context(wanted):
+    with settings(**wanted):
         figure.savefig(buffer, format=suffix[1:], dpi=200, metadata=described[suffix])
     return buffer.getvalue()
 

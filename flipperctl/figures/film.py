@@ -30,6 +30,7 @@ from flipperctl.config import EnvConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.pictures import Observer
 from flipperctl.errors import RequestError
+from flipperctl.figures import settings
 from flipperctl.figures.animation import LAST, SHOWN, Frame, check_film, write_film
 from flipperctl.figures.episode import draw_angles, window
 from flipperctl.figures.figure import SCREEN, draw_ground, frame, scaled, styled
@@ -132,7 +133,8 @@ def film(
             if held is not None:
                 yield held[0], LAST
 
-    write_film(path, frames())
+    with settings():
+        write_film(path, frames())
 
 
 def _numbers(shot: Shot) -> str:

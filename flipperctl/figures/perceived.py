@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray, RobotGeometry, RobotState
 from flipperctl.errors import RequestError
+from flipperctl.figures import settings
 from flipperctl.figures.animation import FILM, LAST, Frame, check_film, write_film
 from flipperctl.figures.figure import PICTURE, SCREEN, save, style_axes, styled
 from flipperctl.figures.render import HEIGHTS, INK, RobotArtist, drawn_pixels
@@ -75,7 +76,8 @@ def draw_perceived(
     with styled("screen"):
         picture = _PerceivedPicture(replay, robot, f", {_RATE} × real time" if at is None else "")
     if at is not None:
-        picture.show(min(replay.instants, key=lambda instant: abs(instant.time - at)))
+        with settings():
+            picture.show(min(replay.instants, key=lambda instant: abs(instant.time - at)))
         save(picture.figure, path)
         return
     pauses = [*(pause / _RATE for pause in np.diff(times).tolist()), LAST]
@@ -85,7 +87,8 @@ def draw_perceived(
             yield picture.show(instant), shown
             report_progress((index + 1) / len(times))
 
-    write_film(path, frames())
+    with settings():
+        write_film(path, frames())
 
 
 def faces(points: FloatArray, filled: NDArray[np.bool_]) -> list[FloatArray]:

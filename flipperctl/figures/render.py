@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray, Profile, RobotGeometry, RobotState, candidate_angle
 from flipperctl.env.pictures import HEIGHT, WIDTH, Perceived, Scene
+from flipperctl.figures import settings
 from flipperctl.sim import outline
 from flipperctl.sim.outline import axles, belt_marks, outlines
 
@@ -89,6 +90,7 @@ class RobotArtist:
 class Renderer:
     """Draw one picture per call into the same figure."""
 
+    @settings()
     def __init__(self) -> None:
         figure = Figure((WIDTH / _DPI, HEIGHT / _DPI), _DPI, facecolor="white")
         self._canvas: Any = FigureCanvasAgg(figure)
@@ -97,6 +99,7 @@ class Renderer:
         self._build_scene(self._axes)
         self._build_caption(figure)
 
+    @settings()
     def __call__(self, scene: Scene) -> NDArray[np.uint8]:
         """Return a picture of the scene, (HEIGHT, WIDTH, 3)."""
         self._look_at(scene)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from matplotlib.colors import to_rgb
 
 from flipperctl.api import Profile, Range, Robot, Terrain
 from flipperctl.config import EnvConfig
@@ -137,6 +136,8 @@ def picture(terrain: Terrain) -> None:
     """Check that ground and robot are visible in a video frame."""
     env = _environment(terrain)
     env.reset(seed=0)
+    from matplotlib.colors import to_rgb  # once flipperctl.figures has imported matplotlib
+
     picture = Renderer()(env.scene).astype(int)
     for what, colour in (("ground", EARTH), ("robot", CHASSIS)):
         near = np.abs(picture - np.round(255 * np.array(to_rgb(colour)))).max(axis=2) <= 8

@@ -46,6 +46,8 @@ try:
     from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
     from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
     from stable_baselines3.common.utils import LinearSchedule
+
+    import flipperctl.figures  # noqa: F401  # the library imports matplotlib under any MPLBACKEND
 except ImportError as error:
     raise MissingExtraError(
         "method=sb3 needs the package stable-baselines3; install flipperctl[sb3]"

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
+import matplotlib
+import matplotlib.style
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgba
@@ -13,13 +18,14 @@ from matplotlib.figure import Figure
 
 from flipperctl.api import Profile, RobotGeometry
 from flipperctl.config import EvalConfig, with_overrides
+from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import OutputError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.plan import Entry
 from flipperctl.evaluation.run import picture_names
 from flipperctl.figures.episode import episode_figure
 from flipperctl.figures.figure import save
-from flipperctl.figures.render import BELT
+from flipperctl.figures.render import BELT, Renderer
 from flipperctl.figures.terrain import terrain_figure
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.trace import Trace
@@ -107,17 +113,51 @@ def test_an_overturned_robot_stays_in_the_picture_and_its_swing_shows() -> None:
     assert below.get_ylim()[1] > math.degrees(1.0)
 
 
+OF_A_USER: dict[str, Any] = {
+    **matplotlib.style.library["dark_background"],
+    **{"savefig.bbox": "tight", "savefig.dpi": 50, "savefig.transparent": True, "figure.dpi": 30},
+    **{"svg.fonttype": "none", "pdf.use14corefonts": True, "axes.unicode_minus": False},
+    **{"font.family": "monospace", "font.sans-serif": ["DejaVu Serif"], "text.antialiased": False},
+    **{"path.simplify": False, "lines.antialiased": False, "axes.formatter.use_mathtext": True},
+}
+
+
 @pytest.mark.parametrize(
     ("name", "magic"), [("a.png", b"\x89PNG"), ("a.svg", b"<?xml"), ("a.PDF", b"%PDF")]
 )
-def test_save_writes_by_suffix_and_twice_the_same(name: str, magic: bytes, tmp_path: Path) -> None:
+def test_save_writes_by_suffix_and_the_same_whatever_the_user_s_settings_are(
+    name: str, magic: bytes, tmp_path: Path
+) -> None:
     path = tmp_path / name
     save(terrain_figure([STEP], ROBOT), path)
     first = path.read_bytes()
     assert first.startswith(magic)
-    save(terrain_figure([STEP], ROBOT), path)
+    with matplotlib.rc_context(OF_A_USER):
+        before = dict(matplotlib.rcParams)
+        save(terrain_figure([STEP], ROBOT), path)
+        assert dict(matplotlib.rcParams) == before
     assert path.read_bytes() == first
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_pictures_of_the_environment_do_not_depend_on_the_user_s_settings() -> None:
+    env = FlipperEnv("flat", render_mode="rgb_array")
+    env.reset(seed=0)
+    first = Renderer()(env.scene)
+    with matplotlib.rc_context(OF_A_USER):
+        assert np.array_equal(Renderer()(env.scene), first)
+
+
+def test_figures_are_drawn_under_a_backend_that_does_not_exist() -> None:
+    script = (
+        "import os, flipperctl.figures.figure, matplotlib\n"
+        "print(os.environ['MPLBACKEND'], matplotlib.get_backend())"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], env={**os.environ, "MPLBACKEND": "nonsense"},
+        capture_output=True, text=True, timeout=120,
+    )  # fmt: skip
+    assert (done.stdout, done.returncode) == ("nonsense agg\n", 0), done.stderr
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import ctypes.util
 from dataclasses import replace
 
+import matplotlib.style
 import numpy as np
 import pytest
 from PIL import Image
@@ -75,8 +76,9 @@ def frames(path):
 
 def test_a_film_moves_lasts_as_long_as_it_says_and_is_equal_for_equal_episodes(tmp_path):
     paths, done = [tmp_path / "one.gif", tmp_path / "two.gif"], []
-    for path in paths:
-        film(path, [take(FLAT, "level")], speed=3, report_progress=done.append)
+    for path, style in zip(paths, ("default", "dark_background"), strict=True):
+        with matplotlib.style.context(style):
+            film(path, [take(FLAT, "level")], speed=3, report_progress=done.append)
     assert paths[0].read_bytes() == paths[1].read_bytes()
     check_output(paths[0], FILM)  # a film of before is replaced
     assert done[-1] == 1
