@@ -43,8 +43,8 @@ def as_action(value: Any) -> Action | None:
     """Return a value as an action, or None if it is not one.
 
     An index is an integer of Python or numpy, or an integer array without a dimension. Other
-    numbers, booleans and integer arrays with a dimension are none, as for Gymnasium's Discrete.
-    Rates are a pair or an array (2,) of finite floats.
+    numbers and booleans are none, as for Gymnasium's Discrete. Rates are a pair or an array (2,) of
+    finite numbers.
     """
     if isinstance(value, bool):
         return None
@@ -59,7 +59,7 @@ def _as_rates(value: Any) -> Rates | None:
     if not isinstance(value, tuple | list | np.ndarray):
         return None
     array = np.asarray(value)
-    if array.shape != (2,) or array.dtype.kind != "f":
+    if array.shape != (2,) or array.dtype.kind not in "fiu":
         return None
     front, rear = array.tolist()
     within = abs(front) <= 1 + _ROUNDING and abs(rear) <= 1 + _ROUNDING  # false for NaN

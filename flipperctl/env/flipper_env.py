@@ -57,6 +57,13 @@ from flipperctl.reward_sum import RewardSum
 Observation = NDArray[np.float32]
 
 
+def _checked(seed: int | None) -> int | None:
+    """Return a seed; gymnasium would take true for 1."""
+    if isinstance(seed, bool):
+        raise ValueError(f"seed: a number is allowed; the value is {seed}")
+    return seed
+
+
 class FlipperEnv(gymnasium.Env[Observation, Any]):
     """One robot drives across one terrain in each episode; the policy turns its flippers.
 
@@ -80,6 +87,7 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
         actions: ActionKind = "turns",
         render_mode: str | None = None,
         renderer: Renderer | None = None,
+        seed: int | None = None,
         **overrides: Any,
     ) -> None:
         """Configure the task; ``config`` replaces ``terrain`` and ``overrides``.
@@ -88,7 +96,8 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
         sections, nested (``episode={"slack": 2}``) or dotted (``**{"rewards.pitch.lambda_2": 8}``);
         ``rewards={}`` removes every term. ``actions``: ``"turns"`` for ``Discrete(9)``, ``"rates"``
         for ``Box(-1, 1, (2,))``. ``renderer`` draws the scenes of engines that draw no
-        pictures themselves; by default it is the installed one.
+        pictures themselves; by default it is the installed one. ``seed``: that of the first reset,
+        unless it has its own.
 
         Raises:
             ConfigError: a setting, value, plugin or render mode does not exist.
@@ -130,6 +139,7 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
         self._last_move: tuple[int, int] | None = None
         self._outcome: Outcome | None = None
         self._replayed: repeating.Replayed | None = None
+        self._first_seed = _checked(seed)
         self._seed: int | None = None
         self.running = False
         """Whether an episode runs: ``reset`` began it, and it has not ended."""
@@ -147,9 +157,8 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
             PluginFailedError: the code of the terrain, engine or sensor failed.
         """
         difficulty = ground.asked_difficulty(options)
-        if isinstance(seed, bool):
-            raise ValueError(f"seed: a number is allowed; the value is {seed}")
-        self.running = False
+        seed = self._first_seed if seed is None else _checked(seed)
+        self.running, self._first_seed = False, None
         before = global_states() if self.foreign else None
         super().reset(seed=seed)
         self._begin(difficulty, seed)

@@ -17,9 +17,10 @@ from flipperctl.api import Profile, Terrain
 from flipperctl.config.resolver import construct, nested_plugins
 from flipperctl.errors import TerrainError
 from flipperctl.guard import refusal, short_repr
-from flipperctl.messages import explain
+from flipperctl.messages import close_match, explain
 from flipperctl.sim.ground import check_extent, thinned
 
+_DIFFICULTY = "difficulty"
 LONGEST = 1000.0
 """Longest profile [m]; its episode takes more than an hour of simulated time."""
 MOST_POINTS = 100_000
@@ -113,7 +114,15 @@ def prepare_profile(profile: Profile, terrain: Terrain, track_radius: float) -> 
 
 def asked_difficulty(options: Mapping[str, Any] | None) -> float:
     """Return the difficulty among the options of a reset, by default 1."""
-    found: Any = (options or {}).get("difficulty", 1.0)
+    if not isinstance(options, Mapping | None):
+        raise ValueError(f"options: a mapping is allowed; the value is {short_repr(options)}")
+    for name in options or ():
+        if name != _DIFFICULTY:
+            raise ValueError(
+                f"options: there is no option {short_repr(name)}"
+                f"{close_match(str(name), [_DIFFICULTY])}; {_DIFFICULTY!r} is allowed"
+            )
+    found: Any = (options or {}).get(_DIFFICULTY, 1.0)
     known = isinstance(found, Real)
     if not known or not 0 <= found <= 1:  # false for NaN
         raise ValueError(f"there is no difficulty {found!r}; 0 to 1 is allowed")

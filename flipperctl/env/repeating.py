@@ -20,7 +20,7 @@ from flipperctl.guard import definition, plugin_label, refusal
 from flipperctl.randomness import moved_since
 
 _OPTIONS = ("config", "actions", "render_mode", "renderer")
-_OF_GYMNASIUM = ("spec", "_np_random_seed")
+_KEPT = ("spec", "_np_random_seed", "_first_seed")
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Replayed:
 
 def state_of(env: Any, replayed: Replayed | None) -> dict[str, Any]:
     """Return what ``restore`` needs of an environment; ``replayed``: its episode, if it has one."""
-    kept = {name: getattr(env, name) for name in (*_OPTIONS, *_OF_GYMNASIUM)}
+    kept = {name: getattr(env, name) for name in (*_OPTIONS, *_KEPT)}
     if (rng := env._np_random) is not None:
         kept["rng"] = _plain(rng, children(rng) if replayed is None else replayed.spawned)
     if replayed is not None:
@@ -51,7 +51,7 @@ def state_of(env: Any, replayed: Replayed | None) -> dict[str, Any]:
 def restore(env: Any, kept: dict[str, Any], begin: Callable[[float, int | None], None]) -> None:
     """Make an environment that of ``state_of``; ``begin`` begins an episode of a difficulty."""
     type(env).__init__(env, **{name: kept[name] for name in _OPTIONS})
-    for name in _OF_GYMNASIUM:
+    for name in _KEPT:
         setattr(env, name, kept[name])
     if "rng" in kept:
         kind, seed, state = kept["rng"]

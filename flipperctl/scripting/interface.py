@@ -15,7 +15,7 @@ from flipperctl.cli import plot as drawing
 from flipperctl.cli.hydra.compose import compose_train, run_directory
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.plan import make_plan
-from flipperctl.config import TrainConfig
+from flipperctl.config import EnvConfig, TrainConfig
 from flipperctl.config.words import key_of
 from flipperctl.errors import (
     ConfigError,
@@ -129,6 +129,7 @@ def _value(cell: str) -> float | str | None:
 
 
 _FOLDER = "hydra.run.dir"
+_OF_TRAINING = {*TrainConfig.model_fields, "hydra"} - {*EnvConfig.model_fields, "actions", "seed"}
 FLIPPER = "flipperctl.env:flipperctl/Flipper-v0"
 """The environment, for ``gymnasium.make``."""
 
@@ -199,9 +200,10 @@ def environment(
     """Return the environment in which ``train`` would train, for a method of your own.
 
     ``settings``, ``overrides`` and ``plugins`` are as in ``train``, presets included
-    (``rewards="paper"``); those of the learner have no effect. ``actions="rates"`` has continuous
-    actions, ``Box(-1, 1, (2,))``. ``render_mode``: None,
-    ``"rgb_array"``, or ``"human"`` for Gymnasium's window, which needs pygame.
+    (``rewards="paper"``); those of the training and its learner are refused. ``seed`` is that of
+    the first ``reset``. ``actions="rates"`` has continuous actions, ``Box(-1, 1, (2,))``.
+    ``render_mode``: None, ``"rgb_array"``, or ``"human"`` for Gymnasium's window, which needs
+    pygame.
 
     Raises:
         RequestError: a setting or plugin is wrong (ConfigError, PluginError).
@@ -212,8 +214,13 @@ def environment(
     every = Overrides.parse(words(settings, overrides))
     for key in every.swept:
         raise ConfigError(f"{key}: several values make several environments; one is allowed")
+    for key in every.typed:
+        if (section := key.split(".")[0]) in _OF_TRAINING:
+            raise ConfigError(f"{key}: {section} belongs to a training, and has no meaning here")
     (config,) = compose_train(every)
     own: dict[str, Any] = {"config": config.environment(), "actions": config.actions}
+    if "seed" in every.typed:
+        own["seed"] = config.seed
     return gymnasium.make(FLIPPER, **own, render_mode=render_mode)
 
 

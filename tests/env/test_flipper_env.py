@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import pickle
 from collections.abc import Callable
 from typing import Any
 
@@ -267,6 +268,19 @@ def test_every_integer_is_an_action(action: Any) -> None:
     assert env.transition.action == (0, 0)
 
 
+def test_a_seed_of_the_environment_is_that_of_the_first_reset() -> None:
+    first, again = (
+        gymnasium.make("flipperctl.env:flipperctl/Flipper-v0", terrain="stair", seed=7)
+        for _ in range(2)
+    )
+    copied = pickle.loads(pickle.dumps(again.unwrapped))
+    expected, _ = FlipperEnv("stair").reset(seed=7)
+    for env in (first, copied):
+        assert (env.reset()[0] == expected).all()
+    assert (first.reset()[0] == copied.reset()[0]).all()
+    assert (again.reset(seed=8)[0] == FlipperEnv("stair").reset(seed=8)[0]).all()
+
+
 def test_a_step_outside_an_episode_asks_for_a_reset() -> None:
     env = FlipperEnv("flat", episode={"run_out": 0.0, "run_up": 0.2})
     with pytest.raises(ResetNeeded, match="call reset"):
@@ -278,6 +292,12 @@ def test_a_step_outside_an_episode_asks_for_a_reset() -> None:
     for difficulty in (5, -0.1, math.nan, 10**400, "hard"):
         with pytest.raises(ValueError, match="0 to 1 is allowed"):
             env.reset(options={"difficulty": difficulty})
+    for options, words in (
+        ({"dificulty": 0.0}, "did you mean 'difficulty'"),
+        ([1], "a mapping is"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            env.reset(options=options)
     env.reset(seed=0)
     while not any(env.step(HOLD)[2:4]):
         pass

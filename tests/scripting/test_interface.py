@@ -20,6 +20,7 @@ import flipperctl
 from flipperctl import api
 from flipperctl.cli.hydra.compose import compose_train
 from flipperctl.cli.hydra.overrides import Overrides
+from flipperctl.config import EnvConfig, TrainConfig
 from flipperctl.errors import (
     CheckpointError,
     ConfigError,
@@ -237,9 +238,26 @@ def test_the_environment_is_that_of_a_training() -> None:
     for wrong, text in (
         ({"terrain": "rmap"}, "did you mean 'ramp'"),
         ({"terrain": ["stair", "ramp"]}, "terrain: several values"),
+        ({"seed": -1}, "seed"),
+        *(
+            ({key: value}, f"{key}.* belongs to a training, and has no meaning here")
+            for key, value in OF_A_TRAINING.items()
+        ),
     ):
         with pytest.raises(ConfigError, match=text):
             flipperctl.environment(**wrong)
+    assert set(OF_A_TRAINING) == TrainConfig.model_fields.keys() - EnvConfig.model_fields.keys() - {
+        "actions", "seed",
+    }  # fmt: skip
+    first, again = (flipperctl.environment(terrain="stair", seed=7) for _ in range(2))
+    assert (first.reset()[0] == again.reset()[0]).all()
+
+
+OF_A_TRAINING = {
+    **{"network": "mlp", "method": "sb3", "agent": {"gamma": 0.9}, "train": {"decisions": 5}},
+    **{"collector": "local", "teacher": {"controller": "okada"}, "eval": {"episodes": 3}},
+    **{"logger": "csv", "device": "cuda"},
+}
 
 
 @pytest.mark.usefixtures("registry")
