@@ -10,6 +10,7 @@ import contextlib
 import random
 import sys
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -40,12 +41,17 @@ def _keep_torch(caller: contextlib.ExitStack) -> None:
     import torch
 
     # A seed of the caller's also holds for graphics cards that are first used in the body.
+    cuda: Any = torch.cuda
+    seed = torch.initial_seed()
+    states = cuda.get_rng_state_all() if cuda.is_initialized() else None
     caller.callback(torch.set_rng_state, torch.get_rng_state())
-    if torch.cuda.is_initialized():
-        caller.callback(torch.cuda.set_rng_state_all, torch.cuda.get_rng_state_all())
-    elif torch.cuda.is_available():
-        seed = torch.initial_seed()
-        caller.callback(lambda: torch.cuda.is_initialized() and torch.cuda.manual_seed_all(seed))
+
+    @caller.callback
+    def put_back() -> None:
+        if states is not None:
+            cuda.set_rng_state_all(states)
+        elif cuda.is_initialized():
+            cuda.manual_seed_all(seed)
 
     caller.callback(torch.set_num_threads, torch.get_num_threads())
     torch.set_num_threads(1)

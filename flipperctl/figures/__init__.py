@@ -29,5 +29,6 @@ def settings(**ours: Any) -> Iterator[None]:
     """Draw and save with matplotlib's own defaults, and ``ours``; put the user's back."""
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
-        matplotlib.rcParams.update(ours)
+        values: Any = matplotlib.rcParams  # whose stubs list every name
+        values.update(ours)
         yield
