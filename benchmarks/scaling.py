@@ -14,11 +14,10 @@ import numpy as np
 import torch
 
 from benchmarks.settings import Benchmark, ratio
-from flipperctl import plugins
 from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.learner import arrays
 from flipperctl.bench import measure_in_turn, quantity
-from flipperctl.config import RayCollector, TrainConfig, to_dict
+from flipperctl.config import RayCollector, TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
 from flipperctl.policies.trained import ExploringPolicy
@@ -85,7 +84,6 @@ def measure(bench: Benchmark) -> dict[str, Any]:
     """
     s, config, threads = bench.settings, bench.config, torch.get_num_threads()
     counts = s.workers or worker_counts()
-    plain, paths = to_dict(config), plugins.configured_paths()
     torch.set_num_threads(1)
     missing: list[str] = []
     clocks: dict[str, Callable[[], float]] = {}
@@ -102,9 +100,9 @@ def measure(bench: Benchmark) -> dict[str, Any]:
                         more = {"num_cpus": sum(counts), "include_dashboard": False}
                         join(LOCAL, "bench", **more, **QUIET)
                         started.callback(lambda: sys.modules["ray"].shutdown())
-                    workers = RayWorkers(RayCollector(workers=count), plain, paths)
+                    workers = RayWorkers(RayCollector(workers=count), config)
                 else:
-                    workers = RolloutWorkers(count, plain, paths)
+                    workers = RolloutWorkers(count, config)
                 started.callback(workers.close)
                 clocks[f"{kind}.{count}"] = _clock(by_workers(config, workers), s.decisions * count)
         except MissingExtraError as error:

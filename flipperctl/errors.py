@@ -61,6 +61,10 @@ class MissingExtraError(RequestError):
     """An optional dependency is not installed; the text names the extra."""
 
 
+class WorkerDiffersError(RequestError):
+    """A worker has other code, plugins or files than its driver; the text names place and file."""
+
+
 class PluginFailedError(FlipperctlError):
     """A plugin's code raised an error, or returned a value that the contract does not allow."""
 

@@ -80,9 +80,9 @@ def folders() -> list[Path]:
     return list(dict.fromkeys(found))
 
 
-def loaded_files() -> list[Path]:
-    """Return the files that were loaded by path, and the neighbours that they imported."""
-    return sorted({path for module, (path, _) in _contents.items() if module in _loaded})
+def loaded_contents() -> dict[Path, str]:
+    """Return the files loaded by path, and the neighbours that they import, with their SHA-256."""
+    return dict(sorted(item for module, item in _contents.items() if module in _loaded))
 
 
 def file_name(cls: type[Plugin]) -> str | None:

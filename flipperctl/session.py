@@ -17,10 +17,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
+from typing import TYPE_CHECKING
 
-from flipperctl import entry, plugins, results
+from flipperctl import entry, results
 from flipperctl.errors import InterruptedRunError
 from flipperctl.rollout.worker import STOPS
+
+if TYPE_CHECKING:
+    from flipperctl.rollout.statement import Statement
 
 _plugin_paths: list[str] = []
 
@@ -123,8 +127,8 @@ def interrupts(
 class CommandProcess:
     """Plugins, working directory and identity of a command's process; picklable."""
 
-    plugins: list[str]
-    """Paths of all plugin files and folders."""
+    code: Statement
+    """What it computes with, its plugins included."""
     typed: list[str]
     """Those among them that ``--plugins`` named."""
     folder: Path
@@ -135,15 +139,17 @@ class CommandProcess:
     @classmethod
     def current(cls) -> CommandProcess:
         """Return this process."""
-        typed = plugin_paths()
-        return cls(plugins.configured_paths(), typed, Path.cwd(), results.holder())
+        from flipperctl.rollout.statement import Statement  # which commands do not need to begin
+
+        return cls(Statement.of_code(), plugin_paths(), Path.cwd(), results.holder())
 
     def restore(self) -> None:
         """Load the plugins in a job, and enter the working directory if it exists.
 
         A job of Hydra leaves it with ``hydra.job.chdir=true``, but the user's paths start there.
+        On another machine it must have the same code and plugins.
         """
         if self.folder.is_dir():
             os.chdir(self.folder)
-        plugins.load(self.plugins)
+        self.code.enter()
         remember_plugins(self.typed)

@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 
-from flipperctl import plugins
 from flipperctl.api import Profile, Transition
 from flipperctl.config import EnvConfig, EvalConfig, parse, to_dict
 from flipperctl.env.flipper_env import FlipperEnv
@@ -29,10 +28,12 @@ from flipperctl.errors import (
     FlipperctlError,
     InterruptedRunError,
     OutputError,
+    WorkerDiffersError,
     WriteError,
 )
 from flipperctl.evaluation.rows import DIGEST, RECORDED, Episodes, Row, arranged
 from flipperctl.evaluation.store import EpisodeStore, StoreKey, blocks
+from flipperctl.guard import error_line
 from flipperctl.policies.controllers import DemonstratingPolicy, from_action
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource
@@ -46,12 +47,13 @@ from flipperctl.rollout.episode import (
     training_seed,
 )
 from flipperctl.rollout.pool import POLL, Host, WorkerDiedError, WorkerPool
+from flipperctl.rollout.statement import Statement
 
 Progress = Callable[[str, int], AbstractContextManager[Callable[[float], None]]]
 """Opens a progress display from a label and a number of episodes. Its context manager yields a
 function of the number of finished episodes, in which a search counts as a fraction of its episode.
 """
-NOT_A_POLICYS = (InterruptedRunError, OutputError, WriteError)
+NOT_A_POLICYS = (InterruptedRunError, OutputError, WriteError, WorkerDiffersError)
 """Errors that end an evaluation; any other one ends only the episodes of its policy on its scene.
 """
 Request = tuple[EvalConfig, PolicySource]
@@ -145,7 +147,8 @@ class Task:
     seed: int
     record: bool
     training: bool
-    plugin_paths: list[str]
+    inputs: Statement
+    """What it needs beyond the code, which a worker states once."""
 
     @classmethod
     def of(
@@ -157,8 +160,9 @@ class Task:
         training: bool = False,
     ) -> Task:
         """Return a new task."""
-        document, paths = to_dict(config.environment()), plugins.configured_paths()
-        return cls(next(_numbers), document, source, config.eval.seed, record, training, paths)
+        document, seed = to_dict(config.environment()), config.eval.seed
+        inputs = Statement.of_inputs(config, source.checkpoint or source.controller())
+        return cls(next(_numbers), document, source, seed, record, training, inputs)
 
 
 class Player:
@@ -349,7 +353,10 @@ class Player:
     def play_over_ray(self, requests: Sequence[Request], address: str) -> None:
         """Let a Ray cluster play every block that the store lacks, in any order.
 
-        What the cluster could not play, the evaluation then plays itself, and names its error.
+        The evaluation then plays itself what the cluster could not.
+
+        Raises:
+            WorkerDiffersError: a worker would compute with other code or files.
         """
         wanted: dict[tuple[str, int], tuple[StoreKey, Task, list[int]]] = {}
         for config, source in requests:
@@ -371,10 +378,16 @@ class Player:
                     while running and not self._stop():
                         for future in wait(running, POLL, FIRST_COMPLETED).done:
                             key, size = running.pop(future)
-                            if future.exception() is None:
-                                self.store.add(key, future.result())
-                                played += size
-                                report(played)
+                            error = future.exception()
+                            if isinstance(error, WorkerDiffersError):
+                                raise error
+                            if error is not None:
+                                text = "Ray: %d episodes are played here, since %s"
+                                _log.warning(text, size, error_line(error))
+                                continue
+                            self.store.add(key, future.result())
+                            played += size
+                            report(played)
 
 
 def _result(pool: WorkerPool, task: Task, index: int, job: Future[Row]) -> Row:
@@ -390,23 +403,25 @@ def _result(pool: WorkerPool, task: Task, index: int, job: Future[Row]) -> Row:
 
 def worker_pool(count: int, start: Callable[[], Host] | None = None) -> WorkerPool:
     """Return a pool whose workers play episodes of tasks; ``start`` starts one elsewhere."""
-    return WorkerPool(count, _use_one_thread, (), start)
+    return WorkerPool(count, _start_worker, (Statement.of_code(),), start)
 
 
 _runner: tuple[int, EpisodeRunner] | None = None  # the newest task's, one per worker process
 
 
-def _use_one_thread() -> None:
+def _start_worker(code: Statement) -> None:
+    """Compute with one thread, and with the ``code`` of the process that asks."""
     import torch
 
     torch.set_num_threads(1)
+    code.enter()
 
 
 def _worker_runner(task: Task) -> EpisodeRunner:
     """Return the runner of a task in a worker process, built with its first episode."""
     global _runner
     if _runner is None or _runner[0] != task.number:
-        plugins.load(task.plugin_paths)
+        task.inputs.enter()
         config = parse(EnvConfig, task.config)
         runner = EpisodeRunner(
             config, task.source, task.seed, record=task.record, training=task.training

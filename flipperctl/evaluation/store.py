@@ -29,6 +29,7 @@ from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.rows import DIGEST, RECORDED, Row
 from flipperctl.files import make_folder, write_bytes, write_chunks, write_json
 from flipperctl.policies.identity import PolicyIdentity
+from flipperctl.rollout.statement import package_files
 from flipperctl.sim.versions import engine_versions
 
 FORMAT = 1  # number of the format of a block's file
@@ -145,10 +146,10 @@ def _checkout() -> Path | None:
 @cache
 def code_digest() -> str | None:
     """Return a hash of the code of the checkout that runs; None for an installed package."""
-    if (root := _checkout()) is None:
+    if _checkout() is None:
         return None
-    files = (file for room in ("flipperctl", "plugins") for file in (root / room).rglob("*.py"))
-    return _digest([content_digest(file) for file in sorted(files)])[:_SHORT]
+    files = [*package_files("flipperctl").items(), *package_files("flipperctl_plugins").items()]
+    return _digest([digest for name, digest in files if name.endswith(".py")])[:_SHORT]
 
 
 @cache

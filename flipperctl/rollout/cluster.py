@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import platform
 import signal
 import socket
 import sys
@@ -31,12 +32,24 @@ _PATIENCE = 10.0
 """Longest wait for a host's answer [s]; Ray itself would try for minutes."""
 
 
+_SKIPPED = "RAY_DEDUP_LOGS_SKIP_REGEX"
+_NODE_LOGS = r"^Raylet is terminated|^The node with node id|\[state-dump\]"
+"""Messages of Ray about a lost node, with dozens of lines of its log."""
+
+
 def import_ray() -> Any:
-    """Return the module ``ray``."""
-    try:
+    """Return the module ``ray``, which prints no log of a node that is lost."""
+    if "ray" in sys.modules:
+        return sys.modules["ray"]
+    before = os.environ.get(_SKIPPED)
+    os.environ[_SKIPPED] = f"{before}|{_NODE_LOGS}" if before else _NODE_LOGS
+    try:  # Ray reads the variable while it is imported
         import ray
     except ImportError as error:
         raise MissingExtraError("collector=ray needs Ray: pip install flipperctl[ray]") from error
+    finally:
+        del os.environ[_SKIPPED]
+        os.environ.update({} if before is None else {_SKIPPED: before})
     return ray
 
 
@@ -100,6 +113,15 @@ def is_connected() -> bool:
     return ray is not None and bool(ray.is_initialized())
 
 
+def node() -> str:
+    """Return the name of this machine, with its address in the cluster if it works for one."""
+    if not is_connected():
+        return platform.node()
+    context = import_ray().get_runtime_context()
+    address = import_ray().util.get_node_ip_address()
+    return f"{platform.node()} ({address}, Ray node {context.get_node_id()[:12]})"
+
+
 def shut_down() -> None:
     """Close the connection, and stop a cluster that this process has started."""
     if is_connected():
@@ -148,37 +170,43 @@ class Hosts:
         """
         self._count, self._patience = count, patience
         self.notes: SimpleQueue[str] = SimpleQueue()
-        """Sentences for the user about hosts that get no CPU."""
+        """Sentences for the user about hosts that are not ready."""
         self._lock = threading.Lock()
-        self.started = self._starting = self._reported = 0
+        self._living: set[RayHost] = set()
+        self._reported: tuple[int, int] = (0, 0)
         self._changed_at = self._answered_at = time.monotonic()
+
+    @property
+    def started(self) -> int:
+        """Number of living hosts that have answered a call."""
+        with self._lock:
+            return sum(host.started for host in self._living)
 
     def start(self) -> RayHost:
         """Start a host; its first call waits for a CPU."""
         remote: Any = import_ray().remote(_Actor)
-        handle = remote.options(num_cpus=1).remote(str(Path.cwd()))
+        host = RayHost(remote.options(num_cpus=1).remote(str(Path.cwd())), self)
         with self._lock:
-            self._starting += 1
-        return RayHost(handle, self)
+            self._living.add(host)
+        return host
 
-    def answered(self, *, first: bool) -> None:
-        """Note that a call has ended; the first one of a host tells that it has started."""
+    def answered(self, host: RayHost) -> None:
+        """Note that a call of a host has ended; the first one tells that it has started."""
         with self._lock:
             self._answered_at = time.monotonic()
-            if first:
-                self._starting, self.started = self._starting - 1, self.started + 1
-                self._changed_at = self._answered_at
+            if not host.started:
+                host.started, self._changed_at = True, self._answered_at
 
-    def ended(self, started: bool) -> None:
-        """Count a host that has ended."""
+    def ended(self, host: RayHost) -> None:
+        """Forget a host that has ended."""
         with self._lock:
-            self.started, self._starting = self.started - started, self._starting - (not started)
+            self._living.discard(host)
 
-    def wait(self, since: float, started: bool) -> None:
-        """Raise an error if the patience with a call that began at ``since`` is over."""
+    def wait(self, since: float, host: RayHost) -> None:
+        """Raise an error if the patience with a host's call that began at ``since`` is over."""
         now, patience = time.monotonic(), f"{self._patience:g} s (collector.patience)"
         over = now - max(since, self._answered_at) > self._patience
-        if over and started:
+        if over and host.started:
             raise FlipperctlError(f"no Ray worker has played an episode for {patience}")
         if over and not self.started:
             free, total = cpus()
@@ -187,21 +215,32 @@ class Hosts:
                 f"{total} CPUs are free; wait for other jobs to end, or add machines"
             )
         with self._lock:
-            late = now > self._changed_at + _REPORT_AFTER and not started
-            if not late or self._starting == self._reported:
+            if host.started or now <= self._changed_at + _REPORT_AFTER:
                 return
-            self._changed_at, waiting = now, self._starting
+            self._changed_at = now
+            late = [other for other in self._living if not other.started]
+            starting = sum(other.has_cpu for other in late)
+            state = starting, len(late) - starting
+            if state != self._reported:
+                self._reported = state
+                self._report(*state)
+
+    def _report(self, starting: int, waiting: int) -> None:
+        """Note how many hosts have a CPU but are still importing, and how many wait for one."""
+        workers = f"of {self._count} Ray workers (collector.workers)"
+        if waiting:
             free, total = cpus()
-            if free:
+            if free:  # the cluster is about to assign them
                 return
-            self._reported = waiting
-        rest = f"The run waits up to {patience} for one"
-        if self.started:
-            rest = f"The run continues with {self.started}; others join when a CPU is free"
-        self.notes.put(
-            f"{waiting} of {self._count} Ray workers (collector.workers) have no CPU: "
-            f"none of the cluster's {total} is free. {rest}"
-        )
+            already = self._count - waiting
+            rest = f"The run waits up to {self._patience:g} s (collector.patience) for one"
+            if already:
+                rest = f"The run continues with {already}; others join when a CPU is free"
+            self.notes.put(
+                f"{waiting} {workers} have no CPU: none of the cluster's {total} is free. {rest}"
+            )
+        elif starting:
+            self.notes.put(f"{starting} {workers} are starting")
 
 
 class RayHost:
@@ -211,8 +250,15 @@ class RayHost:
 
     def __init__(self, handle: Any, hosts: Hosts) -> None:
         self._handle, self._hosts = handle, hosts
-        self._started = False
+        self.started = False
+        """Whether it has answered a call."""
+        self._placed = handle.__ray_ready__.remote()
         self._ending = ""
+
+    @property
+    def has_cpu(self) -> bool:
+        """Whether the cluster has started its process, which takes a CPU."""
+        return bool(import_ray().wait([self._placed], timeout=0)[0])
 
     def call(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
         """Return ``function(*arguments)`` of the actor, or raise what it raised there."""
@@ -222,7 +268,7 @@ class RayHost:
         begun = time.monotonic()
         try:
             while not ray.wait([reference], timeout=POLL)[0]:
-                hosts.wait(begun, self._started)
+                hosts.wait(begun, self)
             value = ray.get(reference)
         except errors.RayTaskError as error:
             if isinstance(error.cause, FlipperctlError):  # without the text of Ray
@@ -231,8 +277,7 @@ class RayHost:
         except (errors.RayActorError, errors.ObjectLostError, errors.WorkerCrashedError) as error:
             self._ending = f"was lost: {str(error).strip().splitlines()[-1]}"
             raise DiedError from error
-        hosts.answered(first=not self._started)
-        self._started = True
+        hosts.answered(self)
         return value
 
     def end(self, *, kill: bool) -> str:
@@ -240,7 +285,7 @@ class RayHost:
         if self._handle is not None:
             handle, self._handle = self._handle, None
             import_ray().kill(handle)
-            self._hosts.ended(self._started)
+            self._hosts.ended(self)
         return self._ending or "was stopped"
 
 

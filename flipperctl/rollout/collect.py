@@ -11,10 +11,13 @@ parameters, rounds otherwise.
 
 from __future__ import annotations
 
+import os
+import platform
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
-from contextlib import ExitStack
-from dataclasses import replace
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -23,12 +26,11 @@ import numpy as np
 import torch
 from safetensors.numpy import load_file, save_file
 
-from flipperctl import plugins
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.networks import build_policy, naming_network
 from flipperctl.agent.risk import RiskNetwork, plain_risk, split_weights
 from flipperctl.api import Policy
-from flipperctl.config import RayCollector, TrainConfig, parse
+from flipperctl.config import RayCollector, TrainConfig, parse, to_dict
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.controllers import DaggerPolicy, PluginPolicy
 from flipperctl.policies.source import controller_policy
@@ -44,15 +46,53 @@ from flipperctl.rollout.episode import (
     steps,
 )
 from flipperctl.rollout.pool import POLL, Stop, WorkerDiedError, WorkerPool
+from flipperctl.rollout.statement import Statement
+
+
+@dataclass(frozen=True)
+class Rollout:
+    """An episode of a worker."""
+
+    steps: list[Step]
+    worker: str
+    """Identifies the process."""
+    waited: float
+    """Time that it has waited for calls since its first one [s]."""
+    elapsed: float
+    """Time since its first call [s]."""
+
+
+class Stopwatch:
+    """Measures how long a worker waits between its calls."""
+
+    def __init__(self) -> None:
+        self.name = f"{platform.node()} {os.getpid()}"
+        self._begun = self._ended = time.perf_counter()
+        self.waited = 0.0
+
+    @property
+    def elapsed(self) -> float:
+        """Time since the first call [s]."""
+        return self._ended - self._begun
+
+    @contextmanager
+    def call(self) -> Iterator[None]:
+        """Measure the wait before a call."""
+        now = time.perf_counter()
+        if self.elapsed:
+            self.waited += now - self._ended
+        else:
+            self._begun = now
+        yield
+        self._ended = time.perf_counter()
 
 
 class Actor:
     """Plays training episodes with the weights that come with each request."""
 
-    def __init__(self, config: dict[str, Any], plugin_paths: list[str]) -> None:
+    def __init__(self, config: dict[str, Any]) -> None:
         """Build the environment and the network of ``config``, a ``TrainConfig`` as plain data."""
         torch.set_num_threads(1)
-        plugins.load(plugin_paths)
         self._config = parse(TrainConfig, config)
         self._env = FlipperEnv(config=self._config.environment())
         self._greedy = GreedyPlayer(self._config, self._env)
@@ -148,23 +188,30 @@ class GreedyPlayer:
 
 
 _actor: Actor
-"""The actor of this worker process."""
+_stopwatch: Stopwatch
+"""The actor of this worker process, and what measures its waits."""
 
 
-def create_actor(config: dict[str, Any], plugin_paths: list[str]) -> None:
-    """Create the actor of this worker process."""
-    global _actor
-    _actor = Actor(config, plugin_paths)
+def create_actor(config: dict[str, Any], *statements: Statement) -> None:
+    """Create the actor of this worker process, which agrees with the learner's ``statements``."""
+    global _actor, _stopwatch
+    for statement in statements:
+        statement.enter()
+    _actor, _stopwatch = Actor(config), Stopwatch()
 
 
-def play_request(request: RolloutRequest, weights: Weights | Path) -> list[Step]:
+def play_request(request: RolloutRequest, weights: Weights | Path) -> Rollout:
     """Let this process's actor play an episode, with weights that may lie in a file."""
-    return _actor.play(request, _loaded(weights))
+    watch = _stopwatch
+    with watch.call():
+        played = _actor.play(request, _loaded(weights))
+    return Rollout(played, watch.name, watch.waited, watch.elapsed)
 
 
 def play_greedily(seed: int, weights: Weights | Path) -> Row:
     """Let this process's actor play a greedy episode, with weights that may lie in a file."""
-    return _actor.evaluate(_loaded(weights), seed)
+    with _stopwatch.call():
+        return _actor.evaluate(_loaded(weights), seed)
 
 
 def _loaded(weights: Weights | Path) -> Weights:
@@ -200,6 +247,9 @@ class InProcessCollector:
         """Return an empty list: no episode is requested ahead of its use."""
         return []
 
+    def idle_share(self) -> None:
+        """Return None: there are no workers."""
+
     def close(self) -> None:
         """Do nothing: there are no workers."""
 
@@ -207,13 +257,16 @@ class InProcessCollector:
 class RolloutWorkers:
     """Actors in processes of this machine; rollouts come in the order of the requests."""
 
-    def __init__(self, count: int, config: dict[str, Any], plugin_paths: list[str]) -> None:
-        """``config``: a ``TrainConfig`` as plain data."""
+    def __init__(self, count: int, config: TrainConfig) -> None:
+        """Create the actors, without waiting for them."""
         self._opened = ExitStack()
-        self._sent: dict[Future[list[Step]], RolloutRequest] = {}
+        self._sent: dict[Future[Rollout], RolloutRequest] = {}
+        self._newest: dict[str, Rollout] = {}
         self._shared: dict[int, Any] = {}
         """Weights as they are given to calls, by their versions."""
-        self._pool = self._open(count, (config, plugin_paths))
+        inputs = Statement.of_inputs(config, config.network, config.teacher.controller)
+        statements = Statement.of_code(), inputs
+        self._pool = self._open(count, (to_dict(config), *statements))
 
     def _open(self, count: int, arguments: tuple[Any, ...]) -> WorkerPool:
         # Weights go through files: a process that dies while it receives a long message would block
@@ -246,14 +299,16 @@ class RolloutWorkers:
         future = done.pop()
         request = self._sent.pop(future)
         try:
-            return request, future.result()
+            rollout = future.result()
+            self._newest[rollout.worker] = rollout
+            return request, rollout.steps
         except WorkerDiedError:
             return request, None
         finally:
             for version in self._shared.keys() - {one.version for one in self.outstanding()}:
                 self._forget(self._shared.pop(version))
 
-    def _awaited(self) -> Iterable[Future[list[Step]]]:
+    def _awaited(self) -> Iterable[Future[Rollout]]:
         return [next(iter(self._sent))]
 
     def _share(self, name: str, weights: Weights) -> Any:
@@ -268,6 +323,11 @@ class RolloutWorkers:
         """Request one greedy episode for each seed, without waiting; see ``WorkerPool.submit``."""
         shared = self._share("evaluated", weights)
         return [self._pool.submit(play_greedily, seed, shared) for seed in seeds]
+
+    def idle_share(self) -> float | None:
+        """Return the part of their time in which the workers waited; None before any episode."""
+        elapsed = sum(rollout.elapsed for rollout in self._newest.values())
+        return sum(one.waited for one in self._newest.values()) / elapsed if elapsed else None
 
     def outstanding(self) -> list[RolloutRequest]:
         """Return the requests that were sent but not yet taken, oldest first."""
@@ -285,13 +345,12 @@ class RayWorkers(RolloutWorkers):
     def __init__(
         self,
         settings: RayCollector,
-        config: dict[str, Any],
-        plugin_paths: list[str],
+        config: TrainConfig,
         report: Callable[[str], None] = lambda text: None,
     ) -> None:
         """Create the actors, without waiting; ``report`` gets sentences about them."""
         self._settings, self._report = settings, report
-        super().__init__(settings.workers, config, plugin_paths)
+        super().__init__(settings.workers, config)
 
     def _open(self, count: int, arguments: tuple[Any, ...]) -> WorkerPool:
         address = self._settings.address or cluster.LOCAL
@@ -304,7 +363,7 @@ class RayWorkers(RolloutWorkers):
         """Number of requests that keeps all started workers busy."""
         return 2 * max(1, self._hosts.started)
 
-    def _awaited(self) -> Iterable[Future[list[Step]]]:
+    def _awaited(self) -> Iterable[Future[Rollout]]:
         while not self._hosts.notes.empty():
             self._report(self._hosts.notes.get())
         return self._sent
@@ -334,6 +393,7 @@ class AsyncCollector:
         self._workers, self._next_request = workers, next_request
         self._on_lost, self._accept, self._stop = on_lost, accept, stop
         self.outstanding, self.close = workers.outstanding, workers.close
+        self.idle_share = workers.idle_share
 
     def episode(self) -> Iterator[Step]:
         """Yield the steps of the next episode that the workers return; none if the run stops."""

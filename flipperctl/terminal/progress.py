@@ -64,8 +64,12 @@ class EvaluationProgress:
 
     @contextmanager
     def __call__(self, label: str, episodes: int) -> Iterator[Callable[[float], None]]:
-        """Yield a function to call with the number of finished episodes under the label."""
+        """Yield a function to call with the number of finished episodes under the label.
+
+        Episodes beyond the plan, as of traces and a film, raise the total.
+        """
         before = self._done
+        self._total = max(self._total, before + episodes)
         console = Console(stderr=True)
         with Progress(
             TextColumn("{task.description}"),
@@ -77,6 +81,7 @@ class EvaluationProgress:
             task = bar.add_task("", total=max(1, self._total), completed=before)
 
             def report(done: float) -> None:
+                done = min(done, episodes)
                 self._done = before + int(done)
                 text = self.text(label, before + done)
                 bar.update(task, completed=before + done, description=escape(text))

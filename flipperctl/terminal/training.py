@@ -33,12 +33,14 @@ def print_best(run: Finished) -> None:
         return
     best, measured = run.summary["best"], run.summary.get("regret")
     longer = f"train.decisions={2 * run.summary['decisions']}"
+    idle = run.summary.get("workers_idle")
+    waits = "" if idle is None else f"Its workers were idle for {idle:.0%} of their time.\n"
     again = f"Longer:   {command('train', '--resume', run.directory, longer)}\n"
     print_note(
         f"\nTrained {run.summary['decisions']} decisions in {run.summary['seconds']:.0f} s.\n"
         f"Best validation, at decision {best['decision']}: success {best['success_rate']:.0%}, "
         f"{way_text(best)}, reward {best['mean_return']:.2f}.\n"
-        f"{_risk_line(best)}{regret.line(measured)}"
+        f"{waits}{_risk_line(best)}{regret.line(measured)}"
         f"{again if regret.falls_short(measured) else ''}"
         f"Watch:    {command('watch', run.directory)}\n"
         f"Evaluate: {command('eval', run.directory)}\n"

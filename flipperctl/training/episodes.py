@@ -16,7 +16,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from flipperctl import plugins
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.learner import Learner, part
 from flipperctl.agent.learner import arrays as weights_of
@@ -24,7 +23,7 @@ from flipperctl.agent.replay import UNKNOWN, GroupBatch, GroupMemory, Replay
 from flipperctl.api import ACTIONS, ObservationLayout, Outcome, RecordedEpisode
 from flipperctl.checkpoint import Checkpoint, recording
 from flipperctl.checkpoint.document import RECENT, State, require_equal_layout
-from flipperctl.config import Teacher, TrainConfig, to_dict
+from flipperctl.config import Teacher, TrainConfig
 from flipperctl.config.agent import linear
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError, ConfigError
@@ -120,12 +119,11 @@ class EpisodeSource:
         if config.train.mode == "exact":
             return InProcessCollector(self._playing_here(starts), stop)
         begun = config.agent.model_copy(update={"learning_starts": starts})
-        document = to_dict(config.model_copy(update={"agent": begun}))
-        paths, ray = plugins.configured_paths(), config.collector
+        acting, ray = config.model_copy(update={"agent": begun}), config.collector
         workers = (
-            RayWorkers(ray, document, paths, self._report)
+            RayWorkers(ray, acting, self._report)
             if ray.name == "ray"
-            else RolloutWorkers(config.train.workers, document, paths)
+            else RolloutWorkers(config.train.workers, acting)
         )
         for request in outstanding:
             workers.send(request)

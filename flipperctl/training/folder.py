@@ -137,7 +137,7 @@ def keep_plugins(directory: Path) -> None:
 
     Files of several folders lie together unless two of them have one name.
     """
-    if not (files := plugins.loaded_files()):
+    if not (files := list(plugins.loaded_contents())):
         return
     folders = list(dict.fromkeys(file.parent for file in files))
     apart = len({file.name for file in files}) < len(files)

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -72,6 +73,12 @@ class Trainer(BaseTrainer):
         self._validating(self.agent)
         self._outstanding: list[RolloutRequest] = []
         self._recorder = TrainingRecorder(config, directory)
+        self._idle_share: float | None = None
+
+    def summary(self, finished: bool) -> dict[str, Any]:
+        """Return the results of the run, with the share of time in which its workers waited."""
+        idle = {} if self._idle_share is None else {"workers_idle": round(self._idle_share, 3)}
+        return super().summary(finished) | idle
 
     def _exploring(self) -> tuple[float, int]:
         return self.episodes.epsilon, self.episodes.lag
@@ -85,6 +92,7 @@ class Trainer(BaseTrainer):
         collector = self.episodes.start_collector(self._outstanding, stop, self.replay.kept)
         opened.push(closer(collector))
         finished = self._train(collector, stop)
+        self._idle_share = collector.idle_share()
         self._save_all(collector.outstanding())
         self._recorder.finish()
         return finished

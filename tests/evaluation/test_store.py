@@ -18,7 +18,7 @@ from flipperctl import api, files
 from flipperctl.api import Policy
 from flipperctl.checkpoint import shipped_policies
 from flipperctl.config import EvalConfig, with_overrides
-from flipperctl.errors import PluginFailedError, WriteError
+from flipperctl.errors import PluginFailedError, WorkerDiffersError, WriteError
 from flipperctl.evaluation import play as playing
 from flipperctl.evaluation.evaluate import Result
 from flipperctl.evaluation.evaluate import evaluate as play_plan
@@ -131,6 +131,23 @@ class FakePool:
 
     def close(self) -> None:
         """Nothing runs."""
+
+
+def test_a_node_with_other_code_ends_the_evaluation_and_stores_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class OtherCode(FakePool):
+        def submit(self, function: Callable[..., object], *arguments: object) -> Future[object]:
+            future: Future[object] = Future()
+            future.set_exception(WorkerDiffersError("the worker on node7 has other code"))
+            return future
+
+    monkeypatch.setattr(playing, "worker_pool", lambda *_: OtherCode())
+    monkeypatch.setattr(cluster, "connected", lambda *_: nullcontext())
+    monkeypatch.setattr(cluster, "cpus", lambda: (2, 2))
+    with pytest.raises(WorkerDiffersError, match="node7"):
+        evaluate([(config(1, "flat", ray="any"), OKADA)], store=FolderStore(tmp_path))
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_neither_the_order_of_cells_nor_ray_shows_in_the_files(

@@ -13,7 +13,8 @@ from flipperctl.agent.frames import input_size
 from flipperctl.api import Perception, Simulator, action_index
 from flipperctl.config import to_dict
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.rollout.collect import Actor, AsyncCollector, GreedyPlayer
+from flipperctl.rollout import collect
+from flipperctl.rollout.collect import Actor, AsyncCollector, GreedyPlayer, Stopwatch
 from flipperctl.rollout.episode import steps
 from flipperctl.rollout.pool import WorkerDiedError
 from tests.short import short_config, trainer
@@ -23,7 +24,7 @@ class Workers:
     """Workers whose first ``begun`` episodes are under way."""
 
     capacity = 1
-    outstanding = close = None
+    outstanding = close = idle_share = None
 
     def __init__(self, begun: int) -> None:
         self.begun = begun
@@ -74,6 +75,19 @@ def test_a_stop_ends_an_evaluation_that_waits_for_a_worker() -> None:
     assert [future.cancelled() for future in workers.futures[1:]] == [True] * 4
 
 
+def test_a_worker_measures_how_long_it_waits_between_its_calls(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now = [10.0]
+    watch = Stopwatch()
+    monkeypatch.setattr(collect.time, "perf_counter", lambda: now[0])
+    for begun, ended in ((20.0, 22.0), (25.0, 26.0)):
+        now[0] = begun
+        with watch.call():
+            now[0] = ended
+    assert (watch.waited, watch.elapsed) == (3.0, 6.0)
+
+
 class Alternating:
     """Explores at every other decision."""
 
@@ -99,7 +113,7 @@ def test_it_does_not_matter_which_process_plays_a_validation(network: str, tmp_p
     config = short_config(network={"name": network}, **{"agent.risk": True})
     run = trainer(config, tmp_path)
     before = torch.random.get_rng_state()
-    here, there = GreedyPlayer(config, run.validator._greedy._env), Actor(to_dict(config), [])
+    here, there = GreedyPlayer(config, run.validator._greedy._env), Actor(to_dict(config))
     assert torch.equal(torch.random.get_rng_state(), before)  # it draws none of the training's
     weights = run.agent.policy_arrays()
     here.load(weights)

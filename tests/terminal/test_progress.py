@@ -43,6 +43,21 @@ def test_a_bar_is_quiet_about_what_it_does_not_know(
     assert "–" not in shown
 
 
+def test_an_evaluation_never_shows_more_than_its_total(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Traces, a film and failed episodes again come after the planned episodes."""
+    monkeypatch.setattr(progress, "_PERIOD", 0.0)
+    shown = progress.EvaluationProgress()
+    shown.plan(2)
+    for label, episodes, done in (("step", 2, [1, 2]), ("traces", 2, [1, 2, 3]), ("film", 1, [1])):
+        with shown(label, episodes) as report:
+            for number in done:
+                report(number)
+    counts = [line.split(" episodes")[0] for line in capsys.readouterr().err.splitlines()]
+    assert counts == ["1 of 2", "2 of 2", "3 of 4", "4 of 4", "4 of 4", "5 of 5"]
+
+
 def test_an_interrupted_start_of_a_resumed_run_says_how_to_resume(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:

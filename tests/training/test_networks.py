@@ -53,7 +53,7 @@ def test_workers_use_several_frames_and_repeatable_noise(name: str) -> None:
     settings = setup(name, **{"agent.exploring_share": 1.0})
     network, layout = settings.network, settings.perception
     weights = arrays(D3qn(network, layout, settings.agent, seed=1).online)
-    actors = [Actor(to_dict(settings), []) for _ in range(2)]
+    actors = [Actor(to_dict(settings)) for _ in range(2)]
     requests = [RolloutRequest(episode, 5, 0.0, 0, 0, {}) for episode in (0, 1)]
     actors[1].evaluate(weights, 3)  # must not change the next rollout
     one, again, other = (

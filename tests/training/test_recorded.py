@@ -14,7 +14,7 @@ from flipperctl import checkpoint
 from flipperctl.agent.replay import Replay
 from flipperctl.checkpoint import recording
 from flipperctl.checkpoint.recording import Recording
-from flipperctl.config import EnvConfig
+from flipperctl.config import EnvConfig, TrainConfig
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.evaluation.rows import RECORDED
 from flipperctl.policies.controllers import DaggerPolicy
@@ -234,17 +234,17 @@ def test_recorded_decisions_count_before_the_student_drives(
         "teacher.episodes": str(file),
     }
     begins = max(1, starts - recording.read(file).decisions)
-    made: list[dict[str, Any]] = []
+    made: list[TrainConfig] = []
 
     class Workers(RolloutWorkers):
-        def __init__(self, count: int, config: dict[str, Any], plugin_paths: list[str]) -> None:
+        def __init__(self, count: int, config: TrainConfig) -> None:
             made.append(config)
-            super().__init__(count, config, plugin_paths)
+            super().__init__(count, config)
 
     monkeypatch.setattr(episodes, "RolloutWorkers", Workers)
     fast = trainer(few(**settings, **{"train.mode": "fast"}), tmp_path / "fast")
     fast.run(lambda: True)
-    assert [config["agent"]["learning_starts"] for config in made] == [begins]
+    assert [config.agent.learning_starts for config in made] == [begins]
 
     learns: list[Callable[[], bool]] = []
 

@@ -39,7 +39,11 @@ _OWN_CONDITIONS = (
     "conditions of your own are overrides, as in sim.friction=0.6, which a suite file can hold "
     "(suite=FILE.yaml)"
 )
-_LAUNCHER_EXTRAS = {"joblib": "joblib", "ray": "ray", "ray_aws": "ray"}
+_LAUNCHERS = {
+    **{"joblib": "joblib", "ray": "ray", "ray_aws": "ray", "rq": "rq"},
+    **{"submitit_local": "submitit", "submitit_slurm": "submitit"},
+}
+"""Launchers of Hydra that are packages of their own, hydra-NAME-launcher, by their options."""
 
 
 @contextmanager
@@ -81,12 +85,9 @@ def missing_choice(error: MissingConfigException) -> RequestError:
     options = [o for o in (error.options or registered_names(group)) if not o.startswith("_")]
     if not group:
         return ConfigError(_one_line(error))
-    if group == "hydra/launcher" and option in _LAUNCHER_EXTRAS:
-        extra = _LAUNCHER_EXTRAS[option]
-        return MissingExtraError(
-            f"{group}={option} needs the package hydra-{extra}-launcher; "
-            f"install flipperctl[{extra}]"
-        )
+    if group == "hydra/launcher" and option in _LAUNCHERS:
+        package = f"hydra-{_LAUNCHERS[option]}-launcher"
+        return MissingExtraError(f"{group}={option} needs {package}: pip install {package}")
     missing = missing_entry(group, option, options)
     return ConfigError(f"{missing}; {_OWN_CONDITIONS}") if group == "conditions" else missing
 
