@@ -27,30 +27,23 @@ _ALIKE = 0.02
 """Relative difference of lengths that makes none [-]."""
 
 
-def notes_on_budget(config: TrainConfig) -> Iterator[str]:
-    """Yield a line if a new training ends before its policy changes for the first time."""
-    agent, teacher, decisions = config.agent, config.teacher, config.train.decisions
-    if config.method is not None:
-        starts = config.method.settings.get("learning_starts", 0)
-        if isinstance(starts, int) and decisions <= starts:
-            yield (
-                f"train.decisions={decisions} leaves the policy as it begins: learning starts "
-                f"after method.settings.learning_starts={starts} decisions"
-            )
-    elif agent.is_policy_gradient:
+def first_update(config: TrainConfig) -> tuple[int, str] | None:
+    """Return the decisions before our own learner first changes the policy, and why, as a clause.
+
+    None: labels may change it from the start, or at the end.
+    """
+    agent, teacher = config.agent, config.teacher
+    if agent.is_policy_gradient:
         settings = agent.policy_gradient
         first = (settings.warm_up + 1) * settings.decisions
-        if decisions < first:
-            yield (
-                f"train.decisions={decisions} leaves the policy as it begins: it learns from "
-                f"{first} decisions on; {settings.warm_up} rounds of "
-                f"agent.policy_gradient.decisions={settings.decisions} are for the values alone"
-            )
-    elif decisions < agent.learning_starts and not (teacher.episodes or teacher.final_updates):
-        yield (
-            f"train.decisions={decisions} leaves the policy as it begins: learning starts after "
-            f"agent.learning_starts={agent.learning_starts} decisions"
+        return first, (
+            f"it learns from {first} decisions on; {settings.warm_up} rounds of "
+            f"agent.policy_gradient.decisions={settings.decisions} are for the values alone"
         )
+    if teacher.episodes or teacher.final_updates:
+        return None
+    starts = agent.learning_starts
+    return starts, f"learning starts after agent.learning_starts={starts} decisions"
 
 
 def notices(config: EnvConfig) -> Iterator[str]:

@@ -21,7 +21,7 @@ from flipperctl.api import Listener, Logger, Outcome
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.checkpoint.document import Document, State
 from flipperctl.config import TrainConfig
-from flipperctl.config.defaults import notes_on_budget
+from flipperctl.config.defaults import first_update
 from flipperctl.config.identity import all_files_read, content_digest
 from flipperctl.env import ground
 from flipperctl.env.flipper_env import FlipperEnv
@@ -89,9 +89,9 @@ class BaseTrainer(ABC):
             for listener in self.listeners:
                 opened.push(closer(listener))
             self.companion.start()
-            if not self.progress.decision:
-                for text in notes_on_budget(self.config):
-                    self._report(text)
+            budget, first = self.config.train.decisions, self._first_update()
+            if first is not None and budget < first[0] and not self.progress.updates:
+                self._report(f"train.decisions={budget} leaves the policy as it begins: {first[1]}")
             finished = self._run(stop, opened)
             summary = self.summary(finished)
             summary["regret"] = regret() if finished else None
@@ -101,6 +101,13 @@ class BaseTrainer(ABC):
     @abstractmethod
     def _run(self, stop: Stop, opened: ExitStack) -> bool:
         """Train; return whether the budget is spent. ``opened`` closes what is put into it."""
+
+    def _first_update(self) -> tuple[int, str] | None:
+        """Return the decisions before the policy first changes, and a clause that says why.
+
+        None: it may change from the start.
+        """
+        return first_update(self.config)
 
     @abstractmethod
     def _exploring(self) -> tuple[float | None, int]:

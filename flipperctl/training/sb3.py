@@ -44,6 +44,7 @@ try:
     from stable_baselines3.common.logger import Logger
     from stable_baselines3.common.noise import NormalActionNoise
     from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
+    from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
     from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
     from stable_baselines3.common.utils import LinearSchedule
 
@@ -245,6 +246,15 @@ class Sb3Trainer(BaseTrainer):
     def _exploring(self) -> tuple[float | None, int]:
         return getattr(self.model, "exploration_rate", None), 0
 
+    def _first_update(self) -> tuple[int, str] | None:
+        """Return when an off-policy algorithm learns; another one says what a rollout lacks."""
+        if not isinstance(self.model, OffPolicyAlgorithm):
+            return None
+        starts = self.model.learning_starts
+        return starts + 1, (
+            f"learning starts after method.settings.learning_starts={starts} decisions"
+        )
+
     @torch.no_grad()
     def _trained(self) -> nn.Module:
         """Return our network with the weights of the policy."""
@@ -266,6 +276,13 @@ class Sb3Trainer(BaseTrainer):
         done, budget = self.progress.decision, self.config.train.decisions
         self.model.num_timesteps = done
         following = _Following(self, collector, stop)
+        if isinstance(self.model, OnPolicyAlgorithm) and 0 < budget - done < self.model.n_steps:
+            end = "learns once, from these alone" if budget - done > 1 else "stays as it is"
+            self._report(
+                f"train.decisions={budget} leaves less than a rollout of "
+                f"method.settings.n_steps={self.model.n_steps} decisions, {budget - done}: the "
+                f"policy {end}"
+            )
         if done < budget:
             with _own_generators((self._seed + done) % 2**32):
                 self.model.learn(
@@ -274,6 +291,7 @@ class Sb3Trainer(BaseTrainer):
                     log_interval=budget,
                     reset_num_timesteps=False,
                 )
+            following.count()
         finished = not following.stopped
         if finished and self._validation_due():
             finished = self._validate(collector)
@@ -412,9 +430,12 @@ class _Following(BaseCallback):
         self.stopped = False
         self._before = trainer.progress.decision
         self._between = False
+        self._budget, self._ends = trainer.config.train.decisions, 0
 
     def _on_step(self) -> bool:
         """Return False once the budget is spent, or the run is to stop after an episode.
+
+        A rollout that ends with the budget goes on to its update.
 
         The algorithm stores a transition after this call. What is due between two episodes is done
         in the first call of the next one, whose first decision then counts as none if the run
@@ -428,10 +449,37 @@ class _Following(BaseCallback):
             if self.stopped:
                 return False
         progress.decision += 1
-        progress.updates = int(getattr(self.model, "_n_updates", 0))
-        told = self.model.logger.name_to_value
-        progress.loss = next((told[f"train/{n}"] for n in _LOSSES if f"train/{n}" in told), 0.0)
+        self.count()
         if self.locals["dones"][0]:
             self._trainer.end_episode(self.locals["infos"][0])
             self._between = True
-        return progress.decision < self._trainer.config.train.decisions
+        return progress.decision < self._budget or progress.decision == self._ends
+
+    def count(self) -> None:
+        """Take over the algorithm's number of updates and its loss."""
+        logged, progress = self.model.logger.name_to_value, self._trainer.progress
+        progress.updates = int(getattr(self.model, "_n_updates", 0))
+        progress.loss = next((logged[f"train/{n}"] for n in _LOSSES if f"train/{n}" in logged), 0.0)
+
+    def _on_training_start(self) -> None:
+        self._fit_rollout()
+
+    def _on_rollout_end(self) -> None:
+        self._fit_rollout()
+
+    def _fit_rollout(self) -> None:
+        """Let the last rollout end with the budget, so that the policy learns from all of it.
+
+        A single decision, whose advantage cannot be scaled, belongs to the rollout before it.
+        """
+        left = self._budget - self._trainer.progress.decision
+        if isinstance(self.model, OnPolicyAlgorithm) and 1 < left <= self.model.n_steps + 1:
+            self.model.n_steps = left
+
+    def _on_rollout_start(self) -> None:
+        if isinstance(self.model, OnPolicyAlgorithm):
+            buffer, steps = self.model.rollout_buffer, self.model.n_steps
+            self._ends = self._trainer.progress.decision + steps
+            if buffer.buffer_size != steps:
+                buffer.buffer_size = steps
+                buffer.reset()

@@ -14,7 +14,7 @@ from flipperctl.config import (
     to_dict,
     with_overrides,
 )
-from flipperctl.config.defaults import notes_on_budget
+from flipperctl.config.defaults import first_update
 from flipperctl.config.models import with_stand_ins
 from flipperctl.errors import ConfigError
 from tests.short import short_config
@@ -150,9 +150,7 @@ def test_a_resumed_run_may_have_other_loggers() -> None:
         (GRADIENT, 300, ""),
     ],
 )
-def test_a_training_that_learns_nothing_is_told(
-    settings: dict[str, Any], decisions: int, words: str
-) -> None:
-    notes = list(notes_on_budget(short_config(**{**settings, "train.decisions": decisions})))
-    assert len(notes) == bool(words)
-    assert all(words in note and f"train.decisions={decisions} " in note for note in notes)
+def test_the_first_update_is_stated(settings: dict[str, Any], decisions: int, words: str) -> None:
+    first = first_update(short_config(**{**settings, "train.decisions": decisions}))
+    assert (first is not None and decisions < first[0]) == bool(words)
+    assert first is None or words in first[1]

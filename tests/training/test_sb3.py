@@ -1,5 +1,6 @@
 """A training by Stable-Baselines3 is a run like any other, and its policy that of the library."""
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -120,3 +121,63 @@ def test_an_exported_file_of_rates_drives_the_same_episode(tmp_path: Path) -> No
     rates = robot.act(observations(1)[0])
     assert isinstance(rates, tuple)
     assert max(map(abs, rates)) <= 1
+
+
+class Notes:
+    """A listener that keeps its notes."""
+
+    def __init__(self) -> None:
+        self.texts: list[str] = []
+
+    def note(self, text: str) -> None:
+        self.texts.append(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return lambda *given: None
+
+
+def learnt(algorithm: str, folder: Path, **settings: object) -> tuple[Sb3Trainer, list[str]]:
+    """Train, or resume the run in ``folder``; return its trainer and notes."""
+    config = config_of(algorithm, "turns", **settings)
+    (folder / checkpoint.BEST.parent).mkdir(parents=True, exist_ok=True)
+    notes = Notes()
+    trainer = Sb3Trainer(config, folder, [notes])
+    if (folder / checkpoint.LAST).is_file():
+        trainer.restore(checkpoint.read(folder / checkpoint.LAST))
+    trainer.run()
+    return trainer, notes.texts
+
+
+def test_the_rest_of_a_rollout_is_learnt_from(tmp_path: Path) -> None:
+    """Below one rollout, at the end of a run, and in each short run that resumes it."""
+    weights, updates = [], []
+    for budget, words in (
+        (40, "40: the policy learns"),
+        (144, ""),
+        (180, "36: "),
+        (181, "1: the policy stays"),
+    ):
+        trainer, notes = learnt("ppo", tmp_path, **{"train.decisions": budget})
+        assert trainer.progress.decision == budget
+        assert [words in note for note in notes] == [True] * bool(words)
+        weights.append(trainer.policy_arrays())
+        updates.append(trainer.model._n_updates // 2)
+    assert updates == [1, 2, 1, 0]  # 104 decisions are a rollout of 64 and a rest of 40
+    same = [
+        all((a == b).all() for a, b in zip(one.values(), other.values(), strict=True))
+        for one, other in pairwise(weights)
+    ]
+    assert same == [False, False, True]
+
+
+def test_a_single_decision_joins_the_rollout_before(tmp_path: Path) -> None:
+    trainer, notes = learnt("ppo", tmp_path, **{"train.decisions": 129})
+    assert not notes
+    assert trainer.model.rollout_buffer.buffer_size == 65
+
+
+def test_an_off_policy_budget_is_stated_until_it_learns(tmp_path: Path) -> None:
+    for budget, count in ((30, 1), (45, 1), (80, 0)):
+        _, notes = learnt("dqn", tmp_path, **{"train.decisions": budget})
+        assert len(notes) == count
+        assert all("method.settings.learning_starts=50" in note for note in notes)
