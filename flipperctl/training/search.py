@@ -4,9 +4,8 @@ In: a study, new or as earlier searches left it, what it samples, and the sweep 
 jobs. Out: one training for each trial, the results in the study, ``optimization_results.yaml`` in
 the folder of the sweep.
 
-Several searches may share a study, each in a folder of its own. A trial belongs to the process that
-began it; if that process dies, the trial is closed and sampled again: at once where its death can
-be seen, elsewhere when Optuna misses its heartbeat.
+A study belongs to one search at a time. A trial that was interrupted stays unfinished in it; the
+next start trains it on, in its run, before it asks for new ones.
 """
 
 from __future__ import annotations
@@ -14,8 +13,6 @@ from __future__ import annotations
 import contextlib
 import itertools
 import math
-import time
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,24 +34,17 @@ from flipperctl.errors import (
     RequestError,
 )
 from flipperctl.messages import explain
-from flipperctl.results import SUMMARY, holder, is_dead
+from flipperctl.results import SUMMARY
 from flipperctl.session import command, sweep_command
 from flipperctl.training.sweep import JobResult, Sweep, SweepRun, sweep_run
 
 if TYPE_CHECKING:
     from optuna import Study
     from optuna.distributions import BaseDistribution
-    from optuna.trial import FrozenTrial, Trial, TrialState
+    from optuna.trial import FrozenTrial, Trial
 
-_HEARTBEAT, _GRACE = 15, 120
-"""Time between two heartbeats, and after the last one until its process counts as dead [s]."""
-_PAUSE = 1.0
-"""Time between two looks at what other searches do [s]."""
-_MEASURE, _AT_100_HZ = "measure", "pitch_variation_100hz"
-"""Attribute of a study that names the θ̂_R in its objective; earlier versions wrote none."""
-_OWNER, _PLACE, _RUN, _FAILED = "owner", "place", "run", "failed"
-"""Attributes of a trial: its process; its place in the search, which decides what is sampled; the
-path of its run; whether its training failed (Optuna's FAIL also marks interrupted trials)."""
+_AT_100_HZ = "pitch_variation_100hz"
+"""θ̂_R in the objective, which a study states as its ``measure``."""
 
 
 class SearchSettings(Settings):
@@ -145,18 +135,20 @@ def distributions(
             "'agent.learning_rate=tag(log,interval(1e-4,3e-3))' or agent.batch_size=64,128"
         )
     return {
-        key: _numbers(one) if isinstance(one, Interval) else CategoricalDistribution(list(one))
-        for key, one in sampled.items()
+        key: _numbers(values)
+        if isinstance(values, Interval)
+        else CategoricalDistribution(list(values))
+        for key, values in sampled.items()
     }
 
 
 def _numbers(interval: Interval) -> BaseDistribution:
     from optuna.distributions import FloatDistribution, IntDistribution
 
-    made = IntDistribution if interval.whole else FloatDistribution
+    kind = IntDistribution if interval.whole else FloatDistribution
     try:
         low, high = interval.low, interval.high
-        return made(low, high, log=interval.log)  # type: ignore[arg-type]  # both are of its kind
+        return kind(low, high, log=interval.log)  # type: ignore[arg-type]  # both are of its kind
     except ValueError as error:
         raise ConfigError(f"{interval.typed}: {error}") from error
 
@@ -178,52 +170,33 @@ def search(
     space = distributions(sampled)
     study = _open_study(settings, sorted(overrides))
     jobs.swept = list(space)
-    found = _Search(settings, study, jobs, space, fixed, tell)
+    trials = _Search(settings, study, jobs, space, fixed, tell)
     with _usable(settings.storage):
         with jobs.held():
-            found.run()
-        found.conclude()
+            trials.run()
+        trials.conclude()
 
 
 def _open_study(settings: SearchSettings, overrides: list[str]) -> Study:
-    """Return the study of ``settings``, new or as earlier searches of the same left it."""
+    """Return the study of ``settings``, new or as earlier starts of the same search left it."""
     import optuna
-    from sqlalchemy.exc import SQLAlchemyError
 
     name, url = settings.study_name, settings.storage
-    # Heartbeats are experimental, and Optuna expects them of study.optimize alone.
-    warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-    warnings.filterwarnings("ignore", "Heartbeat of storage")
-
-    def create() -> Study:
-        storage = url and optuna.storages.RDBStorage(
-            url, heartbeat_interval=_HEARTBEAT, grace_period=_GRACE
-        )
-        return optuna.create_study(
-            storage=storage, study_name=name, direction="maximize", load_if_exists=True
-        )
-
+    searched = {"overrides": overrides, "measure": _AT_100_HZ}
     with _usable(url, ImportError, ValueError):  # of its driver and of its URL
-        try:
-            study = create()
-        except SQLAlchemyError:  # another search may be creating the tables
-            time.sleep(_PAUSE)
-            study = create()
+        study = optuna.create_study(
+            storage=url, study_name=name, direction="maximize", load_if_exists=True
+        )
     with _usable(url):
-        known = study.user_attrs
-        if (searched := known.get("overrides", overrides)) != overrides:
+        known = {key: study.user_attrs.get(key) for key in searched}
+        if study.trials and known != searched:
             raise ConfigError(
                 f"hydra.sweeper.study_name: the study {name!r} in {url} searched "
-                f"{' '.join(searched)}; give the same overrides, or another study_name"
+                f"{' '.join(known['overrides'] or ['nothing'])} by {known['measure']}, not by "
+                f"{_AT_100_HZ}, or other settings; give the same overrides, or another study_name"
             )
-        if known.get(_MEASURE) != _AT_100_HZ and any(map(_counts, study.get_trials(False))):
-            raise ConfigError(
-                f"hydra.sweeper.study_name: the trials of the study {name!r} in {url} are "
-                "ordered by θ̂_R at decisions, as in earlier versions, and cannot be compared with "
-                "new ones, which are ordered by θ̂_R at 100 Hz; give another study_name"
-            )
-        study.set_user_attr("overrides", overrides)
-        study.set_user_attr(_MEASURE, _AT_100_HZ)
+        for key, value in searched.items():
+            study.set_user_attr(key, value)
     return study
 
 
@@ -245,23 +218,12 @@ def _usable(storage: str | None, *more: type[Exception]) -> Iterator[None]:
         ) from error
 
 
-def _fail() -> TrialState:
-    from optuna.trial import TrialState
-
-    return TrialState.FAIL
-
-
-def _counts(trial: FrozenTrial) -> bool:
-    """Return whether a trial was trained to the end, or has a training that failed."""
-    return trial.value is not None or _FAILED in trial.user_attrs
-
-
 @dataclass(frozen=True)
 class _Search:
     """A search that asks Optuna for trials until ``n_trials`` are finished.
 
-    The proposals of one search depend only on the seed and the finished trials, so a resumed search
-    whose trials are trained one by one has the same results as an uninterrupted one.
+    A proposal depends on the seed, on how many were made before it, and on the finished trials. So
+    a search whose trials are trained one by one has equal results, however often it was resumed.
     """
 
     settings: SearchSettings
@@ -276,164 +238,68 @@ class _Search:
         if known := len(self._finished()):
             self.tell(f"the study {self.study.study_name!r} has {known} finished trials already")
             self.jobs.runs += self._finished_runs()
-        awaited = 0
-        while (count := len(self._finished())) < self.settings.n_trials:
-            self._close_abandoned()
-            others = sum(not trial.state.is_finished() for trial in self._trials())
-            size = min(self.settings.n_jobs, self.settings.n_trials - count - others)
-            if size > 0:
-                self._train(size)
-            elif others != awaited:
-                self.tell(f"waiting for trials of another search: {others}")
-            awaited = others
+        while (left := self.settings.n_trials - len(self._finished())) > 0:
+            self._train(self._next(min(self.settings.n_jobs, left)))
             if self.jobs.stop():  # between two jobs
                 raise self._interrupted()
-            if size <= 0:
-                time.sleep(_PAUSE)
 
-    def _trials(self) -> list[FrozenTrial]:
-        return self.study.get_trials(deepcopy=False)
+    def _sampled(self) -> list[FrozenTrial]:
+        """Return the trials whose values are sampled; a kill may leave one that lacks some."""
+        trials = self.study.get_trials(deepcopy=False)
+        return [trial for trial in trials if trial.params.keys() == self.space.keys()]
 
     def _finished(self) -> list[FrozenTrial]:
-        return [trial for trial in self._trials() if _counts(trial)]
+        return [trial for trial in self._sampled() if trial.state.is_finished()]
 
-    def _close_abandoned(self) -> None:
-        """Close the trials of processes that died."""
-        from optuna.storages import fail_stale_trials
-
-        fail_stale_trials(self.study)
-        for trial in self._trials():
-            owner = trial.user_attrs.get(_OWNER)
-            if (
-                not trial.state.is_finished()
-                and isinstance(owner, list)
-                and is_dead((owner[0], owner[1]))
-            ):
-                self._close(trial.number)
-
-    def _close(self, number: int) -> None:
-        """Close a trial that was stopped; it does not count and is sampled again."""
-        self.study.tell(number, state=_fail(), skip_if_finished=True)
-
-    def _ask(self, beating: contextlib.ExitStack) -> Trial | None:
-        """Return a new trial of this process; None if other searches have begun the last ones.
-
-        The seed of its proposal is its place, the lowest that no finished or running trial has, so
-        that an interrupted trial is sampled again, and no two searches propose the same values.
-        """
+    def _next(self, size: int) -> list[FrozenTrial | Trial]:
+        """Return trials to be trained: those that were interrupted, then new ones."""
         from optuna.samplers import RandomSampler, TPESampler
-        from optuna.storages._heartbeat import get_heartbeat_thread  # that of study.optimize
 
-        trial = self.study.ask()
-        trial.set_user_attr(_OWNER, holder())
-        beats: Any = get_heartbeat_thread(trial._trial_id, self.study._storage)
-        beating.enter_context(beats)
-        place = self._free_place(trial.number)
-        if place >= self.settings.n_trials:
-            self._close(trial.number)
-            return None
-        trial.set_user_attr(_PLACE, place)
-        seed = int(np.random.SeedSequence([self.settings.seed, place]).generate_state(1)[0])
+        trials: list[FrozenTrial | Trial] = []
+        trials += [trial for trial in self._sampled() if not trial.state.is_finished()][:size]
         sampler = TPESampler if self.settings.sampler == "tpe" else RandomSampler
-        self.study.sampler = sampler(seed=seed)
-        for name, distribution in self.space.items():
-            trial._suggest(name, distribution)
-        return trial
+        while len(trials) < size:
+            # A resumed process would repeat the first proposals of a sampler with one seed.
+            key = [self.settings.seed, len(self._sampled())]
+            seed = int(np.random.SeedSequence(key).generate_state(1)[0])
+            self.study.sampler = sampler(seed=seed)
+            trials.append(self.study.ask(dict(self.space)))
+        return trials
 
-    def _free_place(self, number: int) -> int:
-        """Return the lowest place that no earlier trial has which counts or runs.
-
-        A trial that has just begun has not noted its own; it counts as the lowest free one.
-        """
-        taken: set[int] = set()
-        free = 0
-        for other in self._trials()[:number]:
-            if _counts(other) or not other.state.is_finished():
-                taken.add(other.user_attrs.get(_PLACE, free))
-                free = next(place for place in itertools.count() if place not in taken)
-        return free
-
-    def _twins(self, trial: Trial) -> list[FrozenTrial]:
-        """Return the closed trials with the values of this one."""
-        return [t for t in self._trials() if t.state.is_finished() and t.params == trial.params]
-
-    def _is_known(self, trial: Trial) -> bool:
-        """Give a trial the result of an earlier one with its values; return whether there is one.
-
-        Equal settings give equal runs.
-        """
-        if (twin := next(filter(_counts, self._twins(trial)), None)) is None:
-            return False
-        for name in {_FAILED, _RUN} & twin.user_attrs.keys():
-            trial.set_user_attr(name, twin.user_attrs[name])
-        failed = twin.value is None
-        self.study.tell(trial, twin.value, state=_fail() if failed else None)
-        result = "failed" if failed else f"objective {twin.value:.5f}"
-        self.tell(f"trial {trial.number} has the values of trial {twin.number}: {result}")
-        return True
-
-    def _train(self, size: int) -> None:
-        """Train new trials at once; a trial without a result is closed."""
-        with contextlib.ExitStack() as beating:
-            asked = [self._ask(beating) for _ in range(size)]
-            trials = [trial for trial in asked if trial is not None and not self._is_known(trial)]
-            problems: list[Exception | None] = []
-            done = 0
-            try:
-                results = self._launch(trials)
-                for trial, result in zip(trials, results, strict=False):  # fewer after an interrupt
-                    problems.append(self._record(trial, result))
-                    done += 1
-            finally:
-                for trial in trials[done:]:
-                    self._close(trial.number)
+    def _train(self, trials: Sequence[FrozenTrial | Trial]) -> None:
+        """Train trials at once, and record their results."""
+        problems: list[Exception | None] = []
+        for _, group in itertools.groupby(enumerate(trials), lambda item: item[1].number - item[0]):
+            batch = [trial for _, trial in group]  # a launcher numbers its jobs in sequence
+            jobs = [[*self.fixed, *(f"{k}={v}" for k, v in t.params.items())] for t in batch]
+            results = self.jobs.launch(jobs, batch[0].number)
+            for trial, result in zip(batch, results, strict=False):  # fewer after an interrupt
+                problems.append(self._record(trial.number, result))
         for problem in filter(None, problems):
             if isinstance(problem, InterruptedRunError):
                 raise self._interrupted() from problem
             raise problem
 
-    def _launch(self, trials: Sequence[Trial]) -> list[JobResult]:
-        """Train the trials' jobs; those with consecutive numbers are launched together.
-
-        A trial goes on in the run of a stopped trial with its values. A launcher numbers its jobs
-        in sequence, and another search may have taken a number in between.
-        """
-        jobs = [[*self.fixed, *(f"{k}={v}" for k, v in t.params.items())] for t in trials]
-        numbers = [min([t.number, *(o.number for o in self._twins(t))]) for t in trials]
-        results: list[JobResult] = []
-        while len(results) < len(jobs):
-            begin = end = len(results)
-            while end < len(jobs) and numbers[end] == numbers[begin] + end - begin:
-                end += 1
-            results += self.jobs.launch(jobs[begin:end], numbers[begin])
-            if len(results) < end:  # interrupted
-                break
-        return results
-
-    def _record(self, trial: Trial, result: JobResult) -> Exception | None:
+    def _record(self, number: int, result: JobResult) -> Exception | None:
         """Record the result of a trial; return the error that stops the search, if any."""
-        from optuna.exceptions import UpdateFinishedTrialError
+        from optuna.trial import TrialState
 
         value, error = result.value, result.error
-        try:
-            if isinstance(error, NonFiniteError | PluginFailedError):
-                trial.set_user_attr(_FAILED, True)  # a result: these settings do not work
-                self.study.tell(trial, state=_fail())
-                self.tell(f"trial {trial.number} failed: {error}")
-            elif error is not None or value is None:
-                self._close(trial.number)
-                missing = "train.validate_every: a search needs a validation in each run"
-                return error or RequestError(missing)
-            else:
-                trial.set_user_attr(_RUN, str(result.folder))
-                self.study.tell(trial, value)
-                best = self.study.best_trial
-                self.tell(
-                    f"trial {trial.number}: objective {value:.5f}; "
-                    f"best {best.value:.5f} (trial {best.number})"
-                )
-        except UpdateFinishedTrialError:  # its heartbeat was missing for too long
-            self.tell(f"trial {trial.number} is lost: another search has closed it")
+        if isinstance(error, NonFiniteError | PluginFailedError):
+            # This, too, is a result: the values do not work.
+            self.study.tell(number, state=TrialState.FAIL)
+            self.tell(f"trial {number} failed: {error}")
+        elif error is not None or value is None:
+            missing = "train.validate_every: a search needs a validation in each run"
+            return error or RequestError(missing)
+        else:
+            self.study.set_user_attr(f"run {number}", str(result.folder))
+            self.study.tell(number, value)
+            best = self.study.best_trial
+            self.tell(
+                f"trial {number}: objective {value:.5f}; "
+                f"best {best.value:.5f} (trial {best.number})"
+            )
         return None
 
     def _interrupted(self) -> InterruptedRunError:
@@ -444,17 +310,18 @@ class _Search:
 
     def _run_of(self, trial: FrozenTrial) -> Path:
         """Return the run of a trained trial, below the search's folder if that was moved."""
-        run = Path(trial.user_attrs[_RUN])
+        noted = self.study.user_attrs.get(f"run {trial.number}")
+        run = Path(noted or trial.user_attrs["run"])  # where earlier versions noted it
         moved = self.jobs.folder.absolute() / run.name
         return moved if not run.exists() and moved.exists() else run
 
     def _finished_runs(self) -> Iterator[SweepRun]:
-        """Yield each run of finished trials in the folder; other searches have theirs elsewhere."""
-        trials = {  # trials with equal values share a run; others failed and have none
-            self._run_of(trial): trial for trial in self._finished() if _RUN in trial.user_attrs
-        }
-        for run, trial in trials.items():
-            if run.is_relative_to(self.jobs.folder.absolute()) and (run / SUMMARY).is_file():
+        """Yield each run of finished trials in the folder; earlier starts may have had another."""
+        for trial in self._finished():
+            run = None if trial.value is None else self._run_of(trial)  # None: it failed
+            if run is None or not run.is_relative_to(self.jobs.folder.absolute()):
+                continue
+            if (run / SUMMARY).is_file():
                 values = {name.lstrip("+~"): str(value) for name, value in trial.params.items()}
                 yield sweep_run(job_order(run)[0], values, run, None)
 
@@ -464,8 +331,8 @@ class _Search:
             raise FlipperctlError("every trial of the search failed; see the messages above")
         best = self.study.best_trial
         run = self._run_of(best)
-        found = {"best_params": best.params, "best_value": best.value, "best_run": str(run)}
-        document = OmegaConf.create({"name": "optuna", **found})
+        results = {"best_params": best.params, "best_value": best.value, "best_run": str(run)}
+        document = OmegaConf.create({"name": "optuna", **results})
         OmegaConf.save(document, self.jobs.folder / "optimization_results.yaml")
         settings = " ".join(f"{key}={value}" for key, value in best.params.items())
         self.tell(

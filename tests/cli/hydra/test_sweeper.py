@@ -1,8 +1,5 @@
 """The search: its samples and objective, which trials count, and that a stop changes nothing."""
 
-import subprocess
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +7,6 @@ import optuna
 import pytest
 from hydra.core.utils import JobReturn, JobStatus
 from omegaconf import OmegaConf
-from sqlalchemy.exc import SQLAlchemyError
 
 from flipperctl.cli.hydra import sweeps
 from flipperctl.cli.hydra.overrides import Overrides
@@ -49,13 +45,13 @@ def search(
     folder: Path,
     overrides: list[str] = DRAWN,
     fails: dict[int, Any] | None = None,
-    own: str = ".",
     **settings: Any,
 ) -> tuple[list[dict[str, str]], list[optuna.trial.FrozenTrial]]:
     """The jobs of this start, and all trials of the study."""
+    folder.mkdir(exist_ok=True)
     storage = f"sqlite:///{folder}/search.db"
     launcher = Launcher(fails)
-    sweep = {"dir": str(folder / own), "subdir": "${hydra.job.num}"}
+    sweep = {"dir": str(folder), "subdir": "${hydra.job.num}"}
     jobs = launched_by(launcher, OmegaConf.create({"hydra": {"sweep": sweep}}))
     chosen = SearchSettings(storage=storage, **settings)
     sampled, fixed = Overrides.parse(overrides, check=False).sampled()
@@ -83,73 +79,6 @@ def test_a_search_that_was_killed_finds_what_an_uninterrupted_one_finds(tmp_path
     assert search(tmp_path / "killed", n_trials=12)[0] == []
 
 
-SCRIPT = """
-import sys, time
-from pathlib import Path
-from flipperctl import plugins
-plugins.load()
-from tests.cli.hydra.test_sweeper import Launcher, search
-train = Launcher.train
-def slow(self, job, number):
-    time.sleep(float(sys.argv[2]))
-    return train(self, job, number)
-Launcher.train = slow
-search(Path(sys.argv[1]), n_trials=8, n_jobs=int(sys.argv[3]), own=sys.argv[4])
-"""
-
-
-def start(folder: Path, pause: float, jobs: int, own: str) -> subprocess.Popen[bytes]:
-    """Start a search in another process, whose trainings last ``pause`` [s]."""
-    arguments = [str(folder), str(pause), str(jobs), own]
-    with (folder / f"{own}.log").open("w") as log:
-        return subprocess.Popen([sys.executable, "-c", SCRIPT, *arguments], stderr=log)
-
-
-@pytest.mark.long
-def test_two_searches_share_a_study_from_its_creation_on(tmp_path: Path) -> None:
-    pair = {own: start(tmp_path, 0.1, jobs, own) for own, jobs in (("one", 1), ("two", 2))}
-    for own, process in pair.items():
-        assert process.wait(timeout=120) == 0, (tmp_path / f"{own}.log").read_text()
-    found = trials(tmp_path)
-    complete = [trial for trial in found if trial.state.name == "COMPLETE"]
-    assert len(complete) == 8  # none twice, and none beyond the eight
-    assert len({trial.params["agent.learning_rate"] for trial in complete}) == 8
-    assert all(not trial.params for trial in found if trial not in complete)
-
-
-@pytest.mark.long
-def test_a_trial_that_runs_elsewhere_is_left_alone_until_its_process_dies(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    other = start(tmp_path, 600, 1, "other")
-    while not (running := [t for t in find_trials(tmp_path) if t.params.get("agent.batch_size")]):
-        assert other.poll() is None
-        time.sleep(0.1)
-    train, states = Launcher.train, []
-
-    def killing(self: Launcher, job: list[str], number: int) -> JobReturn:
-        states.append(trials(tmp_path)[0].state.name)
-        if number == 1:
-            other.kill()
-            other.wait()
-        return train(self, job, number)
-
-    monkeypatch.setattr(Launcher, "train", killing)
-    jobs, found = search(tmp_path, n_trials=2)
-    assert states == ["RUNNING", "FAIL"]
-    assert len(jobs) == 2
-    assert [trial.state.name for trial in found] == ["FAIL", "COMPLETE", "COMPLETE"]
-    assert found[1].params != running[0].params == found[2].params  # sampled again
-
-
-def find_trials(folder: Path) -> list[optuna.trial.FrozenTrial]:
-    """The trials so far, none before the study exists."""
-    try:
-        return trials(folder)
-    except (KeyError, SQLAlchemyError):
-        return []
-
-
 def test_more_trials_go_on_and_the_best_is_written(tmp_path: Path) -> None:
     search(tmp_path, n_trials=2)
     jobs, found = search(tmp_path, n_trials=5, n_jobs=2)
@@ -160,36 +89,44 @@ def test_more_trials_go_on_and_the_best_is_written(tmp_path: Path) -> None:
     assert written.best_run == f"run{best.number}"
 
 
-def test_equal_values_are_trained_once(tmp_path: Path) -> None:
-    lists = ["agent.learning_rate=0.1,0.2"]
-    jobs, found = search(tmp_path, lists, n_trials=6)
-    assert len(jobs) == len({job["agent.learning_rate"] for job in jobs})
-    assert [trial.value for trial in found] == [
-        float(trial.params["agent.learning_rate"]) for trial in found
-    ]
-    assert len(found) == 6
-    failing = {n: NonFiniteError("nan") for n in range(6)}
-    (tmp_path / "fails").mkdir()
+def test_trials_that_fail_count_and_no_other_is_proposed_in_their_place(tmp_path: Path) -> None:
+    failing = {n: NonFiniteError("nan") for n in range(3)}
     with pytest.raises(FlipperctlError, match="every trial"):
-        search(tmp_path / "fails", lists, failing, n_trials=6)
-    assert len(trials(tmp_path / "fails")) == 6
+        search(tmp_path, fails=failing, n_trials=3)
+    jobs, found = search(tmp_path, n_trials=4)
+    assert (len(jobs), len(found)) == (1, 4)
+    assert len({trial.params["agent.learning_rate"] for trial in found}) == 4
 
 
-def test_an_interrupted_trial_goes_on_in_its_own_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_interrupted_trials_go_on_in_their_own_runs(
+    jobs: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with pytest.raises(KeyboardInterrupt):
-        search(tmp_path, fails={2: KeyboardInterrupt()}, n_trials=4)
     numbers, train = [], Launcher.train
 
     def noted(self: Launcher, job: list[str], number: int) -> JobReturn:
         numbers.append(number)
         return train(self, job, number)
 
+    with pytest.raises(KeyboardInterrupt):
+        search(tmp_path, fails={3: KeyboardInterrupt()}, n_trials=6, n_jobs=jobs)
+    left = [trial for trial in trials(tmp_path) if trial.value is None]
     monkeypatch.setattr(Launcher, "train", noted)
-    _, found = search(tmp_path, n_trials=4)
-    assert numbers == [2, 4]
-    assert found[3].params == found[2].params
+    search(tmp_path, n_trials=6, n_jobs=jobs)
+    assert numbers == [3, 4, 5] if jobs == 1 else [2, 3, 4, 5]
+    _, whole = search(tmp_path / "whole", n_trials=6, n_jobs=jobs)
+    assert drawn(trials(tmp_path)) == drawn(whole)
+    assert [trials(tmp_path)[t.number].params for t in left] == [t.params for t in left]
+
+
+def test_a_trial_that_a_kill_left_without_its_values_is_proposed_anew(tmp_path: Path) -> None:
+    search(tmp_path, n_trials=2)
+    storage = f"sqlite:///{tmp_path / 'search.db'}"
+    optuna.load_study(study_name="search", storage=storage).ask()  # and no value of it
+    jobs, found = search(tmp_path, n_trials=3)
+    assert (len(jobs), [trial.number for trial in found if trial.params]) == (1, [0, 1, 3])
+    _, whole = search(tmp_path / "whole", n_trials=3)
+    assert drawn(found) == drawn(whole)
 
 
 def test_a_wrong_request_stops_the_search_at_once(tmp_path: Path) -> None:
@@ -205,7 +142,7 @@ def test_one_study_holds_one_search_by_one_measure(tmp_path: Path) -> None:
         search(tmp_path, [*DRAWN, "seed=2"], n_trials=1)
     storage = f"sqlite:///{tmp_path / 'search.db'}"
     optuna.load_study(study_name="search", storage=storage).set_user_attr("measure", None)
-    with pytest.raises(ConfigError, match=r"θ̂_R at decisions.*another study_name"):
+    with pytest.raises(ConfigError, match=r"by None, not by pitch.*another study_name"):
         search(tmp_path, n_trials=2)
 
 
