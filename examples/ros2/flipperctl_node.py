@@ -5,10 +5,14 @@ It needs rclpy, the standard messages and ``flipperctl`` (which needs numpy and 
     python flipperctl_node.py --ros-args -p policy:=stair.onnx
 
 In: ``points`` (PointCloud2), ``imu/data`` (Imu), ``joint_states`` (JointState of the four flippers)
-and ``belt_speed`` (Float64, optional). Out: ``flipper_controller/commands`` (Float64MultiArray, as
-forward_command_controller takes it), ``belts_may_run`` (Bool) and ``/diagnostics``. The place of
-the LiDAR comes from tf. With ``-p shadow:=true`` nothing is commanded: the log shows what would be.
-With ``-p escape:=false`` no action is drawn on a warning.
+and ``belt_speed`` (Float64, optional). Out: ``joint_command`` (JointState, with a stamp: the angles
+of the flippers, and the largest speed of the belts), ``flipper_controller/commands``
+(Float64MultiArray, as forward_command_controller takes it), ``belts_may_run`` (Bool) and
+``/diagnostics``. A command counts for 0.3 s: after that whoever drives the motors stops them. The
+place of the LiDAR comes from tf. After a stop that lasts, call the service ``acknowledge``.
+
+With ``-p shadow:=true`` nothing is commanded: the log shows what would be. With ``-p escape:=true``
+actions are drawn on a warning, as in the simulator.
 """
 
 import math
@@ -17,13 +21,14 @@ from dataclasses import replace
 import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy, qos_profile_sensor_data
 from sensor_msgs.msg import Imu, JointState, PointCloud2
-from std_msgs.msg import Bool, Float64, Float64MultiArray
+from std_msgs.msg import Bool, Float64, Float64MultiArray, Header
+from std_srvs.srv import Trigger
 from tf2_ros import Buffer, TransformException, TransformListener
 
-from flipperctl.core.lidar.body import mounting
 from flipperctl.runtime import (
     REP_103,
     Attitude,
@@ -40,6 +45,7 @@ from flipperctl.runtime import (
 BASE = "base_link"
 FRONT = ("front_left_flipper", "front_right_flipper")
 REAR = ("rear_left_flipper", "rear_right_flipper")
+BELTS = "belts"
 MOUNT = Mount(
     x=0.0, z=0.0, axis=math.pi / 2, near=0.1, margin=0.05
 )  # of clouds that come in base_link
@@ -72,7 +78,7 @@ class FlipperNode(Node):
         self.pose = self.declare_parameter("pose", "belts").value
         self.policy = self.declare_parameter("policy", "policy.onnx").value
         self.shadow = self.declare_parameter("shadow", False).value
-        self.escape = self.declare_parameter("escape", True).value
+        self.escape = self.declare_parameter("escape", False).value
         self.begin(MOUNT)
         self.cloud = self.joints = self.odometry = self.transform = None
         self.times, self.newest, self.warned = PointTimes(), NewestJoints(FRONT, REAR), set()
@@ -84,8 +90,10 @@ class FlipperNode(Node):
         self.create_subscription(JointState, "joint_states", self.on_joints, 10)
         self.create_subscription(Float64, "belt_speed", self.on_belts, 10)
         self.commands = self.create_publisher(Float64MultiArray, "flipper_controller/commands", 10)
+        self.stamped = self.create_publisher(JointState, "joint_command", 10)
         self.may_run = self.create_publisher(Bool, "belts_may_run", 10)
         self.diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", 10)
+        self.create_service(Trigger, "acknowledge", self.on_acknowledge)
         self.create_timer(0.05, self.step)  # without messages too: age is a fault
 
     def begin(self, mount):
@@ -94,6 +102,7 @@ class FlipperNode(Node):
         setup, log = replace(setup, pose=self.pose), self.get_logger().info
         options = {"shadow": self.shadow, "escape": self.escape}
         self.controller = FlipperController(self.policy, setup, log=log, **options)
+        self.speed = float(self.controller.policy.interface.robot.get("track_speed", math.nan))
 
     def now(self):
         """Return the node's clock [s]; it must be that of the stamps."""
@@ -136,8 +145,9 @@ class FlipperNode(Node):
                 return False
             place, turn = found.translation, rotation(found.rotation)
             axis = math.atan2(turn[2, 2], turn[0, 2])  # about which it turns: rings stay rings
-            self.begin(replace(MOUNT, x=place.x, z=place.z, axis=axis))
-            back = mounting(axis).T
+            mount = replace(MOUNT, x=place.x, z=place.z, axis=axis)
+            self.begin(mount)
+            back = mount.turn.T
             self.transform = frame, back @ turn, back @ (0.0, place.y, 0.0)
         return True
 
@@ -158,15 +168,19 @@ class FlipperNode(Node):
         turn = rates.x, rates.y, rates.z
         self.step(Attitude.from_imu(time, frame, (q.x, q.y, q.z, w), turn))
 
+    def on_acknowledge(self, request, response):
+        """Let the robot go on after a stop that lasts."""
+        self.controller.acknowledge()
+        response.success, response.message = True, "acknowledged"
+        return response
+
     def step(self, attitude=None):
         """Hand over what has arrived, and publish the answer."""
         answer = self.controller.step(self.now(), self.cloud, attitude, self.joints, self.odometry)
         self.cloud = self.joints = self.odometry = None
+        header = Header(stamp=self.get_clock().now().to_msg(), frame_id=BASE)
         if not self.shadow:
-            self.may_run.publish(Bool(data=answer.drive))
-            if answer.targets is not None:
-                front, rear = answer.targets
-                self.commands.publish(Float64MultiArray(data=[front, front, rear, rear]))
+            self.command(header, answer)
         values = [KeyValue(key="fault", value=answer.fault)]
         status = DiagnosticStatus(
             level=LEVELS[answer.state],
@@ -174,7 +188,20 @@ class FlipperNode(Node):
             message=answer.reason or answer.state,
             values=values,
         )
-        self.diagnostics.publish(DiagnosticArray(status=[status]))
+        self.diagnostics.publish(DiagnosticArray(header=header, status=[status]))
+
+    def command(self, header, answer):
+        """Publish what the motors may do; flippers that get no command are left out."""
+        names, angles = [BELTS], [math.nan]
+        if answer.targets is not None:
+            front, rear = answer.targets
+            names, angles = [*FRONT, *REAR, BELTS], [front, front, rear, rear, math.nan]
+            self.commands.publish(Float64MultiArray(data=angles[:-1]))
+        speeds = [math.nan] * (len(names) - 1) + [self.speed if answer.drive else 0.0]
+        self.stamped.publish(
+            JointState(header=header, name=names, position=angles, velocity=speeds)
+        )
+        self.may_run.publish(Bool(data=answer.drive))
 
 
 def main():
@@ -182,8 +209,8 @@ def main():
     rclpy.init()
     try:
         rclpy.spin(FlipperNode())
-    except KeyboardInterrupt:
-        pass
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass  # Ctrl-C, or the end that ros2 launch asks for
     finally:
         rclpy.try_shutdown()
 

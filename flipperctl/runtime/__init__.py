@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from flipperctl.runtime.point_cloud import PointTimes as PointTimes
     from flipperctl.runtime.point_cloud import read_cloud as read_cloud
     from flipperctl.runtime.policy import OnnxPolicy as OnnxPolicy
+    from flipperctl.runtime.states import CommandWatch as CommandWatch
 
 _MODULES = {
     "controller": "Answer FlipperController",
@@ -36,6 +37,7 @@ _MODULES = {
     "RobotSetup Signs",
     "point_cloud": "PointTimes read_cloud",
     "policy": "OnnxPolicy",
+    "states": "CommandWatch",
 }
 __all__ = sorted(name for names in _MODULES.values() for name in names.split())
 

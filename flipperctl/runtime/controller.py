@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from numbers import Real
 from pathlib import Path
@@ -21,12 +21,12 @@ from flipperctl.core.lidar.body import Body
 from flipperctl.core.lidar.estimator import LidarEstimator
 from flipperctl.core.lidar.ground import MapQuality, MapSettings
 from flipperctl.core.lidar.matching import ScanMatcher
-from flipperctl.core.lidar.messages import Belts
+from flipperctl.core.lidar.messages import Belts, Joints
 from flipperctl.core.lidar.outline import accuracy_of
 from flipperctl.core.sensing import Measured
-from flipperctl.core.targets import Action
+from flipperctl.core.targets import JOINTS, Action
 from flipperctl.errors import MissingExtraError, PolicyError
-from flipperctl.runtime.intake import Fault, Intake
+from flipperctl.runtime.intake import Intake
 from flipperctl.runtime.interface import Interface
 from flipperctl.runtime.messages import (
     Attitude,
@@ -36,34 +36,34 @@ from flipperctl.runtime.messages import (
     Odometry,
     RobotSetup,
 )
+from flipperctl.runtime.motion import PairMotion
 from flipperctl.runtime.policy import OnnxPolicy
-
-Pair = tuple[float, float]
-State = Literal["waiting", "standby", "driving", "holding", "stopped"]
+from flipperctl.runtime.states import DRIVES, Fault, Pair, States
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What the flippers and the belts shall do until the next step."""
+    """What the flippers and the belts shall do until the next step, or until it expires."""
 
     targets: Pair | None
     """Angles to turn the front and the rear flippers to, in the robot's signs [rad].
 
-    None as long as no angle was measured: then leave the flippers as they are.
+    None in ``standby``, while it waits and before the first decision: then send the flippers
+    nothing. As long as a pair was not seen to obey, it is its setpoint.
     """
     setpoints: Pair | None
     """Where the flippers shall be now on their way there, at the speed of the training [rad]."""
     drive: bool
     """Whether the belts may run."""
-    state: State
-    """``waiting`` for the first inputs, ``driving``, ``holding`` the flippers, or ``stopped``.
-
-    In ``standby`` the flippers are held too: nothing is wrong, and the belts do not drive ahead.
-    """
+    state: Literal["waiting", "standby", "driving", "holding", "stopped"]
+    """See ``flipperctl.runtime.states``; ``latched`` is a stop, too."""
     fault: str = ""
     """Stable name of the fault, as ``cloud_age``; empty without one."""
     reason: str = ""
-    """What was found and what is allowed, of a fault or in standby; otherwise empty."""
+    """What was found and what is allowed, of a fault or in standby; otherwise empty.
+
+    While it holds or is stopped after a fault, both are those of the last one.
+    """
     action: Action | None = None
     """The action, if this step decided: a row of ``interface.actions``, or rates."""
     risk: float | None = None
@@ -71,79 +71,17 @@ class Answer:
     not driven, and for a file without a risk."""
     warning: bool = False
     """Whether the risk is the file's threshold or more."""
+    latched: bool = False
+    """Whether the belts stand until ``acknowledge`` or ``reset``."""
+    time: float = math.nan
+    """Time of the step, by its clock [s]; NaN if that was no time."""
+    valid_for: float = 0.0
+    """Time from then on after which this is no command any more [s]; see ``CommandWatch``."""
 
 
-_APPROACH = 0.02
-"""Reduction of the error that counts as an approach [rad]."""
-
-
-class _StallDetector:
-    """Finds flippers that miss their targets and come no closer for ``limits.stall_time``."""
-
-    def __init__(self, limits: Limits) -> None:
-        self._limits = limits
-        # Of the last approach: the smallest error since [rad], and its time [s].
-        self._pairs: dict[str, tuple[float, float]] = {}
-
-    def stalled(self, now: float, targets: Pair, angles: Pair) -> list[str]:
-        """Return the pairs that have not approached their targets for too long; all in [rad]."""
-        stalled = []
-        for name, target, angle in zip(("front", "rear"), targets, angles, strict=True):
-            error = abs(target - angle)
-            least, since = self._pairs.get(name, (error, now))
-            if error <= self._limits.stall_error or error < least - _APPROACH:
-                least, since = error, now
-            elif error > least + self._limits.stall_error:  # another target was set
-                least = error
-            self._pairs[name] = least, since
-            if now - since >= self._limits.stall_time:
-                stalled.append(name)
-        return stalled
-
-
-class _Standby:
-    """Finds belts that have been slower than ``limits.standby_speed`` for ``standby_after``.
-
-    Once they have, it takes ``standby_until`` of a larger speed to end that: a single one, as from
-    slack tracks or a coarse encoder, moves no flipper of a parked robot. It takes what the belts'
-    encoders measure, not how the robot moves: belts that slip under a robot that is stuck drive,
-    and belts that were stopped do not.
-    """
-
-    def __init__(self, limits: Limits) -> None:
-        self._limits = limits
-        self._speed = math.nan  # as on a robot without encoders of its belts
-        self._driven, self._since = True, 0.0  # what the last speed says, and since when [s]
-        self._stands = False
-
-    def update(self, now: float, speed: float) -> None:
-        """Receive a speed of the belts, ahead positive [m/s].
-
-        If the first speed of all is slow, the belts have never driven, and that counts at once.
-        """
-        driven = speed >= self._limits.standby_speed
-        if math.isnan(self._speed):
-            self._stands = not driven
-        self._speed = speed
-        if driven is not self._driven:
-            self._driven, self._since = driven, now
-
-    def stands(self, now: float) -> bool:
-        """Return whether the flippers stand by; False before any speed."""
-        if self._stands is self._driven:  # the last speeds say otherwise
-            wait = self._limits.standby_until if self._driven else self._limits.standby_after
-            if now - self._since >= wait - 1e-9:  # for sums of periods
-                self._stands = not self._driven
-        return self._stands
-
-    def reason(self) -> str:
-        """Return a sentence with the speed, for an answer in standby."""
-        return (
-            f"the belts drive at {self._speed:.2f} m/s; the flippers are held until that is "
-            f"{self._limits.standby_speed:g} m/s or more"
-        )
-
-
+_UNTRIED = Fault("start", "no decision was tried yet", gap=True)
+_FOLLOWS = "stall", "motion_slow"
+"""Faults of a motion whose measured angles are right."""
 _ON_TIME = 1e-6
 """Part of a step by which a decision may be early, for times that are sums of periods [s]."""
 
@@ -151,8 +89,9 @@ _ON_TIME = 1e-6
 class FlipperController:
     """Decides at the period of the policy, and holds and then stops while it cannot.
 
-    While ``Odometry`` says that the belts do not drive ahead, it decides nothing and holds the
-    flippers: a policy has only seen belts that drive, and takes a parked robot for a stuck one.
+    ``flipperctl.runtime.states`` has the states. While ``Odometry`` says that the belts do not
+    drive ahead, it decides nothing: a policy has only seen belts that drive, and takes a parked
+    robot for a stuck one.
 
     Call ``step`` whenever a message has arrived, and at least every 0.1 s, from one thread. The
     simulator's ``perception=lidar`` uses the same estimator, so a policy perceives on the robot
@@ -167,13 +106,13 @@ class FlipperController:
         log: Callable[[str], object] | None = None,
         *,
         shadow: bool = False,
-        escape: bool = True,
+        escape: bool = False,
     ) -> None:
         """``log`` receives a line of JSON for each decision and each change of state.
 
         ``shadow``: someone else moves the flippers, and the answers only tell what the policy would
-        do; that flippers do not follow is then no fault. ``escape``: whether a
-        policy that warns draws its actions, see ``OnnxPolicy``.
+        do; that flippers do not follow is then no fault. ``escape``: whether a policy that warns
+        draws its actions, as in the simulator; see ``OnnxPolicy``.
 
         Raises:
             MissingExtraError: onnxruntime is missing, or small_gicp for matched scans.
@@ -191,24 +130,43 @@ class FlipperController:
 
     def reset(self) -> None:
         """Begin anew on level ground, as after the robot was carried: map and targets go."""
+        self._states = States(self._limits)
         self._begin(level=True)
+
+    def acknowledge(self) -> None:
+        """Let a robot go on that stopped until it is told to; its map stays."""
+        if self._states.acknowledge() == "waiting":
+            self._await()
 
     def _begin(self, *, level: bool) -> None:
         self._estimator = new_estimator(self.policy.interface, self._setup, level=level)
-        self.policy.reset()
         self._intake = Intake(self._setup, self._limits)
-        self._stalls = _StallDetector(self._limits)
-        self._standby = _Standby(self._limits)
-        self._standing = False  # whether the flippers stand by
-        self._targets: Pair | None = None
-        self._setpoints: Pair | None = None
         self._begun: float | None = None  # time of the first step [s]
-        self._due = -math.inf  # time of the next decision
-        self._faulty_since: float | None = None
-        self._held_until = -math.inf
         self._decided = False
-        self._undecided: Fault | None = None  # why the last try to decide failed
         self._answer = Answer(None, None, False, "waiting")
+        self._await()
+
+    def _await(self) -> None:
+        """Command nothing until a decision is made, and compare the motion from then on."""
+        self._motions = {} if self._shadow else self._new_motions()
+        self._due = -math.inf  # time of the next decision
+        self._undecided: Fault | None = _UNTRIED  # why the last try to decide failed
+        self._stall: tuple[Fault, float] | None = None  # a fault of the motion, and its end [s]
+        self._release()
+
+    def _new_motions(self) -> dict[str, PairMotion]:
+        interface = self.policy.interface
+        delay = float(interface.robot.get("actuator_delay", 0.0))
+        numbers = float(np.abs(interface.actions).max()), self._period, self._turning, delay
+        return {name: PairMotion(name, *numbers, self._limits) for name in JOINTS}
+
+    def _release(self) -> None:
+        """Command nothing; the policy forgets its earlier observations."""
+        self._targets: Pair | None = None  # those of the policy, or where the flippers are held
+        self._setpoints: Pair | None = None
+        self._shown: Pair | None = None  # the targets of the answer
+        self._held = False
+        self.policy.reset()
 
     def step(
         self,
@@ -223,34 +181,50 @@ class FlipperController:
         ``now``: a clock that never goes back [s]. Nothing is raised for bad input: whatever keeps
         the controller from deciding is the answer's ``reason``.
         """
-        jump = self._clock_fault(now)
-        if jump is not None:
-            return self._say(now, jump, None)
+        if self._shadow and self._states.state == "latched":
+            self.acknowledge()  # nothing is driven, and the rest of a recording counts too
+        fault = self._clock_fault(now)
+        if fault is not None:
+            self._states.update(self._last or 0.0, fault)
+            return self._say(now, fault, None)
         now = float(now)  # which numpy may have made
         elapsed, self._last = now - (now if self._last is None else self._last), now
         self._begun = now if self._begun is None else self._begun
-        self._advance(elapsed)  # towards the targets of the steps before
         messages = {"odometry": odometry, "attitude": attitude, "joints": joints, "cloud": cloud}
-        # The scan comes last: it enters the map at the pose that the others tell.
         action = None
         try:
-            for device, stamp, message in self._intake.receive(now, **messages):
-                if device == "attitude" and "odometry" not in self._intake.known:
-                    speed = self._driving_speed if self._answer.drive else 0.0
-                    self._estimator.update(Measured("odometry", stamp, Belts(speed)))
-                self._estimator.update(Measured(device, stamp, message))
-                if isinstance(message, Belts):
-                    self._standby.update(now, message.speed)
-            fault = self._intake.fault(now) or self._speed_fault(now) or self._stall_fault(now)
-            if fault is None:
-                self._stand_by_or_begin(now)
-                if now >= self._due - _ON_TIME:
-                    action = self._decide(now)
+            self._advance(now, elapsed)  # towards the targets of the steps before
+            fault = self._receive(now, messages)
+            state = self._states.update(now, fault or self._undecided)
+            if state == "driving" and (self._held or self._targets is None):
+                self._due = min(self._due, now)
+            blocked = state == "latched" or self._states.event == "unsure"
+            if fault is None and not blocked and now >= self._due - _ON_TIME:
+                action = self._decide(now)
         except Exception as error:  # noqa: BLE001 - a robot must get an answer, whatever was wrong
-            fault = self._undecided = Fault(
-                "inference", " ".join(str(error).split()) or type(error).__name__
-            )
-        return self._say(now, fault or self._undecided, action)
+            text = " ".join(str(error).split()) or type(error).__name__
+            fault = self._undecided = Fault("inference", text)
+            self._states.update(now, fault)
+        fault = fault or self._undecided
+        self._hold_or_release(now, fault)
+        return self._say(now, fault, action)
+
+    def _receive(self, now: float, messages: Mapping[str, object]) -> Fault | None:
+        """Take in messages and return what is wrong; ``messages``: the scan comes last.
+
+        It enters the map at the pose that the others tell.
+        """
+        fault = None
+        for device, stamp, message in self._intake.receive(now, **messages):
+            if device == "attitude" and "odometry" not in self._intake.known:
+                speed = self._driving_speed if self._answer.drive else 0.0
+                self._estimator.update(Measured("odometry", stamp, Belts(speed)))
+            self._estimator.update(Measured(device, stamp, message))
+            if isinstance(message, Belts):
+                self._states.belts(now, message.speed)
+            elif isinstance(message, Joints):
+                fault = self._motion_fault(now, message)
+        return fault or self._intake.fault(now) or self._speed_fault(now) or self._stall_fault(now)
 
     def _clock_fault(self, now: object) -> Fault | None:
         """Return a fault if the clock is no clock; after a jump nothing old is of use."""
@@ -279,35 +253,23 @@ class FlipperController:
         text = f"no odometry was received yet; a robot without it decides after {longest:g} s"
         return Fault("odometry_missing", text)
 
-    def _stall_fault(self, now: float) -> Fault | None:
-        joints = self._intake.joints
-        if joints is None or self._targets is None or self._shadow or not self._decided:
+    def _motion_fault(self, now: float, joints: Joints) -> Fault | None:
+        """Compare the new angles with the commands; after a fault, hold the flippers there."""
+        if self._targets is None or self._held:
             return None
-        angles = joints.front, joints.rear
-        stalled = self._stalls.stalled(now, self._targets, angles)
-        if stalled and self._standing:  # their operator turns them
-            self._hold()
-        elif stalled:
-            self._stalled = " and ".join(stalled)
-            self._held_until = now + self._limits.stall_hold
-            self._targets = self._setpoints = self._within(angles)  # do not push
-            self._stalls = _StallDetector(self._limits)
-        if now < self._held_until:
-            return Fault(
-                "stall",
-                f"the {self._stalled} flippers do not follow; they are held where they are for "
-                f"{self._limits.stall_hold:g} s",
-            )
-        return None
+        sides = self._intake.sides or ((joints.front,), (joints.rear,))
+        pairs = zip(self._motions.values(), self._targets, sides, strict=False)
+        faults = [motion.compare(now, target, angles) for motion, target, angles in pairs]
+        fault = next((fault for fault in faults if fault is not None), None)
+        if fault is not None:
+            self._stall = fault, now + self._limits.stall_hold
+            self._hold(joints, faults)
+        return fault
 
-    def _stand_by_or_begin(self, now: float) -> None:
-        """Hold the flippers once the belts do not drive ahead; begin an episode once they do."""
-        before, self._standing = self._standing, self._standby.stands(now)
-        if self._standing == before:
-            return
-        self._hold()
-        if not self._standing:
-            self._due = min(self._due, now)
+    def _stall_fault(self, now: float) -> Fault | None:
+        if self._stall is not None and now >= self._stall[1]:
+            self._stall = None
+        return None if self._stall is None else self._stall[0]
 
     def _decide(self, now: float) -> Action | None:
         """Return the action; None if there is none, and ``_undecided`` says why.
@@ -323,10 +285,9 @@ class FlipperController:
         least = self._limits.coverage
         if covered < least:
             text = f"ground was seen in {covered:.0%} of the bins; {least:.0%} or more is allowed"
-            self._undecided = Fault("coverage", text)
+            self._undecided = Fault("coverage", text, gap=True)
+            self._states.update(now, self._undecided)
             return None
-        if self._faulty_since is not None:  # the flippers may have been moved since
-            self._hold()
         measured = front, rear = angles.front, angles.rear
         assert ground.heights is not None  # of a map
         pose = self._estimator.pose
@@ -334,74 +295,95 @@ class FlipperController:
             layout.assemble(ground.heights, front=front, rear=rear, pitch=angles.pitch),
             (pose.x, pose.y, pose.z),
         )
-        if self._standing:
+        self._undecided = None
+        if self._states.update(now, None) != "driving":
             self.policy.reset()
-            self._undecided = None
             return None
-        if self._targets is None or self._setpoints is None:
-            self._targets = self._setpoints = self._within(measured)
+        # A drive begins where the flippers are, and ends within the limits by decisions alone.
+        if self._targets is None or self._setpoints is None or self._held:
+            self._targets = self._setpoints = measured
+            self._held = False
+            for motion in self._motions.values():
+                motion.begin()
         front, rear = self.policy.next_targets(self._targets, measured, action).tolist()
-        self._targets = self._within((front, rear))
-        self._decided, self._undecided = True, None
+        self._targets, self._decided = (front, rear), True
+        for motion in self._motions.values():
+            motion.decide()
+        self._advance(now, 0.0)
         return action
 
-    def _within(self, angles: Pair) -> Pair:
-        front, rear = (min(self._limit, max(-self._limit, angle)) for angle in angles)
-        return front, rear
-
-    def _advance(self, elapsed: float) -> None:
+    def _advance(self, now: float, elapsed: float) -> None:
         """Move the setpoints towards the targets, no faster than in the training."""
-        if self._targets is None or self._setpoints is None:
+        if self._targets is None or self._setpoints is None or self._held:
             return
-        most = self._turning * elapsed
-        front, rear = (
-            point + min(most, max(-most, target - point))
-            for point, target in zip(self._setpoints, self._targets, strict=True)
-        )
-        self._setpoints = front, rear
+        points, shown = [], []
+        for name, target, point in zip(JOINTS, self._targets, self._setpoints, strict=True):
+            motion = self._motions.get(name)
+            most = 0.0 if motion is not None and motion.probes(now) else self._turning * elapsed
+            points.append(point + min(most, max(-most, target - point)))
+            shown.append(target if motion is None else motion.command(now, points[-1], target))
+        self._setpoints, self._shown = (points[0], points[1]), (shown[0], shown[1])
+
+    def _hold_or_release(self, now: float, fault: Fault | None) -> None:
+        """Hold the flippers at a fault, but in a short gap; command nothing before a drive."""
+        state, since = self._states.state, self._states.since
+        if state in ("waiting", "standby"):
+            if self._targets is not None:
+                self._release()
+        elif state != "driving" and self._targets is not None and not self._held:
+            gap = state == "holding" and fault is not None and fault.gap
+            joints = self._intake.joints
+            if joints is not None and not (gap and now - (since or now) <= self._limits.short_gap):
+                self._hold(joints)
+
+    def _hold(self, joints: Joints, faults: Sequence[Fault | None] = (None, None)) -> None:
+        """Hold the flippers where they are; the policy forgets its earlier observations.
+
+        ``faults`` of the motion of each pair; where its angles are in doubt, its commands count.
+        """
+        at = []
+        for name, angle, fault in zip(JOINTS, (joints.front, joints.rear), faults, strict=True):
+            motion = self._motions.get(name)
+            right = motion is None or (motion.obeys if fault is None else fault.name in _FOLLOWS)
+            at.append(angle if motion is None or right else motion.angle(angle))
+        self._targets = self._setpoints = self._shown = at[0], at[1]
+        self._held = True
+        self.policy.reset()
 
     def _say(self, now: float, fault: Fault | None, action: Action | None) -> Answer:
         """Return the answer, and log it if it is a decision or another state."""
-        state = self._state(fault)
-        reason = self._standby.reason() if state == "standby" else ""
-        name, reason = (fault.name, fault.reason) if fault else ("", reason)
-        targets, setpoints = self._theirs(self._targets), self._theirs(self._setpoints)
-        drive, policy = state in ("standby", "driving", "holding"), self.policy
+        state, policy, cause = self._states.state, self.policy, self._states.cause
+        latched = state == "latched"
+        name, reason = "", self._states.reason() if state == "standby" else ""
+        if cause is not None and (latched or (fault is None and self._states.event == "unsure")):
+            until = "it is acknowledged" if latched else "there was no fault for a while"
+            name, reason = cause.name, f"{cause.reason}; it goes on when {until}"
+        elif fault is not None:
+            name, reason = fault.name, fault.reason
+        time = _finite(now)
         answer = Answer(
-            targets, setpoints, drive, state, name, reason, action, policy.risk, policy.warning
+            self._theirs(self._shown),
+            self._theirs(self._setpoints),
+            state in DRIVES,
+            "stopped" if state == "latched" else state,
+            name,
+            reason,
+            action,
+            policy.risk,
+            policy.warning,
+            latched,
+            math.nan if time is None else time,
+            self._limits.valid_for,
         )
         before, self._answer = self._answer, answer
         changed = (answer.state, answer.fault) != (before.state, before.fault)
         if self._log is not None and (changed or action is not None):
-            time = _finite(now)
-            line = {"time": _short(now) if time is None else time, **asdict(answer)}
+            line = {"time": _short(now) if time is None else time}
+            line |= {k: v for k, v in asdict(answer).items() if k not in ("time", "valid_for")}
             if policy.interface.risk is None:  # the lines of files without a risk stay
                 del line["risk"], line["warning"]
             self._log(json.dumps(line))
         return answer
-
-    def _state(self, fault: Fault | None) -> State:
-        """Return what to do: hold at a fault, and stop if it lasts."""
-        if fault is None:
-            self._faulty_since = None
-            return "standby" if self._standing else "driving"
-        now = self._last or 0.0
-        if self._faulty_since is None or self._targets is None:  # no angle was known until now
-            self._hold()
-        self._faulty_since = now if self._faulty_since is None else self._faulty_since
-        if fault.at_once:
-            return "stopped"
-        if not self._decided:
-            return "waiting"
-        return "holding" if now - self._faulty_since < self._limits.stop_after else "stopped"
-
-    def _hold(self) -> None:
-        """Hold the flippers where they are; the policy forgets its earlier observations."""
-        joints = self._intake.joints
-        if joints is not None:
-            self._targets = self._setpoints = self._within((joints.front, joints.rear))
-            self._stalls = _StallDetector(self._limits)
-        self.policy.reset()
 
     def _theirs(self, pair: Pair | None) -> Pair | None:
         signs = self._setup.signs

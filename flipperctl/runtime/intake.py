@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,6 +25,7 @@ from flipperctl.runtime.messages import (
     Limits,
     RobotSetup,
 )
+from flipperctl.runtime.states import Fault
 
 Accepted = Scan | Inertial | Joints | Belts
 _FEWEST_POINTS = 20
@@ -36,16 +36,8 @@ _FASTEST_TURN, _FASTEST = 20.0, 5.0
 """Largest plausible yaw rate [rad/s] and belt speed [m/s]; beyond it the unit is wrong."""
 
 
-@dataclass(frozen=True)
-class Fault:
-    """Why no decision is made."""
-
-    name: str
-    """Its stable name, as ``cloud_age``."""
-    reason: str
-    """What was found and what is allowed."""
-    at_once: bool = False
-    """Whether the belts stop without a time of holding."""
+_JITTER = 10
+"""Times that an attitude turned back, with no repeat between, after which it never repeats [-]."""
 
 
 class _RefusedError(Exception):
@@ -66,7 +58,13 @@ class Intake:
         self._times: dict[str, float] = {}
         self._refused: dict[str, Fault] = {}
         self._levels = Levels()
+        self._contents: dict[str, NDArray[np.float64]] = {}  # the last ones that may not repeat
+        self._repeats: set[str] = set()
+        self._turn, self._jitter = np.zeros(2), 0  # the last change of an attitude; see _JITTER
+        self._speed = math.inf  # of the belts, as long as it is unknown [m/s]
         self.joints: Joints | None = None
+        self.sides: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+        """Angles of each joint of the front and of the rear flippers, if they were told."""
         self.inertial: Inertial | None = None
 
     @property
@@ -82,7 +80,8 @@ class Intake:
         """Yield device, time and content of each message that is accepted; None is ignored.
 
         A message that is no newer than the last one of its device is skipped, so that a driver may
-        hand over the same one again.
+        hand over the same one again. One that tells nothing new makes its device no younger, and
+        no such cloud is yielded.
         """
         for device, message in messages.items():
             if message is None:
@@ -96,12 +95,44 @@ class Intake:
                 continue
             time, accepted = found
             self._refused.pop(device, None)
-            self._times[device] = time
-            if isinstance(accepted, Joints):
+            if self._is_repeated(device, accepted):
+                if isinstance(accepted, Scan):
+                    continue
+            else:
+                self._times[device] = time
+            if isinstance(accepted, Belts):
+                self._speed = abs(accepted.speed)
+            elif isinstance(accepted, Joints):
                 self.joints = accepted
             elif isinstance(accepted, Inertial):
                 self.inertial = accepted
             yield device, time, accepted
+
+    def _is_repeated(self, device: str, message: Accepted) -> bool:
+        """Return whether a message tells nothing new: it repeats though the belts drive.
+
+        It does so until another one comes, also once the robot stands because of that. An attitude
+        must have jittered before: that of a simulator without noise repeats on level ground.
+        """
+        if isinstance(message, Scan):
+            content = np.asarray(message.points)
+        elif isinstance(message, Inertial):
+            content = np.array([message.roll, message.pitch])
+        else:
+            return False
+        before, self._contents[device] = self._contents.get(device), content
+        repeats = before is not None and np.array_equal(before, content)
+        if isinstance(message, Inertial) and before is not None:
+            turn, self._turn = self._turn, content - before
+            if self._jitter < _JITTER:
+                self._jitter = 0 if repeats else self._jitter + bool((turn * self._turn < 0).any())
+            if self._jitter < _JITTER:
+                return False
+        if not repeats:
+            self._repeats.discard(device)
+        elif self._speed >= self._limits.standby_speed:
+            self._repeats.add(device)
+        return device in self._repeats
 
     def fault(self, now: float) -> Fault | None:
         """Return why a decision cannot be made ``now``, or None."""
@@ -115,11 +146,10 @@ class Intake:
             if device in self._refused:
                 return self._refused[device]
             if time is None:
-                return Fault(f"{device}_missing", f"no {device} was received yet")
-            return Fault(
-                f"{device}_age",
-                f"{device} is {now - time:.2f} s old; at most {limit:g} s is allowed",
-            )
+                return Fault(f"{device}_missing", f"no {device} was received yet", gap=True)
+            text = f"{device} is {now - time:.2f} s old; at most {limit:g} s is allowed"
+            text += ": all its numbers repeat" if device in self._repeats else ""
+            return Fault(f"{device}_age", text, gap=True)
         tilted = self.inertial
         if tilted is not None and max(abs(tilted.roll), abs(tilted.pitch)) > self._limits.tilt:
             return Fault(
@@ -153,10 +183,22 @@ class Intake:
         if isinstance(message, JointAngles):
             front = _number(device, "front", message.front, math.pi)
             rear = _number(device, "rear", message.rear, math.pi)
-            if text := exceeds("joints_pair", message.apart, "the joints of a pair"):
-                raise _RefusedError(Fault("joints_pair", text))
+            self.sides = None if message.sides is None else self._all_joints(message.sides)
             return time, Joints(signs.front * front, signs.rear * rear)
         return time, Belts(signs.x * _number(device, "speed", message.speed, _FASTEST))
+
+    def _all_joints(self, sides: Any) -> tuple[tuple[float, ...], tuple[float, ...]]:
+        """Return the angles of each joint in our signs; refuse those whose mean says nothing."""
+        try:
+            front, rear = ([_number("joints", "sides", a, math.pi) for a in pair] for pair in sides)
+            apart = max(max(pair) - min(pair) for pair in (front, rear))
+        except (TypeError, ValueError):
+            allowed = "the angles of both pairs"
+            raise _refusal("joints", "value", f"has sides {str(sides)[:40]}", allowed) from None
+        if text := exceeds("joints_pair", apart, "the joints of a pair"):
+            raise _RefusedError(Fault("joints_pair", text))
+        signs = self._setup.signs
+        return tuple(signs.front * a for a in front), tuple(signs.rear * a for a in rear)
 
     def _check_posture(self, time: float) -> None:
         """Refuse a cloud whose points would enter the map with another posture than the robot's."""
@@ -166,10 +208,11 @@ class Intake:
             if late and device in self._refused:  # the true reason
                 raise _RefusedError(self._refused[device])
             if known is None:
-                raise _refusal("cloud", "posture", f"came before any {device}", "one before it")
+                found = f"came before any {device}"
+                raise _refusal("cloud", "posture", found, "one before it", gap=True)
             if late:
                 found = f"is {time - known:.2f} s newer than {device}"
-                raise _refusal("cloud", "posture", found, f"at most {limit:g} s")
+                raise _refusal("cloud", "posture", found, f"at most {limit:g} s", gap=True)
 
     def _scan(self, cloud: Cloud) -> Scan:
         _check_frame("cloud", cloud.frame, self._setup.cloud_frame)
@@ -214,8 +257,11 @@ class Intake:
         )
 
 
-def _refusal(device: str, name: str, found: str, allowed: str) -> _RefusedError:
-    return _RefusedError(Fault(f"{device}_{name}", f"{device} {found}; {allowed} is allowed"))
+def _refusal(
+    device: str, name: str, found: str, allowed: str, *, gap: bool = False
+) -> _RefusedError:
+    text = f"{device} {found}; {allowed} is allowed"
+    return _RefusedError(Fault(f"{device}_{name}", text, gap=gap))
 
 
 def _check_frame(device: str, found: object, allowed: str) -> None:

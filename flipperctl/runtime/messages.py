@@ -108,6 +108,16 @@ class Limits:
     """Largest roll or pitch, both ways; beyond it the belts stop at once [rad]."""
     stop_after: float = 1.0
     """Time for which flippers are held before the belts stop too [s]."""
+    short_gap: float = 0.3
+    """Time without messages after which the policy goes on where it was, and its targets [s]."""
+    recurs: float = 0.6
+    """Time without a fault before another one counts as another, not as one that lasts [s]."""
+    rest: float = 2.0
+    """Time without a fault after which a robot that stopped for a gap goes on by itself [s]."""
+    again: float = 10.0
+    """Time in which a second stop, or a second stall, stops until it is acknowledged [s]."""
+    valid_for: float = 0.3
+    """Time for which a command counts, see ``Answer`` [s]."""
     standby_speed: float = 0.02
     """Speed of the belts ahead below which the flippers stand by [m/s]."""
     standby_after: float = 0.5
@@ -115,9 +125,9 @@ class Limits:
     standby_until: float = 0.3
     """Time of a larger speed after which the flippers stand by no longer [s]."""
     stall_error: float = 0.12
-    """Angle by which a flipper may miss its target for long [rad]."""
+    """Angle by which a flipper may be behind its commands, or leave them under a load [rad]."""
     stall_time: float = 2.0
-    """Time without approach after which such a flipper counts as stalled [s]."""
+    """Time of being behind after which a flipper counts as stalled [s]."""
     stall_hold: float = 1.0
     """Time for which a stalled flipper is held where it is [s]."""
 
@@ -212,8 +222,9 @@ class JointAngles:
     """Angle of the front flippers, before the sign of ``Signs`` [rad]."""
     rear: float
     """Angle of the rear flippers, before the sign of ``Signs`` [rad]."""
-    apart: float = 0.0
-    """By how much the two flippers of a pair differ at most [rad]."""
+    sides: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    """Angles of the joints of the front and of the rear pair, left and right, of which the above
+    are the means, if they are measured: each is compared with what was commanded [rad]."""
 
 
 @dataclass(frozen=True)
@@ -272,8 +283,9 @@ class NewestJoints:
         if not told or self._signs.keys() - self._angles.keys():
             return None
         oldest = float(np.min([time for time, _ in self._angles.values()]))  # NaN if one is
-        front, rear = (math.fsum(self._angles[n][1] for n in p) / len(p) for p in self._pairs)
-        return JointAngles(oldest, front, rear, self.apart[0])
+        angles = [tuple(self._angles[n][1] for n in pair) for pair in self._pairs]
+        front, rear = (math.fsum(pair) / len(pair) for pair in angles)
+        return JointAngles(oldest, front, rear, (angles[0], angles[1]))
 
     @property
     def apart(self) -> tuple[float, str]:

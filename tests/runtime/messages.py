@@ -24,10 +24,11 @@ IN_CHASSIS = RobotSetup(cloud_frame="base_link", mount=Mount(0.0, 0.0, math.pi /
 
 
 def good(now: float, **changes: object) -> dict[str, object]:
-    """Messages of a robot at rest on level ground."""
+    """Messages of a robot at rest on level ground; what is measured is never quite the same."""
+    noise = 1e-6 * math.sin(97 * now)
     return {
-        "cloud": Cloud(now, "base_link", GROUND),
-        "attitude": Attitude(now, "base_link", 0.0, 0.0, 0.0),
+        "cloud": Cloud(now, "base_link", GROUND + noise),
+        "attitude": Attitude(now, "base_link", noise, noise, 0.0),
         "joints": JointAngles(now, 0.1, 0.2),
         "odometry": Odometry(now, 0.2),
         **changes,

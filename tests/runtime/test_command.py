@@ -165,7 +165,7 @@ def test_the_risk_is_told_and_logged_while_the_flippers_are_driven(tmp_path: Pat
     assert shadow.summary()["faults"] == {}  # flippers that follow someone else
     shadow.take(5.5, {})  # nothing arrives any more
     last = json.loads(lines[-1])
-    assert (last["state"], last["risk"], last["warning"]) == ("holding", None, False)
+    assert (last["state"], last["risk"], last["warning"]) == ("holding", decided[-1], False)
     lines, shadow = logged(of("e.onnx", risky=True, risk={**RISK, "threshold": 0.4}), 100)
     assert shadow.summary()["warnings"] == shadow.summary()["decisions"] == 9
     assert json.loads(lines[-1])["warning"]

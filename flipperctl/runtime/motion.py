@@ -1,0 +1,175 @@
+"""Whether the flippers turn as they are commanded: one comparison of both, for each pair.
+
+In: the commanded and the measured angles of a pair, over time. Out: a fault that names what is
+wrong, and where the pair is if the commands are right and the measurements are not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+
+from flipperctl.runtime.messages import Limits
+from flipperctl.runtime.states import Fault
+
+_DEVIATION = 0.03
+"""Motion against a command that counts as long as a pair was not seen to obey [rad]."""
+_MOVED = 0.01
+"""Motion that is no noise, and in a command that is no rest [rad]."""
+_ENOUGH = 0.4
+"""Part of a step after which a turn is judged: half a decision's, less rounding [-]."""
+_UNITS = 4.0
+"""Factor between measured and commanded motion from which the unit differs, not the speed [-]."""
+
+
+class PairMotion:
+    """Compares the commands of a pair with its angles, from the first command of a drive on.
+
+    Measured angles must stay within the commands of the last decision and the present target. Until
+    the pair has obeyed a turn, little motion out of that range is a fault that stops at once, and
+    the first commands must be: stay. Later, more of it is, which a load may cause too.
+    """
+
+    def __init__(
+        self, name: str, step: float, period: float, speed: float, delay: float, limits: Limits
+    ) -> None:
+        """``step``: turn by an action [rad]; ``period`` of decisions [s].
+
+        ``speed`` [rad/s] and ``delay`` [s]: those of the flippers in the training.
+        """
+        self._name, self._step, self._period, self._speed = name, step, period, speed
+        self._limits, self._late = limits, period / 2 + delay
+        self.obeys = False
+        """Whether the pair has followed a turn."""
+        self._slow = 0  # turns in succession that were too slow
+        self._commands: deque[tuple[float, float, float]] = deque()  # time, angle, its target
+        self._angles: deque[tuple[float, tuple[float, ...]]] = deque()  # time and measured ones
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin anew with the next command."""
+        self._commands.clear()
+        self._angles.clear()
+        self._begun: float | None = None  # time of the first command
+        self._missed: float | None = None  # since when it has been behind
+        self._turn: tuple[float, float, float] | None = None  # way, command and angle at its start
+        self._judged, self._ratio = False, 1.0
+
+    def probes(self, now: float) -> bool:
+        """Return whether the command must stay where it is, to see whether the pair does."""
+        return not self.obeys and (self._begun is None or now - self._begun < self._late)
+
+    def decide(self) -> None:
+        """Take note of another decision: the next turn is judged anew."""
+        if self._judged:
+            self._turn = None
+
+    def command(self, now: float, angle: float, target: float) -> float:
+        """Receive what is commanded from now on and where that goes; return the target [rad].
+
+        A pair that has not obeyed yet has none beyond the command.
+        """
+        self._begun = now if self._begun is None else self._begun
+        target = target if self.obeys else angle
+        self._commands.append((now, angle, target))
+        while len(self._commands) > 2 and self._commands[1][0] <= now - 2 * self._late:
+            self._commands.popleft()
+        return target
+
+    def compare(self, now: float, target: float, angles: Sequence[float]) -> Fault | None:
+        """Return what is wrong by the measured angles, of the pair or of its left and right [rad].
+
+        ``target``: where the command goes [rad].
+        """
+        if not self._commands:
+            return None
+        self._angles.append((now, tuple(angles)))
+        while self._angles[0][0] < now - 2 * self._late:
+            self._angles.popleft()
+        return self._deviates(now) or self._lags(now, target)
+
+    def angle(self, measured: float) -> float:
+        """Return where the pair is by its commands, after a fault of its motion [rad]."""
+        if self.obeys or not self._commands:
+            return self._commands[-1][1] if self._commands else measured
+        return measured / (math.copysign(1.0, self._ratio) * self._scale)
+
+    @property
+    def _scale(self) -> float:
+        return abs(self._ratio) if abs(self._ratio) > _UNITS else 1.0
+
+    def _deviates(self, now: float) -> Fault | None:
+        """Compare the range of the commands with the motion out of it."""
+        low = min(min(angle, target) for _, angle, target in self._commands)
+        high = max(max(angle, target) for _, angle, target in self._commands)
+        (then, before), (_, after) = self._angles[0], self._angles[-1]
+        previous = self._angles[-2][1] if len(self._angles) > 1 else after
+        # Two samples, for the noise; the left and the right joint may rest at other angles.
+        moved = [(a + b) / 2 - c for a, b, c in zip(after, previous, before, strict=True)]
+        start = sum(before) / len(before)
+        outside = [_beyond(start + m, low, high) - _beyond(start, low, high) for m in moved]
+        limit = self._limits.stall_error if self.obeys else _DEVIATION
+        wrong = [m for m, out in zip(moved, outside, strict=True) if out > limit]
+        turned = self._commands[-1][1] - self._commands[0][1]
+        most = max(wrong or moved, key=abs)
+        if abs(most) < _MOVED:
+            self._ratio = 1.0
+        elif abs(turned) > _MOVED:
+            self._ratio = most / turned
+        else:  # it was to stay, and turns towards a command that is elsewhere
+            passed = max(now - then, 1e-3) * min(self._speed, 1e3)
+            self._ratio = math.copysign(1.0, start) * most / passed
+        if not wrong:
+            return None
+        kind = "sign" if self._ratio < 0 else "scale"
+        if len(moved) > len(wrong) or min(wrong) < 0 < max(wrong):
+            kind = "sides"
+        told = f"by {turned:+.2f} rad" if abs(turned) > _MOVED else "to stay"
+        measured = ", ".join(f"{m:+.2f}" for m in moved)
+        text = f"the {self._name} flippers were told {told}, and turned by {measured} rad"
+        return Fault(f"motion_{kind}", text, at_once=not self.obeys, strike=True)
+
+    def _lags(self, now: float, target: float) -> Fault | None:
+        """Compare what was commanded half a decision ago with how far the pair has come since."""
+        angle = sum(self._angles[-1][1]) / len(self._angles[-1][1])
+        past = [c for time, c, _ in self._commands if time <= now - self._late + 1e-9]
+        recent = [c for time, c, _ in self._commands if time > now - self._late + 1e-9]
+        command = self._commands[-1][1]
+        way = math.copysign(1.0, target - command)
+        if self._turn is None or (way != self._turn[0] and abs(target - command) > _MOVED):
+            self._turn, self._judged = (way, command, angle), False
+        way, begun, least = self._turn
+        least = way * min(way * least, way * angle)  # it may first end the turn before
+        self._turn = way, begun, least
+        due = 0.0 if not past else way * (past[-1] - begun)
+        come = way * (angle - least)
+        # Once in a turn: has the pair made half of what it should have?
+        if not self._judged and due >= _ENOUGH * self._step:
+            self._judged = True
+            self._slow = self._slow + 1 if _MOVED < come < due / 2 else 0
+            self.obeys = self.obeys or come >= due / 2
+            if self._slow > self.obeys:
+                return self._slower("slow", come, due)
+        # A pair that is behind for long is blocked, if it does not even creep.
+        reached = [*past[-1:], *recent, target]
+        if _beyond(angle, min(reached), max(reached)) <= self._limits.stall_error:
+            self._missed = None
+        elif self._missed is None:
+            self._missed, self._from = now, angle
+        elif now - self._missed >= self._limits.stall_time:
+            crept = abs(angle - self._from)
+            return self._slower("stall" if crept < _MOVED else "slow", crept, abs(target - angle))
+        return None
+
+    def _slower(self, kind: str, come: float, due: float) -> Fault:
+        self._missed, self._slow = None, 0
+        hold = f"they are held where they are for {self._limits.stall_hold:g} s"
+        if kind == "stall":
+            return Fault("stall", f"the {self._name} flippers do not follow; {hold}", strike=True)
+        text = f"the {self._name} flippers turned by {come:.2f} of {due:.2f} rad in time; {hold}"
+        return Fault("motion_slow", text, strike=True)
+
+
+def _beyond(angle: float, low: float, high: float) -> float:
+    return max(low - angle, angle - high, 0.0)

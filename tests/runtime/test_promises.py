@@ -1,0 +1,357 @@
+"""Each promise of docs/controller.md, broken on purpose, on a robot in virtual time."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from flipperctl.runtime import FlipperController, RobotSetup
+from tests.runtime.linear import ROBOT, RULE, write
+from tests.runtime.robot import SETUP, Robot, changes, faults, first, turned
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A policy that turns its flippers at nearly each decision, by the noise of the ground."""
+    return write(tmp_path_factory.mktemp("policy") / "p.onnx", robot=ROBOT, targets=RULE)
+
+
+@pytest.fixture
+def build(file: Path) -> Callable[..., Robot]:
+    def robot(setup: RobotSetup = SETUP, shadow: bool = False, **settings: Any) -> Robot:
+        return Robot(FlipperController(file, setup, shadow=shadow), **settings)
+
+    return robot
+
+
+def changing(device: str, **fields: Any) -> Callable[[str, dict[str, Any]], None]:
+    """Return a mutation: functions of the fields' values, or values."""
+
+    def change(name: str, message: dict[str, Any]) -> None:
+        if name == device:
+            for key, value in fields.items():
+                message[key] = value(message[key]) if callable(value) else value
+
+    return change
+
+
+def repeating(device: str, *fields: str) -> Callable[[str, dict[str, Any]], None]:
+    """Return a mutation that repeats the first values of fields under new stamps."""
+    before: dict[str, Any] = {}
+
+    def change(name: str, message: dict[str, Any]) -> None:
+        if name == device:
+            for key in fields:
+                message[key] = before.setdefault(key, message[key])
+
+    return change
+
+
+def scaled(factor: float, *, front_only: bool = False, right_only: bool = False) -> Any:
+    """Return a mutation of the joints: angles times a factor."""
+
+    def change(name: str, message: dict[str, Any]) -> None:
+        if name != "joints":
+            return
+        (a, b), (c, d) = message["sides"]
+        rear = 1.0 if front_only else factor
+        left = (1.0, 1.0) if right_only else (factor, rear)
+        sides = ((left[0] * a, factor * b), (left[1] * c, rear * d))
+        message["sides"] = sides
+        message["front"], message["rear"] = (sum(pair) / 2 for pair in sides)
+
+    return change
+
+
+def without_sides(change: Any) -> Any:
+    def both(name: str, message: dict[str, Any]) -> None:
+        change(name, message)
+        if name == "joints":
+            message["sides"] = None
+
+    return both
+
+
+# What works
+
+
+@pytest.mark.parametrize("ground", ["flat", "step", "stairs"])
+@pytest.mark.parametrize("obeys", ["targets", "setpoints"])
+def test_it_drives_without_a_fault(build: Any, ground: str, obeys: str) -> None:
+    moments = build(ground=ground, obeys=obeys).run(7.0)
+    assert faults(moments[25:]) == set()
+    assert moments[-1].x > 1.2
+    assert sum(m.answer.action is not None for m in moments) >= 10
+    assert turned(moments) > 0.2
+    assert changes(moments[25:]) == 0
+
+
+def test_a_restart_goes_on_and_shadow_mode_only_tells(build: Any, file: Path) -> None:
+    robot = build()
+    robot.run(2.0)
+    robot.controller = FlipperController(file, SETUP)
+    assert robot.run(2.0)[-1].answer.state == "driving"
+    watcher = build(shadow=True, turns=(0.0, 0.0))  # someone else drives, and turns nothing
+    moments = watcher.run(4.0)
+    assert faults(moments[25:]) == set()
+    assert any(m.answer.action is not None for m in moments)
+
+
+@pytest.mark.parametrize("noisy", [True, False])
+def test_a_parked_robot_neither_moves_nor_changes(build: Any, noisy: bool) -> None:
+    """Without noise all its messages repeat."""
+    robot = build(parked=True, noise=0.004 if noisy else 0.0)
+    if not noisy:
+        robot.rng = type("Still", (), {"normal": lambda self, *a, size=9: np.zeros(size)})()
+    moments = robot.run(4.0)
+    assert {m.answer.state for m in moments[12:]} == {"standby"}  # from the first cloud on
+    assert {m.answer.targets for m in moments} == {None}
+    if not noisy:
+        return
+    robot.parked = False
+    robot.run(2.0)
+    robot.parked = True
+    moments = robot.run(2.0)
+    assert first(moments, "standby") == pytest.approx(0.5, abs=0.05)
+    assert changes(moments) == 1
+
+
+# Messages that do not come, or are wrong
+
+GAPS = {"attitude": 0.1, "joints": 0.1, "odometry": 0.3, "cloud": 0.5}
+
+
+@pytest.mark.parametrize(("device", "age"), GAPS.items())
+def test_a_device_that_falls_silent_stops_it_and_back_it_goes_on(
+    build: Any, device: str, age: float
+) -> None:
+    robot = build()
+    robot.run(2.0)
+    gone = robot.run(4.0, drop=(device,))
+    assert faults(gone) == {f"{device}_age"}
+    assert first(gone, "holding") == pytest.approx(age, abs=0.2 if device == "cloud" else 0.05)
+    assert first(gone, "stopped") - first(gone, "holding") == pytest.approx(1.0, abs=0.03)
+    back = robot.run(4.0)
+    assert sum(not m.runs for m in back) * 0.02 == pytest.approx(2.0, abs=0.3)  # it stands
+    assert back[-1].answer.state == "driving"
+
+
+NAN = float("nan")
+WRONG = {
+    "joints nan": ("joints_value", changing("joints", front=NAN)),
+    "joints text": ("joints_value", changing("joints", front="x")),
+    "joints none": ("joints_value", changing("joints", rear=None)),
+    "joints sides": ("joints_value", changing("joints", sides="left")),
+    "attitude nan": ("attitude_value", changing("attitude", pitch=NAN)),
+    "odometry nan": ("odometry_value", changing("odometry", speed=NAN)),
+    "cloud nan": ("cloud_points", changing("cloud", points=lambda p: p * NAN)),
+    "cloud of 5": ("cloud_points", changing("cloud", points=lambda p: p[:5])),
+    "cloud of another frame": ("cloud_frame", changing("cloud", frame="velodyne")),
+    "cloud ahead": ("cloud_stamp", changing("cloud", time=lambda t: t + 3600)),
+    "belts in mm/s": ("odometry_value", changing("odometry", speed=lambda v: 1000 * v)),
+    "tilt": ("tilt", changing("attitude", pitch=1.1)),
+    "attitude in degrees": ("tilt", changing("attitude", pitch=lambda p: p + 1.0)),
+}
+
+
+@pytest.mark.parametrize(("fault", "change"), WRONG.values(), ids=WRONG)
+def test_what_is_wrong_ends_in_one_stop_until_it_is_acknowledged(
+    build: Any, fault: str, change: Any
+) -> None:
+    robot = build()
+    robot.run(2.0)
+    bad = robot.run(5.0, change)
+    assert faults(bad) == {fault}
+    assert changes(bad) <= 2
+    assert bad[-1].answer.latched
+    good = robot.run(3.0)
+    assert not any(m.runs for m in good)
+    robot.controller.acknowledge()
+    assert robot.run(1.0)[-1].answer.state == "driving"
+
+
+def test_belts_in_millimetres_from_the_start_end_in_one_stop(build: Any) -> None:
+    robot = build()
+    moments = robot.run(12.0, changing("odometry", speed=lambda v: 1000 * v))
+    assert moments[-1].answer.latched
+    assert changes(moments) <= 5
+    assert sum(m.runs for m in moments) * 0.02 < 2.0
+    assert moments[-1].x < 0.4
+
+
+def test_a_cloud_in_millimetres_never_drives(build: Any) -> None:
+    moments = build().run(3.0, changing("cloud", points=lambda p: 1000 * p))
+    assert not any(m.runs for m in moments)
+    assert "coverage" in faults(moments)
+
+
+def test_stamps_that_stand_still_count_as_silence(build: Any) -> None:
+    robot = build()
+    robot.run(2.0)
+    moments = robot.run(2.0, lambda device, message: message.update(time=2.0))
+    assert first(moments, "holding") < 0.15
+    assert moments[-1].answer.state == "stopped"
+
+
+@pytest.mark.parametrize("jump", [5.0, -5.0, 3600.0, 2.0])
+@pytest.mark.parametrize("stamps", [True, False])
+def test_a_clock_that_jumps_stops_at_once_until_it_is_acknowledged(
+    build: Any, jump: float, stamps: bool
+) -> None:
+    robot = build()
+    robot.run(2.0)
+
+    def late(device: str, message: dict[str, Any]) -> None:
+        message["time"] += jump if stamps else 0.0
+
+    moments = robot.run(3.0, late, clock=lambda time: time + jump)
+    assert {(m.answer.fault, m.answer.latched, m.runs) for m in moments} == {
+        ("clock_jump", True, False)
+    }
+    robot.controller.acknowledge()
+    after = robot.run(1.0, late, clock=lambda time: time + jump)
+    assert after[-1].runs is stamps
+
+
+def test_a_driver_that_sleeps_holds(build: Any) -> None:
+    robot = build()
+    robot.run(2.0)
+    robot.now += 0.9
+    moments = robot.run(1.0)
+    assert faults(moments) <= {"cloud_age", "joints_age", "cloud_posture"}
+    assert moments[-1].answer.state == "driving"
+
+
+# Gaps that are short, and that recur
+
+
+def test_a_short_gap_keeps_targets_and_memory(build: Any) -> None:
+    smooth, robot = build(ground="step"), build(ground="step")
+    resets: list[None] = []
+    robot.run(1.0)
+    reset = robot.controller.policy.reset
+    robot.controller.policy.reset = lambda: (resets.append(None), reset())
+    for _ in range(8):
+        gap = robot.run(0.16, drop=("joints",))
+        assert faults(gap) == {"joints_age"}
+        assert {m.answer.targets for m in gap if not m.answer.action} - {None}
+        robot.run(0.64)
+    assert resets == []
+    assert all(m.runs for m in robot.trace[50:])
+    assert len(smooth.run(1.0)) == 50
+
+
+@pytest.mark.parametrize("rate", [7, 5, 2])
+def test_a_device_that_is_too_slow_stops_the_belts(build: Any, rate: int) -> None:
+    robot = build()
+    robot.run(2.0)
+    begun = len(robot.trace)
+    for _ in range(6 * rate):
+        robot.run(0.02)
+        robot.run(1 / rate - 0.02, drop=("joints",))
+    moments = robot.trace[begun:]
+    assert changes(moments) <= 6
+    assert not any(m.runs for m in moments[150:])
+    assert moments[-1].answer.state == "stopped"
+
+
+# Whether it moves as told
+
+
+@pytest.mark.parametrize("obeys", ["targets", "setpoints"])
+@pytest.mark.parametrize("raised", [0.0, 0.1, 0.6])
+@pytest.mark.parametrize("sides", [True, False])
+def test_wrong_signs_and_degrees_stop_within_a_tenth_of_a_radian(
+    build: Any, obeys: str, raised: float, sides: bool
+) -> None:
+    for change in (scaled(-1), scaled(-1, front_only=True), scaled(math.degrees(1))):
+        robot = build(obeys=obeys, angles=[raised, raised, -raised, -raised])
+        moments = robot.run(4.0, change if sides else without_sides(change))
+        named = faults(moments) & {"motion_sign", "motion_scale", "joints_value", "joints_pair"}
+        assert named
+        if "joints_value" not in named:
+            assert moments[-1].answer.latched
+        assert turned([m for m in moments if m.answer.fault not in named]) < 0.1
+        assert turned(moments) < 0.15
+
+
+@pytest.mark.parametrize("raised", [0.1, 0.5])
+def test_a_joint_that_is_mirrored_is_told(build: Any, raised: float) -> None:
+    robot = build(angles=[raised, raised, -raised, -raised])
+    moments = robot.run(3.0, scaled(-1, right_only=True))
+    assert faults(moments) & {"motion_sides", "joints_pair"}
+    assert turned([m for m in moments if not m.answer.fault.endswith(("_sides", "_pair"))]) < 0.1
+    assert not moments[-1].runs
+
+
+@pytest.mark.parametrize("slow", [0.2, 0.05, 0.02])
+def test_slow_flippers_are_told_by_name(build: Any, slow: float) -> None:
+    moments = build(turns=(slow, 1.0)).run(14.0)
+    assert "motion_slow" in faults(moments)
+    assert moments[-1].answer.latched
+
+
+@pytest.mark.parametrize("kind", ["blocked", "encoder"])
+def test_flippers_that_do_not_follow_stall_and_then_stop(build: Any, kind: str) -> None:
+    robot = build()
+    robot.run(2.0)
+    if kind == "blocked":
+        robot.turns = (0.0, 1.0)
+        moments = robot.run(14.0)
+    else:
+        moments = robot.run(14.0, repeating("joints", "front", "sides"))
+    assert faults(moments) <= {"stall", "motion_slow"}
+    assert moments[-1].answer.latched
+
+
+def test_flippers_beyond_the_limits_are_held_there_and_turned_back_by_decisions(build: Any) -> None:
+    robot = build(angles=[1.5, 1.5, -1.5, -1.5], parked=True)
+    robot.run(1.0)
+    robot.parked = False
+    robot.run(1.0)
+    gone = robot.run(2.0, drop=("cloud",))
+    assert turned(gone[40:]) < 0.01
+    robot.run(6.0)
+    assert max(map(abs, robot.angles)) < 1.1
+
+
+# Nothing new
+
+
+def test_a_hung_lidar_ages(build: Any) -> None:
+    robot = build(ground="step")
+    robot.run(2.0)
+    moments = robot.run(6.0, repeating("cloud", "points"))
+    assert faults(moments) == {"cloud_age"}
+    assert changes(moments) == 2
+    assert "all its numbers repeat" in moments[-1].answer.reason
+
+
+def test_a_frozen_attitude_ages(build: Any) -> None:
+    robot = build()
+    robot.run(2.0)
+    moments = robot.run(4.0, repeating("attitude", "roll", "pitch"))
+    assert faults(moments) <= {"attitude_age", "cloud_posture"}
+    assert first(moments, "stopped") < 1.3
+
+
+def test_the_attitude_of_a_simulator_without_noise_may_repeat(build: Any) -> None:
+    moments = build().run(4.0, changing("attitude", roll=0.0, pitch=0.0))
+    assert faults(moments[45:]) == set()
+
+
+# Odometry
+
+
+def test_an_odometry_that_stands_or_is_absent(build: Any) -> None:
+    robot = build()
+    robot.run(2.0)
+    moments = robot.run(2.0, changing("odometry", speed=0.0))
+    assert moments[-1].answer.state == "standby"
+    bare = build()
+    moments = bare.run(4.0, drop=("odometry",))
+    assert moments[-1].answer.state == "driving"
+    assert faults(moments[20:]) == set()
