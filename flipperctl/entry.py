@@ -87,7 +87,9 @@ def _described(error: BaseException) -> tuple[str, int]:
         return f"there is not enough memory: {error}", FlipperctlError.exit_code
     if isinstance(error, OSError) and error.errno:  # what the system refuses is no fault of ours
         place = error.filename or "the system refuses"
-        return f"{place}: {os.strerror(error.errno)}", FlipperctlError.exit_code
+        named = error.errno in (errno.ENAMETOOLONG, errno.ELOOP)  # a name that the user gave
+        code = RequestError.exit_code if named else FlipperctlError.exit_code
+        return f"{place}: {os.strerror(error.errno)}", code
     return (
         f"{type(error).__name__}: {error} (an error in flipperctl; {DEBUG}=1 shows where)",
         FlipperctlError.exit_code,

@@ -25,6 +25,27 @@ _PART = ".part"
 _RAN_OUT = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 
 
+_HOME = re.compile(r"""(?:^|(?<=[=,:[("']))~(?=/|$)""")
+"""A ~ that begins a path: a whole word, the value of a setting, or one of a list."""
+
+
+def at_home(value: Any) -> Any:
+    """Return the value with the home folder for each ``~`` that begins a path in its texts.
+
+    The shell leaves them where they begin no word, as in ``--output=~/runs``. This is called on
+    all that comes in: words of a command, arguments from Python, variables of the environment.
+    """
+    if isinstance(value, str):
+        return _HOME.sub(lambda match: str(Path.home()), value)
+    if isinstance(value, Path):
+        return Path(at_home(str(value)))
+    if type(value) in (list, tuple):
+        return type(value)(map(at_home, value))
+    if type(value) is dict:
+        return {key: at_home(inner) for key, inner in value.items()}
+    return value
+
+
 @dataclass(frozen=True)
 class OutputKind:
     """A kind of file that a command writes to a path of the user's choice."""
@@ -51,7 +72,11 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 def write_chunks(path: Path, chunks: Iterable[bytes]) -> None:
-    """Replace the content of ``path`` by the chunks in turn, atomically; see ``write_bytes``."""
+    """Replace the content of ``path`` by the chunks in turn, atomically; see ``write_bytes``.
+
+    A link stays one: the file that it names is replaced.
+    """
+    path = path.resolve() if path.is_symlink() else path
     part = _part(path)
     try:
         with part.open("xb") as file:

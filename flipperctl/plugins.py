@@ -19,6 +19,7 @@ from types import ModuleType
 from flipperctl import guard
 from flipperctl.api import Plugin, registry
 from flipperctl.errors import PluginError
+from flipperctl.files import at_home
 from flipperctl.guard import USER_MODULE
 from flipperctl.messages import suggestion
 
@@ -49,7 +50,7 @@ def load(paths: Iterable[str | Path] = ()) -> None:
             package = entry.dist.name if entry.dist else "?"
             label = f"{entry.name!r} of the installed package {package}"
             _import(entry.value, label, None, entry.load)
-    named = [*configured_paths(), *(str(Path(p).absolute()) for p in paths)]
+    named = [*configured_paths(), *(str(Path(at_home(p)).absolute()) for p in paths)]
     named = list(dict.fromkeys(named))
     for path in named:
         empty: dict[Path, PluginError] = {}
@@ -66,7 +67,7 @@ def load(paths: Iterable[str | Path] = ()) -> None:
 
 def configured_paths() -> list[str]:
     """Return the paths in ``FLIPPERCTL_PLUGINS``; after ``load``, also those it was called with."""
-    named = [p for p in os.environ.get(VARIABLE, "").split(os.pathsep) if p]
+    named = [p for p in at_home(os.environ.get(VARIABLE, "")).split(os.pathsep) if p]
     return list(dict.fromkeys([*named, *_given]))
 
 

@@ -74,7 +74,8 @@ def quote_path(path: Path) -> str:
 
 def _short(path: Path) -> str:
     here = Path.cwd()
-    return str(path.relative_to(here) if path.is_relative_to(here) else path)
+    text = str(path.relative_to(here) if path.is_relative_to(here) else path)
+    return f"./{text}" if text.startswith(("-", "~")) else text  # else an option, or a home folder
 
 
 _URGENT = (signal.SIGINT, signal.SIGTERM)

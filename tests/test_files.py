@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from flipperctl.errors import OutputError, WriteError
-from flipperctl.files import OutputKind, check_output, remove_partial, write_bytes
+from flipperctl.files import OutputKind, at_home, check_output, remove_partial, write_bytes
 
 
 def test_writers_of_one_file_do_not_disturb_each_other(tmp_path: Path) -> None:
@@ -91,3 +91,32 @@ def test_a_failing_write_keeps_the_old_file(
     with pytest.raises(WriteError, match=r"No space left on device\)$"):
         write_bytes(tmp_path / "new", b"2")
     assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [("a", b"1")]
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        ("~", "/home/ann"),
+        ("~/runs", "/home/ann/runs"),
+        ("--output=~/runs", "--output=/home/ann/runs"),
+        ("terrain.path=[~/a,~/b.csv]", "terrain.path=[/home/ann/a,/home/ann/b.csv]"),
+        ("terrain.path='~/a'", "terrain.path='/home/ann/a'"),
+        ("~/a:~/b", "/home/ann/a:/home/ann/b"),
+        ("~rewards.pitch", "~rewards.pitch"),
+        ("a~/b", "a~/b"),
+        (Path("~/a"), Path("/home/ann/a")),
+        ({"path": ["~/a", 3]}, {"path": ["/home/ann/a", 3]}),
+    ],
+)
+def test_a_tilde_that_begins_a_path_is_the_home_folder(
+    value: object, expected: object, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", "/home/ann")
+    assert at_home(value) == expected
+
+
+def test_a_link_to_a_file_is_written_through(tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "file")
+    write_bytes(tmp_path / "link", b"new")
+    assert (tmp_path / "link").is_symlink()
+    assert (tmp_path / "file").read_bytes() == b"new"

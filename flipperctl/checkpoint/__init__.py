@@ -25,7 +25,7 @@ from flipperctl.config import TrainConfig, parse, resolver, to_dict
 from flipperctl.config.models import with_stand_ins
 from flipperctl.core.targets import ACTIONS, JOINTS
 from flipperctl.errors import CheckpointError, ConfigError
-from flipperctl.files import write_bytes
+from flipperctl.files import at_home, write_bytes
 from flipperctl.messages import close_match, missing_name, missing_plugin, suggestion
 from flipperctl.sim.versions import engine_versions
 
@@ -96,7 +96,7 @@ class Checkpoint:
 
     def _load_trusted(self) -> None:
         """Load the run's copies of missing plugins, if it lies in a folder that is trusted."""
-        trusted = filter(None, os.environ.get(TRUST, "").split(os.pathsep))
+        trusted = filter(None, at_home(os.environ.get(TRUST, "")).split(os.pathsep))
         if not any(self.path.resolve().is_relative_to(Path(f).resolve()) for f in trusted):
             return
         missing = [p.file for p in self.document.plugins if (p.kind, p.name) not in registry]

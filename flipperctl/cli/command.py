@@ -30,6 +30,9 @@ class Command(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the words after the subcommand."""
+        from flipperctl.files import at_home
+
+        args = at_home(args)
         if not ctx.resilient_parsing:  # shell completion, which reads incomplete commands
             self._check(ctx, args)
         return super().parse_args(ctx, args)

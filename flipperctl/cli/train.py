@@ -68,6 +68,8 @@ def train(
 
         key = "hydra.sweep.dir" if multirun else "hydra.run.dir"
         refuse_beside("--output", {word: True for word in arguments if key_of(word) == key})
+        if "${" in str(output):
+            raise RequestError(f"--output {output}: Hydra would replace the ${{…}}; choose another")
         arguments.append(literal_override(key, str(output)))
     if cfg is not None:
         arguments += ["--cfg", cfg]

@@ -82,8 +82,9 @@ def literal_override(key: str, value: str) -> str:
 def quoted(text: str) -> str:
     """Return a text in double quotes, as Hydra takes it literally.
 
-    Backslashes before a quote are doubled, also before the last one.
+    Backslashes before a quote or a ``${`` are doubled, also before the last one.
     """
+    text = re.sub(r"(\\*)\$\{", r"\1\1\\${", text)  # OmegaConf would look up what follows
     escaped = re.sub(r'(\\+)(?="|\Z)', r"\1\1", text).replace('"', r"\"")
     return f'"{escaped}"'
 

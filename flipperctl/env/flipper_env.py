@@ -50,6 +50,7 @@ from flipperctl.env.pictures import (
 from flipperctl.env.repeating import require_unmoved
 from flipperctl.env.start import run_out_of
 from flipperctl.errors import ConfigError, PluginFailedError, TerrainError
+from flipperctl.files import at_home
 from flipperctl.messages import close_match
 from flipperctl.randomness import global_states
 from flipperctl.reward_sum import RewardSum
@@ -109,7 +110,7 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
             )
         if config is None:
             plugins.load()
-            config = with_overrides(EnvConfig(terrain=terrain), overrides)
+            config = with_overrides(EnvConfig(terrain=at_home(terrain)), at_home(overrides))
         self.config = config
         self.robot, self.engine = config.robot, config.sim
         """The robot and the engine with the values sampled for the episode."""

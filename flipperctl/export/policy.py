@@ -445,5 +445,8 @@ def _as_onnx(
     except FlipperctlError:
         raise
     except Exception as error:  # the exporter's errors have no common type
-        line, *_ = (*filter(None, map(str.strip, str(error).splitlines())), repr(error))
+        cause: BaseException = error
+        while cause.__cause__ is not None:  # around it are the exporter's advice and colours
+            cause = cause.__cause__
+        line, *_ = (*filter(None, map(str.strip, str(cause).splitlines())), repr(cause))
         raise ExportError(f"torch cannot export it as ONNX: {line}") from error

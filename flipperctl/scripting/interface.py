@@ -89,7 +89,7 @@ class Run:
     def __fspath__(self) -> str:
         return str(self.directory)
 
-    @public()
+    @public
     def metrics(self) -> list[dict[str, float | str | None]]:
         """Return the rows of ``metrics.csv``: one for each episode and each validation.
 
@@ -98,7 +98,7 @@ class Run:
         rows = read_csv(self.directory / METRICS)
         return [{name: _value(cell) for name, cell in row.items()} for row in rows]
 
-    @public()
+    @public
     def metrics_frame(self) -> DataFrame:
         """Return the rows of ``metrics.csv`` as a data frame of pandas.
 
@@ -134,7 +134,7 @@ FLIPPER = "flipperctl.env:flipperctl/Flipper-v0"
 """The environment, for ``gymnasium.make``."""
 
 
-@public()
+@public
 def train(
     *,
     directory: str | os.PathLike[str] | None = None,
@@ -189,7 +189,7 @@ def train(
     return Run(finished.directory, finished.summary)
 
 
-@public()
+@public
 def environment(
     *,
     render_mode: str | None = None,
@@ -293,12 +293,12 @@ class Evaluation:
         """Return plain data: what ``flipperctl eval --json`` prints."""
         return self.document
 
-    @public()
+    @public
     def show(self, columns: Sequence[str] = ()) -> None:
         """Print the tables that ``flipperctl eval`` prints, with further ``columns``."""
         print_result(self.result, self.document, parse_columns(",".join(columns) or None))
 
-    @public()
+    @public
     def scenes_frame(self) -> DataFrame:
         """Return a row for each scene and policy: means with their 95 % intervals.
 
@@ -309,7 +309,7 @@ class Evaluation:
         """
         return data_frame(csv_rows(self.document))
 
-    @public()
+    @public
     def episodes_frame(self) -> DataFrame:
         """Return a row for each episode of the policies and baselines, as in ``episodes.csv``.
 
@@ -322,7 +322,7 @@ class Evaluation:
 Named = str | os.PathLike[str] | LoadedPolicy | Function
 
 
-@public()
+@public
 def evaluate(
     policy: Named | Sequence[Named],
     *,
@@ -426,7 +426,7 @@ def evaluate(
     return done[0]
 
 
-@public()
+@public
 def plot(
     *sources: str | os.PathLike[str],
     kind: str | None = None,

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from torch import nn
 
 
-@public()
+@public
 def load(policy: str | os.PathLike[str], *, plugins: Paths = (), **fields: object) -> LoadedPolicy:
     """Load a policy to call.
 
@@ -81,7 +81,7 @@ class _FunctionController(Controller):
 
     function: ClassVar[Function]
 
-    @public()
+    @public
     def act(self, p: Perception) -> Any:
         """Return what the function returns for the observation."""
         found = type(self).function(p.observation)
@@ -117,7 +117,7 @@ def function_policy(function: Function) -> str:
     return name
 
 
-@public()
+@public
 def save(
     network: nn.Module,
     env: gymnasium.Env[Any, Any],
@@ -185,7 +185,7 @@ class LoadedPolicy:
         """Robot that the policy drives; None of a controller before its first ``reset``."""
         return None if self._config is None else self._config.robot
 
-    @public()
+    @public
     def reset(self, env: gymnasium.Env[Any, Any] | None = None) -> None:
         """Begin an episode.
 
@@ -209,7 +209,7 @@ class LoadedPolicy:
         assert self._policy is not None
         self._policy.reset(task.simulator())
 
-    @public()
+    @public
     def __call__(self, observation: ArrayLike) -> Action:
         """Return the action, an index into ``flipperctl.api.ACTIONS`` or rates, for an observation.
 
@@ -237,7 +237,7 @@ class LoadedPolicy:
         self._recent.append(array)
         return policy.act_on(tuple(self._recent))
 
-    @public()
+    @public
     def act(self, perception: Perception) -> Action:
         """Return the action, an index into ``flipperctl.api.ACTIONS`` or rates, for a perception.
 

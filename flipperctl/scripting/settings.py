@@ -7,11 +7,12 @@ notebook defines and worker processes cannot find.
 
 from __future__ import annotations
 
-import contextlib
+import functools
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from enum import Enum
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from flipperctl.config import EnvConfig, TrainConfig, resolver, to_dict
 from flipperctl.config.defaults import CHOICES, LISTS
 from flipperctl.config.words import quoted
 from flipperctl.errors import ConfigError, PluginError, RequestError
+from flipperctl.files import at_home
 from flipperctl.session import remember_plugins
 from flipperctl.terminal.streams import begin_notices
 from flipperctl.undisturbed import undisturbed
@@ -39,20 +41,28 @@ def begin(plugins: Paths) -> None:
     registered.load(paths)
 
 
-@contextlib.contextmanager
-def public() -> Iterator[None]:
-    """Be around every public function: the caller's process keeps its state, see ``undisturbed``.
+P = ParamSpec("P")
+T = TypeVar("T")
 
-    The errors behind a refused request are left out of its traceback, since its text has them. With
-    ``FLIPPERCTL_DEBUG=1`` they stay.
+
+def public(function: Callable[P, T]) -> Callable[P, T]:
+    """Make a function a door: ``~`` in its arguments is the home folder, see ``at_home``.
+
+    The caller's process keeps its state, see ``undisturbed``. The errors behind a refused request
+    are left out of its traceback, since its text has them. With ``FLIPPERCTL_DEBUG=1`` they stay.
     """
-    try:
-        with undisturbed():
-            yield
-    except RequestError as error:
-        if os.environ.get(entry.DEBUG) != "1":
-            error.__cause__ = None
-        raise
+
+    @functools.wraps(function)
+    def door(*args: P.args, **kwargs: P.kwargs) -> T:
+        try:
+            with undisturbed():
+                return function(*at_home(args), **at_home(kwargs))
+        except RequestError as error:
+            if os.environ.get(entry.DEBUG) != "1":
+                error.__cause__ = None
+            raise
+
+    return door
 
 
 _TERM = re.compile(r"rewards\.[^.]+")

@@ -118,7 +118,7 @@ def require_kept(before: Train, after: Train, state: State) -> None:
 def check_device(config: TrainConfig) -> None:
     """Refuse a device that torch cannot use."""
     try:
-        torch.empty(0, device=config.device)
+        torch.zeros(1, device=config.device).item()  # which meta tensors do not have
     except (RuntimeError, AssertionError) as error:
         reason = str(error).splitlines()[0]
         raise ConfigError(f"device: {config.device!r} cannot be used: {reason}") from error

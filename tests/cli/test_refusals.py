@@ -8,7 +8,10 @@ from pathlib import Path
 
 import pytest
 
+import flipperctl
+from flipperctl import session
 from flipperctl.agent import replay as memory
+from flipperctl.errors import FlipperctlError
 from tests.cli.call import refused
 
 REFUSED = """
@@ -308,3 +311,48 @@ def test_a_number_that_no_float_holds_is_named(
     word: str, zeros: int, text: str, tmp_path: Path
 ) -> None:
     assert text in refused("train", word.format(f"1{'0' * zeros}"), cwd=tmp_path)
+
+
+def test_paths_of_every_kind_of_door_may_begin_with_the_home_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home, here = tmp_path / "home", tmp_path / "here"
+    home.mkdir()
+    here.mkdir()
+    monkeypatch.setenv("HOME", str(home))
+    for words in (
+        ["train", "--resume=~/none"], ["eval", "~/none.onnx", "--output=~/x"],
+        ["eval", "okada", "terrain=profile_file", "terrain.path=~/none.csv"],
+        ["plot", "METHOD=~/none"], ["list", "terrains", "--plugins=~/none.py"],
+        ["robot", "check", "~/none"], ["eval", "okada", "robot=~/none.yaml"],
+    ):  # fmt: skip
+        assert f"{home}/none" in refused(*words, cwd=here), words
+    with pytest.raises(FlipperctlError, match=f"{home}/none"):
+        flipperctl.load("~/none.onnx")
+    with pytest.raises(FlipperctlError, match=f"{home}/none"):
+        flipperctl.environment(terrain={"name": "profile_file", "path": "~/none.csv"}).reset()
+    assert list(here.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["train", "device=meta"], "device: 'meta' cannot be used: "),
+        (["train", "--output", "a${b}"], "--output a${b}: Hydra would replace the ${…}"),
+        (["eval", "okada", "--episodes", "1", "--output", 300 * "x"], "File name too long"),
+    ],
+)
+def test_names_that_cannot_be_used_are_refused(words: list[str], text: str, tmp_path: Path) -> None:
+    assert text in refused(*words, cwd=tmp_path)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_shell_that_is_not_recognised_can_be_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("shellingham.detect_shell", lambda: ("tcsh", "/bin/tcsh"))
+    assert "name one as in bash -c '" in refused("--show-completion", cwd=tmp_path)
+
+
+def test_printed_commands_take_no_folder_for_an_option() -> None:
+    assert session.command("eval", Path("-dash")) == "flipperctl eval ./-dash"

@@ -18,6 +18,7 @@ from hydra.errors import OverrideParseException
 from flipperctl.config.defaults import CHOICES
 from flipperctl.config.words import check_different, check_words, expand_files, key_of, unreadable
 from flipperctl.errors import ConfigError
+from flipperctl.files import at_home
 from flipperctl.training.search import Interval
 
 SEARCH_PATH = "hydra.searchpath"
@@ -40,7 +41,7 @@ class Overrides:
         Raises:
             ConfigError: a word is not an override, Hydra cannot read it, or a key is given twice.
         """
-        words = list(words)
+        words = list(map(at_home, words))
         if check:
             check_words(words)
             words = expand_files(words)
