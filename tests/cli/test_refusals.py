@@ -65,7 +65,7 @@ card --checkpoint runs/mine -> write runs/mine alone
 train --checkpoint runs/mine -> agent.start_from=runs/mine begins with
 eval --controller level train.decisions=5 \
     -> train.decisions: it belongs to a training, and has no meaning here
-train +train.validation_episodes=3 -> exists already; write it without +
+train +train.validation_episodes=3 -> exists already; write train.validation_episodes=3
 train collector.max_lag=3 -> collector=local has no settings here
 inspect run nope -> nope holds no metrics.csv; there is no such folder
 new -> 'KIND' | see flipperctl new --help
@@ -93,7 +93,7 @@ train rewards=paper '~rewards.pich' -> rewards.pich | 'pitch'
 train rewards=tunde -> rewards | 'tunde' | 'tuned' | paper, smooth, tuned
 train +reward@rewards.way=shaped_progress agent.gamma=0.95 \
     -> rewards.way.gamma: 0.99 | agent.gamma (0.95) | set rewards.way.gamma=0.95
-train reward=impact -> rewards.impact: there is no | +reward@rewards.impact=impact
+train reward=impact -> reward: there is no such key (did you mean 'rewards'?)
 train +reward@rewards.hit=impact rewards.hit.wieght=2 \
     -> rewards.hit.wieght | 'weight' | known in rewards.hit=impact:
 train rewards=paper +reward@rewards.pitch=impact \

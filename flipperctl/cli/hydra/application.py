@@ -5,6 +5,7 @@ In: the words of the command, including Hydra's options. Out: a run in each job'
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import io
 import sys
@@ -15,7 +16,6 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import hydra
-from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.utils import env_override
 from hydra.types import RunMode
@@ -29,7 +29,6 @@ from flipperctl.cli.hydra.compose import (
     parse_training,
     register_defaults,
     register_sweepers,
-    strict_files,
 )
 from flipperctl.cli.hydra.errors import convert_hydra_errors
 from flipperctl.cli.hydra.overrides import SEARCH_PATH, Overrides
@@ -46,6 +45,28 @@ from flipperctl.training.sweep import stop_of
 _VALUED = ("cfg", "package", "info", "config_dir", "config_name", "config_path")
 _FLAGS = ("multirun", "resolve", "hydra_help")
 """Hydra's options that ``flipperctl train`` passes on, with a value and without."""
+_INFO = ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")
+
+
+class _Options(argparse.ArgumentParser):
+    """Hydra's options and overrides; its own parser is private."""
+
+    def __init__(self) -> None:
+        super().__init__(add_help=False, allow_abbrev=False)
+        self.add_argument("overrides", nargs="*")
+        self.add_argument("--cfg", "-c", choices=["job", "hydra", "all"])
+        self.add_argument("--info", "-i", const="all", nargs="?", choices=_INFO)
+        self.add_argument("--package", "-p")
+        self.add_argument("--config-dir", "-cd")
+        self.add_argument("--config-name", "-cn")
+        self.add_argument("--config-path", "-cp")
+        self.add_argument("--multirun", "-m", action="store_true")
+        self.add_argument("--resolve", action="store_true")
+        self.add_argument("--hydra-help", action="store_true")
+
+    def error(self, message: str) -> NoReturn:
+        """Refuse the words in one line."""
+        raise ConfigError(f"{message}; see flipperctl train --hydra-help")
 
 
 def train(arguments: list[str], *, check: bool) -> None:
@@ -59,9 +80,7 @@ def train(arguments: list[str], *, check: bool) -> None:
     """
     register_defaults()
     register_sweepers()
-    parser = get_args_parser()
-    parser.error = _refuse  # type: ignore[method-assign]  # its own prints two dozen lines
-    chosen = vars(parser.parse_intermixed_args(arguments))  # options may stand between overrides
+    chosen = vars(_Options().parse_intermixed_args(arguments))  # options may stand between words
     overrides = Overrides.parse(chosen["overrides"])
     several = _several(chosen, overrides)
     options = [(_typed(name), value) for name in _VALUED if (value := chosen[name])]
@@ -93,7 +112,7 @@ def train(arguments: list[str], *, check: bool) -> None:
         # Hydra passes exceptions on instead of printing them. The processes of a launcher must not
         # import from the working directory, where a user's random.py may lie.
         environment = {"HYDRA_FULL_ERROR": "1", "PYTHONSAFEPATH": "1"}
-        with convert_hydra_errors(), strict_files(), env_override(environment):
+        with convert_hydra_errors(), env_override(environment):
             _show(application) if chosen["cfg"] else application()
         if errors:
             raise errors[0]
@@ -113,10 +132,6 @@ def train(arguments: list[str], *, check: bool) -> None:
 
 def _typed(name: str) -> str:
     return f"--{name}".replace("_", "-")
-
-
-def _refuse(message: str) -> NoReturn:
-    raise ConfigError(f"{message}; see flipperctl train --hydra-help")
 
 
 def _show(application: Callable[[], object]) -> None:

@@ -2,8 +2,7 @@
 
 In: overrides, the registry, the models' defaults, a policy's configuration. Out: a ``TrainConfig``
 or ``EvalConfig`` for each combination of the lists among the overrides. Files, such as those of
-``--config-dir``, are read by our strict reader as long as a command composes; what another
-application of Hydra in this process reads stays Hydra's.
+``--config-dir``, are read by Hydra.
 """
 
 from __future__ import annotations
@@ -11,21 +10,14 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator, Sequence
 from importlib import resources
-from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any, TypeVar
 
 from hydra import compose, initialize_config_dir
-from hydra._internal.core_plugins.file_config_source import FileConfigSource
-from hydra._internal.core_plugins.importlib_resources_config_source import (
-    ImportlibResourcesConfigSource,
-)
-from hydra._internal.sources_registry import SourcesRegistry
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.plugins import Plugins
 from hydra.errors import ConfigCompositionException, MissingConfigException
-from hydra.plugins.config_source import ConfigLoadError, ConfigResult, ConfigSource
 from omegaconf import DictConfig, OmegaConf
 
 from flipperctl.api import ObservationLayout, Plugin, Robot, registry
@@ -37,7 +29,6 @@ from flipperctl.config import (
     EvalConfig,
     TrainConfig,
     parse,
-    strict_yaml,
     to_dict,
 )
 from flipperctl.config.defaults import LISTS, entries, missing_entry, refuse_ineffective, sections
@@ -57,20 +48,7 @@ _ROBOT = "flipperctl_eval_robot"
 _TRAINED = "_trained"  # terrain, robot and rewards of a policy, as group entries
 _registered: dict[tuple[str, str], type[Plugin]] = {}
 _SWEEPERS = "hydra_plugins.flipperctl_sweepers"
-_HEADER = 512
-"""Length of the text in which Hydra looks for ``# @package`` [characters]."""
 Composed = TypeVar("Composed")
-
-
-class _SharedStore(ConfigStore):
-    """Hydra's store of configurations, which copies of Hydra's repository share.
-
-    Hydra copies its repository for each composition, and with it every entry of the store, which
-    takes two fifths of a composition's time. It copies an entry again when it loads it.
-    """
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> _SharedStore:
-        return self
 
 
 def register_defaults() -> None:
@@ -81,8 +59,6 @@ def register_defaults() -> None:
     if _registered == registry:
         return
     store = ConfigStore.instance()
-    if type(store) is ConfigStore:
-        store.__class__ = _SharedStore
     for group, name, node in entries():
         # Several entries of a list may be chosen; an entry without settings adds nothing.
         package = f"{group}.{name}" if group in LISTS and node else None
@@ -288,47 +264,5 @@ def _initialized() -> Iterator[None]:
     if GlobalHydra.instance().is_initialized():
         yield
         return
-    with strict_files(), initialize_config_dir(CONFIGS, version_base="1.3"):
+    with initialize_config_dir(CONFIGS, version_base="1.3"):
         yield
-
-
-@contextlib.contextmanager
-def strict_files() -> Iterator[None]:
-    """Let Hydra read the files of its configuration with ours while the body composes."""
-    resolve = SourcesRegistry.resolve
-
-    def resolve_strictly(self: SourcesRegistry, scheme: str) -> type[ConfigSource]:
-        ours = {source.scheme(): source for source in (_Files, _Packages)}
-        return ours.get(scheme) or resolve(self, scheme)
-
-    # Not registered in their place, since launchers hand the registry to their processes.
-    SourcesRegistry.resolve = resolve_strictly  # type: ignore[method-assign]  # for a while
-    try:
-        yield
-    finally:
-        SourcesRegistry.resolve = resolve  # type: ignore[method-assign]  # Hydra's own
-
-
-class _Files(FileConfigSource):
-    def load_config(self, config_path: str) -> ConfigResult:
-        return _read(self, Path(self.path), config_path)
-
-
-class _Packages(ImportlibResourcesConfigSource):
-    def load_config(self, config_path: str) -> ConfigResult:
-        return _read(self, resources.files(self.path), config_path)
-
-
-def _read(source: ConfigSource, folder: Traversable, name: str) -> ConfigResult:
-    file = folder.joinpath(source._normalize_file_name(name))
-    if not file.is_file():
-        raise ConfigLoadError(f"Config not found : {file}")
-    text = strict_yaml.read_text(file, str(file))
-    found = strict_yaml.parse(text, str(file))
-    if not isinstance(found, dict | None):
-        raise ConfigError(f"{file}: a mapping is allowed; it holds {found!r:.60}")
-    try:
-        header = source._get_header_dict(text[:_HEADER])
-    except ValueError as error:
-        raise ConfigError(f"{file}: {error}") from error
-    return ConfigResult(source.provider, source.full_path(), OmegaConf.create(found or {}), header)

@@ -1,4 +1,4 @@
-"""Sweeps over lists, run by Hydra's basic sweeper, and searches, whose trials Optuna proposes.
+"""Sweeps, whose jobs are the combinations of lists, and searches, whose trials Optuna proposes.
 
 In: overrides, of which some are lists, ``interval(…)`` or ``tag(log,interval(…))``. Out: a run
 directory for each combination or trial, named after it, and a table that compares the runs. Any
@@ -15,8 +15,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from statistics import mean
-from types import SimpleNamespace
-from typing import Any, cast
+from typing import Any
 
 from hydra.core.plugins import Plugins
 from hydra.core.utils import JobReturn
@@ -85,7 +84,6 @@ def launched_by(launcher: Launcher, config: DictConfig) -> Sweep:
     If the folder is named by the time, and another sweep of the same second is in it, another one
     beside it is taken.
     """
-    from hydra._internal.core_plugins.basic_launcher import BasicLauncher
 
     def launch(jobs: Sequence[Job], names: Sequence[str], first: int) -> list[JobResult]:
         # A worker of a running cluster has another working directory.
@@ -102,8 +100,8 @@ def launched_by(launcher: Launcher, config: DictConfig) -> Sweep:
         launch,
         print_comparison,
         named=bool(unresolved["subdir"] == UNNAMED),
-        # It runs the jobs in sequence and would continue after Ctrl-C.
-        serial=isinstance(launcher, BasicLauncher),
+        # Hydra's basic launcher runs the jobs in sequence and would continue after Ctrl-C.
+        serial=OmegaConf.select(config, "hydra.runtime.choices.hydra/launcher") == "basic",
         numbered=named_by_time(config, "sweep"),
         tell=print_note,
     )
@@ -126,35 +124,32 @@ def job_result(job: JobReturn) -> JobResult:
 
 
 def list_sweep(settings: Mapping[str, Any], **given: Any) -> Callable[[list[str]], None]:
-    """Return Hydra's basic sweeper, with named folders and a table at the end.
+    """Return a sweep over lists, with named folders and a table at the end.
 
-    ``settings`` are those of Hydra's sweeper, and ``given`` what its ``setup`` takes. The returned
-    function trains every combination, or continues those of an earlier start in the same folder.
+    ``settings`` are those of Hydra's basic sweeper, and ``given`` what its ``setup`` takes. The
+    returned function trains every combination, or continues those of an earlier start in the same
+    folder.
     """
-    # Not at the top of this file: Hydra reloads its own plugins when it discovers them.
-    from hydra._internal.core_plugins.basic_sweeper import BasicSweeper
-
     config = given["config"]
-    sweeper = cast("Any", BasicSweeper(**settings))
-    sweeper.setup(**given)
-    jobs = launched_by(sweeper.launcher, config)
-
-    def launch(job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> list[JobReturn]:
-        jobs.launch(job_overrides, initial_job_idx)
-        jobs.raise_errors()  # before Hydra's sweeper rewords them
-        return []
-
-    sweeper.launcher = SimpleNamespace(launch=launch)
+    jobs = launched_by(Plugins.instance().instantiate_launcher(**given), config)
 
     def run(arguments: list[str]) -> None:
         params = settings["params"] or {}
-        overrides = [*(f"{key}={value}" for key, value in params.items()), *arguments]
-        jobs.swept = Overrides.parse(overrides, check=False).swept
+        words = [*(f"{key}={value}" for key, value in params.items()), *arguments]
+        overrides = Overrides.parse(words, check=False)
+        jobs.swept = overrides.swept
+        if intervals := [o.get_key_element() for o in overrides.parsed if o.is_interval_sweep()]:
+            raise ConfigError(f"{intervals[0]}: an interval is searched by hydra/sweeper=optuna")
+        combinations = [combination.words for combination in overrides.combinations()]
         with jobs.held():
-            with read_write(config.hydra.sweep):  # where Hydra writes multirun.yaml
+            with read_write(config.hydra.sweep):
                 config.hydra.sweep.dir = str(jobs.folder)
+            OmegaConf.save(config, jobs.folder / "multirun.yaml")
             try:
-                sweeper.sweep(arguments)
+                size = settings["max_batch_size"] or len(combinations)
+                for first in range(0, len(combinations), size):
+                    jobs.launch(combinations[first : first + size], first)
+                    jobs.raise_errors()
             except (InterruptedRunError, KeyboardInterrupt) as error:
                 done = sum(run.state == "finished" for run in jobs.runs)
                 raise InterruptedRunError(

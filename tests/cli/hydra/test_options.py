@@ -21,10 +21,10 @@ QUICK = list({word.partition("=")[0]: word for word in QUICK}.values())
 
 @pytest.fixture
 def my(tmp_path: Path) -> Path:
-    """A folder with an experiment whose numbers YAML 1.1 reads otherwise."""
+    """A folder with an experiment."""
     file = tmp_path / "my" / "experiment" / "mine.yaml"
     file.parent.mkdir(parents=True)
-    file.write_text("# @package _global_\nagent:\n  batch_size: 064\n  learning_rate: 1e-4\n")
+    file.write_text("# @package _global_\nagent:\n  batch_size: 64\n  learning_rate: 1e-4\n")
     return file
 
 
@@ -44,15 +44,15 @@ def test_options_may_stand_between_overrides(tmp_path: Path) -> None:
     assert "batch_size: 9" in done.out
 
 
-def test_files_of_configuration_are_read_strictly(tmp_path: Path, my: Path) -> None:
+def test_files_of_configuration_are_read_by_hydra(tmp_path: Path, my: Path) -> None:
     words = ["--config-dir", "my", "experiment=mine", "--cfg", "job", "--package", "agent"]
     done = call("train", *words, cwd=tmp_path)
-    assert "batch_size: '064'" in done.out  # 64, as on the command line
+    assert "batch_size: 64" in done.out
     assert "learning_rate: 0.0001" in done.out
     my.write_text(my.read_text() + "  batch_size: 32\n")
-    assert "mine.yaml, line 5: batch_size is given twice, also in line 3" in refused(
-        "train", *words, cwd=tmp_path
-    )
+    error = refused("train", *words, cwd=tmp_path)
+    assert "found duplicate key batch_size" in error
+    assert 'mine.yaml", line 5' in error
 
 
 def test_paths_start_in_the_folder_of_the_command(tmp_path: Path, my: Path) -> None:
