@@ -84,6 +84,8 @@ class PairMotion:
         """
         if not self._commands:
             return None
+        if self._angles and len(self._angles[-1][1]) != len(angles):
+            self._angles.clear()  # left and right are measured now and then
         self._angles.append((now, tuple(angles)))
         while self._angles[0][0] < now - 2 * self._late:
             self._angles.popleft()

@@ -63,6 +63,8 @@ class States:
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
         self.state: State = "waiting"
+        self._speed = math.nan  # of the belts, as on a robot without their encoders [m/s]
+        self._driven, self._stands = True, False  # what the last speed says, and what counts
         self._clear()
 
     def _clear(self) -> None:
@@ -75,9 +77,8 @@ class States:
         self._faults = 0  # how many make up the present one
         self._name = ""  # of the fault at the last step
         self._struck = -math.inf  # the last time with a strike [s]
-        self._speed = math.nan  # of the belts, as on a robot without their encoders [m/s]
-        self._driven, self._changed = True, 0.0  # what the last speed says, and since when [s]
-        self._stands, self._ran = False, False  # whether it may ever have driven
+        self._changed = -math.inf  # since when the speeds have said so [s]
+        self._ran = False  # whether it may have driven
 
     def belts(self, now: float, speed: float) -> None:
         """Receive a speed of the belts, ahead positive [m/s].
@@ -124,7 +125,9 @@ class States:
         """
         self._name, limits = "", self._limits
         calm = now - self._faulty
-        if self.since is not None and calm >= limits.recurs - _SUMS:
+        if self.state == "waiting":  # what was missing at the start counts no more
+            self.since, self._faults, self._faulty = None, 0, -math.inf
+        elif self.since is not None and calm >= limits.recurs - _SUMS:
             self.since, self._faults = None, 0
         if self.state == "stopped":
             self._struck = max(self._struck, self._faulty)

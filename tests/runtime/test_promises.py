@@ -318,6 +318,17 @@ def test_flippers_beyond_the_limits_are_held_there_and_turned_back_by_decisions(
     assert max(map(abs, robot.angles)) < 1.1
 
 
+def test_left_and_right_angles_may_come_now_and_then(build: Any) -> None:
+    count = [0]
+
+    def some(device: str, message: dict[str, Any]) -> None:
+        if device == "joints":
+            count[0] += 1
+            message["sides"] = message["sides"] if count[0] % 3 else None
+
+    assert faults(build().run(4.0, some)[25:]) == set()
+
+
 # Nothing new
 
 

@@ -115,6 +115,14 @@ def test_a_fault_that_lasts_stops_after_a_second_and_a_gap_ends_after_a_rest() -
     assert run.go(None) == "driving"
 
 
+def test_faults_while_it_waits_do_not_shorten_the_hold() -> None:
+    run = Run()
+    run.go(GAP, 2.0)
+    run.go(None)
+    assert run.go(GAP, 0.95) == "holding"
+    assert run.go(GAP, 0.15) == "stopped"
+
+
 def test_a_gap_long_after_a_stop_is_a_first_one() -> None:
     run = in_state("stopped")
     run.go(None, 2.0 + LIMITS.again)
@@ -159,6 +167,14 @@ def test_a_second_stall_stops() -> None:
     assert run.go(STALL, 0.95) == "holding"
     assert run.go(None, 3.0) == "driving"
     assert run.go(STALL) == "latched"
+
+
+def test_a_parked_robot_that_is_acknowledged_stands_by() -> None:
+    run = in_state("latched")
+    run.speed = 0.0
+    run.go(None, 1.0)
+    run.states.acknowledge()
+    assert run.states.update(run.now + TICK, None) == "standby"  # before another speed comes
 
 
 def test_a_robot_that_never_drove_waits_again_after_a_stop() -> None:
