@@ -4,11 +4,14 @@ import io
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray
+from flipperctl.core.crosschecks import rounding
 
 from .claims import Pose, pcd_header, ply_elements
 from .layers import Choice, Ground, layer_of_points, parts_of_points
@@ -26,8 +29,6 @@ class CloudFile:
 
     points: FloatArray
     """(P, 3) in the frame and unit of the file; not finite where a ray did not return."""
-    single: bool = False
-    """Whether the coordinates are stored in single precision."""
     pose: Pose | None = None
     """The pose that a PCD's VIEWPOINT states, unless it is the identity."""
 
@@ -47,8 +48,7 @@ def read_pcd(path: Path) -> CloudFile:
         # Without fields of no numbers, which PCL writes and the reader refuses.
         cloud = PointCloud.from_fileobj(io.BufferedReader(io.BytesIO(text + file.read())))
     points = np.asarray(cloud.numpy(("x", "y", "z")), dtype=np.float64)
-    single = all(cloud.pc_data.dtype[axis] == np.float32 for axis in "xyz")
-    return CloudFile(_complete(points, header.points), single, header.pose)
+    return CloudFile(_complete(points, header.points), header.pose)
 
 
 def read_ply(path: Path) -> CloudFile:
@@ -63,7 +63,7 @@ def read_ply(path: Path) -> CloudFile:
     with path.open("rb") as file:
         vertices = load_ply(file, fix_texture=False, skip_materials=True)["vertices"]
     points = np.asarray(vertices, dtype=np.float64)
-    return CloudFile(_complete(points, claimed), vertices.dtype == np.float32)
+    return CloudFile(_complete(points, claimed))
 
 
 def _complete(points: FloatArray, claimed: int) -> FloatArray:
@@ -163,9 +163,12 @@ def _split(line: str) -> list[str]:
     return values
 
 
-_FEWEST, _OFTEN = 10, 10
-"""Smallest number of equal points that are unmeasured, away from the origin, and its smallest ratio
-to the repetitions of other points [-]."""
+_OFTEN, _VERY_OFTEN = 4, 10
+"""Smallest ratios of the number of equal points that are unmeasured, away from the origin, to that
+of other places: without places around them, and with those of a line [-]."""
+_NEAR, _FEW, _MOST_CELLS = 2, 3, 2.0**52
+"""Steps of rounding to the places around one; fewer places than of a surface; cells with which
+coordinates are not rounded [-]."""
 _FILLED = 3
 """Smallest number of points for each value of a rounded coordinate [-]."""
 _SHARED, _SAME_SURFACE = 0.5, 0.003
@@ -180,9 +183,9 @@ _FAR = 100
 def without_unmeasured(points: FloatArray) -> tuple[FloatArray, str]:
     """Return the finite points (P, 3) that were measured, and a remark on those left out.
 
-    Drivers store rays without return as 0 0 0, and a registration moves these to the place of the
-    sensor. Points are left out that are equal far more often than others, or, at 0 0 0, more often
-    at all. One point at the origin is kept.
+    Drivers store rays without return as 0 0 0, and a registration moves these to the places of the
+    sensor. Points are left out that are equal far more often than most, where no surface is around
+    them, or, at 0 0 0, more often at all. One point at the origin is kept.
     """
     points = points[np.isfinite(points).all(axis=1)]
     if not len(points):
@@ -192,9 +195,11 @@ def without_unmeasured(points: FloatArray) -> tuple[FloatArray, str]:
     places = points[begins]
     counts = np.diff(np.append(np.flatnonzero(begins), len(points)))
     origin = (places == 0).all(axis=1)
-    others = counts[~origin]
-    usual = np.quantile(others, 0.99, method="lower") if len(others) else 1
-    left_out = (counts >= _FEWEST) & (counts > _OFTEN * usual) | origin & (counts > usual)
+    usual = float(np.median(counts[~origin])) if not origin.all() else 1.0
+    often = counts >= _OFTEN * usual
+    around = _around(places, often)
+    left_out = (often & (around < _FEW)) | ((counts >= _VERY_OFTEN * usual) & (around <= 2 * _NEAR))
+    left_out = np.where(origin, counts > usual, left_out)
     if not left_out.any():
         return points, ""
     most = places[np.argmax(np.where(left_out, counts, 0))]
@@ -206,26 +211,39 @@ def without_unmeasured(points: FloatArray) -> tuple[FloatArray, str]:
     )
 
 
-def remark_on_rounding(
-    points: FloatArray, level: str, single: bool | None, unit: float, spacing: float
-) -> str:
+def _around(places: FloatArray, of: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return how many places, (P, 3), are few steps of rounding from each ``of`` them, (P,).
+
+    Points that are equal since they are rounded lie on a surface, and have such neighbours.
+    """
+    step = min(np.diff(np.unique(column)).min(initial=np.inf) for column in places.T)
+    cells = np.round((places - places.min(axis=0)) / step)
+    sizes = cells.max(axis=0) + 1 + _NEAR
+    count = np.zeros(len(places), dtype=np.int64)
+    if float(np.prod(sizes)) < _MOST_CELLS:  # with more, the coordinates are not rounded
+        factors = np.array([sizes[1] * sizes[2], sizes[2], 1.0])
+        keys = (cells @ factors).astype(np.int64)
+        for near in product(range(-_NEAR, _NEAR + 1), repeat=3):
+            count[of] += np.isin(keys[of] + int(np.dot(near, factors)), keys)
+        count[of] -= 1  # itself
+    return count
+
+
+def remark_on_rounding(points: FloatArray, level: str, unit: float, spacing: float) -> str:
     """Return a remark if coordinates are rounded to more than half the ``spacing`` [m], else "".
 
-    ``points``, (P, 3) in a ``unit`` [m], are finite. ``single``: they are stored in single
-    precision; None: if that holds them without loss. Other rounding is looked for along the axes
-    ``level``, such as "xy", by points that share coordinates; a regular grid is not rounded.
+    ``points``, (P, 3) in a ``unit`` [m], are finite. Besides the rounding of formats, it is looked
+    for along the axes ``level``, such as "xy", by points that share coordinates; a regular grid is
+    not rounded.
     """
-    with np.errstate(over="ignore"):
-        short = points.astype(np.float32)
-    single = bool((short == points).all()) if single is None else single
     coarse = spacing / 2 / unit * (1 + 1e-9)
     steps, filled, far = dict[str, float](), dict[str, float](), set[str]()
     columns = dict(zip("xyz", points.T, strict=True)) if len(points) else {}
     for axis, column in columns.items():
         values = np.unique(column)
         apart, largest = np.diff(values), np.abs(values).max()
-        digit = float(np.spacing(np.abs(short[:, "xyz".index(axis)]).max()))
-        if single and digit > coarse and len(apart) and apart.min() <= digit:
+        digit = rounding(values, whole=bool(level) and axis not in level)
+        if digit > coarse:
             steps[axis] = digit
         elif axis in level and len(values) * _FILLED <= len(column):
             filled[axis] = float(np.median(apart)) if len(apart) else 0.0
@@ -242,7 +260,7 @@ def remark_on_rounding(
         return ""
     found = " and ".join(f"{axis} to {steps[axis] * unit:.3g} m" for axis in sorted(steps))
     return (
-        f"its coordinates are rounded ({found}), as single precision far from the origin or few "
+        f"its coordinates are rounded ({found}), as half or single precision far from 0 or few "
         "digits do; save them in double precision or nearer to the origin"
     )
 
@@ -271,7 +289,7 @@ def measured(
     finite = file.points[np.isfinite(file.points).all(axis=1)]
     columns = [without_missing(column) for column in finite.T]
     points, unmeasured = without_unmeasured(np.column_stack([column for column, _ in columns]))
-    rounded = remark_on_rounding(points, "".join(LEVEL[up]), file.single, unit, spacing)
+    rounded = remark_on_rounding(points, "".join(LEVEL[up]), unit, spacing)
     remarks = [*(remark for _, remark in columns), unmeasured, rounded]
     if file.pose is not None:
         remarks += _remarks_on_pose(file.pose, viewpoint)

@@ -18,7 +18,7 @@ import numpy as np
 from flipperctl.api import FloatArray
 
 from .height_map import HeightMap, Part, cells_from_resolution
-from .reading import without_missing
+from .reading import known_heights
 
 _UNSTATED = ("", "none", "unknown", "unnamed")
 """Names of units that programs write where they know none."""
@@ -184,8 +184,8 @@ def read_geotiff(
             read = file.read(1, masked=True, window=part)
             scale, offset = file.scales[0], file.offsets[0]
         values = np.asarray(read.astype(np.float64).filled(np.nan))
-        found, remark = without_missing(values, no_data)
-        return (found * scale + offset) * metres, remark
+        known, remark = known_heights(values, no_data, scale * metres)
+        return (known * scale + offset) * metres, remark
 
     if transform.is_identity:
         to_cell = cells_from_resolution(resolution, rows)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from flipperctl.api import FloatArray
 
 from .line import Line
-from .reading import without_missing
+from .reading import known_heights
 
 Part = tuple[slice, slice]
 """Ranges of rows and of columns of a grid."""
@@ -149,8 +149,9 @@ def read_npy(
     shape = (int(grid.shape[0]), int(grid.shape[1]))
 
     def heights(part: Part) -> tuple[FloatArray, str]:
-        found, remark = without_missing(np.asarray(grid[part], dtype=np.float64), no_data)
-        return found * (unit or 1.0), remark
+        values, metres = np.asarray(grid[part], dtype=np.float64), unit or 1.0
+        known, remark = known_heights(values, no_data, metres)
+        return known * metres, remark
 
     return HeightMap(shape, cells_from_resolution(resolution, rows), heights)
 

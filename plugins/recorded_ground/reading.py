@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from flipperctl.api import FloatArray
+from flipperctl.core.crosschecks import Peak, compared, rounding
 
 _MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
 
@@ -53,6 +54,19 @@ def without_missing(values: FloatArray, stated: float | None = None) -> tuple[Fl
     first = values[found].ravel()[0]
     remark = f"{int(found.sum())} values such as {first:g} are treated as unknown heights"
     return np.where(found, np.nan, values), remark
+
+
+def known_heights(values: FloatArray, stated: float | None, unit: float) -> tuple[FloatArray, str]:
+    """Return the heights of a map as ``without_missing``, whose format may round them too.
+
+    ``unit``: of the values [m], for the remark.
+    """
+    heights, missing = without_missing(values, stated)
+    step = unit * rounding(heights[np.isfinite(heights)], whole=True)
+    (rounded,) = compared("its heights", heights_rounding=Peak(step))
+    return heights, "; ".join(
+        filter(None, (missing, "" if rounded.verdict == "ok" else rounded.sentence()))
+    )
 
 
 @contextmanager

@@ -253,7 +253,7 @@ class ProfileFile(Terrain):
             if suffix == ".ply":
                 unknown += " (without faces, a .ply is a cloud)"
             corners = ground.corners.reshape(-1, 3)
-            rounded = remark_on_rounding(corners, "", None, 1.0, self.spacing)
+            rounded = remark_on_rounding(corners, "", 1.0, self.spacing)
             remarks += [rounded] if rounded else []
             layers = ground.along(line)
             heights = layers.height

@@ -64,6 +64,18 @@ def test_rays_without_return_are_left_out(suffix: str, tmp_path: Path) -> None:
     assert "300 points lie exactly at 1 0 0.75, as rays" in remarks
 
 
+@pytest.mark.parametrize(("rings", "digits"), [(16, 5), (5, 5), (64, 2)])
+def test_rays_without_return_at_each_place_of_a_sensor_are_left_out(
+    rings: int, digits: int, tmp_path: Path
+) -> None:
+    """The robot's motion was taken out of the cloud, so that each column has its own place."""
+    way = np.column_stack([np.linspace(-1, 1, 400), np.zeros(400), np.full(400, 0.55)])
+    points = np.vstack([np.repeat(way, rings, axis=0), strip(-1.5, 1.5, 0.0)]).round(digits)
+    found, remarks = heights(save(tmp_path / "deskewed.xyz", points), **AROUND)
+    assert found == (0.0, 0.0)
+    assert "as rays without return" in remarks
+
+
 RANDOM = np.random.default_rng(0).uniform((-1.5, -0.05, 0), (1.5, 0.05, 0.004), (2000, 3))
 
 
@@ -146,7 +158,9 @@ def test_coordinates_that_are_rounded_far_from_the_origin_are_said(
         np.savetxt(file, far.astype(np.float32), fmt="%.6f")
     else:
         write_cloud(file, far)
-    assert "its coordinates are rounded (x to 0.0312 m), as single" in heights(file, **FAR)[1]
+    assert (
+        "its coordinates are rounded (x to 0.0312 m), as half or single" in heights(file, **FAR)[1]
+    )
     if suffix == "pcd":
         PointCloud.from_points(far, ("x", "y", "z"), ("f8",) * 3).save(file)
         assert heights(file, **FAR) == ((0.0, 0.2), "")

@@ -95,6 +95,26 @@ def test_a_height_map_is_sampled_along_a_line(rows: str, tmp_path: Path) -> None
         profile(file, resolution=0.05, rows=rows, **other)
 
 
+@pytest.mark.parametrize(
+    ("kind", "unit", "step"),
+    [(np.float16, "m", "0.25 m"), (np.int16, "m", "1 m"), (np.int16, "dm", "0.1 m"),
+     (np.float32, "m", ""), (np.int32, "mm", "")],
+)  # fmt: skip
+def test_heights_that_the_format_of_a_map_rounds_are_said(
+    kind: type, unit: str, step: str, tmp_path: Path
+) -> None:
+    """Stairs of 0.17 m, 300 m above the sea."""
+    stairs = 300 + 0.17 * (np.arange(150) // 12)
+    metre = {"m": 1, "dm": 10, "mm": 1000}[unit]
+    np.save(tmp_path / "map.npy", np.tile(stairs * metre, (60, 1)).astype(kind))
+    fields = {"resolution": 0.02, "start": (0.1, 0.6), "end": (2.9, 0.6), "unit": unit}
+    settings = {"name": "profile_file", "path": str(tmp_path / "map.npy"), **fields}
+    notices = "\n".join(resolver.create("terrain", settings, "terrain").notices())
+    expected = f"heights against their format: {step}" if step else ""
+    assert expected in notices
+    assert step or "format" not in notices
+
+
 def test_heights_between_cells_are_bilinear(tmp_path: Path) -> None:
     file = tmp_path / "plane.npy"
     y, x = np.mgrid[0:4, 0:5] * 0.5
