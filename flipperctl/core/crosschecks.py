@@ -50,6 +50,8 @@ CHECKS = (
     Check("attitude_rates", "change of tilt", "attitude", "turn rates", "rad", 0.08, 0.15,
           "an orientation that is never set, frozen or a heading alone, another sign, or rates in "
           "degrees"),
+    Check("attitude_return", "jump to and fro", "attitude", "attitude before", "rad", 0.05, 0.1,
+          "an orientation that is filled in now and then, or two units on one topic"),
     Check("belts_short", "way ahead, less", "belts", "recorded poses", "1", 0.25, 0.45,
           "a speed that is not filled in, along the axes of the world, of another sign or unit, or "
           "of fused odometry"),
@@ -143,12 +145,15 @@ def largest(differences: Iterable[Difference]) -> list[Difference]:
     return [last[check.name] for check in CHECKS if check.name in last]
 
 
-def exceeds(name: str, size: float, text: str) -> str:
+def exceeds(name: str, size: float) -> str:
     """Return why a difference is refused, for a controller; empty if it is not."""
     check = _BY_NAME[name]
     if size <= check.refuse:
         return ""
-    return f"{text} differ by {size:.2f} {check.unit}; {check.refuse:g} is allowed: {check.means}"
+    return (
+        f"{check.quantity}, {check.first} against {check.second}: {size:.2f} {check.unit}; "
+        f"{check.refuse:g} is allowed; likely: {check.means}"
+    )
 
 
 # Tilt ---------------------------------------------------------------------------------------------
@@ -160,6 +165,9 @@ _NEAR_GRAVITY = 0.7, 1.27
 """Magnitudes, per gravity, of an acceleration that is taken for gravity [-]."""
 _MEMORY = 3.0
 """Time over which turn rates count; the error of a gyroscope does not add up [s]."""
+_AVERAGED = 0.5
+"""Time over which accelerations are averaged [s]."""
+_NONE = 0.0, 0.0, 0.0
 _LONGEST_STEP = 1.0
 """Longest time between two attitudes whose change is compared with the rates [s]."""
 
@@ -214,32 +222,53 @@ def by_gravity(times: FloatArray, ups: FloatArray, accelerations: FloatArray) ->
     return _peak(times[known], angles(ups[known], accelerations[known]))
 
 
-class TiltByRates:
-    """Compares the change of attitudes with turn rates, message by message."""
+class Tilts:
+    """Compares attitudes with turn rates and accelerations, message by message."""
 
     def __init__(self) -> None:
         self._last: tuple[float, Sequence[float]] | None = None
-        self._turned = self._tilted = (0.0, 0.0, 0.0)  # of the vertical, as far as remembered [rad]
+        # Of the vertical, as far as remembered [rad]; and the means of a short time.
+        self._turned = self._tilted = self._up = self._push = _NONE
+        self._since = math.inf
 
-    def add(self, time: float, up: Sequence[float], rates: Sequence[float]) -> float:
+    def add(
+        self,
+        time: float,
+        up: Sequence[float],
+        rates: Sequence[float],
+        acceleration: Sequence[float] | None = None,
+    ) -> dict[str, float]:
         """Return how far the tilt of the last seconds differs from that by the rates [rad].
 
         ``up``: the vertical in the frame of the unit, (3,); ``rates``: of that frame about its
-        axes, (3,) [rad/s]. It is no more than the rates tell: rates of 0 tell nothing.
+        axes, (3,) [rad/s]; ``acceleration``: along these, (3,). By name of the check. The first is
+        no more than the rates tell: rates of 0 tell nothing.
         """
         last, self._last = self._last, (time, up)
         if last is None or not 0 < (elapsed := time - last[0]) < _LONGEST_STEP:
-            self._turned = self._tilted = (0.0, 0.0, 0.0)
-            return 0.0
+            self._turned = self._tilted = self._up = self._push = _NONE
+            self._since = time
+            return {}
         (x, y, z), (p, q, r) = last[1], rates
         turned = elapsed * (y * r - z * q), elapsed * (z * p - x * r), elapsed * (x * q - y * p)
         tilted = [a - b for a, b in zip(up, last[1], strict=True)]
-        if not all(map(math.isfinite, (*turned, *tilted))):
-            return 0.0
-        kept = math.exp(-elapsed / _MEMORY)
-        self._turned = _faded(kept, self._turned, turned)
-        self._tilted = _faded(kept, self._tilted, tilted)
-        return min(math.dist(self._turned, self._tilted), math.hypot(*self._turned))
+        differences = {}
+        if all(map(math.isfinite, (*turned, *tilted))):
+            kept = math.exp(-elapsed / _MEMORY)
+            self._turned = _faded(kept, self._turned, turned)
+            self._tilted = _faded(kept, self._tilted, tilted)
+            apart = math.dist(self._turned, self._tilted)
+            differences["attitude_rates"] = min(apart, math.hypot(*self._turned))
+        if acceleration is not None and all(map(math.isfinite, (*up, *acceleration))):
+            kept = math.exp(-elapsed / _AVERAGED)
+            self._up = _faded(kept, self._up, (elapsed * value for value in up))
+            self._push = _faded(kept, self._push, (elapsed * value for value in acceleration))
+            scale = math.hypot(*self._up) / math.hypot(*up)
+            if time - self._since > 2 * _AVERAGED and scale > 0:
+                mean = np.array([self._push]) / scale
+                peak = by_gravity(np.array([time]), np.array([self._up]), mean)
+                differences["attitude_gravity"] = peak.size if peak else 0.0
+        return differences
 
 
 def _faded(

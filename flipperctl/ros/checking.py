@@ -212,9 +212,10 @@ def _attitude(
         return []
     times = np.array([row[0] for row in heard.units])
     ups, rates, pushes = (np.array([row[i] for row in heard.units]) for i in (2, 3, 4))
-    changes, by_rates = crosschecks.TiltByRates(), Peak(0.0)
+    changes, by_rates = crosschecks.Tilts(), Peak(0.0)
     for time, up, rate in zip(times.tolist(), ups.tolist(), rates.tolist(), strict=True):
-        by_rates = max(by_rates, Peak(changes.add(time, up, rate), time))
+        size = changes.add(time, up, rate).get("attitude_rates", 0.0)
+        by_rates = max(by_rates, Peak(size, time))
     parts = np.floor((times - times[0]) / _AVERAGED)
     groups = [parts == part for part in np.unique(parts)]
     middle = np.array([times[one].mean() for one in groups])
@@ -222,6 +223,7 @@ def _attitude(
     peaks = {
         "attitude_rates": by_rates,
         "attitude_gravity": crosschecks.by_gravity(middle, up, push),
+        "attitude_return": _returns(times, ups),
     }
     sampled, verticals, turns = [], [], []
     wanted = set(_spread(times))
@@ -241,6 +243,13 @@ def _attitude(
         chassis = Rotation.from_quat(turns).as_matrix()
         peaks |= crosschecks.by_poses(np.array(sampled), np.array(verticals), chassis)
     return compared(topics.attitude, **peaks)
+
+
+def _returns(times: FloatArray, ups: FloatArray) -> Peak | None:
+    """Return the jumps to and fro of the vertical; lengths of unit vectors are about angles."""
+    known = np.isfinite(ups).all(axis=1)
+    level = np.tile([0.0, 0.0, 0.0, 1.0], (int(known.sum()), 1))
+    return crosschecks.by_steps(times[known], ups[known], level).get("transforms_return")
 
 
 def _judge(checked: Checked, heard: _Heard) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl.core.crosschecks import exceeds
+from flipperctl.core.crosschecks import Tilts, exceeds
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Scan
 from flipperctl.runtime.messages import (
     ABSENT,
@@ -21,7 +21,6 @@ from flipperctl.runtime.messages import (
     Attitude,
     Cloud,
     JointAngles,
-    Levels,
     Limits,
     RobotSetup,
 )
@@ -32,6 +31,8 @@ _FEWEST_POINTS = 20
 """Points without which a cloud tells nothing [-]."""
 _LONGEST_TURN = 1.0
 """Largest age of a point at the time of its cloud; those of other ages are left out [s]."""
+_STEEPEST = 1e-3
+"""Least square of the cosine of the tilt with which a turn is told [-]."""
 _FASTEST_TURN, _FASTEST = 20.0, 5.0
 """Largest plausible yaw rate [rad/s] and belt speed [m/s]; beyond it the unit is wrong."""
 
@@ -57,7 +58,8 @@ class Intake:
         self._setup, self._limits, self._cloud_needs = setup, limits, cloud_needs
         self._times: dict[str, float] = {}
         self._refused: dict[str, Fault] = {}
-        self._levels = Levels()
+        self._tilts = Tilts()
+        self._contradicted: Fault | None = None  # until all begins anew
         self._contents: dict[str, NDArray[np.float64]] = {}  # the last ones that may not repeat
         self._repeats: set[str] = set()
         self._turn, self._jitter = np.zeros(2), 0  # the last change of an attitude; see _JITTER
@@ -195,7 +197,7 @@ class Intake:
         except (TypeError, ValueError):
             allowed = "the angles of both pairs"
             raise _refusal("joints", "value", f"has sides {str(sides)[:40]}", allowed) from None
-        if text := exceeds("joints_pair", apart, "the joints of a pair"):
+        if text := exceeds("joints_pair", apart):
             raise _RefusedError(Fault("joints_pair", text))
         signs = self._setup.signs
         return tuple(signs.front * a for a in front), tuple(signs.rear * a for a in rear)
@@ -245,16 +247,25 @@ class Intake:
             raise _RefusedError(Fault("attitude_value", text))
         roll = _number("attitude", "roll", message.roll, math.pi)
         pitch = _number("attitude", "pitch", message.pitch, math.pi)
-        rates = message.tilt_rates
-        if self._levels.add(time, math.hypot(roll, pitch), (rates[0], rates[1])):
-            text = f"attitude {self._levels.unset}: no one fills it in; {ABSENT}"
-            raise _RefusedError(Fault("attitude_unset", text))
         signs = self._setup.signs
-        return Inertial(
-            roll=roll,
-            pitch=signs.pitch * pitch,
-            yaw_rate=signs.yaw * _number("attitude", "yaw_rate", message.yaw_rate, _FASTEST_TURN),
-        )
+        turn = signs.yaw * _number("attitude", "yaw_rate", message.yaw_rate, _FASTEST_TURN)
+        self._compare(time, roll, signs.pitch * pitch, turn, message)
+        return Inertial(roll=roll, pitch=signs.pitch * pitch, yaw_rate=turn)
+
+    def _compare(
+        self, time: float, roll: float, pitch: float, turn: float, message: Attitude
+    ) -> None:
+        """Refuse attitudes from when on turn rates or accelerations contradict them."""
+        x, y = math.sin(pitch), math.sin(roll)
+        z = math.sqrt(max(_STEEPEST, 1 - x * x - y * y))  # of the vertical along the axes
+        p, q = message.tilt_rates
+        rates = p, q, (turn * (1 - x * x) - y * q) / z
+        sizes = self._tilts.add(time, (x, y, z), rates, message.acceleration)
+        for name, size in sizes.items():
+            if self._contradicted is None and (text := exceeds(name, size)):
+                self._contradicted = Fault(name, text)
+        if self._contradicted is not None:
+            raise _RefusedError(self._contradicted)
 
 
 def _refusal(

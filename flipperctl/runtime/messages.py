@@ -2,8 +2,7 @@
 
 In: numbers in the robot's convention; ``JointState`` messages, which may hold a part of the joints
 each. Out: frozen settings, checked; plain data with the time of the measurement, whose content
-``intake`` checks; the mean angle of each pair of flippers; whether a level orientation is one that
-no one fills in.
+``intake`` checks; the mean angle of each pair of flippers.
 """
 
 from __future__ import annotations
@@ -173,8 +172,10 @@ class Attitude:
     yaw_rate: float
     """Turn of the heading, to the left positive [rad/s]."""
     tilt_rates: tuple[float, float] = (0.0, 0.0)
-    """Rates about the x and y axes, by which an orientation that no one fills in is noticed
-    [rad/s]."""
+    """Rates about the x and y axes, with which the change of the angles is compared [rad/s]."""
+    acceleration: tuple[float, float, float] | None = None
+    """Acceleration along the axes x, y and z, gravity included, with which they are compared as
+    well [m/s²]."""
 
     @classmethod
     def from_quaternion(
@@ -197,19 +198,20 @@ class Attitude:
         frame: str,
         orientation: tuple[float, float, float, float],
         rates: tuple[float, float, float],
+        acceleration: tuple[float, float, float] | None = None,
     ) -> Attitude:
         """Return the attitude of an ``Imu`` of ROS.
 
         ``orientation``: x, y, z and w, as of ``from_quaternion``; ``rates``: of the frame about its
-        own axes [rad/s]. When the robot leans, the rate about its z axis is not the yaw rate;
-        this corrects it.
+        own axes [rad/s]; ``acceleration``: along these, None if it has none [m/s²]. When the robot
+        leans, the rate about its z axis is not the yaw rate; this corrects it.
         """
         x, y, z, w = orientation
         rises = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)  # of the axes
         level = max(1 - rises[0] ** 2, _STEEPEST)
         turn = (rises[1] * rates[1] + rises[2] * rates[2]) / level
         found = cls.from_quaternion(time, frame, x, y, z, w, turn)
-        return replace(found, tilt_rates=(rates[0], rates[1]))
+        return replace(found, tilt_rates=(rates[0], rates[1]), acceleration=acceleration)
 
 
 @dataclass(frozen=True)
@@ -295,39 +297,4 @@ class NewestJoints:
         return float(spread[pair]), pair
 
 
-_MEMORY = 2.0
-"""Time over which rates count; the error of a gyroscope does not add up [s]."""
-_TILTED = 0.05
-"""Angle that the rates turn, while the orientation stays level, from which it is none [rad]."""
-_JUMP, _AT_ONCE = 0.1, 0.05
-"""Tilt [rad] from or to which an orientation cannot become level within a time [s]."""
 ABSENT = "a filter such as imu_filter_madgwick adds an orientation"
-
-
-class Levels:
-    """Whether exactly level orientations have been found to be none."""
-
-    def __init__(self) -> None:
-        self.unset = ""
-        """What contradicts them; empty if nothing does."""
-        self._turned = [0.0, 0.0]  # about x and y, as far as remembered [rad]
-        self._last: tuple[float, float, bool] | None = None  # time, tilt, whether it was level
-
-    def add(self, time: float, tilt: float, rates: tuple[float, float]) -> bool:
-        """Learn from a message; return whether its orientation is none.
-
-        ``tilt``: angle of the z axis to the vertical, exactly 0 of an orientation that is not set
-        [rad]; ``rates``: about the x and y axes [rad/s].
-        """
-        level, last = tilt == 0, self._last
-        self._last = time, tilt, level
-        if last is not None and 0 < (elapsed := time - last[0]) < 1:
-            kept = math.exp(-elapsed / _MEMORY) if level and last[2] else 0.0
-            turns = [rate * elapsed if math.isfinite(rate) else 0.0 for rate in rates]
-            self._turned = [kept * a + b for a, b in zip(self._turned, turns, strict=True)]
-            turned = max(map(abs, self._turned))
-            if level and last[2] and turned > _TILTED:
-                self.unset = f"is level in every message while its rates tilt by {turned:.2f} rad"
-            elif level != last[2] and elapsed < _AT_ONCE and abs(tilt - last[1]) > _JUMP:
-                self.unset = f"jumps between level and {max(tilt, last[1]):.2f} rad"
-        return level and bool(self.unset)

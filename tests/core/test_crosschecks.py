@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from flipperctl.core import crosschecks
-from flipperctl.core.crosschecks import TiltByRates
+from flipperctl.core.crosschecks import Tilts
 
 TIMES = np.arange(0, 10, 0.1)
 NEVER = np.zeros(len(TIMES))
@@ -55,10 +55,10 @@ def test_an_attitude_against_gravity():
 
 def by_rates(angles, rates, step=0.01):
     """The largest difference between pitches and rates of turn about y."""
-    changes = TiltByRates()
+    changes = Tilts()
     ups = vertical(np.asarray(angles))
     return max(
-        changes.add(step * i, up, (0.0, rate, 0.0))
+        changes.add(step * i, up, (0.0, rate, 0.0)).get("attitude_rates", 0.0)
         for i, (up, rate) in enumerate(zip(ups.tolist(), rates, strict=True))
     )
 
@@ -76,6 +76,16 @@ def by_rates(angles, rates, step=0.01):
 )
 def test_an_attitude_against_turn_rates(angles, rates, size):
     assert by_rates(angles, rates) == pytest.approx(size, abs=0.006)
+
+
+@pytest.mark.parametrize(("angle", "size"), [(0.0, 0.0), (0.5, 0.5)])
+def test_an_attitude_against_accelerations_message_by_message(angle, size):
+    tilts, rng = Tilts(), np.random.default_rng(0)
+    up = vertical(np.array([angle]))[0]
+    for i in range(200):
+        push = 9.81 * up + rng.normal(size=3)  # of a robot that shakes
+        last = tilts.add(0.01 * i, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), push.tolist())
+    assert last["attitude_gravity"] == pytest.approx(size, abs=0.05)
 
 
 def ways(speeds, way, noise=0.0):

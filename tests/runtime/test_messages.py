@@ -77,13 +77,20 @@ def received(turns, rate):
         yield intake.refused("attitude")
 
 
-def test_level_while_the_rates_tilt_is_refused_from_then_on():
-    faults = list(received([LEVEL] * 40 + [UP, LEVEL], 0.3))
+def test_an_orientation_that_the_rates_contradict_is_refused_from_then_on():
+    faults = list(received([LEVEL] * 70 + [UP, LEVEL], 0.3))
     assert faults[0] is None
-    assert faults[39].name == "attitude_unset"
-    assert "is level in every message while its rates tilt" in faults[39].reason
-    assert faults[40] is None  # it is told at last
-    assert faults[41].name == "attitude_unset"
+    assert faults[69].name == "attitude_rates"
+    assert "change of tilt, attitude against turn rates: 0.15 rad" in faults[69].reason
+    assert faults[70] == faults[71] == faults[69]
+
+
+def test_an_orientation_that_gravity_contradicts_is_refused():
+    intake = Intake(RobotSetup(), Limits())
+    for tick in range(200):
+        message = Attitude.from_imu(0.01 * tick, "base_link", LEVEL, (0, 0, 0), (3.0, 0.0, 9.3))
+        list(intake.receive(0.01 * tick, attitude=message))
+    assert intake.refused("attitude").name == "attitude_gravity"
 
 
 @pytest.mark.parametrize("rate", [0.0, 0.02])
