@@ -47,29 +47,29 @@ def drive(rng: Rng) -> list[Row]:
     mount = Rotation.from_rotvec(rng.uniform(-1, 1, 3) * rng.uniform(0, 1.5))
     noise = rng.uniform(0, 0.01)
 
-    def turn(time: float) -> Rotation:
+    def turn(time: Any) -> Rotation:
         phase = np.clip((time - begin) / wave, 0, 1)
         pitch, roll = -tilt * np.sin(2 * np.pi * phase), 0.1 * np.sin(0.7 * time)
-        return Rotation.from_euler("ZYX", [heading + 0.1 * np.sin(0.3 * time), pitch, roll])
+        angles = np.array([heading + 0.1 * np.sin(0.3 * time), pitch, roll])
+        return Rotation.from_euler("ZYX", angles.T)
 
     fine = np.arange(0, SECONDS, 0.01)
-    ahead = np.array([turn(t).as_matrix()[:, 0] for t in fine])
-    ways = np.cumsum(speed * 0.01 * ahead, axis=0)
+    ways = np.cumsum(speed * 0.01 * turn(fine).as_matrix()[:, :, 0], axis=0)
 
     def place(time: float) -> np.ndarray:
         return np.array([np.interp(time, fine, axis) for axis in ways.T])
 
     rows = []
-    rates = {IMU: (50, 100), ODOM: (20, 50), JOINTS: (20, 50), POINTS: (5, 10), TF: (20, 50)}
+    rates = {IMU: (30, 80), ODOM: (15, 30), JOINTS: (15, 30), POINTS: (5, 10), TF: (20, 40)}
     for topic, (least, most) in rates.items():
         period, delay, arrived = 1 / rng.uniform(least, most), rng.uniform(0, 0.05), 0.0
         for time in np.arange(rng.uniform(0, 0.2), SECONDS - 0.1, period).tolist():
-            now, later = turn(time), turn(time + 1e-4)
+            now = turn(time)
             values: dict[str, Any] = {"place": place(time) + noise / 3 * rng.normal(size=3)}
             values["turn"] = now * Rotation.from_rotvec(noise * rng.normal(size=3))
             if topic == IMU:
                 unit = values["turn"] * mount
-                rate = mount.inv().apply((now.inv() * later).as_rotvec() / 1e-4)
+                rate = mount.inv().apply((now.inv() * turn(time + 1e-4)).as_rotvec() / 1e-4)
                 gravity = (now * mount).inv().apply((0, 0, 9.81))
                 values |= {"turn": unit, "rates": rate + noise * rng.normal(size=3)}
                 values["gravity"] = gravity + 20 * noise * rng.normal(size=3)

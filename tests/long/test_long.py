@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.long import golden
+from tests.long import bags, golden
 from tests.long.files import BAD, fuzz
 
 ROOT = Path(__file__).parents[2]
@@ -80,3 +80,9 @@ def test_damaged_files_are_refused_or_read_as_the_original(kind: str, count: int
     assert len(verdicts) == count
     assert [v for v in verdicts if v[1][0] in BAD] == []
     assert sum(verdict == "refused" for _, (verdict, _) in verdicts) > count / 4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [None, "heading alone"])
+def test_a_change_of_a_recording_is_reported_and_nothing_else_is(kind: str | None) -> None:
+    assert bags.trial(0, kind) == ""
