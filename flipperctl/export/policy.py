@@ -276,8 +276,11 @@ def export_onnx(
     if program is None:
         raise ExportError("torch returned no ONNX program")
     model = program.model_proto
-    for node in model.graph.node:  # the exporter's notes contain stack traces with local paths
-        del node.metadata_props[:]
+    graph = model.graph
+    for part in (graph, *graph.node, *graph.value_info, *graph.input, *graph.output):
+        del part.metadata_props[:]  # the exporter's notes contain stack traces with local paths
+    # Older runtimes, as on a Jetson, refuse a newer version than the operators need.
+    model.ir_version = onnx.helper.find_min_ir_version_for(model.opset_import, ignore_unknown=True)
     onnx.helper.set_model_props(model, metadata)
     onnx.checker.check_model(model, full_check=True)
     data: bytes = model.SerializeToString()

@@ -63,6 +63,9 @@ def test_onnx_takes_si_units_in_any_batch(saved: checkpoint.Checkpoint, onnx_fil
 
 def test_onnx_describes_itself(saved: checkpoint.Checkpoint, onnx_file: Path) -> None:
     model = onnx.load(onnx_file)
+    opset = model.opset_import[0].version
+    oldest = min(ir for _, ir, ai, *_ in onnx.helper.VERSION_TABLE if ai >= opset)
+    assert model.ir_version == oldest  # 8, which onnxruntime reads since 1.14
     properties = {p.key: p.value for p in model.metadata_props}
     layout = json.loads(properties["flipperctl.observation"])
     assert [entry["name"] for entry in layout[-3:]] == ["theta_f1", "theta_f2", "theta_R"]
