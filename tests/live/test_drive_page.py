@@ -199,17 +199,57 @@ def test_a_hold_button_holds_until_its_pointer_ends(tab: Tab, end: str) -> None:
     assert tab.hands() == (0, 0, 0, 0, 0)
 
 
+PAD = """navigator.getGamepads = () => [null, {mapping: '%s', index: 1, axes: [0, %s, 0, %s],
+    buttons: [...Array(8).keys()].map(i => ({pressed: i === %d, value: i === 7 ? %s : 0}))}]"""
+
+
 def test_a_gamepad(tab: Tab) -> None:
-    pad = """navigator.getGamepads = () => [{axes: [0, %s, 0, %s], buttons:
-        [...Array(8).keys()].map(i => ({pressed: i === %d, value: i === 7 ? %s : 0}))}]"""
-    tab.page.evaluate(pad % (-1, 1, -1, 1))
-    assert tab.hands() == (1, -1, 1, 0, 0)
-    tab.page.evaluate(pad % (-1, 1, 1, 1))  # B: sticks and trigger count again when let go
-    assert tab.hands() == (0, 0, 0, 0, 0)
-    tab.page.evaluate(pad % (0, 0.1, -1, 0))
+    tab.page.evaluate(PAD % ("standard", 0, 0, -1, 0))
     tab.run(60)
-    tab.page.evaluate(pad % (0, 1, -1, 0))
+    tab.page.evaluate(PAD % ("standard", -1, 1, -1, 1))
+    assert tab.hands() == (1, -1, 1, 0, 0)
+    tab.page.evaluate(PAD % ("standard", -1, 1, 1, 1))  # B: sticks count again when let go
+    assert tab.hands() == (0, 0, 0, 0, 0)
+    tab.page.evaluate(PAD % ("standard", 0, 0.1, -1, 0))
+    tab.run(60)
+    tab.page.evaluate(PAD % ("standard", 0, 1, -1, 0))
     assert tab.hands() == (0, -1, 0, 0, 0)
+
+
+@pytest.mark.parametrize("mapping", ["", "xr-standard"])
+def test_a_gamepad_of_another_layout_drives_nothing(tab: Tab, mapping: str) -> None:
+    tab.page.evaluate(PAD % (mapping, -1, -1, 0, 1))  # as triggers that rest at -1
+    assert not [message for message in tab.run(300) if message["kind"] == "do"]
+    assert tab.page.inner_text("#pad") == "gamepad not used: its layout is not the standard one"
+    tab.page.keyboard.down("q")
+    assert tab.hands() == (0, 0, 0, 1, 0)
+
+
+def test_a_gamepad_counts_once_it_has_been_at_rest(tab: Tab) -> None:
+    tab.page.evaluate(PAD % ("standard", -1, 0, 1, 1))  # B is down as it is plugged in
+    tab.run(60)
+    assert tab.page.inner_text("#pad") == "gamepad: let go of sticks and triggers"
+    tab.page.evaluate(PAD % ("standard", -1, -0.5, -1, 1))
+    assert tab.hands() == (0, 0.42, 0, 0, 0)
+    tab.page.evaluate(PAD % ("standard", 0, -0.5, -1, 0))
+    tab.run(60)
+    assert tab.page.inner_text("#pad") == ""
+    tab.page.evaluate(PAD % ("standard", -1, 0, -1, 1))
+    assert tab.hands() == (1, 0, 1, 0, 0)
+
+
+def test_on_a_phone_held_upright_every_button_is_wide_enough_and_stop_comes_first(tab: Tab) -> None:
+    for width, height in ((393, 727), (480, 800), (360, 640), (599, 900)):
+        tab.page.set_viewport_size({"width": width, "height": height})
+        boxes = tab.page.evaluate(
+            "Object.fromEntries([...document.querySelectorAll('#dock button, #speed')].map(b => {"
+            "const r = b.getBoundingClientRect();"
+            "return [b.id, [r.x, r.y, r.right, r.width, r.height]]}))"
+        )
+        assert all(w >= 44 and h >= 24 for *_, w, h in boxes.values()), (width, boxes)
+        assert all(x >= 0 and right <= width for x, _, right, *_ in boxes.values())
+        assert boxes["stop"][1] == min(box[1] for box in boxes.values())
+        assert tab.page.evaluate("document.documentElement.scrollWidth") <= width
 
 
 def test_commands_follow_the_phase(tab: Tab) -> None:
