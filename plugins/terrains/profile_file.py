@@ -222,6 +222,8 @@ class ProfileFile(Terrain):
             return "profile"
         if suffix == ".ply":
             elements = ply_elements(self._file)
+            if not elements.get("vertex"):
+                raise ValueError("its header states no vertices")
             if elements.get("tristrips"):
                 raise ValueError("its triangle strips are not read; save it with faces")
             return "mesh" if elements.get("face") else "cloud"

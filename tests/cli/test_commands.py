@@ -101,7 +101,8 @@ def test_export_takes_another_robot_and_says_so(short_run: Path, tmp_path: Path)
     for override, error in {
         "terrain=stair": "terrain: export takes settings of the robot alone",
         "sim.friction=0.7": "sim.friction: export takes settings of the robot alone",
-        "robot=x": "robot: there is no robot 'x'; known: absolem, nubot",
+        "robot=x": "robot: there is no robot 'x'; known: absolem, nubot; a file of your own",
+        "robot=../w/x.urdf": "robot: there is no robot '../w/x.urdf'; known: absolem",
     }.items():
         done = call(*export, override, cwd=tmp_path)
         assert (done.code, done.out) == (2, "")

@@ -365,3 +365,61 @@ def test_a_folder_and_too_long_a_name_are_refused(tmp_path: Path) -> None:
         profile(folder)
     with pytest.raises(TerrainError, match="File name too long"):
         profile(Path("x" * 300 + ".csv"))
+
+
+ALONG = np.round(np.arange(0, 3, 0.05), 3)
+ACROSS = [-0.5, -0.2, 0.1, 0.4]
+
+
+def gridded(header: str, across: list[float], *, snakes: bool = False) -> str:
+    """Return a ground that leans to its side, with a step, as lines of x, y and z."""
+    rows = [
+        (x, y, 0.15 * (x > 1.5) + 0.3 * y)
+        for at, x in enumerate(ALONG)
+        for y in (across[::-1] if snakes and at % 2 else across)
+    ]
+    columns = [("xyz".index({"x": "x", "z": "z"}.get(name, "y"))) for name in header.split(",")]
+    return "\n".join([header, *(",".join(f"{row[at]:.3f}" for at in columns) for row in rows)])
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        gridded("x,lateral,z", ACROSS),
+        gridded("x,lateral,z", ACROSS, snakes=True),
+        gridded("Row,x,z", ACROSS[:2]),
+        gridded("z,x", ACROSS),
+        gridded("x,z,q,q", ACROSS),
+        "x,z\n" + "".join(f"{x},{z}\n" for x in (0, 1, 2) for z in (0.0, 0.3, 0.1)),
+    ],
+)
+def test_several_heights_at_a_place_are_no_profile(text: str, tmp_path: Path) -> None:
+    (tmp_path / "cloud.csv").write_text(text)
+    with pytest.raises(TerrainError, match=r"line 2: at x = 0 it has heights from .* point cloud"):
+        profile(tmp_path / "cloud.csv", thickness=0.05)
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        [(0, 0), (0, 0.2), (0.3, 0.2), (0.3, 0.4), (0.6, 0.4), (0.6, 0)],
+        [(x, z) for x in (0, 0.3, 0.6, 0.9) for z in (0, 0.1)],  # saw teeth
+        [
+            (0, 0),
+            *((0.5, z / 100) for z in range(21)),
+            *((0.7, z / 100) for z in range(20, -1, -1)),
+        ],
+        [(0, 0), (0.5, 0), (0.5, 0.001), (0.5, 0), (0.6, 0), (0.6, 0.001), (0.6, 0), (1, 0)],
+        [(0, 0), (0.5, 0), (0.5, 0.3), (0.5, 0), (1, 0)],
+    ],
+)
+def test_vertical_faces_are_a_profile(points: list[tuple[float, float]], tmp_path: Path) -> None:
+    lines = "".join(f"{x},{z}\n" for x, z in points)
+    (tmp_path / "faces.csv").write_text("x,z\n" + lines)
+    assert profile(tmp_path / "faces.csv").points == pytest.approx(np.array(points))
+
+
+def test_a_ply_without_vertices_says_so(tmp_path: Path) -> None:
+    (tmp_path / "empty.ply").write_text("ply\nformat ascii 1.0\nend_header\n")
+    with pytest.raises(TerrainError, match="its header states no vertices"):
+        profile(tmp_path / "empty.ply", **LINE)

@@ -80,6 +80,9 @@ def missing_choice(error: MissingConfigException) -> RequestError:
     """Return the error for a config group that has no such entry, as in ``terrain=stiar``."""
     group, _, option = str(error.missing_cfg_file or "").rpartition("/")
     group, option = group.strip("/"), option.removesuffix(".yaml")
+    choice, _, rest = group.partition("/")
+    if rest and choice in CHOICES:  # a path is no name of a group: it belongs to the option
+        group, option = choice, f"{rest}/{option}"
     options = [o for o in (error.options or registered_names(group)) if not o.startswith("_")]
     if not group:
         return ConfigError(_one_line(error))
@@ -87,6 +90,8 @@ def missing_choice(error: MissingConfigException) -> RequestError:
         package = f"hydra-{_LAUNCHERS[option]}-launcher"
         return MissingExtraError(f"{group}={option} needs {package}: pip install {package}")
     missing = missing_entry(group, option, options)
+    if group == "robot":
+        return ConfigError(f"{missing}; a file of your own ends in .yaml")
     return ConfigError(f"{missing}; {_OWN_CONDITIONS}") if group == "conditions" else missing
 
 
