@@ -2,8 +2,9 @@
 
 An update samples the replay, takes one gradient step and makes a soft update of the target
 network, on one torch thread. A call of the learner makes ``agent.updates_together`` updates, as in
-training; each of them is a separate gradient step. With another ``device`` it is measured there,
-too.
+training, from ``agent.candidates`` times as many transitions, and with the privileged baseline if
+the training has one. The gradient steps of a call are counted. With another ``device`` it is
+measured there, too.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from flipperctl.api import ACTIONS
 from flipperctl.bench import measure_in_turn, quantity
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.privileged import SIZE
 from flipperctl.errors import RequestError
 from flipperctl.policies.controllers import FunctionPolicy
 from flipperctl.rollout.episode import steps, training_seed
@@ -38,7 +40,7 @@ class Contestant:
 
     update: Callable[[], object]
     together: int
-    """Updates per call of ``update`` [-]."""
+    """Gradient steps per call of ``update`` [-]."""
     weights: int
     """Weights of its network [-]."""
 
@@ -94,13 +96,15 @@ def measure(bench: Benchmark, rivals: Rivals = lambda *_: {}) -> dict[str, Any]:
 def fill(config: TrainConfig, count: int, seed: int) -> Replay:
     """Return a replay with ``count`` one-step transitions of a random policy."""
     size = input_size(config.network, config.perception)
-    replay = Replay(count, size, 1, config.agent.gamma)
+    privileged = config.learns_privileged_value
+    replay = Replay(count, size, 1, config.agent.gamma, privileged=SIZE if privileged else 0)
     rng, number = np.random.default_rng(seed), itertools.count()
     env = FlipperEnv(config=config.environment())
     policy = FunctionPolicy(lambda _: int(rng.integers(len(ACTIONS))))
     while replay.added < count:
         seed_of_one = training_seed(seed, next(number))
-        for step in steps(env, policy, seed_of_one, frames=config.network.frames):
+        frames = config.network.frames
+        for step in steps(env, policy, seed_of_one, frames=frames, privileged=privileged):
             replay.add(
                 step.observation,
                 step.action,
@@ -108,6 +112,8 @@ def fill(config: TrainConfig, count: int, seed: int) -> Replay:
                 step.next_observation,
                 over=step.ending is not None,
                 bootstrap=False,
+                privileged=step.privileged,
+                next_privileged=step.next_privileged,
             )
             if replay.added == count:
                 break
@@ -121,12 +127,18 @@ def contestant(config: TrainConfig, replay: Replay, batch_size: int, seed: int) 
         *(config.network, config.perception, settings),
         seed=seed,
         device=config.device,
+        privileged=SIZE if config.learns_privileged_value else 0,
     )
     rng = np.random.default_rng(seed)
-    together = settings.updates_together
-    rows = together * batch_size
+    rows = agent.candidates * settings.updates_together * batch_size
+
+    def update() -> float:
+        return agent.update(replay.sample(rows, rng), 0.0)
+
+    before = agent.optimiser.steps
+    update()
     count = sum(p.numel() for p in agent.online.parameters())
-    return Contestant(lambda: agent.update(replay.sample(rows, rng), 0.0), together, count)
+    return Contestant(update, agent.optimiser.steps - before, count)
 
 
 def _ours(config: TrainConfig, replay: Replay, batch_size: int, seed: int) -> dict[str, Contestant]:

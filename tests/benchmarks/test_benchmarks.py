@@ -6,6 +6,7 @@ import math
 import shlex
 from importlib import import_module
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from benchmarks import (
     coverage,
     engine_agreement,
     estimator_fuzz,
+    learner,
     left_out,
     lidar,
     map_errors,
@@ -25,6 +27,7 @@ from benchmarks import (
     tables,
 )
 from benchmarks.settings import MEASURES, Benchmark, BenchmarkSettings, ratio, sizes
+from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.risk import RiskNetwork
 from flipperctl.api import Robot
 from flipperctl.bench import measure_in_turn, quantity
@@ -83,6 +86,17 @@ def test_a_measure_runs(name, monkeypatch) -> None:
     check(found)
     assert found.get("missing", []) == []
     assert name not in RATIOS or found["ratios"][RATIOS[name]]
+
+
+@pytest.mark.parametrize("candidates", [1, 4])
+def test_the_learner_s_updates_are_the_gradient_steps_that_it_takes(candidates: int) -> None:
+    agent = {"candidates": candidates, "updates_together": 3, "privileged_value": True}
+    config = TrainConfig(terrain="flat", network="at_d3qn", agent=agent)
+    contestant = learner.contestant(config, learner.fill(config, 20, 0), 8, 0)
+    with patch.object(D3qn, "_descend", autospec=True, side_effect=D3qn._descend) as steps:
+        contestant.update()
+    assert contestant.together == steps.call_count == 3
+    assert steps.call_args.args[0].baselines is not None
 
 
 def test_the_command_measures_with_settings_of_its_own(tmp_path, capsys) -> None:

@@ -61,6 +61,15 @@ def test_the_summary_says_who_is_best_where_a_policy_is_worse_and_what_failed(
     assert "1 of 12 episodes failed: mine 1 (1 overturned)." in told
 
 
+def test_a_page_of_an_interrupted_evaluation_says_how_far_it_went(tmp_path: Path) -> None:
+    path = folder(tmp_path / "a", rows([0.5, 0.6, 0.55] * 2))
+    assert "interrupted:" not in report.page(path)
+    document = json.loads((path / "summary.json").read_text())
+    document |= {"interrupted": True, "finished_episodes": 6, "planned_episodes": 9}
+    write_json(path / "summary.json", document)
+    assert "interrupted: 6 of 9 episodes are finished" in unescape(report.page(path))
+
+
 def test_a_bar_spans_its_interval_on_the_scale_of_its_scene() -> None:
     def row(scene: str, mean: float, low: float | None, high: float | None) -> dict[str, Any]:
         value = {"mean": mean, "low": low, "high": high}

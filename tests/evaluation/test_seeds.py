@@ -130,6 +130,23 @@ def test_intervals_of_few_seeds_hold_the_truth(seeds: int) -> None:
     assert iqm > 190 - 4 * deviation
 
 
+def test_paired_intervals_of_several_scenes_and_seeds_hold_the_truth() -> None:
+    """Seeds, episodes and what neither explains have equal parts in the variance of the mean."""
+    rng, size, scenes, count = np.random.default_rng(4), 40, 2, 1000
+    own, ground = 1 / math.sqrt(scenes * size), 1 / math.sqrt(size)
+
+    def scores() -> dict[str, np.ndarray]:
+        of_seed = rng.normal(0, own, (size, 1))  # a policy drives all scenes
+        return {
+            scene: of_seed + rng.normal(0, ground, (1, size)) + rng.normal(0, 1, (size, size))
+            for scene in "ab"
+        }
+
+    intervals = [difference_interval(scores(), scores())[0] for _ in range(count)]
+    inside = sum(found.low <= 0 <= found.high for found in intervals)
+    assert abs(inside - 0.95 * count) < 4 * math.sqrt(count * 0.95 * 0.05)
+
+
 def test_samples_draw_the_same_seeds_in_every_scene_and_the_same_episodes_for_every_seed() -> None:
     first = np.array([[1.0, 2.0, 4.0], [11.0, 12.0, 14.0]])  # the seeds differ by 10
     second = np.repeat([[3.0], [13.0]], 5, axis=1)

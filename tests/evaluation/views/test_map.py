@@ -66,6 +66,20 @@ def test_points_near_the_boundary_are_played_and_the_others_interpolated() -> No
             assert point.pitch_variation is None
 
 
+@pytest.mark.parametrize(("failed", "count"), [(0, 25), (2, 25), (3, 81), (17, 81), (18, 25)])
+def test_a_block_is_played_where_success_differs_by_a_tenth(failed: int, count: int) -> None:
+    played: list[Index] = []
+
+    def play(points: Sequence[Index], label: str) -> Iterator[tuple[Index, Episodes]]:
+        for point in points:
+            played.append(point)
+            outcomes = ["stuck"] * failed + ["reached"] * (20 - failed)
+            yield point, episodes([sample(seed, each, 0.5) for seed, each in enumerate(outcomes)])
+
+    _sample((9, 9), play)
+    assert len(played) == count
+
+
 def test_an_island_that_only_a_neighbour_sees_is_followed_into_every_block() -> None:
     # A failure at one corner of the coarse grid, and a row of failures that meets its block.
     fails = {(0, 4), *((i, 2) for i in range(17))}
