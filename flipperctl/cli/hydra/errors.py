@@ -27,7 +27,7 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 from flipperctl.api.plugin import registered_names
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import TrainConfig
-from flipperctl.config.defaults import missing_entry
+from flipperctl.config.defaults import CHOICES, missing_entry
 from flipperctl.config.words import unreadable
 from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError, RequestError
 from flipperctl.messages import explain_unknown_key
