@@ -1,6 +1,9 @@
 """The robot's states: every transition of the table, their times, and the end of a command."""
 
+import json
 import math
+import runpy
+from pathlib import Path
 
 import pytest
 
@@ -208,3 +211,18 @@ def test_late_old_and_undated_commands_do_not_count_longer() -> None:
     assert not watch.drives(10.71)
     watch.take(5.0, 5.0, 0.3, False, None)  # a clock that went back
     assert not watch.drives(5.0)
+
+
+def test_the_motors_of_the_example_stop_when_the_controller_is_killed() -> None:
+    example = runpy.run_path(str(Path(__file__).parents[2] / "examples/messages/motors.py"))
+    speeds: list[float] = []
+    flippers: list[tuple[float, float] | None] = []
+    motors = example["Motors"](speeds.append, flippers.append)
+    command = {"valid_for": 0.3, "drive": True, "setpoints": [0.1, 0.2]}
+    for tick in range(50):  # 1 s, with a controller that lives for half of it
+        now = 0.02 * tick
+        if tick < 25:
+            motors.receive(now, json.dumps({"time": now, **command}))
+        motors.tick(now)
+    assert speeds.count(example["SPEED"]) * 0.02 == pytest.approx(0.48 + 0.3, abs=0.021)
+    assert (speeds[-1], flippers[-1]) == (0.0, None)
