@@ -14,7 +14,6 @@ import torch
 
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.networks import (
-    TRAINING_COPIES,
     Distributional,
     Noise,
     build_network,
@@ -42,13 +41,13 @@ def check_demand(
     labelled: bool = False,
     privileged: int = 0,
 ) -> None:
-    """Check that the network, the replay and the batches of a training fit into memory.
+    """Check the network, and that the replay and the batches of a training fit into memory.
 
     ``decisions``: the run's budget, which also limits the transitions in the replay; they have
     labels if the run is ``labelled``, and ``privileged`` numbers of a privileged state.
     """
     with torch.random.fork_rng(devices=[]):
-        module = build_network(network, layout, n_actions, copies=TRAINING_COPIES)
+        module = build_network(network, layout, n_actions)
         inputs = input_size(network, layout)
         activations = _count_activations(module, inputs)
     rows = min(settings.replay_size, decisions)

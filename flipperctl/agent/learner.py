@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.losses import Adam, descend, flatten_parameters
-from flipperctl.agent.networks import TRAINING_COPIES, Noise, build_network, record_plugin
+from flipperctl.agent.networks import Noise, build_network, record_plugin
 from flipperctl.agent.risk import RiskLearner
 from flipperctl.api import ACTIONS, Network, ObservationLayout
 from flipperctl.config import Agent, Teacher
@@ -65,7 +65,7 @@ class Learner:
         inputs = input_size(network, layout)
         with torch.random.fork_rng():
             torch.manual_seed(seed)
-            built = build_network(network, layout, len(ACTIONS), copies=TRAINING_COPIES)
+            built = build_network(network, layout, len(ACTIONS))
             beside = self._build_beside(inputs, privileged)
         self.risk = RiskLearner(inputs, seed=seed, device=self.device) if settings.risk else None
         """The learner of the risk, if there is one."""

@@ -17,13 +17,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from flipperctl.agent import replay
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.losses import double_q_target, double_quantile_target, huber, quantile_huber
 from flipperctl.agent.replay import Batch
 from flipperctl.api import ACTIONS, MAX_HISTORY, Network, ObservationLayout
 from flipperctl.core.targets import JOINTS, ActionKind
-from flipperctl.errors import ConfigError, FlipperctlError, NonFiniteError, PluginFailedError
+from flipperctl.errors import ConfigError, NonFiniteError, PluginFailedError
 from flipperctl.guard import definition, naming, plugin_label, refusal, short_repr
 
 
@@ -75,21 +74,16 @@ def _of_actions(online: torch.nn.Module, batch: Batch) -> torch.Tensor:
     return found.gather(1, batch.action.unsqueeze(1)).squeeze(1)
 
 
-TRAINING_COPIES = 6
-"""Copies of the parameters in training: online and target network, two moments, two gradients."""
-
 _plugins: WeakKeyDictionary[torch.nn.Module, Network] = WeakKeyDictionary()
 
 
-def build_network(
-    network: Network, layout: ObservationLayout, n_actions: int, *, copies: int = 1
-) -> torch.nn.Module:
-    """Build a network and check it; ``copies`` of its parameters must fit into memory."""
+def build_network(network: Network, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
+    """Build a network and check it."""
     frames: object = network.frames
     if not isinstance(frames, int) or not 1 <= frames <= MAX_HISTORY:
         text = f"is {short_repr(frames)}; 1 to {MAX_HISTORY} is allowed"
         raise refusal(network, "frames", text, ConfigError)
-    module = _build(network, layout, n_actions, copies)
+    module: Any = network.build(layout, n_actions)
     if not isinstance(module, torch.nn.Module):
         text = f"must return a torch module; got {type(module).__name__}"
         raise refusal(network, "build", text, ConfigError)
@@ -176,62 +170,6 @@ def describe_fault(module: torch.nn.Module, method: str, text: str) -> str:
     if network is None:
         return f"a {type(module).__name__}: {method} {text}"
     return f"{plugin_label(network)}: {method} {text} ({definition(network, 'build')})"
-
-
-def _build(network: Network, layout: ObservationLayout, n_actions: int, copies: int) -> Any:
-    counted: dict[int, int] = {}
-
-    def count(module: torch.nn.Module, name: str, parameter: torch.nn.Parameter | None) -> None:
-        """Count a parameter, whose memory is reserved but not yet used."""
-        if isinstance(parameter, torch.Tensor) and not torch.nn.parameter.is_lazy(parameter):
-            counted[id(parameter)] = parameter.numel() * parameter.element_size()
-            free = replay.available()
-            if free is not None and copies * sum(counted.values()) > free:
-                raise _TooLargeError
-
-    hook = torch.nn.modules.module.register_module_parameter_registration_hook(count)
-    try:
-        return network.build(layout, n_actions)
-    except _TooLargeError:
-        pass
-    except ConfigError as error:
-        if not _is_out_of_memory(error.__cause__):
-            raise
-    finally:
-        hook.remove()
-    raise _too_large(network, layout, n_actions, copies, sum(counted.values()))
-
-
-class _TooLargeError(FlipperctlError):
-    """The parameters counted so far do not fit into memory; raised through the plugin's code."""
-
-
-def _too_large(
-    network: Network, layout: ObservationLayout, n_actions: int, copies: int, least: int
-) -> FlipperctlError:
-    try:
-        with torch.device("meta"):  # its tensors have a shape but no memory
-            module = network.build(layout, n_actions)
-        sizes = [(p.numel(), p.numel() * p.element_size()) for p in module.parameters()]
-    except Exception:  # noqa: BLE001  # the plugin's code may raise anything without values
-        sizes = []  # what was counted before stands in the error
-    count, size = (sum(column) for column in zip(*sizes, strict=True)) if sizes else (0, least)
-    parameters = f"{count:,} parameters" if count else "parameters"
-    each = f" ({copies} times {replay.gigabytes(size)})" if copies > 1 else ""
-    free = replay.available()
-    left = "more than is available" if free is None else f"but {replay.gigabytes(free)} are free"
-    return refusal(
-        network,
-        "build",
-        f"builds a network whose {parameters} take {'' if sizes else 'at least '}"
-        f"{replay.gigabytes(copies * size)} of memory{each}, {left}; choose a smaller one",
-        ConfigError,
-    )
-
-
-def _is_out_of_memory(error: BaseException | None) -> bool:
-    failed = isinstance(error, RuntimeError) and "can't allocate memory" in str(error)
-    return failed or isinstance(error, MemoryError)
 
 
 def _try(network: Network, module: torch.nn.Module, probe: torch.Tensor, n_actions: int) -> None:

@@ -11,7 +11,6 @@ configuration asks for are therefore compared with the free memory first.
 from __future__ import annotations
 
 import math
-import resource
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass, fields
@@ -26,28 +25,14 @@ from flipperctl.api import ACTIONS, StateGroups
 from flipperctl.core.risk import LAGS, resemblances
 from flipperctl.errors import ConfigError
 
-_CGROUPS = (
-    ("/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory.current"),
-    ("/sys/fs/cgroup/memory/memory.limit_in_bytes", "/sys/fs/cgroup/memory/memory.usage_in_bytes"),
-)
-"""Files with the limit and the use of a container's memory, versions 2 and 1 of cgroups [B]."""
-
 
 def available() -> int | None:
-    """Return the memory that this process may still allocate [B]; None if unknown."""
-    found: list[int] = []
+    """Return the memory of this machine that is free [B]; None if unknown."""
     with suppress(OSError):
-        lines = Path("/proc/meminfo").read_text().splitlines()
-        found += [1024 * int(line.split()[1]) for line in lines if line.startswith("MemAvailable:")]
-    for limit, used in _CGROUPS:
-        with suppress(OSError, ValueError):  # there is no such group, or the limit is "max"
-            found.append(int(Path(limit).read_text()) - int(Path(used).read_text()))
-    own = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if own != resource.RLIM_INFINITY:
-        with suppress(OSError, ValueError):
-            pages = int(Path("/proc/self/statm").read_text().split()[0])
-            found.append(own - pages * resource.getpagesize())
-    return max(0, min(found)) if found else None
+        for line in Path("/proc/meminfo").read_text().splitlines():
+            if line.startswith("MemAvailable:"):
+                return 1024 * int(line.split()[1])
+    return None
 
 
 def require(size: int, what: str, advice: str) -> None:

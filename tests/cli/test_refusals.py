@@ -110,8 +110,6 @@ train 'rewards={}' -> rewards={} | ~rewards drops every term
 train '~rewards' -> rewards: | a training needs a term | none
 train rewards=paper '~rewards.flipper' '~rewards.pitch' rewards.end.weight=0 \
     -> a training needs a term whose weight is not 0 | end
-train 'network.terrain=[100000,100000]' \
-    -> 'at_d3qn' | 10,016,034,826 parameters | 240.4 GB | 6 times 40.1 GB | are free
 train agent.replay_size=10000000 train.decisions=1000000000 perception.bins=101 \
     network=stacked network.window=16 \
     -> agent.replay_size | 10,000,000 transitions of 3280 numbers | 262.6 GB
