@@ -99,7 +99,7 @@ class Group(TyperGroup):
 def _without_types(parameters: list[Any]) -> list[Any]:
     for parameter in parameters:
         if getattr(parameter, "is_flag", False):
-            vars(parameter)["display_type_rich"] = lambda ctx: None  # <bool>
+            parameter.metavar = ""  # in place of <bool>
     return parameters
 
 

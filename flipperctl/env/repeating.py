@@ -20,7 +20,7 @@ from flipperctl.guard import definition, plugin_label, refusal
 from flipperctl.randomness import moved_since
 
 _OPTIONS = ("config", "actions", "render_mode", "renderer")
-_KEPT = ("spec", "_np_random_seed", "_first_seed")
+_KEPT = ("spec", "_first_seed")
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,8 @@ class Replayed:
 def state_of(env: Any, replayed: Replayed | None) -> dict[str, Any]:
     """Return what ``restore`` needs of an environment; ``replayed``: its episode, if it has one."""
     kept = {name: getattr(env, name) for name in (*_OPTIONS, *_KEPT)}
-    if (rng := env._np_random) is not None:
-        kept["rng"] = _plain(rng, children(rng) if replayed is None else replayed.spawned)
+    rng = env.np_random
+    kept["rng"] = _plain(rng, children(rng) if replayed is None else replayed.spawned)
     if replayed is not None:
         if env.drive.commands is not None:
             raise FlipperctlError(
@@ -53,11 +53,10 @@ def restore(env: Any, kept: dict[str, Any], begin: Callable[[float, int | None],
     type(env).__init__(env, **{name: kept[name] for name in _OPTIONS})
     for name in _KEPT:
         setattr(env, name, kept[name])
-    if "rng" in kept:
-        kind, seed, state = kept["rng"]
-        bits = kind(np.random.SeedSequence(**seed))
-        bits.state = state
-        env._np_random = np.random.Generator(bits)
+    kind, seed, state = kept["rng"]
+    bits = kind(np.random.SeedSequence(**seed))
+    bits.state = state
+    env.np_random = np.random.Generator(bits)
     if "episode" in kept:
         difficulty, actions, instant = kept["episode"]
         begin(difficulty, None)
