@@ -166,7 +166,10 @@ class FlipperNode(Node):
         w = math.nan if message.orientation_covariance[0] < 0 else q.w  # it tells no orientation
         rates, frame = message.angular_velocity, message.header.frame_id
         turn = rates.x, rates.y, rates.z
-        self.step(Attitude.from_imu(time, frame, (q.x, q.y, q.z, w), turn))
+        a, push = message.linear_acceleration, None
+        if message.linear_acceleration_covariance[0] >= 0:
+            push = a.x, a.y, a.z
+        self.step(Attitude.from_imu(time, frame, (q.x, q.y, q.z, w), turn, push))
 
     def on_acknowledge(self, request, response):
         """Let the robot go on after a stop that lasts."""

@@ -87,7 +87,9 @@ class _Heard:
                 twisted = hasattr(message, "twist")
                 speed = float(message.twist.twist.linear.x if twisted else message.data)
                 self.belts.append((stamp, speed, _posed(message.pose.pose) if twisted else None))
-            elif joints.take(stamp, message.name, message.position):
+            elif joints.take(stamp, message.name, message.position) and not math.isnan(
+                joints.apart[0]
+            ):
                 self.apart.append((stamp, *joints.apart))
 
 
@@ -270,7 +272,7 @@ def _judge(checked: Checked, heard: _Heard) -> None:
         if one.verdict == "ok":
             continue
         if one.verdict == "refused" and device in ("attitude", "belts"):
-            sentence += f": no {device} is used"
+            sentence += "; the device is not used"
             absent: dict[str, Any] = {device: None}
             topics = replace(topics, **absent)
         checked.remarks.append(sentence)

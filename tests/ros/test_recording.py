@@ -142,7 +142,7 @@ def test_an_orientation_that_is_never_filled_in_is_not_used(tmp_path):
     recording = recorded(tmp_path, change)
     assert "attitude" not in recording.topics
     assert "/imu/data: change of tilt, attitude against turn rates: 0.268" in recording.remarks[0]
-    assert recording.remarks[0].endswith("no attitude is used")
+    assert recording.remarks[0].endswith("the device is not used")
 
 
 @pytest.fixture(scope="module")
