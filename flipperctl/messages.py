@@ -50,12 +50,22 @@ def _begins(first: str, second: str) -> bool:
     return len(short) >= 3 and long.startswith(short)
 
 
+def broken_hint(name: str = "") -> str:
+    """Return a hint at the installed packages that do not load: those with a name, or all."""
+    from flipperctl.api.plugin import broken
+
+    reasons = [one.reason for one in broken if not name or name in one.names]
+    return f"; it may be in a package that does not load: {'; '.join(reasons)}" if reasons else ""
+
+
 def missing_name(kind: str, name: str, known: Iterable[str]) -> str:
     """Return a hint about a plugin that is not found: its close match, or how one is loaded.
 
     Each engine and sensor has an entry point of its own, even in this package, and entry points
     are read from the installed metadata.
     """
+    if hint := broken_hint(name):
+        return hint
     known = list(known)
     key, _, value = name.partition("=")
     if value in known:
@@ -66,6 +76,8 @@ def missing_name(kind: str, name: str, known: Iterable[str]) -> str:
         return f"; {name}.py is loaded by --plugins {name}.py"
     if close := close_match(name, known):
         return close
+    if hint := broken_hint():
+        return hint
     if kind in ("sim", "perception"):
         return "; a new entry point is found after the package is reinstalled (pip install -e .)"
     return "; a plugin of your own is loaded by --plugins FILE"
@@ -80,7 +92,7 @@ def missing_plugin(kind: str, name: str, file: str | Path | None) -> str:
     if file is not None:
         found = "this run brings" if isinstance(file, Path) else "it came from"
         advice = f"{found} {Path(file).name}: add --plugins {shlex.quote(str(file))}"
-    return f"there is no {kind} plugin {name!r}; {advice}"
+    return f"there is no {kind} plugin {name!r}; {advice}{broken_hint(name) or broken_hint()}"
 
 
 def bounds(model: type[BaseModel], field: str) -> str:

@@ -11,17 +11,19 @@ import importlib
 import importlib.util
 import os
 import sys
-from collections.abc import Callable, Iterable
-from importlib.metadata import entry_points
+from collections.abc import Callable, Collection, Iterable, Sequence
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from flipperctl import guard
 from flipperctl.api import Plugin, registry
+from flipperctl.api.plugin import Broken, broken
 from flipperctl.errors import PluginError
 from flipperctl.files import at_home
 from flipperctl.guard import USER_MODULE
-from flipperctl.messages import suggestion
+from flipperctl.messages import missing_name, suggestion
 
 GROUP = "flipperctl.plugins"
 VARIABLE = "FLIPPERCTL_PLUGINS"
@@ -39,22 +41,49 @@ def load(paths: Iterable[str | Path] = ()) -> None:
     """Import every installed plugin, those in ``FLIPPERCTL_PLUGINS`` and those at ``paths``.
 
     ``paths`` (``.py`` files or folders) are remembered for worker processes. A repeated call
-    imports only new plugins.
+    imports only new plugins, and files that have changed, whose plugins replace those of before.
+    What is installed and does not load is left out, and listed in ``api.plugin.broken``.
 
     Raises:
-        PluginError: a plugin is missing, does not import, registers nothing, or uses a
-            name that is taken.
+        PluginError: a file is missing, does not import, registers nothing, or uses a name that is
+            taken. One of an earlier call that fails now is forgotten instead.
     """
     for entry in sorted(entry_points(group=GROUP), key=lambda e: (e.name, e.value)):
-        if entry.value not in _loaded:
-            package = entry.dist.name if entry.dist else "?"
-            label = f"{entry.name!r} of the installed package {package}"
-            _import(entry.value, label, None, entry.load)
-    named = [*configured_paths(), *(str(Path(at_home(p)).absolute()) for p in paths)]
-    named = list(dict.fromkeys(named))
-    for path in named:
+        if entry.value not in _loaded and entry.value not in {one.module for one in broken}:
+            _load_installed(entry)
+    named = [str(Path(at_home(p)).absolute()) for p in paths]
+    required = {*_in_variable(), *named}
+    _given[:] = [
+        path
+        for path in dict.fromkeys([*configured_paths(), *named])
+        if _load_path(Path(path), required=path in required)
+    ]
+
+
+def _load_installed(entry: EntryPoint) -> None:
+    """Import an entry point; one that fails is remembered as broken."""
+    package, registered = entry.dist.name if entry.dist else "?", dict(registry)
+    tried: set[str] = set()
+
+    def run() -> None:
+        try:
+            entry.load()
+        finally:
+            tried.update(name for _, name in registry.keys() - registered.keys())
+
+    label = f"{entry.name!r} of the installed package {package}"
+    try:
+        _import(entry.value, label, None, run)
+    except PluginError as error:
+        names = frozenset({entry.name, *tried})
+        broken.append(Broken(entry.name, package, entry.value, names, str(error)))
+
+
+def _load_path(path: Path, *, required: bool) -> bool:
+    """Import the files at a path; return False for one that fails and is not required."""
+    try:
         empty: dict[Path, PluginError] = {}
-        for file in _files_at(Path(path)):
+        for file in _files_at(path):
             try:
                 _load_file(file)
             except _EmptyError as error:
@@ -62,13 +91,20 @@ def load(paths: Iterable[str | Path] = ()) -> None:
         for file, refusal in empty.items():
             if _module_name(file.resolve()) not in _loaded:  # no neighbour imports it
                 raise refusal
-    _given[:] = named
+    except PluginError:
+        if required:
+            raise
+        return False
+    return True
 
 
 def configured_paths() -> list[str]:
     """Return the paths in ``FLIPPERCTL_PLUGINS``; after ``load``, also those it was called with."""
-    named = [p for p in at_home(os.environ.get(VARIABLE, "")).split(os.pathsep) if p]
-    return list(dict.fromkeys([*named, *_given]))
+    return list(dict.fromkeys([*_in_variable(), *_given]))
+
+
+def _in_variable() -> list[str]:
+    return [p for p in at_home(os.environ.get(VARIABLE, "")).split(os.pathsep) if p]
 
 
 def folders() -> list[Path]:
@@ -84,6 +120,60 @@ def folders() -> list[Path]:
 def loaded_contents() -> dict[Path, str]:
     """Return the files loaded by path, and the neighbours that they import, with their SHA-256."""
     return dict(sorted(item for module, item in _contents.items() if module in _loaded))
+
+
+def packages() -> dict[str, list[tuple[str, str]]]:
+    """Return kind and name of the plugins of each installed package and file, by its name."""
+    owners = {e.module.partition(".")[0]: e.dist.name for e in entry_points(group=GROUP) if e.dist}
+    inside: dict[str, list[tuple[str, str]]] = {}
+    for key, cls in sorted(registry.items()):
+        module = cls.__module__.partition(".")[0]
+        inside.setdefault(_files.get(cls) or owners.get(module, module), []).append(key)
+    return inside
+
+
+def plugin_keys(names: Sequence[str]) -> list[tuple[str, str]]:
+    """Return kind and name of each plugin of these names, or packages; of all without any."""
+    known, inside = {plugin for _, plugin in registry}, packages()
+    chosen: set[tuple[str, str]] = set()
+    for name in names:
+        package = {_canonical(p): keys for p, keys in inside.items()}.get(_canonical(name), [])
+        if not package and name not in known:
+            also = [*known, *inside]
+            raise PluginError(
+                f"there is no plugin or package {name!r}{missing_name('', name, also)}"
+            )
+        chosen |= {*package, *(key for key in registry if key[1] == name)}
+    return sorted(chosen if names else registry)
+
+
+def _canonical(package: str) -> str:
+    """Return the name of a package as its import writes it."""
+    return package.lower().replace("-", "_")
+
+
+def broken_plugins(names: Sequence[str] = ()) -> list[dict[str, Any]]:
+    """Return the entry points of installed packages that do not load, as ``describe`` does.
+
+    Raises:
+        PluginError: one of the names is theirs, and of no other plugin.
+    """
+    known = {plugin for _, plugin in registry}
+    for one in broken:
+        for name in names:
+            if name in one.names - known or _canonical(name) == _canonical(one.package):
+                raise PluginError(f"{name}: {one.reason}")
+    return [
+        {
+            "kind": "broken",
+            "name": one.name,
+            "summary": one.reason,
+            "module": one.module,
+            "source": one.reason,
+            "fields": [],
+        }
+        for one in broken
+    ]
 
 
 def file_name(cls: type[Plugin]) -> str | None:
@@ -125,12 +215,10 @@ def _load_file(file: Path) -> None:
     """Import a file in the package of its folder, so that ``from .helper import …`` works in it."""
     file = file.resolve()
     name, package = _module_name(file), _package_name(file)
+    beside = {m: kept for m, kept in _contents.items() if m.startswith(f"{package}.")}
+    if any(_content(path) != content for path, content in beside.values()):
+        _unload(beside)  # processes that begin from now on run other code, and so does this one
     if name in _loaded:
-        for other, (path, content) in _contents.items():
-            if other.startswith(f"{package}.") and _content(path) != content:
-                raise PluginError(  # processes that begin from now on would run other code
-                    f"plugins: {path} has changed since it was loaded here; start Python again"
-                )
         return
 
     def run() -> ModuleType:
@@ -155,6 +243,17 @@ def _load_file(file: Path) -> None:
     for key, cls in registry.items():
         if before.get(key) is not cls:
             _files[cls] = _contents.get(cls.__module__, (file, ""))[0].name
+
+
+def _unload(modules: Collection[str]) -> None:
+    """Forget modules of a folder and the plugins that they registered."""
+    for key, cls in list(registry.items()):
+        if cls.__module__ in modules:
+            del registry[key]
+    for module in modules:
+        _loaded.discard(module)
+        del _contents[module]
+        _forget(module)
 
 
 def _content(file: Path) -> str:

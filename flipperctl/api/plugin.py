@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, NamedTuple, TypeVar
 
 from flipperctl.api.values import Settings
 
@@ -38,6 +38,22 @@ class Plugin(Settings):
 
 registry: dict[tuple[str, str], type[Plugin]] = {}
 """(kind, name) → class, filled by the decorators when a plugin's module is imported."""
+
+
+class Broken(NamedTuple):
+    """An entry point of an installed package that does not load."""
+
+    name: str
+    package: str
+    module: str
+    names: frozenset[str]
+    """Its own, and those of plugins that it registered before it failed."""
+    reason: str
+    """A sentence with package, file, line and error."""
+
+
+broken: list[Broken] = []
+"""What ``plugins.load`` left out."""
 
 
 PluginT = TypeVar("PluginT", bound=Plugin)
@@ -91,7 +107,9 @@ def register(
                 )
         if check is not None:
             check(cls, where)
-        if (taken := registry.get((family.kind, name))) is not None:
+        # A cell of a notebook that is run again defines the same class anew.
+        taken = registry.get((family.kind, name))
+        if taken is not None and _place(taken) != _place(cls):
             raise ValueError(
                 f"two {family.kind} plugins are called {name!r}: "
                 f"{taken.__module__}.{taken.__qualname__} and {cls.__module__}.{cls.__qualname__}; "
@@ -102,6 +120,10 @@ def register(
         return cls
 
     return decorate
+
+
+def _place(cls: type[Plugin]) -> tuple[str, str]:
+    return cls.__module__, cls.__qualname__
 
 
 def registered_names(kind: str) -> list[str]:

@@ -12,11 +12,13 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import datetime
-from importlib.resources import files
 from pathlib import Path
+from textwrap import shorten
 from typing import Any, NamedTuple, get_args
 
+from flipperctl import plugins
 from flipperctl.api import Robot, Settings, registry
+from flipperctl.api.plugin import broken
 from flipperctl.checkpoint import shipped_policies
 from flipperctl.cli.glossary import GLOSSARY
 from flipperctl.config import (
@@ -34,9 +36,9 @@ from flipperctl.config import (
 )
 from flipperctl.config.describe import Field, fields, summary
 from flipperctl.config.method import Algorithm, Sb3
+from flipperctl.config.presets import presets as files
 from flipperctl.config.words import key_of, override_text
 from flipperctl.errors import RequestError
-from flipperctl.evaluation.plan import suite_files
 from flipperctl.messages import counted
 from flipperctl.results import CONFIG, SUMMARY, holds_run, read_config
 from flipperctl.show import (
@@ -129,6 +131,7 @@ KINDS: Mapping[str, Mapping[str, Group]] = {
     "sensors": {"perception": Group("flipperctl eval okada perception=NAME", "lidar")},
     "teachers": {"teacher": Group("flipperctl train teacher=NAME", "lookahead")},
     "loggers": {"logger": Group("flipperctl train logger=NAME", "wandb")},
+    "plugins": {"plugin": Group("flipperctl inspect plugins NAME", "flipperctl")},
     "runs": {"run": Group("flipperctl eval NAME", "runs/first")},
 }
 """Kind of names → groups of them."""
@@ -191,10 +194,17 @@ def entries(group: str) -> list[Entry]:
     """Return the names of a group, sorted."""
     if group == "policy":
         return [Entry(group, name, _of_card(file)) for name, file in shipped_policies().items()]
+    if group == "plugin":
+        inside = {
+            package: shorten(f"{len(keys)}: {', '.join(map(' '.join, keys))}", 72, placeholder=" …")
+            for package, keys in plugins.packages().items()
+        }
+        inside |= {one.package: f"broken: {one.reason}" for one in broken}
+        return [Entry(group, name, text) for name, text in sorted(inside.items())]
     if any(kind == group for kind, _ in registry):
         found = [(name, cls) for (kind, name), cls in sorted(registry.items()) if kind == group]
         return [Entry(group, name, summary(cls).rstrip(".")) for name, cls in found]
-    return [preset(group, name, file) for name, file in _preset_files(group).items()]
+    return [preset(group, name, file) for name, file in files(group).items()]
 
 
 def presets() -> Iterator[Entry]:
@@ -375,14 +385,6 @@ def _of_card(policy: Path) -> str:
     text = card.read_text("utf-8") if card.is_file() else ""
     paragraphs = [part for part in text.split("\n\n") if part[:1] not in ("#", "")]
     return first_sentence(" ".join(paragraphs[0].split())) if paragraphs else ""
-
-
-def _preset_files(group: str) -> dict[str, Any]:
-    if group == "suite":
-        return suite_files()
-    found = files("flipperctl.configs") / group
-    every = sorted(found.iterdir(), key=lambda file: file.name) if found.is_dir() else []
-    return {f.name.removesuffix(".yaml"): f for f in every if f.name.endswith(".yaml")}
 
 
 def _flat(node: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, str]]:

@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 
 
 def plugins(
-    name: Annotated[str | None, typer.Argument(help="Only the plugins of this name.")] = None,
+    names: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[NAME]...", help="Only these plugins, or those of a package."),
+    ] = None,
     check: Annotated[
         bool, typer.Option("--check", help="Run the conformance suite; fail if a check fails.")
     ] = False,
@@ -41,19 +44,21 @@ def plugins(
 
       flipperctl inspect plugins
 
-      flipperctl inspect plugins stair --json
+      flipperctl inspect plugins stair step --json
 
       flipperctl inspect plugins --plugins my_terrain.py
 
       flipperctl inspect plugins mine --check --plugins mine.py --output pictures
     """
     from flipperctl.api import registry
-    from flipperctl.config.describe import describe_plugin, plugin_keys
+    from flipperctl.config.describe import describe_plugin
+    from flipperctl.plugins import broken_plugins, plugin_keys
     from flipperctl.terminal.tables import print_checks, print_plugins
 
     if output is not None and not check:
         raise RequestError("--output needs --check; inspect terrain draws a single picture")
-    chosen = plugin_keys(name)
+    left_out = broken_plugins(names or ())
+    chosen = plugin_keys(names or ())
     if check:
         from flipperctl.terminal.progress import steps_progress
         from flipperctl.testing import checks
@@ -65,7 +70,7 @@ def plugins(
         show(rows, lambda: print_checks(rows), as_json=as_json)
         require_passed(rows)
         return
-    found = [describe_plugin(*key) for key in chosen]
+    found = [describe_plugin(*key) for key in chosen] + ([] if names else left_out)
     show(found, lambda: print_plugins(found), as_json=as_json)
 
 

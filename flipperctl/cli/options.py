@@ -12,9 +12,13 @@ def _load_plugins(context: typer.Context, paths: list[Path] | None) -> list[Path
     """Load the installed plugins and those of ``paths`` before the command runs."""
     if not context.resilient_parsing:  # shell completion
         from flipperctl import plugins, session
+        from flipperctl.api.plugin import broken
+        from flipperctl.terminal.streams import print_note
 
         session.remember_plugins(paths)
         plugins.load(paths or ())
+        for package in dict.fromkeys(one.package for one in broken):
+            print_note(f"warning: {package} does not load; flipperctl list plugins says why")
     return paths
 
 

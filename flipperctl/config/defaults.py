@@ -21,7 +21,7 @@ from flipperctl.config.models import EnvConfig, EvalConfig, TrainConfig
 from flipperctl.config.sections import LocalCollector, RayCollector
 from flipperctl.errors import ConfigError
 from flipperctl.guard import plugin_label
-from flipperctl.messages import close_match, missing_name
+from flipperctl.messages import broken_hint, close_match, missing_name
 
 _ALIKE = 0.02
 """Relative difference of lengths that makes none [-]."""
@@ -180,7 +180,7 @@ def missing_entry(
     """
     plugin = bool(registered_names(group))
     what = f"{group} plugin" if plugin else _ENTRY_NAMES.get(group, group)
-    hint = missing_name(group, name, known) if plugin else close_match(name, known)
+    hint = missing_name(group, name, known) if plugin else close_match(name, known) or broken_hint()
     return ConfigError(
         f"{path or group}: there is no {what} {name!r}{hint}; "
         f"known: {', '.join(sorted(known)) or 'none'}"

@@ -14,8 +14,7 @@ from flipperctl import guard
 from flipperctl.api import Plugin, Robot, Settings, registry
 from flipperctl.config import DEFAULT_ENGINE, Randomise, resolver
 from flipperctl.config.sampled import PATH_SECTIONS, SECTION_OF
-from flipperctl.errors import PluginError
-from flipperctl.messages import bounds, meaning, missing_name, unit
+from flipperctl.messages import bounds, meaning, unit
 
 _CHOICE = "name"
 """The field that names the variant of a section, such as ``local`` for the collector."""
@@ -88,14 +87,6 @@ def settings(config: Settings, path: str = "") -> Iterator[Setting]:
     for where, part in inside:
         yield from _choice(where, part)
         yield from settings(part, where)
-
-
-def plugin_keys(name: str | None) -> list[tuple[str, str]]:
-    """Return kind and name of each plugin of this name, or of all plugins for None."""
-    known = {plugin for _, plugin in registry}
-    if name is not None and name not in known:
-        raise PluginError(f"there is no plugin {name!r}{missing_name('', name, known)}")
-    return [key for key in sorted(registry) if name in (None, key[1])]
 
 
 def describe_plugin(kind: str, name: str) -> dict[str, Any]:

@@ -12,7 +12,6 @@ import functools
 import inspect
 from collections import deque
 from collections.abc import Callable, Mapping
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeVar
 from weakref import WeakSet
@@ -24,6 +23,7 @@ from flipperctl import guard
 from flipperctl.api import Plugin, Robot, Settings, registry
 from flipperctl.api.plugin import mapping, registered_names
 from flipperctl.config import strict_yaml
+from flipperctl.config.presets import presets
 from flipperctl.errors import (
     ConfigError,
     FlipperctlError,
@@ -31,7 +31,7 @@ from flipperctl.errors import (
     PluginFailedError,
     TerrainError,
 )
-from flipperctl.messages import close_match, explain, missing_name
+from flipperctl.messages import broken_hint, close_match, explain, missing_name
 
 SettingsT = TypeVar("SettingsT", bound=Settings)
 
@@ -48,12 +48,6 @@ def loggers_by_name(value: object) -> object:
     return {name: {"name": name} for name in names if name != METRICS_ALONE}
 
 
-def known_robots() -> list[str]:
-    """Return the names of the robots that the package has."""
-    folder = files("flipperctl.configs.robot")
-    return sorted(Path(f.name).stem for f in folder.iterdir() if f.name.endswith(_FILES))
-
-
 def is_robot_file(name: str) -> bool:
     """Return whether a robot is named by a file instead of a preset."""
     return name.lower().endswith(_FILES)
@@ -61,16 +55,16 @@ def is_robot_file(name: str) -> bool:
 
 def named_robot(name: str) -> Robot:
     """Return the robot of a preset or of a file; settings that a file leaves out are nubot's."""
-    where, known = f"robot={name}", known_robots()
+    where, known = f"robot={name}", presets("robot")
     if is_robot_file(name):
         where = str(Path(name))
         found = strict_yaml.read(Path(name), where)
     elif name in known:
-        found = strict_yaml.read(files("flipperctl.configs.robot") / f"{name}.yaml", where)
+        found = strict_yaml.read(known[name], where)
     else:
         raise ConfigError(
-            f"robot: there is no robot {name!r}{close_match(name, known)}; known: "
-            f"{', '.join(known)}; a file of your own ends in .yaml"
+            f"robot: there is no robot {name!r}{close_match(name, known) or broken_hint()}; "
+            f"known: {', '.join(known)}; a file of your own ends in .yaml"
         )
     if not isinstance(found, dict):
         raise ConfigError(

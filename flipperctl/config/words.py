@@ -10,14 +10,13 @@ import json
 import re
 import shlex
 from collections.abc import Collection, Iterator, Mapping, Sequence
-from functools import cache
-from importlib import resources
 from itertools import zip_longest
 from pathlib import Path
 
 from flipperctl.api.plugin import registered_names
 from flipperctl.config import policy_file
-from flipperctl.config.resolver import is_robot_file, known_robots, named_robot
+from flipperctl.config.presets import presets
+from flipperctl.config.resolver import is_robot_file, named_robot
 from flipperctl.errors import ConfigError, RequestError
 
 
@@ -146,11 +145,9 @@ def expand_files(words: Sequence[str]) -> list[str]:
     return [found for word in words for found in _expand(word, given)]
 
 
-@cache
 def _terms() -> frozenset[str]:
-    """Return the reward terms of the package's presets, which a word replaces, and never adds."""
-    presets = resources.files("flipperctl.configs") / "rewards"
-    texts = (file.read_text("utf-8") for file in presets.iterdir() if file.name.endswith(".yaml"))
+    """Return the reward terms of presets, which a word replaces, and never adds."""
+    texts = (file.read_text("utf-8") for file in presets("rewards").values())
     return frozenset(name for text in texts for name in re.findall(r"- /reward@(\w+):", text))
 
 
@@ -189,7 +186,7 @@ def _expand(word: str, given: Collection[str]) -> Iterator[str]:
     if "," in name and not Path(name).exists():
         raise ConfigError(
             f"{word}: one file is allowed; lists name robots of the package: "
-            f"{', '.join(known_robots())}"
+            f"{', '.join(presets('robot'))}"
         )
     for field, setting in named_robot(name).model_dump(mode="json").items():
         if f"robot.{field}" not in given:

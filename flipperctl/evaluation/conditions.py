@@ -12,7 +12,6 @@ import hashlib
 import json
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from flipperctl.api import ObservationLayout, Settings, registry
 from flipperctl.config import DEFAULT_ENGINE, EnvConfig, EvalConfig, Randomise, TrainConfig, to_dict
 from flipperctl.config.identity import ABSENT, all_files_read, content_digest, differences
 from flipperctl.config.models import AbsentReward, AbsentTerrain
+from flipperctl.config.presets import presets
 from flipperctl.errors import CheckpointError
 from flipperctl.messages import unit
 from flipperctl.policies.source import PolicySource
@@ -237,9 +237,8 @@ def explain_missing_training(exported: bool) -> str:
         if exported
         else "they are those of a checkpoint's training and need --checkpoint"
     )
-    folder = files("flipperctl.configs.conditions")
-    known = sorted(f.name.removesuffix(".yaml") for f in folder.iterdir() if ".yaml" in f.name)
-    return f"conditions: {TRAINED!r} is not known here: {cause}; known: {', '.join(known)}"
+    known = ", ".join(presets("conditions"))
+    return f"conditions: {TRAINED!r} is not known here: {cause}; known: {known}"
 
 
 def policy_notes(

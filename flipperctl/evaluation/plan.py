@@ -13,28 +13,25 @@ import shlex
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from importlib.resources import files
-from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Any
 
 from flipperctl import checkpoint as checkpoints
-from flipperctl import plugins
 from flipperctl.api import Robot, registry
 from flipperctl.config import EvalConfig, strict_yaml, to_dict
 from flipperctl.config.identity import differences
 from flipperctl.config.policy_file import drives_in, is_policy_file
+from flipperctl.config.presets import SUFFIX, presets, shipped
 from flipperctl.config.words import check_different, check_words, key_of
 from flipperctl.errors import ConfigError, FlipperctlError, RequestError
 from flipperctl.evaluation.conditions import Conditions
-from flipperctl.messages import close_match
+from flipperctl.messages import broken_hint, close_match
 from flipperctl.policies.identity import method_settings, without_input_paths
 from flipperctl.policies.source import ExportedPolicy, PolicySource, load_policy
 from flipperctl.results import unfinished
 
 BEST_KNOWN = "best known"
 """How a row of the best stored policy is called, before its label in brackets."""
-_SUFFIX = ".yaml"
 _ALLOWED = (
     "about: TEXT and scenes: {NAME: OVERRIDES} are allowed, as in scenes: {low: sim.friction=0.6}"
 )
@@ -190,41 +187,16 @@ class Suite:
     scenes: tuple[SuiteScene, ...]
 
 
-def shipped_suites() -> dict[str, Traversable]:
-    """Return the files of the suites that come with flipperctl, by name."""
-    presets = sorted(files("flipperctl.configs.suite").iterdir(), key=lambda file: file.name)
-    return {f.name.removesuffix(_SUFFIX): f for f in presets if f.name.endswith(_SUFFIX)}
-
-
-def _plugin_suites() -> dict[str, Path]:
-    """Return the suites of plugins by name: the files in ``suite`` beside each plugin."""
-    paths: dict[str, Path] = {}
-    for folder in plugins.folders():
-        for file in sorted((folder / "suite").glob(f"*{_SUFFIX}")):
-            other = paths.setdefault(file.stem, file)
-            if file.stem in shipped_suites():
-                raise ConfigError(f"suite: {file} has the name of a suite of flipperctl; rename it")
-            if other != file:
-                raise ConfigError(f"suite: {other} and {file} have the same name; rename one")
-    return paths
-
-
-def suite_files() -> dict[str, Traversable]:
-    """Return the files of all suites by name: of flipperctl, then of plugins."""
-    return {**shipped_suites(), **_plugin_suites()}
-
-
 def find_suite(name: str) -> Suite:
     """Return a suite by its name, or from a file."""
-    shipped, others = shipped_suites(), _plugin_suites()
-    file: Traversable = shipped.get(name) or others.get(name) or Path(name)
-    if name not in shipped | others and not name.endswith((_SUFFIX, ".yml")):
-        known = [*shipped, *others]
+    known = presets("suite")
+    file = known.get(name) or Path(name)
+    if name not in known and not name.endswith((SUFFIX, ".yml")):
         raise ConfigError(
-            f"suite: there is no suite {name!r}{close_match(name, known)}; known: "
-            f"{', '.join(known)}, or a file as in suite=mine.yaml"
+            f"suite: there is no suite {name!r}{close_match(name, known) or broken_hint()}; "
+            f"known: {', '.join(known)}, or a file as in suite=mine.yaml"
         )
-    where = f"suite {name if name in shipped else file}"
+    where = f"suite {name if name in shipped('suite') else file}"
     document = strict_yaml.read(file, where)
     scenes = document.get("scenes") if isinstance(document, dict) else None
     if not isinstance(scenes, dict) or not scenes or not set(document) <= {"about", "scenes"}:

@@ -120,7 +120,7 @@ class Draft:
             f"{source}/__init__.py": self._text("init.py"),
             f"{source}/{self.name}.py": self._text(f"{self.kind}.py"),
             f"{source}/py.typed": "",
-            f"tests/test_{self.name}.py": self._text("test.py"),
+            "tests/test_contract.py": self._text("test.py"),
         }
         with new_folder(path) as part:
             for name, text in texts.items():

@@ -6,11 +6,12 @@ Two lines in a test file are enough:
         plugin = Ridge
 
 or, for several plugins at once, ``@pytest.mark.parametrize("check", checks(Ridge, Gap), ids=str)``
-over ``def test_mine(check): check()``. ``flipperctl inspect plugins --check`` runs the same checks
+over ``def test_mine(check): check()``; ``package_checks(my_package)`` are those of all plugins of
+a package. ``flipperctl inspect plugins --check`` runs the same checks
 on all installed plugins.
 """
 
 from flipperctl.errors import ConformanceError
-from flipperctl.testing.check import Check, Conformance, NotChecked, checks
+from flipperctl.testing.check import Check, Conformance, NotChecked, checks, package_checks
 
-__all__ = ["Check", "Conformance", "ConformanceError", "NotChecked", "checks"]
+__all__ = ["Check", "Conformance", "ConformanceError", "NotChecked", "checks", "package_checks"]

@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from functools import cache, partial
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import Any, ClassVar, Literal, NamedTuple, TypeVar, Union, get_args, get_origin
 from unittest import SkipTest
 
@@ -109,6 +110,15 @@ def checks(*plugins: type[Plugin], pictures: Path | None = None) -> list[Check]:
     """Return all checks of the plugins; ``pictures`` is a folder for pictures of the terrains."""
     loader.load()  # a plugin may contain others
     return [check for cls in plugins for check in _checks(cls, pictures)]
+
+
+def package_checks(package: ModuleType) -> list[Check]:
+    """Return all checks of all plugins that an imported package has registered."""
+    begin = package.__name__.partition(".")[0]
+    found = [c for _, c in sorted(registry.items()) if c.__module__.partition(".")[0] == begin]
+    if not found:
+        raise ConformanceError(f"the package {begin} registers no plugin")
+    return checks(*found)
 
 
 def _checks(cls: type[Plugin], pictures: Path | None) -> Iterator[Check]:

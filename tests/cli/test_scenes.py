@@ -13,9 +13,10 @@ from flipperctl.cli.hydra.compose import compose_train
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.plan import make_plan, scenes
 from flipperctl.config import EvalConfig, with_overrides
+from flipperctl.config.presets import shipped
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
-from flipperctl.evaluation.plan import NamedPolicy, Plan, find_suite, shipped_suites
+from flipperctl.evaluation.plan import NamedPolicy, Plan, find_suite
 from tests.cli.call import call, refused
 
 GENERALIST = Path("generalist")
@@ -89,8 +90,8 @@ def composed(name: str, *words: str) -> Plan:
 def test_each_scene_of_each_shipped_suite_is_a_configuration_of_its_own() -> None:
     """Without Hydra, which takes ten times as long."""
     names = "families generalist generalist_3d held_out numerics paper robustness strange torque"
-    assert list(shipped_suites()) == names.split()
-    for name in shipped_suites():
+    assert list(shipped("suite")) == names.split()
+    for name in shipped("suite"):
         hashes = []
         for scene in find_suite(name).scenes:
             for chosen in Overrides.parse(scene.words).combinations():
@@ -124,7 +125,7 @@ def test_suites_beside_a_plugin_have_names(tmp_path: Path, monkeypatch: pytest.M
     with pytest.raises(ConfigError, match="have the same name; rename one"):
         find_suite("mine")
     file.rename(file.with_name("paper.yaml"))
-    with pytest.raises(ConfigError, match="has the name of a suite of flipperctl"):
+    with pytest.raises(ConfigError, match=r"paper\.yaml have the same name; rename one"):
         find_suite("mine")
 
 

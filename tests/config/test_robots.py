@@ -12,7 +12,8 @@ from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.plan import scenes
 from flipperctl.config import EnvConfig
 from flipperctl.config.defaults import notes_on_robot
-from flipperctl.config.resolver import known_robots, named_robot
+from flipperctl.config.presets import presets
+from flipperctl.config.resolver import named_robot
 from flipperctl.config.words import expand_files
 from flipperctl.errors import ConfigError
 from flipperctl.export.policy import robot_fields
@@ -21,7 +22,7 @@ from tests.cli.call import call, refused
 PRESETS = Path(__file__).parents[2] / "configs/robot"
 
 
-@pytest.mark.parametrize("name", known_robots())
+@pytest.mark.parametrize("name", presets("robot"))
 def test_a_preset_states_every_setting(name):
     stated = yaml.safe_load((PRESETS / f"{name}.yaml").read_text(encoding="utf-8"))
     assert set(stated) == set(Robot.model_fields)  # Hydra overrides only keys that exist

@@ -27,6 +27,7 @@ from flipperctl.cli.hydra.compose import (
     check_training_effect,
     compose_train,
     parse_training,
+    preset_folders,
     register_defaults,
     register_sweepers,
 )
@@ -112,7 +113,7 @@ def train(arguments: list[str], *, check: bool) -> None:
         # Hydra passes exceptions on instead of printing them. The processes of a launcher must not
         # import from the working directory, where a user's random.py may lie.
         environment = {"HYDRA_FULL_ERROR": "1", "PYTHONSAFEPATH": "1"}
-        with convert_hydra_errors(), env_override(environment):
+        with convert_hydra_errors(), preset_folders(), env_override(environment):
             _show(application) if chosen["cfg"] else application()
         if errors:
             raise errors[0]

@@ -11,13 +11,15 @@ import contextlib
 from collections.abc import Iterator, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from hydra import compose, initialize_config_dir
+from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.plugins import Plugins
 from hydra.errors import ConfigCompositionException, MissingConfigException
+from hydra.plugins.search_path_plugin import SearchPathPlugin
 from omegaconf import DictConfig, OmegaConf
 
 from flipperctl.api import ObservationLayout, Plugin, Robot, registry
@@ -29,6 +31,7 @@ from flipperctl.config import (
     EvalConfig,
     TrainConfig,
     parse,
+    presets,
     to_dict,
 )
 from flipperctl.config.defaults import LISTS, entries, missing_entry, refuse_ineffective, sections
@@ -264,5 +267,29 @@ def _initialized() -> Iterator[None]:
     if GlobalHydra.instance().is_initialized():
         yield
         return
-    with initialize_config_dir(CONFIGS, version_base="1.3"):
+    with preset_folders(), initialize_config_dir(CONFIGS, version_base="1.3"):
         yield
+
+
+@contextlib.contextmanager
+def preset_folders() -> Iterator[None]:
+    """Let Hydra look for entries of groups in the folders of plugins, too, in the body."""
+    known = Plugins.instance()
+    if _PresetFolders not in known.discover(SearchPathPlugin):
+        known.register(_PresetFolders)
+    _PresetFolders.places = presets.folders()
+    try:
+        yield
+    finally:
+        _PresetFolders.places = []
+
+
+class _PresetFolders(SearchPathPlugin):
+    """Adds the folders to the search path of an application of Hydra that begins."""
+
+    places: ClassVar[list[Path]] = []
+    """Empty for another application of Hydra in this process."""
+
+    def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
+        for place in self.places:
+            search_path.append("flipperctl-plugins", f"file://{place}")

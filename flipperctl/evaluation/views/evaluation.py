@@ -37,7 +37,7 @@ from flipperctl.evaluation.views.summary import (
     rate_text,
     short,
 )
-from flipperctl.messages import close_match, counted
+from flipperctl.messages import broken_hint, close_match, counted
 from flipperctl.show import Column, Table, console, print_lines, print_table, print_text
 
 _LINES = 6  # largest number of differences that are lines; more are a table
@@ -312,8 +312,8 @@ def parse_columns(text: str | None) -> list[str]:
     for name in names:
         if name not in known:
             raise RequestError(
-                f"--columns: there is no column {name!r}{close_match(name, known)}; known: all, "
-                f"{', '.join(known)}"
+                f"--columns: there is no column {name!r}"
+                f"{close_match(name, known) or broken_hint()}; known: all, {', '.join(known)}"
             )
     return list(dict.fromkeys(names))
 
