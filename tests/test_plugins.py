@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from pydantic import Field
 
 from flipperctl import api, plugins
 from flipperctl.api.plugin import registered_names
@@ -136,6 +137,24 @@ def test_a_class_may_be_defined_again() -> None:
                 return api.Profile([(0, 0), (1, height)])
 
     assert resolver.create("terrain", "cell", "terrain").generate(None).points[1, 1] == 0.2
+
+
+def test_a_setting_has_no_alias() -> None:
+    with pytest.raises(TypeError, match=r"@terrain\('cell'\): height has an alias"):
+
+        @api.terrain("cell")
+        class Cell(api.Terrain):
+            height: float = Field(0.1, validation_alias="h")
+
+
+def test_a_class_without_a_file_is_known_by_its_methods() -> None:
+    """As one of a notebook, whose cell may be run again with other code."""
+    digests = []
+    for height in ("0.1", "0.1", "0.2"):
+        space = {"__name__": "no_file", "Terrain": api.Terrain, "Profile": api.Profile}
+        exec(f"class Cell(Terrain):\n    def generate(self, rng): Profile([(0, {height})])", space)
+        digests += foreign_sources([space["Cell"]()])
+    assert digests[0] == digests[1] != digests[2]
 
 
 @pytest.fixture

@@ -99,6 +99,12 @@ def register(
             raise TypeError(f"{where}: {cls.__name__} is not a {family.__name__}")
         if "name" in cls.model_fields:
             raise TypeError(f"{where}: a setting cannot be called name, which selects the plugin")
+        for field, info in cls.model_fields.items():
+            if info.alias or info.validation_alias or info.serialization_alias:
+                raise TypeError(
+                    f"{where}: {field} has an alias; a setting is written by the name of its field "
+                    "everywhere, so leave the alias out, or rename the field"
+                )
         for field in cls.model_fields.keys() - family.model_fields.keys():
             if hasattr(family, field):
                 raise TypeError(

@@ -71,7 +71,8 @@ def test_what_draws_from_its_generator_repeats_and_leaves_the_user_s_alone() -> 
         (lambda rng: np.random.rand(), None, "^terrain 'bump': uses numpy.random in generate"),  # noqa: NPY002
         (lambda rng: own.random(), None, "^terrain 'bump': .*the seed 0 differ in their ground"),
         (lambda rng: 0.0, random.random, "^reward 'drawn': uses random in a decision"),
-        (lambda rng: 0.0, own.random, "reward 'drawn': .*differ in their rewards of decision 0"),
+        (lambda rng: 0.0, own.random, "^reward 'drawn': .*differ in their rewards of decision 0"),
+        (lambda rng: own.random(), own.random, "^terrain 'bump': .*differ in their ground"),
     ],
 )
 def test_random_numbers_from_elsewhere_are_refused(
