@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import signal
 import sys
 from collections.abc import Callable
 from typing import NoReturn, TextIO
@@ -21,6 +22,15 @@ from flipperctl.errors import (
     missing_package,
 )
 
+STOPS = (
+    signal.SIGINT,
+    signal.SIGTERM,
+    signal.SIGHUP,
+    signal.SIGUSR1,
+    signal.SIGUSR2,
+    signal.SIGXCPU,
+)
+"""Signals by which people and schedulers stop a run, often all its processes at once."""
 DEBUG = "FLIPPERCTL_DEBUG"
 """Environment variable; with 1, errors are shown with their traceback."""
 

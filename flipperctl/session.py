@@ -20,8 +20,8 @@ from types import FrameType
 from typing import TYPE_CHECKING
 
 from flipperctl import entry, results
+from flipperctl.entry import STOPS
 from flipperctl.errors import InterruptedRunError
-from flipperctl.rollout.worker import STOPS
 
 if TYPE_CHECKING:
     from flipperctl.rollout.statement import Statement

@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from flipperctl import entry
+from flipperctl.entry import STOPS
 from flipperctl.errors import ConfigError
-from flipperctl.rollout.worker import STOPS
 from flipperctl.session import interrupts
 from tests.runtime.linear import write
 

@@ -246,7 +246,7 @@ class Hosts:
 class RayHost:
     """An actor that answers one call at a time."""
 
-    idle = True  # one that was lost says so at its next call
+    alive = True  # one that was lost says so at its next call
 
     def __init__(self, handle: Any, hosts: Hosts) -> None:
         self._handle, self._hosts = handle, hosts
@@ -280,7 +280,7 @@ class RayHost:
         hosts.answered(self)
         return value
 
-    def end(self, *, kill: bool) -> str:
+    def end(self) -> str:
         """End the actor, even within a call; return in words how it ended."""
         if self._handle is not None:
             handle, self._handle = self._handle, None

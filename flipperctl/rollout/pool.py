@@ -2,34 +2,33 @@
 
 In: functions and their arguments. Out: futures of their results. Calls wait in one queue; each free
 worker takes the next one, so that a long call delays no other. Workers are actors on a Ray cluster
-(``cluster``) or processes of this machine (``worker``), which import what this process has
-imported, from wherever it did. Nothing of this process is changed, neither its environment and
-signal mask nor ``multiprocessing``, which the caller may use itself.
+(``cluster``) or processes of this machine: a ``ProcessPoolExecutor`` for each, since one with
+several processes loses the calls of all when one of them dies.
 """
 
 from __future__ import annotations
 
-import atexit
 import contextlib
-import fcntl
+import multiprocessing
 import os
 import pickle
 import signal
-import subprocess
 import sys
 import threading
-from collections.abc import Callable
+import traceback
+from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from importlib.machinery import ModuleSpec
-from multiprocessing import Pipe, process, reduction
-from multiprocessing.connection import Connection
+from concurrent.futures.process import ProcessPoolExecutor
+from multiprocessing import connection, process, resource_tracker
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Any, Protocol
+from tempfile import TemporaryDirectory, mkstemp
+from typing import Any, Protocol, cast
 
 from flipperctl import guard, plugins
+from flipperctl.entry import STOPS
 from flipperctl.errors import FlipperctlError
-from flipperctl.rollout import worker as script
 
 Stop = Callable[[], bool]
 """Returns whether the user has asked the run to stop."""
@@ -37,24 +36,33 @@ POLL = 0.1
 """Longest time between two calls of ``Stop`` during a wait for workers [s]."""
 _MAX_DEATHS = 3
 """Number of successive deaths of a worker after which its calls fail."""
+_PRELOAD = ["flipperctl.rollout.collect", "flipperctl.sim.planar.compiled"]
+"""What the fork server imports once for all its workers."""
+_LONG = 2**15
+"""Length from which messages go through files [B]. A process that dies while a longer one is in a
+pipe would block the interpreter's exit (CPython issue 94777, before Python 3.12)."""
 
 
 class WorkerDiedError(FlipperctlError):
     """The process that worked on a call died."""
 
 
+class DiedError(Exception):
+    """A host ended before it answered; the text says how."""
+
+
 class Host(Protocol):
-    """A process that answers one call at a time: a ``Child``, or an actor of ``cluster``."""
+    """A process that answers one call at a time: a ``ProcessHost``, or an actor of ``cluster``."""
 
     @property
-    def idle(self) -> bool:
-        """Whether it still lives and waits for a call."""
+    def alive(self) -> bool:
+        """Whether it still lives, as far as is known before its next call."""
 
     def call(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
         """Return ``function(*arguments)``, or raise what it raised, or ``DiedError``."""
 
-    def end(self, *, kill: bool) -> str:
-        """End it, even within a call if ``kill``; return in words how it ended."""
+    def end(self) -> str:
+        """End it, even within a call; return in words how it ended."""
 
 
 class WorkerPool:
@@ -73,13 +81,14 @@ class WorkerPool:
     ) -> None:
         self.count = count
         # A server imports torch once for all workers; for one worker it would only add to memory.
-        begin = start or (fork if count > 1 else spawn)
-        first = initializer, arguments
-        self._workers = [_Worker(number, begin, first) for number in range(count)]
+        method = "forkserver" if count > 1 else "spawn"
+        self._begin = start or (lambda: ProcessHost(method))
+        self._first = initializer, arguments
         self._calls: SimpleQueue[tuple[Future[Any], Any, Any] | None] = SimpleQueue()
-        self._threads: list[threading.Thread] = []  # one waits for each process
-        self._lock = threading.Lock()
-        self._unfinished = 0
+        self._hosts: dict[int, Host] = {}
+        self._threads: list[threading.Thread] = []  # one waits for each worker
+        self._lock = threading.Lock()  # of all fields
+        self._closed, self._unfinished = False, 0
         self._start_threads(count if start else 0)
 
     def submit(self, function: Callable[..., Any], *arguments: Any) -> Future[Any]:
@@ -100,27 +109,99 @@ class WorkerPool:
 
     def _start_threads(self, count: int) -> None:
         while len(self._threads) < count:
-            worker = self._workers[len(self._threads)]
-            self._threads.append(threading.Thread(target=self._work, args=(worker,), daemon=True))
+            number = len(self._threads)
+            self._threads.append(threading.Thread(target=self._work, args=(number,), daemon=True))
             self._threads[-1].start()
 
-    def _work(self, worker: _Worker) -> None:
+    def _work(self, number: int) -> None:
         """Let a worker take one call after the other; runs in its own thread."""
-        worker.prepare()
-        while (call := self._calls.get()) is not None:
-            future, function, arguments = call
-            begun, problem, value = future.set_running_or_notify_cancel(), None, None
+        deaths = 0
+        problem: BaseException | None = None
+
+        def attempt(step: Callable[..., Any], *arguments: Any) -> Any:
+            nonlocal deaths, problem
             try:
-                value = worker.run(function, arguments) if begun else None
+                problem = None
+                return step(number, *arguments)
+            except DiedError as error:
+                deaths += 1
+                problem = self._death(number, deaths, str(error))
             except BaseException as error:  # noqa: BLE001 - raised where the result is awaited
                 problem = error
+
+        while True:
+            # A worker that dies before it is ready costs no call: the next one begins with another.
+            attempt(self._ready)
+            if (call := self._calls.get()) is None:
+                return
+            future, *work = call
+            if not future.set_running_or_notify_cancel():
+                continue
+            value = None
+            if problem is None or isinstance(problem, WorkerDiedError):
+                value = attempt(self._call, *work)
+                deaths = deaths if problem else 0
             with self._lock:
                 self._unfinished -= 1
-            if problem is not None:
-                future.set_exception(problem)
-            elif begun:
+            if problem is None:
                 future.set_result(value)
-            worker.prepare()
+            else:
+                future.set_exception(problem)
+
+    def _call(self, number: int, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
+        return self._ready(number).call(function, arguments)
+
+    def _ready(self, number: int) -> Host:
+        """Return the host of a worker; a new one if there is none or it has died in between."""
+        with self._lock:
+            host = self._hosts.get(number)
+            if self._closed:
+                raise DiedError("it was stopped")
+        if host is not None and host.alive:
+            return host
+        if host is not None:
+            self._discard(number)
+        try:
+            host = self._begin()
+        except OSError as error:
+            raise FlipperctlError(
+                f"a worker process cannot start: {os.strerror(error.errno or 0)}; without any, "
+                "--jobs 1 evaluates and train.mode=exact trains"
+            ) from error
+        with self._lock:
+            self._hosts[number] = host
+            closed = self._closed
+        if closed:
+            raise DiedError(self._discard(number))
+        try:
+            host.call(*self._first)
+        except DiedError:
+            raise
+        except FlipperctlError:
+            self._discard(number)
+            raise
+        except BaseException as error:
+            self._discard(number)
+            text = f"worker process {number} cannot start: {guard.error_line(error)}"
+            raise FlipperctlError(text) from error
+        return host
+
+    def _discard(self, number: int) -> str:
+        """End the host of a worker and forget it; return in words how it ended."""
+        with self._lock:
+            host = self._hosts.pop(number, None)
+        return "it was stopped" if host is None else f"it {host.end()}"
+
+    def _death(self, number: int, deaths: int, text: str) -> FlipperctlError:
+        """Return the error of a call whose process has died."""
+        how = text or self._discard(number)
+        self._discard(number)
+        if deaths < _MAX_DEATHS or self._closed:
+            return WorkerDiedError(f"worker process {number} died: {how}")
+        return FlipperctlError(
+            f"worker process {number} died {_MAX_DEATHS} times in a row; the last time, {how} "
+            '(a script that begins processes needs: if __name__ == "__main__":)'
+        )
 
     def close(self) -> None:
         """Stop all processes at once; calls that have not ended are lost."""
@@ -128,232 +209,156 @@ class WorkerPool:
             while True:
                 if (call := self._calls.get_nowait()) is not None:
                     call[0].cancel()
-        for worker in self._workers:
-            worker.close()
+        with self._lock:
+            self._closed, hosts = True, list(self._hosts.values())
+        for host in hosts:
+            host.end()
         for _ in self._threads:
             self._calls.put(None)
         for thread in self._threads:
             thread.join()
 
 
-class _Worker:
-    """A process that runs one call at a time, replaced when it dies."""
-
-    def __init__(
-        self,
-        number: int,
-        start: Callable[[], Host],
-        first: tuple[Callable[..., None], tuple[Any, ...]],
-    ) -> None:
-        self._number, self._start, self._first = number, start, first
-        self._host: Host | None = None
-        self._deaths = 0
-        self._problem: FlipperctlError | None = None
-        self._lock = threading.Lock()  # held while a process starts or is ended
-        self._busy = self._closed = False
-
-    def prepare(self) -> None:
-        """Have a process ready for the next call, which raises the error of its start.
-
-        A process that dies before it is ready costs no call: the next one begins with another.
-        """
-        try:
-            self._ready()
-        except DiedError as error:
-            problem = self._death(error)
-            self._problem = None if isinstance(problem, WorkerDiedError) else problem
-        except FlipperctlError as error:
-            self._problem = error
-        finally:
-            self._busy = False
-
-    def run(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
-        """Call ``function`` in the process; raise as described in ``WorkerPool.submit``."""
-        problem, self._problem = self._problem, None
-        if problem is not None:
-            raise problem
-        try:
-            value = self._ready().call(function, arguments)
-        except DiedError as error:
-            raise self._death(error) from error
-        finally:
-            self._busy = False
-        self._deaths = 0
-        return value
-
-    def _ready(self) -> Host:
-        """Return the process, or a new one if there is none or it has died since its last call."""
-        with self._lock:
-            if self._closed:
-                raise WorkerDiedError(f"worker process {self._number} was stopped")
-            self._busy = True
-            if self._host is not None and self._host.idle:
-                return self._host
-            self._discard()
-            try:
-                host = self._host = self._start()
-            except OSError as error:
-                raise FlipperctlError(
-                    f"a worker process cannot start: {os.strerror(error.errno or 0)}; without any, "
-                    "--jobs 1 evaluates and train.mode=exact trains"
-                ) from error
-        try:
-            host.call(*self._first)
-        except DiedError:
-            raise
-        except BaseException as error:
-            with self._lock:
-                self._discard()
-            if isinstance(error, FlipperctlError):
-                raise
-            raise FlipperctlError(
-                f"worker process {self._number} cannot start: {guard.error_line(error)}"
-            ) from error
-        return host
-
-    def _discard(self) -> str:
-        """End the process and forget it; return in words how it ended, if there is one."""
-        host, self._host = self._host, None
-        return "" if host is None else f"it {host.end(kill=True)}"
-
-    def _death(self, error: DiedError) -> FlipperctlError:
-        """Return the error of a call whose process has died."""
-        with self._lock:
-            how = self._discard() or str(error)
-        self._deaths += 1
-        if self._deaths < _MAX_DEATHS or self._closed:
-            return WorkerDiedError(f"worker process {self._number} died: {how}")
-        return FlipperctlError(
-            f"worker process {self._number} died {_MAX_DEATHS} times in a row; the last time, {how}"
-        )
-
-    def close(self) -> None:
-        """Stop the process, even during a call."""
-        with self._lock:
-            self._closed = True
-            if self._host is not None:
-                self._host.end(kill=self._busy)
-
-
-_PRELOAD = ("flipperctl.rollout.collect", "flipperctl.sim.planar.compiled")
-"""What the fork server imports once for all its workers."""
-
-
-class DiedError(Exception):
-    """A child process ended before it answered."""
-
-
 class _CallError(Exception):
-    """The traceback of an error in a child process."""
+    """The traceback of an error in a worker process."""
 
     def __str__(self) -> str:
         return f"\n{self.args[0]}"
 
 
-class Child:
+class _Context:
+    """A start method of ``multiprocessing``, which keeps the process that an executor starts."""
+
+    process: BaseProcess
+
+    def __init__(self, method: str) -> None:
+        self._context: Any = multiprocessing.get_context(method)
+        if method == "forkserver":
+            self._context.set_forkserver_preload(_PRELOAD)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._context, name)
+
+    def Process(self, **settings: Any) -> BaseProcess:  # noqa: N802 - as the executor asks
+        self.process = process = self._context.Process(**settings)
+        return cast("BaseProcess", process)
+
+
+class ProcessHost:
     """A process that answers one call at a time."""
 
-    def __init__(self, pid: int, connection: Connection, wait: Callable[[], int | None]) -> None:
-        self.pid, self._connection, self._wait = pid, connection, wait
-        self._ending = ""
-        self._lock = threading.Lock()
-        self._send(_state())
+    def __init__(self, method: str = "forkserver") -> None:
+        """``method``: a start method of ``multiprocessing``, ``forkserver`` or ``spawn``."""
+        self._folder = TemporaryDirectory(prefix="flipperctl-", ignore_cleanup_errors=True)
+        self._lock, self._ending = threading.Lock(), ""
+        self._context = _Context(method)
+        self._executor = ProcessPoolExecutor(1, cast("Any", self._context), _begin_worker)
+        with _starting():
+            self._executor.submit(int)
+
+    @property
+    def pid(self) -> int:
+        """Identifier of the process."""
+        return self._context.process.pid or 0
+
+    @property
+    def alive(self) -> bool:
+        """Whether the process lives."""
+        return not connection.wait([self._context.process.sentinel], timeout=0)
 
     def call(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
         """Return ``function(*arguments)`` of the process, or raise what it raised there."""
-        self._send((function, arguments))
+        packed = _pack((function, arguments), self._folder.name)  # an error in it is the caller's
         try:
-            answer = self._connection.recv_bytes()
-        except (EOFError, OSError) as error:
+            answer = self._executor.submit(_answer, packed, self._folder.name).result()
+        except RuntimeError as error:  # broken, or shut down
             raise DiedError from error
-        done, value, text = pickle.loads(answer)  # noqa: S301 - from our own process
+        done, value, text = _unpack(answer)
         if done:
             return value
         raise value from _CallError(text)
 
-    def _send(self, message: object) -> None:
-        data = pickle.dumps(message)  # an error in it is the caller's
-        with contextlib.suppress(OSError):  # of a process that has ended, which the answer tells
-            self._connection.send_bytes(data)
-
-    @property
-    def idle(self) -> bool:
-        """Whether the process, which has answered all calls, waits for another one."""
-        return not self._connection.poll()
-
-    def end(self, *, kill: bool) -> str:
-        """End the process, even within a call if ``kill``; return in words how it ended."""
+    def end(self) -> str:
+        """End the process, even within a call; return in words how it ended."""
         with self._lock:
             if not self._ending:
-                if kill:
-                    with contextlib.suppress(ProcessLookupError):
-                        os.kill(self.pid, signal.SIGKILL)
-                self._connection.close()
-                self._ending = _ending(self._wait())
+                self._context.process.kill()
+                self._executor.shutdown()
+                self._context.process.join()
+                self._ending = _ending(self._context.process.exitcode)
+                self._folder.cleanup()
             return self._ending
 
 
-def spawn() -> Child:
-    """Start a process."""
-    connection, started = _start()
-    return Child(started.pid, connection, started.wait)
+_start_lock = threading.Lock()
 
 
-def fork() -> Child:
-    """Start a process that has the learner's modules from a server, which imports them once."""
-    server = _Server.of_this_process()
-    ours, theirs = _pipe()
-    with theirs:
-        pid = server.request(0, theirs)
-    return Child(pid, ours, lambda: server.request(pid))
+@contextlib.contextmanager
+def _starting() -> Iterator[None]:
+    """Start processes that import nothing from the working directory, and no signal interrupts."""
+    with _start_lock:
+        before = os.environ.get("PYTHONSAFEPATH")
+        os.environ["PYTHONSAFEPATH"] = "1"
+        resource_tracker.ensure_running()  # which unblocks signals
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
+        try:
+            yield
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+            del os.environ["PYTHONSAFEPATH"]
+            os.environ.update({} if before is None else {"PYTHONSAFEPATH": before})
 
 
-class _Server:
-    """A process that forks workers, kept until this process ends."""
+def _begin_worker() -> None:
+    """Leave signals to the main process, which stops its workers, and end with it."""
+    for number in STOPS:
+        signal.signal(number, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPS)
+    threading.Thread(target=_exit_with_parent, daemon=True).start()
 
-    _current: _Server | None = None
-    _starting = threading.Lock()
 
-    def __init__(self) -> None:
-        self._owner, self._lock = os.getpid(), threading.Lock()
-        self._connection, self._process = _start(*_PRELOAD)
-        self._connection.send_bytes(pickle.dumps(_state()))
-        atexit.register(self._end)
+def _exit_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+    parent.join()
+    os._exit(1)
 
-    @classmethod
-    def of_this_process(cls) -> _Server:
-        """Return the server; start one if there is none, or if it is that of a parent process."""
-        with cls._starting:
-            if cls._current is None or not cls._current._usable():
-                cls._current = cls()
-            return cls._current
 
-    def _usable(self) -> bool:
-        return self._owner == os.getpid() and self._process.poll() is None
+def _answer(call: bytes | Path, folder: str) -> bytes | Path:
+    """Run a call in a worker process; return its packed answer."""
+    try:
+        function, arguments = _unpack(call)
+        return _pack((True, function(*arguments), ""), folder)
+    except BaseException as error:  # noqa: BLE001 - raised in the main process
+        text = traceback.format_exc()
+        try:
+            pickle.loads(pickle.dumps(error))  # noqa: S301 - its own constructor may refuse
+        except Exception:  # noqa: BLE001 - of the exception's class
+            error = RuntimeError(f"{type(error).__name__}: {error}")
+        return _pack((False, error, text), folder)
+    finally:
+        for stream in (sys.stdout, sys.stderr):  # this process may be ended at any time
+            with contextlib.suppress(Exception):
+                stream.flush()
 
-    def request(self, number: int, connection: Connection | None = None) -> Any:
-        """Let it fork a process for the end ``connection``, or wait for the process ``number``.
 
-        Returns the identifier of the process, or its exit code, if that is known.
-        """
-        with self._lock:
-            try:
-                self._connection.send_bytes(pickle.dumps(number))
-                if connection is not None:
-                    reduction.send_handle(self._connection, connection.fileno(), None)
-                answer = pickle.loads(self._connection.recv_bytes())  # noqa: S301 - our own
-            except (EOFError, ConnectionError) as error:
-                if number:
-                    return None
-                raise DiedError(f"their server {_ending(self._process.wait())}") from error
-        if isinstance(answer, OSError):
-            raise answer
-        return answer
+def _pack(message: object, folder: str) -> bytes | Path:
+    """Return a pickled message; of a long one the file in ``folder`` that holds it."""
+    data = pickle.dumps(message)
+    if len(data) < _LONG:
+        return data
+    descriptor, name = mkstemp(dir=folder)
+    with os.fdopen(descriptor, "wb") as file:
+        file.write(data)
+    return Path(name)
 
-    def _end(self) -> None:
-        if self._owner == os.getpid():
-            self._process.kill()
-            self._process.wait()
+
+def _unpack(packed: bytes | Path) -> Any:
+    if isinstance(packed, bytes):
+        return pickle.loads(packed)  # noqa: S301 - from our own process
+    data = packed.read_bytes()
+    packed.unlink()
+    return pickle.loads(data)  # noqa: S301
 
 
 def _ending(code: int | None) -> str:
@@ -366,44 +371,6 @@ def _ending(code: int | None) -> str:
     return f"was killed by {name}" + ("; is the memory full?" if -code == signal.SIGKILL else "")
 
 
-def _start(*preload: str) -> tuple[Connection, subprocess.Popen[bytes]]:
-    """Start a process that runs ``worker``; return the connection to it with it."""
-    ours, theirs = _pipe()
-    # -P: the working directory is not searched, not even for the imports of this first file.
-    flags = [*subprocess._args_from_interpreter_flags(), "-P"]  # type: ignore[attr-defined]  # private
-    command = [sys.executable, *flags, script.__file__, str(theirs.fileno()), *preload]
-    # Ctrl-C, which reaches every process of a run in a terminal, must not interrupt its imports.
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, script.STOPS)
-    try:
-        with theirs:
-            return ours, subprocess.Popen(  # noqa: S603 - this interpreter and our own file
-                command,
-                stdin=subprocess.DEVNULL,
-                stdout=_stream(1),
-                stderr=_stream(2),
-                pass_fds=[theirs.fileno()],
-            )
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
-
-
-def _stream(descriptor: int) -> int | None:
-    """Return a standard stream of a child: that of this process, or null if it is closed."""
-    try:
-        os.fstat(descriptor)
-    except OSError:
-        return subprocess.DEVNULL
-    return None
-
-
-def _pipe() -> tuple[Connection, Connection]:
-    """Return both ends of a pipe, never those of a standard stream that is closed."""
-    with contextlib.ExitStack() as stack:
-        ends = [stack.enter_context(end) for end in Pipe()]
-        ours, theirs = (fcntl.fcntl(end.fileno(), fcntl.F_DUPFD_CLOEXEC, 3) for end in ends)
-    return Connection(ours), Connection(theirs)
-
-
 def import_path() -> list[str]:
     """Return the folders in which this process looks for modules, in their order."""
     begun_in = Path(getattr(process, "ORIGINAL_DIR", None) or "")  # relative ones are seen from it
@@ -414,30 +381,3 @@ def python_environment() -> dict[str, str]:
     """Return the environment of a Python program that imports from where this process does."""
     own = {"PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join(import_path())}
     return {**os.environ, **own, plugins.VARIABLE: os.pathsep.join(plugins.configured_paths())}
-
-
-def _state() -> dict[str, Any]:
-    """Return what a child takes over from this process.
-
-    ``modules``: files and folders of the top-level modules that this process has imported, without
-    plugin files, which are loaded by their paths.
-    """
-    try:
-        folder = str(Path.cwd())
-    except OSError:  # it was removed
-        folder = "/"
-    places = {}
-    for name, module in list(sys.modules.items()):
-        spec = getattr(module, "__spec__", None)
-        if "." in name or name.startswith(guard.USER_MODULE) or not isinstance(spec, ModuleSpec):
-            continue
-        if spec.name == name and spec.has_location and Path(str(spec.origin)).is_file():
-            folders = spec.submodule_search_locations
-            places[name] = str(spec.origin), None if folders is None else list(folders)
-    return {
-        "environment": dict(os.environ),
-        "folder": folder,
-        "argv": list(sys.argv),
-        "path": import_path(),
-        "modules": places,
-    }

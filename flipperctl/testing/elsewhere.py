@@ -7,10 +7,10 @@ module or a class remembers, or the order of the calls.
 
 from __future__ import annotations
 
+import atexit
 import contextlib
 import importlib
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
 from typing import Any
 
 from flipperctl import plugins
@@ -18,7 +18,7 @@ from flipperctl.api import Controller, Measure, Network, Plugin, registry
 from flipperctl.config import EnvConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.repeating import beginning
-from flipperctl.rollout.pool import Child, fork
+from flipperctl.rollout.pool import ProcessHost
 from flipperctl.testing import policies, recorded
 from flipperctl.testing.check import NotChecked, require
 
@@ -41,12 +41,23 @@ def another_process(plugin: Plugin) -> None:
         )
 
 
-@lru_cache(maxsize=1)
-def _child(paths: tuple[str, ...]) -> Child:
+_children: dict[tuple[str, ...], ProcessHost] = {}
+"""The process of the last check, by the paths of its plugins."""
+
+
+def _child(paths: tuple[str, ...]) -> ProcessHost:
     """Return a process with the plugins of these paths, the same for one check after the other."""
-    child = fork()
-    child.call(plugins.load, (paths,))
-    return child
+    if paths not in _children:
+        _end_children()
+        _children[paths] = ProcessHost()
+        _children[paths].call(plugins.load, (paths,))
+    return _children[paths]
+
+
+@atexit.register
+def _end_children() -> None:
+    while _children:
+        _children.popitem()[1].end()
 
 
 def _elsewhere(

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from flipperctl.errors import WriteError
-from flipperctl.rollout.pool import Child, WorkerPool
+from flipperctl.rollout.pool import ProcessHost, WorkerPool
 
 
 class Notes:
@@ -38,5 +38,4 @@ class Notes:
 
 def process_ids(pool: WorkerPool) -> list[int]:
     """Return the process identifiers of the workers that run on this machine."""
-    hosts = [worker._host for worker in pool._workers]
-    return [host.pid for host in hosts if isinstance(host, Child)]
+    return [host.pid for host in pool._hosts.values() if isinstance(host, ProcessHost)]

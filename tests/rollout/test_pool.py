@@ -7,9 +7,9 @@ import errno
 import importlib
 import itertools
 import os
-import random
 import resource
 import signal
+import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -17,20 +17,26 @@ from concurrent.futures import Future
 from contextlib import closing
 from multiprocessing import Pipe
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
 
-import flipperctl
 from flipperctl.errors import FlipperctlError
 from flipperctl.rollout import pool as children
-from flipperctl.rollout.pool import Child, WorkerDiedError, WorkerPool
+from flipperctl.rollout.pool import WorkerDiedError, WorkerPool, python_environment
 from flipperctl.training.trainer import Trainer
 from tests.rollout.notes import Notes, process_ids
 from tests.short import short_config, trainer
 
 HOSTILE = ("random", "signal", "queue", "numbers", "numpy", "torch", "pickle", "socket", "struct")
+PLACES = """
+from flipperctl.rollout.pool import WorkerPool
+pool = WorkerPool({count}, int, ())
+here = "(getattr(m, '__file__', '') or '').startswith(__import__('os').getcwd())"
+names = "[n for n, m in __import__('sys').modules.items() if " + here + "]"
+print(pool.submit(eval, names).result())
+pool.close()
+"""
 both = pytest.mark.parametrize(  # forked from a server, and spawned
     "count", [2, pytest.param(1, marks=pytest.mark.long)]
 )
@@ -43,7 +49,6 @@ def hostile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     for name in HOSTILE:
         (tmp_path / f"{name}.py").write_text("raise SystemExit('imported')")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(children._Server, "_current", None)  # or it was started elsewhere
     return tmp_path
 
 
@@ -66,13 +71,6 @@ def die_first(died: Path) -> None:
     if not died.exists():
         died.touch()
         die()
-
-
-def lives(host: Child) -> bool:
-    try:
-        return host.idle
-    except OSError:  # its end was seen
-        return False
 
 
 def fail(error: BaseException) -> None:
@@ -103,26 +101,37 @@ def asked(count: int, function: Any, *arguments: Any, first: Any = ()) -> Any:
         return pool.submit(function, *arguments).result()
 
 
-def test_a_dead_worker_is_replaced_and_runs_the_calls_after_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    file = tmp_path / "script.py"  # this process seems to run it; it would end a worker
-    file.write_text("raise SystemExit(1)")
-    module = ModuleType("__main__")
-    module.__file__ = str(file)
-    monkeypatch.setitem(sys.modules, "__main__", module)
+def test_a_dead_worker_is_replaced_and_runs_the_calls_after_it() -> None:
     with closing(WorkerPool(2, initialize, ())) as workers:
         assert workers.submit(abs, -1).result() == 1
         dead, after = workers.submit(die), [workers.submit(abs, -n) for n in range(4)]
         with pytest.raises(WorkerDiedError, match=r"worker process [01] died"):
             dead.result()
         assert [call.result() for call in after] == [0, 1, 2, 3]
-        killed = [host for worker in workers._workers if isinstance(host := worker._host, Child)]
-        for host in killed:  # while they wait for calls, or start
-            os.kill(host.pid, signal.SIGKILL)
-        while any(lives(host) for host in killed):
+        killed = list(workers._hosts.values())
+        for pid in process_ids(workers):  # while they wait for calls, or start
+            os.kill(pid, signal.SIGKILL)
+        while any(host.alive for host in killed):
             time.sleep(0.001)
         assert [workers.submit(abs, -n).result() for n in range(4)] == [0, 1, 2, 3]
+
+
+def test_a_long_message_of_a_process_that_dies_blocks_nothing() -> None:
+    """CPython issue 94777: it would stay in a pipe, and the interpreter would wait for it."""
+    with closing(WorkerPool(2, initialize, ())) as workers:
+        long = bytes(2**22)
+        assert workers.submit(len, long).result() == 2**22
+        assert workers.submit(bytes, 2**22).result() == long
+        for pid in process_ids(workers):
+            os.kill(pid, signal.SIGSTOP)
+        call = workers.submit(len, long)
+        while not call.running():
+            time.sleep(0.001)
+        for pid in process_ids(workers):
+            os.kill(pid, signal.SIGKILL)
+        with pytest.raises(WorkerDiedError):
+            call.result()
+        assert workers.submit(abs, -1).result() == 1
 
 
 def test_a_worker_that_dies_as_it_starts_costs_no_call(tmp_path: Path) -> None:
@@ -167,14 +176,6 @@ def test_closing_ends_a_call_that_is_under_way(tmp_path: Path) -> None:
     with pytest.raises(WorkerDiedError):
         call.result(timeout=0)
     assert queued[-1].cancelled()
-
-
-@both
-def test_workers_have_the_environment_of_now(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The server, which lives as long as this process, has that of its start."""
-    for text in ("first", "second"):
-        monkeypatch.setenv("WORKER_SHALL_KNOW", text)
-        assert asked(count, os.getenv, "WORKER_SHALL_KNOW") == text
 
 
 @both
@@ -226,32 +227,38 @@ def test_a_training_run_continues_when_a_worker_is_killed(
 
 
 @both
-@pytest.mark.usefixtures("hostile")
-def test_nothing_is_imported_from_the_working_directory(count: int) -> None:
-    names = ("flipperctl", "flipperctl.rollout.worker", *HOSTILE)
-    assert asked(count, places, names) == places(names)
+def test_nothing_is_imported_from_the_working_directory(count: int, hostile: Path) -> None:
+    """In a process of its own, which starts the fork server there."""
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", PLACES.format(count=count)],
+        **{"cwd": hostile, "capture_output": True, "text": True, "env": python_environment()},
+    )
+    assert (done.returncode, done.stdout) == (0, "[]\n"), done.stderr
 
 
-def test_what_was_imported_is_found_where_it_was_though_the_path_has_changed(
-    hostile: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A script may import the package first, and look into another folder later."""
-    (hostile / "helper_of_a_script.py").write_text("")
-    monkeypatch.syspath_prepend(str(hostile))
-    names = ("flipperctl", "random", "numpy", "helper_of_a_script")
-    found = [flipperctl.__file__, random.__file__, sys.modules["numpy"].__file__]
-    assert asked(1, places, names) == [*found, str(hostile / "helper_of_a_script.py")]
+def test_a_script_says_what_it_lacks(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(
+        "from flipperctl.rollout.pool import WorkerPool\n"
+        "pool = WorkerPool(1, int, ())\n"
+        "calls = [pool.submit(abs, -1) for _ in range(3)]\n"
+        "print(calls[0].exception(), calls[1].exception(), calls[2].result())\n"
+    )
+    command = [sys.executable, "-P", str(script)]
+    done = subprocess.run(command, capture_output=True, text=True, env=python_environment())
+    assert done.returncode == 1
+    assert 'needs: if __name__ == "__main__":' in done.stderr
 
 
 @both
 def test_a_worker_that_cannot_start_says_why(count: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse() -> Any:
+    def refuse(method: str) -> Any:
         raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
 
     text = r"^worker process 0 cannot start: ModuleNotFound.*x_y"
     with pytest.raises(FlipperctlError, match=text):
         asked(2, mask, first=("x_y",))  # the server runs afterwards
-    monkeypatch.setattr(children, "Pipe", refuse)
+    monkeypatch.setattr(children, "ProcessHost", refuse)
     text = r"Too many open files; .*--jobs 1 .*train.mode=exact"
     with pytest.raises(FlipperctlError, match=text):
         asked(count, mask)
@@ -271,14 +278,3 @@ def test_a_worker_needs_few_descriptors() -> None:
         assert asked(2, mask) == set()
     finally:
         resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
-
-
-@pytest.mark.long
-def test_a_server_that_died_is_replaced() -> None:
-    asked(2, mask)
-    server = children._Server._current
-    assert server is not None
-    os.kill(server._process.pid, signal.SIGKILL)
-    server._process.wait()
-    assert asked(2, mask) == set()
-    assert children._Server._current is not server
