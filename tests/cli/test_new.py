@@ -118,7 +118,7 @@ def test_a_plugin_that_fails_is_named_with_check_and_value(tmp_path: Path) -> No
     check = ["inspect", "plugins", "wall", "--check", "--plugins", "wall.py"]
     done = call(*check, cwd=tmp_path)
     assert done.code == 1
-    assert done.err == "error: 1 of 7 checks failed: terrain wall (profiles)\n"
+    assert done.err == "error: 1 of 9 checks failed: terrain wall (profiles)\n"
     assert "with height=30: it reaches 30 m" in " ".join(done.out.split())
     rows = {row["check"]: row for row in json.loads(call(*check, "--json", cwd=tmp_path).out)}
     assert [name for name, row in rows.items() if not row["ok"]] == ["profiles"]
