@@ -25,18 +25,19 @@ _PART = ".part"
 _RAN_OUT = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO}
 
 
-_HOME = re.compile(r"""(?:^|(?<=[=,:[("']))~(?=/|$)""")
-"""A ~ that begins a path: a whole word, the value of a setting, or one of a list."""
+_HOME = re.compile(r"""(?:^|(?<=[=,:[("']))~(?:(?=/|$)|[\w.-]+(?=/))""")
+"""A ~ or ~user that begins a path: a whole word, the value of a setting, or one of a list."""
 
 
 def at_home(value: Any) -> Any:
     """Return the value with the home folder for each ``~`` that begins a path in its texts.
 
     The shell leaves them where they begin no word, as in ``--output=~/runs``. This is called on
-    all that comes in: words of a command, arguments from Python, variables of the environment.
+    all that comes in: words of a command, arguments from Python, variables of the environment,
+    settings of any file. ``~user`` stays if there is no such user.
     """
     if isinstance(value, str):
-        return _HOME.sub(lambda match: str(Path.home()), value)
+        return _HOME.sub(lambda match: os.path.expanduser(match[0]), value)  # noqa: PTH111
     if isinstance(value, Path):
         return Path(at_home(str(value)))
     if type(value) in (list, tuple):
@@ -76,7 +77,7 @@ def write_chunks(path: Path, chunks: Iterable[bytes]) -> None:
 
     A link stays one: the file that it names is replaced.
     """
-    path = path.resolve() if path.is_symlink() else path
+    path = Path(os.path.realpath(path)) if path.is_symlink() else path  # a loop stays as it is
     part = _part(path)
     try:
         with part.open("xb") as file:
@@ -164,13 +165,15 @@ def read_csv(path: Path, needed: Collection[str] = ()) -> list[CsvRow]:
     Blank lines count as none. A last row that is cut off, as while it is written, is left out.
 
     Raises:
-        RequestError: the file cannot be read, lacks a column of ``needed``, or has a row with
-            another number of cells than its header.
+        RequestError: the file cannot be read, lacks a column of ``needed`` or has one twice, or has
+            a row with another number of cells than its header.
     """
     try:
         text = path.read_bytes().decode("utf-8-sig")
         lines = csv.reader(io.StringIO(text, newline=""), strict=True)
         header = next(lines, [])
+        if twice := {name for name in header if header.count(name) > 1}:
+            raise RequestError(f"{path}, line 1: a column is named twice: {', '.join(twice)}")
         for name in needed:
             if name not in header:
                 raise RequestError(

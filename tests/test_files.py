@@ -103,6 +103,8 @@ def test_a_failing_write_keeps_the_old_file(
         ("terrain.path='~/a'", "terrain.path='/home/ann/a'"),
         ("~/a:~/b", "/home/ann/a:/home/ann/b"),
         ("~rewards.pitch", "~rewards.pitch"),
+        ("--output=~root/runs", f"--output={Path('~root').expanduser()}/runs"),
+        ("~nobody.here/runs", "~nobody.here/runs"),
         ("a~/b", "a~/b"),
         (Path("~/a"), Path("/home/ann/a")),
         ({"path": ["~/a", 3]}, {"path": ["/home/ann/a", 3]}),
@@ -120,3 +122,6 @@ def test_a_link_to_a_file_is_written_through(tmp_path: Path) -> None:
     write_bytes(tmp_path / "link", b"new")
     assert (tmp_path / "link").is_symlink()
     assert (tmp_path / "file").read_bytes() == b"new"
+    (tmp_path / "loop").symlink_to("loop")
+    write_bytes(tmp_path / "loop", b"new")
+    assert (tmp_path / "loop").read_bytes() == b"new"

@@ -31,6 +31,7 @@ from flipperctl.errors import (
     PluginFailedError,
     TerrainError,
 )
+from flipperctl.files import at_home
 from flipperctl.messages import broken_hint, close_match, explain, missing_name
 
 SettingsT = TypeVar("SettingsT", bound=Settings)
@@ -101,7 +102,7 @@ def create(kind: str, settings: object, where: str) -> Any:
             f"is allowed; got {settings!r}"
         )
     cls = get(kind, named["name"], where)
-    fields = {key: value for key, value in named.items() if key != "name"}
+    fields = at_home({key: value for key, value in named.items() if key != "name"})
     try:
         return construct(cls, fields)
     except ValidationError as error:
@@ -135,7 +136,7 @@ def _guarded(plugin: Plugin) -> Plugin:
 def parse(model: type[SettingsT], values: Mapping[str, Any], where: str = "") -> SettingsT:
     """Validate composed values; an error names the path, after ``where``, and what is allowed."""
     try:
-        return model(**values)
+        return model(**at_home(values))
     except ValidationError as error:
         raise ConfigError(explain(error, where, model)) from error
 

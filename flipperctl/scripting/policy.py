@@ -38,7 +38,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import NonFiniteError, PolicyError, RequestError
 from flipperctl.evaluation.conditions import read_config
 from flipperctl.policies.source import FilePolicy, PolicySource, load_policy
-from flipperctl.scripting.settings import Paths, begin, public
+from flipperctl.scripting.settings import Paths, begin, deciding, public
 from flipperctl.terminal.streams import print_note
 
 if TYPE_CHECKING:
@@ -209,7 +209,7 @@ class LoadedPolicy:
         assert self._policy is not None
         self._policy.reset(task.simulator())
 
-    @public
+    @deciding
     def __call__(self, observation: ArrayLike) -> Action:
         """Return the action, an index into ``flipperctl.api.ACTIONS`` or rates, for an observation.
 

@@ -11,6 +11,7 @@ import functools
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from enum import Enum
 from typing import ParamSpec, TypeVar
 
@@ -51,11 +52,21 @@ def public(function: Callable[P, T]) -> Callable[P, T]:
     The caller's process keeps its state, see ``undisturbed``. The errors behind a refused request
     are left out of its traceback, since its text has them. With ``FLIPPERCTL_DEBUG=1`` they stay.
     """
+    return _door(function, undisturbed)
 
+
+def deciding(function: Callable[P, T]) -> Callable[P, T]:
+    """Make a decision of a file's policy a door, see ``public``: networks draw none of numpy's."""
+    return _door(function, functools.partial(undisturbed, draws_from_numpy=False))
+
+
+def _door(
+    function: Callable[P, T], context: Callable[[], AbstractContextManager[None]]
+) -> Callable[P, T]:
     @functools.wraps(function)
     def door(*args: P.args, **kwargs: P.kwargs) -> T:
         try:
-            with undisturbed():
+            with context():
                 return function(*at_home(args), **at_home(kwargs))
         except RequestError as error:
             if os.environ.get(entry.DEBUG) != "1":

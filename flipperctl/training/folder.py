@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import shutil
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -205,6 +206,9 @@ def read_run(run: Path) -> tuple[Rows, Rows]:
         hint = sweep_hint(run) or "is it a run directory?"
         raise RequestError(f"{run} holds no {METRICS}; {hint}")
     rows = read_csv(metrics, ("kind", "decision"))
+    for row in rows:
+        if not math.isfinite(row.number("decision")):
+            raise row.refusal("decision", "a finite number is allowed")
     episodes, validations = (
         [row for row in rows if row["kind"] == kind] for kind in ("episode", "validation")
     )

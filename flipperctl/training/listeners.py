@@ -83,7 +83,7 @@ class MetricsCsv:
             names = names_there
         elif rows:
             tell(f"there is no {path}; a new one begins with the rows from here on")
-        elif path.exists() and path.read_bytes() != begun:
+        elif path.exists() and _content(path) != begun:
             place = next(place for place in numbered(path, numbered=True) if not place.exists())
             path.rename(place)
             tell(f"{path} has rows of an earlier start; it is kept as {place.name}")
@@ -132,6 +132,13 @@ def _line(cells: Sequence[Any]) -> bytes:
     return text.getvalue().encode()
 
 
+def _content(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:  # such as of a folder
+        raise failure(path, error) from error
+
+
 def _verified(
     path: Path, header: bytes, rows: int, mark: Mark | None, tell: Callable[[str], None]
 ) -> bytes:
@@ -140,7 +147,7 @@ def _verified(
     A checkpoint of an earlier version has no mark: nothing is cut, so that the file must have the
     rows of the run and no others.
     """
-    content = path.read_bytes()
+    content = _content(path)
     kept = content if mark is None else content[: mark.length]
     if mark is None:
         rows_there = content.count(b"\n") - 1

@@ -6,6 +6,7 @@ that it cannot read; what it then leaves out is an error.
 """
 
 import io
+import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -57,42 +58,59 @@ def read_dae(path: Path) -> DaeFile:
         root = ET.fromstring(path.read_bytes())  # noqa: S314  # pycollada parses it as well
     except ET.ParseError as error:
         raise ValueError(f"it is not XML: {error}") from error
-    if _name(root) != "COLLADA":
-        raise ValueError(f"it is no Collada file: its outermost element is {_name(root)!r}")
+    if not re.fullmatch(r"\{.+\}COLLADA", root.tag):
+        raise ValueError(
+            f"it is no Collada file: its outermost element is {root.tag!r}; COLLADA in the "
+            "namespace (xmlns) of its version is allowed"
+        )
     reason = "skins (instance_controller) are not read" if _all(root, "instance_controller") else ""
     _strip(root)
+    faces = {each.get("id"): _count(each) for each in _all(root, "geometry")}
     try:
         file = collada.Collada(io.BytesIO(ET.tostring(root)), ignore=[collada.common.DaeError])
-    except collada.common.DaeError as error:
-        raise ValueError(f"it cannot be read: {error.msg}") from error
+    except (collada.common.DaeError, ValueError) as error:
+        text = getattr(error, "msg", error)
+        raise ValueError(f"none of its {sum(faces.values())} faces can be read: {text}") from error
     reason = next((error.msg for error in file.errors), reason)
     if file.scene is None and not reason:
         raise ValueError("it has no scene, which says where its parts are (instance_visual_scene)")
     nodes = [] if file.scene is None else file.scene.nodes
     parts = [part for node in nodes for part in _parts(node, np.eye(4))]
+    read = {name: count for name, count, _ in parts}
+    if any(count < faces[name] for name, count in read.items()):
+        reason = reason or "those with holes are not read"
     if reason:
-        faces = {each.get("id"): _count(each) for each in _all(root, "geometry")}
-        missing = sum(faces.values()) - sum(faces.get(name, 0) for name in {n for n, _ in parts})
+        missing = sum(faces.values()) - sum(read.values())
         raise ValueError(
             f"{missing} of its {sum(faces.values())} faces cannot be read: {reason}"
             if missing
             else f"the places of its parts cannot be read: {reason}"
         )
-    corners = np.concatenate([np.empty((0, 3, 3)), *(corners for _, corners in parts)])
-    asset = file.assetInfo
-    return DaeFile(corners, float(asset.unitmeter or 1.0), str(asset.upaxis or "Y_UP"))
+    corners = np.concatenate([np.empty((0, 3, 3)), *(corners for *_, corners in parts)])
+    # pycollada takes 1 m and Y_UP for what it does not understand.
+    stated = {_name(each): each for asset in root if _name(asset) == "asset" for each in asset}
+    unit = stated["unit"].get("meter", "1") if "unit" in stated else "1"
+    up = (stated["up_axis"].text or "").strip() if "up_axis" in stated else "Y_UP"
+    try:
+        return DaeFile(corners, float(unit), up)
+    except ValueError:
+        raise ValueError(f"it states a unit of {unit!r}; a number of metres is allowed") from None
 
 
-def _parts(node: Any, matrix: FloatArray) -> Iterator[tuple[str, FloatArray]]:
-    """Yield the name and the triangles (T, 3, 3) of each geometry below a node of a scene."""
+def _parts(node: Any, matrix: FloatArray) -> Iterator[tuple[str, int, FloatArray]]:
+    """Yield name, number of all faces, and triangles (T, 3, 3) of each geometry below a node."""
     from collada.scene import GeometryNode
 
     if isinstance(node, GeometryNode):
+        faces = sum(map(len, node.geometry.primitives))
         for primitive in node.geometry.primitives:
             if hasattr(primitive, "triangleset"):  # of polygons
                 primitive = primitive.triangleset()
-            places = np.asarray(primitive.vertex, dtype=np.float64)[primitive.vertex_index]
-            yield node.geometry.id, places @ matrix[:3, :3].T + matrix[:3, 3]
+            indices = primitive.vertex_index if len(primitive) else np.empty((0, 3), np.int64)
+            if indices.min(initial=0) < 0:
+                raise ValueError(f"a corner of {node.geometry.id} has the index {indices.min()}")
+            places = np.asarray(primitive.vertex, dtype=np.float64)[indices]
+            yield node.geometry.id, faces, places @ matrix[:3, :3].T + matrix[:3, 3]
         return
     for child in node.children:
         yield from _parts(child, matrix @ np.asarray(node.matrix, dtype=np.float64))
@@ -123,6 +141,22 @@ def _strip(element: ET.Element) -> None:
             if (_name(child) != "source" or child.get("id") in used)
             and (_name(child) not in _FACES or _count(child))
         ]
+        _check_finite(element)
+
+
+def _check_finite(mesh: ET.Element) -> None:
+    """Refuse coordinates that are no finite numbers; pycollada takes 0 for NaN."""
+    for each in _all(mesh, "float_array"):
+        try:
+            values = np.array((each.text or "").split(), dtype=np.float64)
+            finite = bool(np.isfinite(values).all())
+        except ValueError:
+            finite = False
+        if not finite:
+            raise ValueError(
+                f"{_count(mesh)} of its faces cannot be read: a coordinate of {each.get('id')} is "
+                "no finite number"
+            )
 
 
 def _corners_alone(children: list[ET.Element]) -> list[ET.Element]:

@@ -11,6 +11,7 @@ import pytest
 import flipperctl
 from flipperctl import session
 from flipperctl.agent import replay as memory
+from flipperctl.config import EnvConfig, parse, to_dict
 from flipperctl.errors import FlipperctlError
 from tests.cli.call import refused
 
@@ -325,6 +326,8 @@ def test_paths_of_every_kind_of_door_may_begin_with_the_home_folder(
         ["robot", "check", "~/none"], ["eval", "okada", "robot=~/none.yaml"],
     ):  # fmt: skip
         assert f"{home}/none" in refused(*words, cwd=here), words
+    plain = {"terrain": {"name": "profile_file", "path": "~/none.csv"}}  # as of a file
+    assert to_dict(parse(EnvConfig, plain))["terrain"]["path"] == f"{home}/none.csv"
     with pytest.raises(FlipperctlError, match=f"{home}/none"):
         flipperctl.load("~/none.onnx")
     with pytest.raises(FlipperctlError, match=f"{home}/none"):

@@ -180,6 +180,13 @@ def test_faces_of_a_dae_may_be_polygons_with_indices_of_more_than_corners(tmp_pa
         ('<node id="n">', '<node id="n"><skew>1</skew>', r"places .* cannot be read: .*skew"),
         ('<scene><instance_visual_scene url="#s"/></scene>', "", "it has no scene"),
         ("<COLLADA", "<COLLADA <", "it is not XML"),
+        ("</p>", " -1 0 1</p>", "a corner of g has the index -1"),
+        ("</p>", " 0</p>", "none of its 24 faces can be read: cannot reshape"),
+        (' count="72">0', ' count="72">nan', None),
+        (' meter="1.0"', ' meter="inch"', "it states a unit of 'inch'; a number of metres is"),
+        (' meter="1.0"', ' meter="0"', "it states a unit of 0 m"),
+        ("Z_UP", "up", "it states up as the axis that points up"),
+        ("http://www.collada.org/2005/11/COLLADASchema", "", "outermost element is 'COLLADA'; CO"),
     ],
 )
 def test_what_cannot_be_read_of_a_dae_is_refused_with_its_number_of_faces(

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from flipperctl.errors import CheckpointError, RequestError
+from flipperctl.errors import CheckpointError, OutputError, RequestError
 from flipperctl.files import read_csv
+from flipperctl.training.folder import read_run
 from flipperctl.training.listeners import Companion, Mark, MetricsCsv
 
 BOM = b"\xef\xbb\xbf"
@@ -74,6 +75,13 @@ def test_an_edited_file_is_refused_and_kept(name: str, marked: bool, path: Path)
     assert path.read_bytes() == edited
 
 
+@pytest.mark.parametrize("rows", [0, 1])
+def test_a_folder_in_place_of_the_file_is_refused(rows: int, path: Path) -> None:
+    path.mkdir()
+    with pytest.raises(OutputError, match=r"metrics\.csv cannot be written: Is a directory"):
+        append(path, 3, rows=rows)
+
+
 def test_a_file_that_was_moved_away_begins_anew_with_a_word(path: Path) -> None:
     mark = append(path, 1, 2)
     path.rename(path.with_name("mine.csv"))
@@ -131,6 +139,7 @@ def test_a_kill_before_a_checkpoint_leaves_what_the_one_before_it_states(tmp_pat
         ("kind,decision\nepisode,1\n".encode("utf-16"), "is not text in UTF-8"),
         (b'kind,decision\n"episode,2', "line 2: unexpected end of data"),
         (b"", "line 1: there is no column 'kind'"),
+        (b"kind,decision,kind\n", "line 1: a column is named twice: kind"),
     ],
 )
 def test_what_cannot_be_read_names_file_and_line(content: bytes, words: str, path: Path) -> None:
@@ -139,6 +148,13 @@ def test_what_cannot_be_read_names_file_and_line(content: bytes, words: str, pat
         read_csv(path, ("kind", "decision"))
     assert str(error.value).startswith(str(path))
     assert words in str(error.value)
+
+
+@pytest.mark.parametrize("number", ["nan", "inf", "", "x"])
+def test_a_row_at_no_decision_is_named(number: str, path: Path) -> None:
+    path.write_text(f"kind,decision\nepisode,1\nepisode,{number}\n")
+    with pytest.raises(RequestError, match=r"metrics.csv, line 3: decision: a .*number is allowed"):
+        read_run(path.parent)
 
 
 @pytest.mark.parametrize("content", [b"kind,x\na,1\n", BOM + b"kind,x\r\na,1\r\nb", b"kind,x\na,1"])
