@@ -20,7 +20,7 @@ from flipperctl.api import FloatArray
 from flipperctl.core import crosschecks
 from flipperctl.core.crosschecks import Difference, Peak, compared
 from flipperctl.errors import RequestError
-from flipperctl.ros.reading import Pose, Transforms, messages, seconds
+from flipperctl.ros.reading import Pose, Transforms, messages, pose_of, seconds
 from flipperctl.ros.topics import Names, Topics
 from flipperctl.runtime.messages import ABSENT, NewestJoints
 
@@ -86,7 +86,9 @@ class _Heard:
             elif topic == topics.belts:
                 twisted = hasattr(message, "twist")
                 speed = float(message.twist.twist.linear.x if twisted else message.data)
-                self.belts.append((stamp, speed, _posed(message.pose.pose) if twisted else None))
+                posed = message.pose.pose if twisted else None
+                pose = pose_of(posed.position, posed.orientation) if posed else None
+                self.belts.append((stamp, speed, pose))
             elif joints.take(stamp, message.name, message.position) and not math.isnan(
                 joints.apart[0]
             ):
@@ -106,13 +108,6 @@ def _unit(message: Any) -> tuple[str, FloatArray, FloatArray, FloatArray]:
     return frame, up if told else up * np.nan, np.array([rates.x, rates.y, rates.z]), push
 
 
-def _posed(pose: Any) -> Pose:
-    p, q = pose.position, pose.orientation
-    turn = np.array([q.x, q.y, q.z, q.w])
-    length = float(np.linalg.norm(turn))
-    return Pose(np.array([p.x, p.y, p.z]), turn / length) if length else Pose.none()
-
-
 def tells(message: Any) -> bool:
     """Return whether an ``Imu`` says that it holds an orientation."""
     return bool(np.isfinite(_unit(message)[1]).all())
@@ -127,12 +122,12 @@ def examine(reader: Any, names: Names, transforms: Transforms, topics: Topics) -
     differences: list[Difference] = []
 
     # Stamps and links, each against itself and against the clock of the others.
-    links, delays = _links(transforms, names)
+    links, late = transforms.checked(names.fixed, names.base)
     differences += links
-    for topic, (received, own) in ((topic, rows.T) for topic, rows in stamps.items()):
-        peaks, delay = crosschecks.by_clock(received, own)
+    delays = {f"transforms of {names.base}": delay for delay in late[-1:]}
+    for topic, rows in stamps.items():
+        peaks, delays[topic] = crosschecks.by_clock(*rows.T)
         differences += compared(topic, **peaks)
-        delays[topic] = delay
     usual = sorted(delays.values())[(len(delays) - 1) // 2] if delays else 0.0
     for source, delay in delays.items():
         differences += compared(source, stamps_others=Peak(abs(delay - usual)))
@@ -171,13 +166,12 @@ def examine(reader: Any, names: Names, transforms: Transforms, topics: Topics) -
     return checked
 
 
-def _links(transforms: Transforms, names: Names) -> tuple[list[Difference], dict[str, float]]:
-    """Return what the links that lead to the chassis contradict, and their delays [s]."""
+def _pose(transforms: Transforms, frame: str, of: str, time: float) -> Pose | None:
+    """Return a pose; None also if no transform tells it, which who needs the pose says."""
     try:
-        differences, delays = transforms.checked(names.fixed, names.base)
-    except RequestError:  # it is told where it is needed
-        return [], {}
-    return differences, {f"transforms of {names.base}": one for one in delays[-1:]}
+        return transforms.pose(frame, of, time)
+    except RequestError:
+        return None
 
 
 def _poses(
@@ -185,14 +179,8 @@ def _poses(
 ) -> tuple[FloatArray, list[Pose]]:
     """Return times and poses of the chassis, by transforms or else by the belts' odometry."""
     times = np.concatenate([times, [row[0] for row in (*heard.units, *heard.belts)]])
-    known = []
-    for time in _spread(times):
-        try:
-            pose = transforms.pose(names.fixed, names.base, time)
-        except RequestError:
-            pose = None
-        if pose is not None:
-            known.append((time, pose))
+    chassis = ((time, _pose(transforms, names.fixed, names.base, time)) for time in _spread(times))
+    known = [(time, pose) for time, pose in chassis if pose is not None]
     if not known:
         kept = {round(time / _PERIOD): (time, p) for time, _, p in heard.belts if p is not None}
         known = sorted(kept.values(), key=lambda one: one[0])
@@ -232,11 +220,8 @@ def _attitude(
     for time, frame, vertical, *_ in heard.units:
         if time not in wanted:
             continue
-        try:
-            pose = transforms.pose(names.fixed, names.base, time)
-            mount = transforms.on(names.base, frame, time)
-        except RequestError:
-            break
+        pose = _pose(transforms, names.fixed, names.base, time)
+        mount = _pose(transforms, names.base, frame, time)
         if pose is not None and mount is not None:
             sampled.append(time)
             verticals.append(mount.directions(vertical[None])[0])

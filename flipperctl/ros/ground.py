@@ -23,18 +23,9 @@ from scipy.spatial.transform import Rotation
 from flipperctl.api import FloatArray, Robot
 from flipperctl.errors import MissingExtraError, RequestError
 from flipperctl.files import OutputKind, check_output, write_bytes
-from flipperctl.ros.checking import Checked, examine
-from flipperctl.ros.reading import (
-    Points,
-    Pose,
-    chosen_topic,
-    messages,
-    opened,
-    read_points,
-    read_transforms,
-    times_of,
-)
-from flipperctl.ros.topics import Names, Topics
+from flipperctl.ros.reading import Points, Pose, messages, opened, read_points
+from flipperctl.ros.recording import Recording, read_recording
+from flipperctl.ros.topics import Names
 
 _HEADER = "# ground by flipperctl: x y z [m]\n"
 """First line of each file, by which an earlier one is recognised."""
@@ -79,8 +70,8 @@ def convert(
         sizes, skipped = [len(points) for points, _ in scans], 0
         remarks, checks = list[str](), list[dict[str, Any]]()
     else:
-        scans, sizes, skipped, checked = _scans(source, names)
-        remarks, checks = checked.remarks, checked.rows
+        scans, sizes, skipped, recording = _scans(source, names)
+        remarks, checks = recording.remarks, recording.checked.rows
     ahead = robot.reach + _MARGIN
     points = _thinned(_seen(scans, ahead, reach, cell), cell)
     line = _known_line(source, points, scans, ahead)
@@ -161,23 +152,21 @@ def _straightest(places: FloatArray) -> tuple[FloatArray, FloatArray]:
     return best
 
 
-def _scans(source: Path, names: Names) -> tuple[Scans, list[int], int, Checked]:
+def _scans(source: Path, names: Names) -> tuple[Scans, list[int], int, Recording]:
     """Return the clouds of a bag in the frame of the chassis, and what became of its messages.
 
-    That is the number of points of each that is used, the number of those without a pose, and what
-    a reader of the result should know.
+    That is the number of points of each that is used, and the number of those without a pose.
     """
     scans, sizes, count, points = [], Counter[int](), 0, 0
+    recording = read_recording(source, names, clouds_alone=True)
+    transforms, repeated = recording.transforms, recording.checked.repeated
+    topic = recording.used.clouds
     with opened(source) as reader:
-        topic = chosen_topic(source, reader, names.clouds)
-        transforms, times = read_transforms(source, reader), times_of(source, reader, topic)
-        checked = examine(reader, names, transforms, Topics(topic))
-        checked.require(source)
         for number, (*_, message) in enumerate(messages(reader, [topic])):
             count = number + 1
-            if number in checked.repeated:
+            if number in repeated:
                 continue
-            for part in _parts(read_points(f"{source}: {topic}", message, times)):
+            for part in _parts(read_points(f"{source}: {topic}", message, recording.times)):
                 points += len(part.points)
                 pose = transforms.pose(names.fixed, names.base, part.time)
                 mount = transforms.pose(names.base, part.frame, part.time)
@@ -191,10 +180,7 @@ def _scans(source: Path, names: Names) -> tuple[Scans, list[int], int, Checked]:
             f"{source}: none of the {count} clouds of {topic} has a transform to "
             f"{names.fixed!r} at its stamp; is another clock in the stamps?"
         )
-    checked.remarks += [f"{topic}: {remark}" for remark in times.remarks()]
-    checked.remarks += transforms.remarks(names.fixed, names.base)
-    skipped = count - len(sizes) - len(checked.repeated)
-    return scans, [*sizes.values()], skipped, checked
+    return scans, [*sizes.values()], count - len(sizes) - len(repeated), recording
 
 
 def _parts(cloud: Points) -> Iterator[Points]:

@@ -147,12 +147,6 @@ def _pose(recording: Recording, pose: str | None) -> str:
         pose = "true" if missing else "belts"
     if pose != "true" and "attitude" in missing:
         raise RequestError(f"{recording.path}: perception.pose={pose} needs an Imu; there is none")
-    if pose == "true" and not recording.transforms.has(recording.names.base):
-        frames = ", ".join(recording.transforms.frames) or "none"
-        raise RequestError(
-            f"{recording.path}: neither an Imu with belt speeds nor transforms tell where the "
-            f"frame {recording.names.base!r} of the chassis is; frames: {frames}"
-        )
     return pose
 
 

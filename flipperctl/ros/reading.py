@@ -30,8 +30,6 @@ from flipperctl.runtime.point_cloud import PointTimes, read_cloud
 CLOUD, ODOMETRY = "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/Odometry"
 _FRAMES = "tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"
 _STATIC = "tf_static"
-_LISTED = 12
-"""Topics of a bag that an error names [-]."""
 _UNIT = 0.05
 """Most by which the length of a quaternion may differ from 1 [-]."""
 FARTHEST = 0.25
@@ -193,10 +191,20 @@ class Transforms:
         """Return the pose of the frame ``of`` in ``frame``; None if it is unknown at that time.
 
         Of several parents, the one counts that leads to ``frame``; two ways must not differ.
+        A frame needs no transform to itself.
         """
         frame, of = frame.lstrip("/"), of.lstrip("/")
         told: list[tuple[list[_Link], Pose]] = []
-        for up, down in self._ways(frame, of):
+        if not (ways := self._ways(frame, of)):
+            for name in (frame, of):
+                if name not in self.frames:
+                    hint, known = close_match(name, self.frames), ", ".join(self.frames) or "none"
+                    raise RequestError(
+                        f"{self._where}there is no frame {name!r}{hint}; frames with a transform: "
+                        f"{known}"
+                    )
+            raise RequestError(f"{self._where}nothing connects the frames {frame!r} and {of!r}")
+        for up, down in ways:
             ours, theirs = self._along(down, time), self._along(up, time)
             if ours is not None and theirs is not None:
                 told.append(([*up, *down], ours.inverse().after(theirs)))
@@ -214,9 +222,6 @@ class Transforms:
 
     def checked(self, frame: str, of: str) -> tuple[list[Difference], list[float]]:
         """Return what the links between two frames contradict, and the delays of those [s]."""
-        frame, of = frame.lstrip("/"), of.lstrip("/")
-        if frame == of:
-            return [], []
         links = dict.fromkeys(
             link for way in self._ways(frame, of) for part in way for link in part
         )
@@ -224,24 +229,12 @@ class Transforms:
         differences = [one for part, _ in results for one in part]
         return differences, [delay for _, delay in results if delay is not None]
 
-    def on(self, base: str, frame: str, time: float) -> Pose | None:
-        """Return the pose of a device's frame on the chassis, which needs no transform itself."""
-        same = frame.lstrip("/") == base
-        return Pose.none() if same else self.pose(base, frame, time)
-
     def _ways(self, frame: str, of: str) -> list[tuple[list[_Link], list[_Link]]]:
         """Return the links from ``of`` up to a frame above both, and from ``frame`` up to it.
 
         Ways that only climb, or only descend, come before those that do both.
         """
         if (frame, of) not in self._known:
-            for name in (frame, of):
-                if name not in self.frames:
-                    hint, known = close_match(name, self.frames), ", ".join(self.frames) or "none"
-                    raise RequestError(
-                        f"{self._where}there is no frame {name!r}{hint}; frames with a transform: "
-                        f"{known}"
-                    )
             ways = []
             above = list(self._above(frame))
             for up in self._above(of):
@@ -251,8 +244,6 @@ class Transforms:
                     others = {frame, *(parent for _, parent in down)} - {top}
                     if top == (up[-1][1] if up else of) and not others & passed:
                         ways.append((up, down))
-            if not ways:
-                raise RequestError(f"{self._where}nothing connects the frames {frame!r} and {of!r}")
             straight = [way for way in ways if not (way[0] and way[1])]
             self._known[frame, of] = straight or ways
         return self._known[frame, of]
@@ -309,25 +300,22 @@ def read_transforms(path: Path, reader: Any) -> Transforms:
         static = topic.rstrip("/").endswith(_STATIC)
         for one in message.transforms:
             time = None if static else seconds(one.header.stamp)
-            pose = _pose(one.transform.translation, one.transform.rotation)
+            pose = pose_of(one.transform.translation, one.transform.rotation)
             if pose is not None:
                 transforms.add(one.header.frame_id, one.child_frame_id, time, pose, received)
-    topics: dict[str, set[str]] = {}
-    for topic, _, one in odometry:
-        if not transforms.has(one.child_frame_id):
-            topics.setdefault(one.child_frame_id.lstrip("/"), set()).add(topic)
-    for frame, names in topics.items():
-        if len(names) > 1:
+    known = {frame for frame in transforms.frames if transforms.has(frame)}
+    sources: dict[str, str] = {}  # frame → topic of its odometry
+    for topic, received, one in odometry:
+        if (frame := one.child_frame_id.lstrip("/")) in known:
+            continue
+        if (first := sources.setdefault(frame, topic)) != topic:
             raise RequestError(
-                f"{path}: the poses of {frame!r} come from {' and '.join(sorted(names))}, and from "
-                "no transform; a bag with one of them, or with tf, is allowed"
+                f"{path}: the poses of {frame!r} come from {' and '.join(sorted((first, topic)))}, "
+                "and from no transform; a bag with one of them, or with tf, is allowed"
             )
-    for _, received, one in odometry:
-        if one.child_frame_id.lstrip("/") in topics:
-            pose = _pose(one.pose.pose.position, one.pose.pose.orientation)
-            if pose is not None:
-                parent, time = one.header.frame_id, seconds(one.header.stamp)
-                transforms.add(parent, one.child_frame_id, time, pose, received)
+        pose = pose_of(one.pose.pose.position, one.pose.pose.orientation)
+        if pose is not None:
+            transforms.add(one.header.frame_id, frame, seconds(one.header.stamp), pose, received)
     return transforms
 
 
@@ -348,23 +336,6 @@ def opened(path: Path) -> Iterator[Any]:
         )
     with ExitStack() as stack:
         yield Bag(path, stack)
-
-
-def chosen_topic(path: Path, reader: Any, topic: str | None) -> str:
-    """Return the topic of clouds, the only one unless it is named."""
-    kinds = {c.topic: c.msgtype for c in reader.connections}
-    clouds = sorted(name for name, kind in kinds.items() if kind == CLOUD)
-    has = [f"{name} ({kind.replace('/msg/', '/')})" for name, kind in sorted(kinds.items())]
-    more = f" and {len(has) - _LISTED} more" if len(has) > _LISTED else ""
-    held = f"none; the bag has {', '.join(has[:_LISTED]) or 'no message'}{more}"
-    known = ", ".join(clouds) or held
-    if topic is not None and topic not in clouds:
-        hint = close_match(topic, clouds)
-        raise RequestError(f"{path}: no PointCloud2 is on {topic!r}{hint}; topics: {known}")
-    if topic is None and len(clouds) != 1:
-        hint = "; --topic chooses one" if clouds else ""
-        raise RequestError(f"{path}: the PointCloud2 of one topic is needed; topics: {known}{hint}")
-    return topic or clouds[0]
 
 
 def times_of(path: Path, reader: Any, topic: str) -> PointTimes:
@@ -403,7 +374,7 @@ def _read(where: str, message: Any) -> tuple[float, str, Any]:
         raise RequestError(f"{where}: {error}") from error
 
 
-def _pose(place: Any, turn: Any) -> Pose | None:
+def pose_of(place: Any, turn: Any) -> Pose | None:
     """Return a pose; None if it is none, as of a quaternion of zeros, which tf leaves out too."""
     origin, quaternion = np.array([place.x, place.y, place.z]), [turn.x, turn.y, turn.z, turn.w]
     length = float(np.linalg.norm(quaternion))

@@ -32,7 +32,7 @@ from flipperctl.ros.reading import (
     seconds,
     times_of,
 )
-from flipperctl.ros.topics import Names, Topics, found_devices
+from flipperctl.ros.topics import Names, Topics, cloud_topic, found_devices
 from flipperctl.runtime.messages import (
     CONVENTIONS,
     REP_103,
@@ -165,7 +165,7 @@ class Recording:
 
     def _cloud(self, message: Any) -> Cloud:
         read = read_points(f"{self.path}: {self.used.clouds}", message, self.times)
-        mount = self.transforms.on(self.names.base, read.frame, read.time)
+        mount = self.transforms.pose(self.names.base, read.frame, read.time)
         time, ages = read.time, None
         if read.shifts is not None and len(read.shifts):
             # Drivers stamp the beginning or the end of a turn; a cloud of the runtime has its end.
@@ -184,7 +184,7 @@ class Recording:
         turn = np.array([q.x, q.y, q.z, q.w])
         rate = np.array([rates.x, rates.y, rates.z])
         if frame != self.names.base:
-            mount = self.transforms.on(self.names.base, frame, time)
+            mount = self.transforms.pose(self.names.base, frame, time)
             if mount is None:
                 return Attitude(time, frame, 0.0, 0.0, 0.0)  # refused by its frame
             # The chassis in the world is the unit in the world after the chassis in the unit.
@@ -195,18 +195,22 @@ class Recording:
         return Attitude.from_imu(time, self.names.base, (x, y, z, w), about)
 
 
-def read_recording(path: Path, names: Names) -> Recording:
-    """Return what a bag holds; its messages are not read yet."""
+def read_recording(path: Path, names: Names, *, clouds_alone: bool = False) -> Recording:
+    """Return what a bag holds, or its clouds alone; its messages are not read yet."""
     remarks: list[str] = []
     with opened(path) as reader:
-        topics = found_devices(path, reader, names, remarks)
+        topics = (
+            Topics(cloud_topic(path, reader, names))
+            if clouds_alone
+            else found_devices(path, reader, names, remarks)
+        )
         transforms = read_transforms(path, reader)
         times = times_of(path, reader, topics.clouds)
         checked = examine(reader, names, transforms, topics)
         checked.require(path)
         heads = (message.header for *_, message in messages(reader, [topics.clouds]))
         places = (
-            transforms.on(names.base, head.frame_id, seconds(head.stamp)) for head in heads
+            transforms.pose(names.base, head.frame_id, seconds(head.stamp)) for head in heads
         )  # transforms may begin later than the clouds
         mount = next((one for one in places if one is not None), Pose.none())
     remarks += [*checked.remarks, *transforms.remarks(names.fixed, names.base)]

@@ -14,10 +14,10 @@ from flipperctl.errors import RequestError
 from flipperctl.messages import close_match
 from flipperctl.ros.episode import BELTS
 from flipperctl.ros.messages import BASE, JOINTS, ODOM
-from flipperctl.ros.reading import ODOMETRY, chosen_topic, messages
+from flipperctl.ros.reading import CLOUD, ODOMETRY, messages
 
-_LISTED = 8
-"""Joints of a bag that a remark names [-]."""
+_LISTED = 10
+"""Topics or joints of a bag that a remark names [-]."""
 _IMU, _JOINTS, _NUMBER = "sensor_msgs/msg/Imu", "sensor_msgs/msg/JointState", "std_msgs/msg/Float64"
 
 
@@ -63,7 +63,7 @@ class Topics:
 
 def found_devices(path: Path, reader: Any, names: Names, remarks: list[str]) -> Topics:
     """Return the topics of the devices that a bag has; ``remarks`` receives what is missing."""
-    clouds = chosen_topic(path, reader, names.clouds)
+    clouds = cloud_topic(path, reader, names)
     attitude = _only(path, reader, names.imu, (_IMU,), "--imu")
     joints = _joint_topics(reader, names, remarks)
     belts = names.belts
@@ -119,16 +119,26 @@ def _only(
 ) -> str | None:
     """Return the topic, or the only one of these kinds; None if there is none."""
     known = sorted({c.topic for c in reader.connections if c.msgtype in kinds})
-    if topic is not None:
-        if topic not in known:
-            kind = " or ".join(one.rpartition("/")[2] for one in kinds)
-            hint = close_match(topic, known)
-            topics = ", ".join(known) or "none"
-            raise RequestError(f"{path}: no {kind} is on {topic!r}{hint}; topics: {topics}")
+    if topic in known or (topic is None and len(known) < 2):
+        return topic or next(iter(known), None)
+    kind = " or ".join(one.rpartition("/")[2] for one in kinds)
+    problem = f"no {kind} is on {topic!r}{close_match(topic or '', known)}"
+    if topic is None:
+        problem = f"several topics have {kind}; {option} chooses one"
+    raise RequestError(f"{path}: {problem}; topics: {', '.join(known) or 'none'}")
+
+
+def cloud_topic(path: Path, reader: Any, names: Names) -> str:
+    """Return the topic of the clouds, which is needed."""
+    if topic := _only(path, reader, names.clouds, (CLOUD,), "--topic"):
         return topic
-    if len(known) > 1:
-        raise RequestError(f"{path}: {option} chooses one of {', '.join(known)}")
-    return next(iter(known), None)
+    kinds = {c.topic: c.msgtype.replace("/msg/", "/") for c in reader.connections}
+    has = [f"{name} ({kind})" for name, kind in sorted(kinds.items())]
+    more = f" and {len(has) - _LISTED} more" if len(has) > _LISTED else ""
+    raise RequestError(
+        f"{path}: the PointCloud2 of one topic is needed; topics: none; the bag has "
+        f"{', '.join(has[:_LISTED]) or 'no message'}{more}"
+    )
 
 
 def _first(reader: Any, topic: str) -> Any:
