@@ -77,6 +77,11 @@ def _of_actions(online: torch.nn.Module, batch: Batch) -> torch.Tensor:
 _plugins: WeakKeyDictionary[torch.nn.Module, Network] = WeakKeyDictionary()
 
 
+_BUFFERS = {torch.bool, torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64}
+_BUFFERS |= {torch.float16, torch.float32, torch.float64}
+"""Types of a buffer that a checkpoint can hold."""
+
+
 def build_network(network: Network, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
     """Build a network and check it."""
     frames: object = network.frames
@@ -88,10 +93,27 @@ def build_network(network: Network, layout: ObservationLayout, n_actions: int) -
         text = f"must return a torch module; got {type(module).__name__}"
         raise refusal(network, "build", text, ConfigError)
     record_plugin(module, network)
+    _check_state(network, module)
     _separate_memory(network, module)
     with torch.random.fork_rng(devices=[]), torch.no_grad(), _restored_afterwards(module):
         _try(network, module, torch.zeros(2, input_size(network, layout)), n_actions)
     return module
+
+
+def _check_state(network: Network, module: torch.nn.Module) -> None:
+    """Refuse a state that cannot be trained and saved.
+
+    Raises:
+        ConfigError: a parameter is not of float32, or an entry is no tensor of real numbers.
+    """
+    parameters = dict(module.named_parameters())
+    for name, value in module.state_dict().items():
+        allowed = {torch.float32} if name in parameters else _BUFFERS
+        if not isinstance(value, torch.Tensor) or value.dtype not in allowed:
+            what = value.dtype if isinstance(value, torch.Tensor) else type(value).__name__
+            kinds = "float32" if name in parameters else "a tensor of real numbers, as numpy has"
+            text = f"gives {name!r} as {what}; {kinds} is allowed"
+            raise refusal(network, "build", text, ConfigError)
 
 
 def _separate_memory(network: Network, module: torch.nn.Module) -> None:

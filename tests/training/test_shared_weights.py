@@ -27,7 +27,8 @@ class Net(nn.Module):
         self.register_buffer("factor", torch.ones(()))
 
     def forward(self, rows: torch.Tensor) -> torch.Tensor:
-        return self.last(torch.tanh(self.second(torch.tanh(self.first(rows))))) * self.factor
+        hidden = torch.tanh(self.first(rows)).to(self.second.weight.dtype)
+        return self.last(torch.tanh(self.second(hidden)).float()) * self.factor
 
 
 def alias(net: Net) -> None:
@@ -129,4 +130,23 @@ def test_frozen_weights_stay(learner: str, tmp_path: Path) -> None:
 @pytest.mark.usefixtures("registry")
 def test_two_tensors_of_one_memory_are_refused_by_name(change: Change, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"second\.weight.* the same memory; to tie weights"):
+        run(change, tmp_path, "d3qn")
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        (lambda net: net.second.double(), r"'second.weight' as torch.float64; float32 is allowed"),
+        (lambda net: net.register_buffer("wave", torch.ones(2) * 1j), "'wave' as torch.complex64"),
+        (
+            lambda net: net.register_buffer("short", torch.ones(2).bfloat16()),
+            "'short' as torch.bfloat16",
+        ),
+    ],
+)
+@pytest.mark.usefixtures("registry")
+def test_a_state_that_cannot_be_trained_and_saved_is_refused(
+    change: Change, text: str, tmp_path: Path
+) -> None:
+    with pytest.raises(ConfigError, match=text):
         run(change, tmp_path, "d3qn")
