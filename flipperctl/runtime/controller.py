@@ -255,15 +255,16 @@ class FlipperController:
 
     def _motion_fault(self, now: float, joints: Joints) -> Fault | None:
         """Compare the new angles with the commands; after a fault, hold the flippers there."""
-        if self._targets is None or self._held:
+        if self._held:
             return None
-        sides = self._intake.sides or ((joints.front,), (joints.rear,))
-        pairs = zip(self._motions.values(), self._targets, sides, strict=False)
+        targets = self._targets or (None, None)
+        pairs = zip(self._motions.values(), targets, self._intake.sides, strict=False)
         faults = [motion.compare(now, target, angles) for motion, target, angles in pairs]
         fault = next((fault for fault in faults if fault is not None), None)
         if fault is not None:
             self._stall = fault, now + self._limits.stall_hold
-            self._hold(joints, faults)
+            if self._targets is not None:
+                self._hold(joints, faults)
         return fault
 
     def _stall_fault(self, now: float) -> Fault | None:
@@ -286,6 +287,12 @@ class FlipperController:
         if covered < least:
             text = f"ground was seen in {covered:.0%} of the bins; {least:.0%} or more is allowed"
             self._undecided = Fault("coverage", text, gap=True)
+            self._states.update(now, self._undecided)
+            return None
+        pairs = zip(self._motions.values(), self._intake.sides, strict=False)
+        unlike = [fault for motion, pair in pairs if (fault := motion.unlike(pair))]
+        if unlike:
+            self._undecided = unlike[0]
             self._states.update(now, self._undecided)
             return None
         measured = front, rear = angles.front, angles.rear

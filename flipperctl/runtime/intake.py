@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from flipperctl.core.crosschecks import Tilts, exceeds
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Scan
+from flipperctl.core.targets import JOINTS
 from flipperctl.runtime.messages import (
     ABSENT,
     KINDS,
@@ -33,6 +34,8 @@ _LONGEST_TURN = 1.0
 """Largest age of a point at the time of its cloud; those of other ages are left out [s]."""
 _STEEPEST = 1e-3
 """Least square of the cosine of the tilt with which a turn is told [-]."""
+_LARGEST_ANGLE = 1e4
+"""Largest angle of a joint that is a number at all [rad]."""
 _FASTEST_TURN, _FASTEST = 20.0, 5.0
 """Largest plausible yaw rate [rad/s] and belt speed [m/s]; beyond it the unit is wrong."""
 
@@ -65,8 +68,8 @@ class Intake:
         self._turn, self._jitter = np.zeros(2), 0  # the last change of an attitude; see _JITTER
         self._speed = math.inf  # of the belts, as long as it is unknown [m/s]
         self.joints: Joints | None = None
-        self.sides: tuple[tuple[float, ...], tuple[float, ...]] | None = None
-        """Angles of each joint of the front and of the rear flippers, if they were told."""
+        self.sides: list[list[float]] = []
+        """Angles of each joint of the front and of the rear flippers, or of the pairs [rad]."""
         self.inertial: Inertial | None = None
 
     @property
@@ -152,6 +155,19 @@ class Intake:
             text = f"{device} is {now - time:.2f} s old; at most {limit:g} s is allowed"
             text += ": all its numbers repeat" if device in self._repeats else ""
             return Fault(f"{device}_age", text, gap=True)
+        return self._joints_fault() or self._tilt_fault()
+
+    def _joints_fault(self) -> Fault | None:
+        """Return what is wrong with angles that count, so that their motion is compared first."""
+        largest = max((abs(angle) for pair in self.sides for angle in pair), default=0.0)
+        if largest > math.pi:
+            text = f"joints have an angle of {largest:.3g} rad; at most {math.pi:.3g} is allowed"
+            return Fault("joints_value", text)
+        apart = max((max(pair) - min(pair) for pair in self.sides), default=0.0)
+        text = exceeds("joints_pair", apart)
+        return Fault("joints_pair", text) if text else None
+
+    def _tilt_fault(self) -> Fault | None:
         tilted = self.inertial
         if tilted is not None and max(abs(tilted.roll), abs(tilted.pitch)) > self._limits.tilt:
             return Fault(
@@ -183,24 +199,12 @@ class Intake:
             return time, self._attitude(time, message)
         signs = self._setup.signs
         if isinstance(message, JointAngles):
-            front = _number(device, "front", message.front, math.pi)
-            rear = _number(device, "rear", message.rear, math.pi)
-            self.sides = None if message.sides is None else self._all_joints(message.sides)
-            return time, Joints(signs.front * front, signs.rear * rear)
+            factors = signs.front, signs.rear
+            means = [_number(device, n, getattr(message, n), _LARGEST_ANGLE) for n in JOINTS]
+            sides = [[a] for a in means] if message.sides is None else _all_joints(message.sides)
+            self.sides = [[s * a for a in p] for s, p in zip(factors, sides, strict=True)]
+            return time, Joints(*(s * a for s, a in zip(factors, means, strict=True)))
         return time, Belts(signs.x * _number(device, "speed", message.speed, _FASTEST))
-
-    def _all_joints(self, sides: Any) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Return the angles of each joint in our signs; refuse those whose mean says nothing."""
-        try:
-            front, rear = ([_number("joints", "sides", a, math.pi) for a in pair] for pair in sides)
-            apart = max(max(pair) - min(pair) for pair in (front, rear))
-        except (TypeError, ValueError):
-            allowed = "the angles of both pairs"
-            raise _refusal("joints", "value", f"has sides {str(sides)[:40]}", allowed) from None
-        if text := exceeds("joints_pair", apart):
-            raise _RefusedError(Fault("joints_pair", text))
-        signs = self._setup.signs
-        return tuple(signs.front * a for a in front), tuple(signs.rear * a for a in rear)
 
     def _check_posture(self, time: float) -> None:
         """Refuse a cloud whose points would enter the map with another posture than the robot's."""
@@ -273,6 +277,17 @@ def _refusal(
 ) -> _RefusedError:
     text = f"{device} {found}; {allowed} is allowed"
     return _RefusedError(Fault(f"{device}_{name}", text, gap=gap))
+
+
+def _all_joints(sides: Any) -> list[list[float]]:
+    """Return the angles of each joint of both pairs."""
+    try:
+        front, rear = ([_number("joints", "sides", a, _LARGEST_ANGLE) for a in p] for p in sides)
+    except (TypeError, ValueError):
+        front = rear = []
+    if front and rear:
+        return [front, rear]
+    raise _refusal("joints", "value", f"has sides {str(sides)[:40]}", "the angles of both pairs")
 
 
 def _check_frame(device: str, found: object, allowed: str) -> None:

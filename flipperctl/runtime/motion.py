@@ -19,8 +19,13 @@ _MOVED = 0.01
 """Motion that is no noise, and in a command that is no rest [rad]."""
 _ENOUGH = 0.4
 """Part of a step after which a turn is judged: half a decision's, less rounding [-]."""
-_UNITS = 4.0
-"""Factor between measured and commanded motion from which the unit differs, not the speed [-]."""
+_APART = 0.15
+"""Largest difference of left and right joints, which one command would turn together [rad]."""
+_JUMP, _FASTER = 0.1, 8.0
+"""Step of two measured angles [rad], and its speed per that of the flippers [-], from which the
+unit is wrong: that of degrees is 57 times as fast, or noisy."""
+_AGAIN = 1.0
+"""Time between two of these without a command that tell the same [s]."""
 
 
 class PairMotion:
@@ -45,6 +50,8 @@ class PairMotion:
         self._slow = 0  # turns in succession that were too slow
         self._commands: deque[tuple[float, float, float]] = deque()  # time, angle, its target
         self._angles: deque[tuple[float, tuple[float, ...]]] = deque()  # time and measured ones
+        self._last: tuple[float, tuple[float, ...]] | None = None  # time and measured angles
+        self._jumped = -math.inf  # when an angle last stepped faster than flippers turn [s]
         self.begin()
 
     def begin(self) -> None:
@@ -54,7 +61,15 @@ class PairMotion:
         self._begun: float | None = None  # time of the first command
         self._missed: float | None = None  # since when it has been behind
         self._turn: tuple[float, float, float] | None = None  # way, command and angle at its start
-        self._judged, self._ratio = False, 1.0
+        self._judged, self._mirrored = False, False
+
+    def unlike(self, angles: Sequence[float]) -> Fault | None:
+        """Return a fault if the first command would turn joints of the pair that differ [rad]."""
+        apart = max(angles) - min(angles)
+        if self.obeys or apart <= _APART:
+            return None
+        text = f"the {self._name} joints differ by {apart:.2f} rad; {_APART:g} is allowed at first"
+        return Fault("joints_pair", text, gap=True)
 
     def probes(self, now: float) -> bool:
         """Return whether the command must stay where it is, to see whether the pair does."""
@@ -77,13 +92,14 @@ class PairMotion:
             self._commands.popleft()
         return target
 
-    def compare(self, now: float, target: float, angles: Sequence[float]) -> Fault | None:
+    def compare(self, now: float, target: float | None, angles: Sequence[float]) -> Fault | None:
         """Return what is wrong by the measured angles, of the pair or of its left and right [rad].
 
-        ``target``: where the command goes [rad].
+        ``target``: where the command goes [rad]; None: nothing is commanded.
         """
-        if not self._commands:
-            return None
+        fault = self._jumps(now, target is not None, tuple(angles))
+        if fault is not None or target is None or not self._commands:
+            return fault
         if self._angles and len(self._angles[-1][1]) != len(angles):
             self._angles.clear()  # left and right are measured now and then
         self._angles.append((now, tuple(angles)))
@@ -95,17 +111,35 @@ class PairMotion:
         """Return where the pair is by its commands, after a fault of its motion [rad]."""
         if self.obeys or not self._commands:
             return self._commands[-1][1] if self._commands else measured
-        return measured / (math.copysign(1.0, self._ratio) * self._scale)
+        if self._last is not None and self._last[0] - self._jumped < _AGAIN:
+            return 0.0  # in degrees, all that is measured within π is near 0
+        return -measured if self._mirrored else measured
 
-    @property
-    def _scale(self) -> float:
-        return abs(self._ratio) if abs(self._ratio) > _UNITS else 1.0
+    def _jumps(self, now: float, told: bool, angles: tuple[float, ...]) -> Fault | None:
+        """Compare steps of the angles with the speed of the flippers, until the pair has obeyed.
+
+        ``told``: whether it is commanded; otherwise a single step may be that of an operator.
+        """
+        last, self._last = self._last, (now, angles)
+        if self.obeys or last is None or len(last[1]) != len(angles):
+            return None
+        steps = [math.remainder(b - a, math.tau) for a, b in zip(last[1], angles, strict=True)]
+        passed, most = now - last[0], max(map(abs, steps))
+        if most <= max(_JUMP, _FASTER * self._speed * passed):
+            return None
+        before, self._jumped = self._jumped, now
+        if not told and now - before > _AGAIN:
+            return None
+        text = (
+            f"the {self._name} flippers were measured to turn by {most:.2f} rad in {passed:.3f} s"
+        )
+        return Fault("motion_scale", text, at_once=True, strike=True)
 
     def _deviates(self, now: float) -> Fault | None:
         """Compare the range of the commands with the motion out of it."""
         low = min(min(angle, target) for _, angle, target in self._commands)
         high = max(max(angle, target) for _, angle, target in self._commands)
-        (then, before), (_, after) = self._angles[0], self._angles[-1]
+        before, after = self._angles[0][1], self._angles[-1][1]
         previous = self._angles[-2][1] if len(self._angles) > 1 else after
         # Two samples, for the noise; the left and the right joint may rest at other angles.
         moved = [(a + b) / 2 - c for a, b, c in zip(after, previous, before, strict=True)]
@@ -115,16 +149,12 @@ class PairMotion:
         wrong = [m for m, out in zip(moved, outside, strict=True) if out > limit]
         turned = self._commands[-1][1] - self._commands[0][1]
         most = max(wrong or moved, key=abs)
-        if abs(most) < _MOVED:
-            self._ratio = 1.0
-        elif abs(turned) > _MOVED:
-            self._ratio = most / turned
-        else:  # it was to stay, and turns towards a command that is elsewhere
-            passed = max(now - then, 1e-3) * min(self._speed, 1e3)
-            self._ratio = math.copysign(1.0, start) * most / passed
+        # One that was to stay, and turns, goes towards a command that is elsewhere.
+        expected = turned if abs(turned) > _MOVED else start
+        self._mirrored = abs(most) > _DEVIATION / 2 and most * expected < 0
         if not wrong:
             return None
-        kind = "sign" if self._ratio < 0 else "scale"
+        kind = "sign" if self._mirrored else "scale"
         if len(moved) > len(wrong) or min(wrong) < 0 < max(wrong):
             kind = "sides"
         told = f"by {turned:+.2f} rad" if abs(turned) > _MOVED else "to stay"

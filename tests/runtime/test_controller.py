@@ -122,7 +122,7 @@ def told(m: Measured) -> object:
         ({"attitude": Attitude(1.1, "base_link", 0, math.nan, 0)}, "attitude_value", 0.15),
         ({"attitude": Attitude(1.1, "odom", 0, 0, 0)}, "attitude_frame", 0.15),
         ({"attitude": Attitude(1.1, np.zeros(3), 0, 0, 0)}, "attitude_frame", 0.15),
-        ({"joints": JointAngles(1.1, 57.0, 0.2)}, "joints_value", 0.25),
+        ({"joints": JointAngles(1.1, 0.1, math.inf)}, "joints_value", 0.25),
         ({"joints": 0.3}, "joints_kind", 0.25),
     ],
 )
