@@ -39,6 +39,9 @@ class Check:
 
 
 CHECKS = (
+    Check("attitude_absent", "share without", "attitude", "messages", "1", 0.0, 0.99,
+          "a unit that tells no orientation (its covariance or quaternion says so), to which a "
+          "filter such as imu_filter_madgwick adds an orientation, or one that sent nothing"),
     Check("attitude_poses", "change of tilt", "attitude", "recorded poses", "rad", 0.08, 0.14,
           "an orientation that is never set, frozen or a heading alone, NED or another sign, or a "
           "mounting that is not in tf"),

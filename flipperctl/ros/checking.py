@@ -22,7 +22,7 @@ from flipperctl.core.crosschecks import Difference, Peak, compared
 from flipperctl.errors import RequestError
 from flipperctl.ros.reading import Pose, Transforms, messages, pose_of, seconds
 from flipperctl.ros.topics import Names, Topics
-from flipperctl.runtime.messages import ABSENT, NewestJoints
+from flipperctl.runtime.messages import NewestJoints
 
 _PERIOD = 0.1
 """Time between two poses that are compared with other measurements [s]."""
@@ -156,7 +156,7 @@ def examine(reader: Any, names: Names, transforms: Transforms, topics: Topics) -
     largest = crosschecks.largest(differences)
     begun = min((float(rows[:, 1].min()) for rows in stamps.values()), default=0.0)
     checked = Checked(topics, largest, begun=begun, repeated=frozenset(repeated))
-    _judge(checked, heard)
+    _judge(checked)
     if abs(usual) > _OTHER_CLOCK:
         checked.by_stamps = True
         checked.remarks.append(
@@ -198,8 +198,10 @@ def _attitude(
     heard: _Heard, topics: Topics, names: Names, transforms: Transforms
 ) -> list[Difference]:
     """Compare the attitudes with poses, gravity and turn rates."""
-    if topics.attitude is None or not heard.units:
+    if topics.attitude is None:
         return []
+    if not heard.units:
+        return compared(topics.attitude, attitude_absent=Peak(1.0))
     times = np.array([row[0] for row in heard.units])
     ups, rates, pushes = (np.array([row[i] for row in heard.units]) for i in (2, 3, 4))
     changes, by_rates = crosschecks.Tilts(), Peak(0.0)
@@ -211,24 +213,21 @@ def _attitude(
     middle = np.array([times[one].mean() for one in groups])
     up, push = (np.array([rows[one].mean(axis=0) for one in groups]) for rows in (ups, pushes))
     peaks = {
+        "attitude_absent": Peak(1 - float(np.mean(np.isfinite(ups).all(axis=1)))),
         "attitude_rates": by_rates,
         "attitude_gravity": crosschecks.by_gravity(middle, up, push),
         "attitude_return": _returns(times, ups),
     }
-    sampled, verticals, turns = [], [], []
     wanted = set(_spread(times))
-    for time, frame, vertical, *_ in heard.units:
-        if time not in wanted:
-            continue
-        pose = _pose(transforms, names.fixed, names.base, time)
-        mount = _pose(transforms, names.base, frame, time)
-        if pose is not None and mount is not None:
-            sampled.append(time)
-            verticals.append(mount.directions(vertical[None])[0])
-            turns.append(pose.turn)
+    sampled = [
+        (time, mount.directions(vertical[None])[0], Rotation.from_quat(pose.turn).as_matrix())
+        for time, frame, vertical, *_ in heard.units
+        if time in wanted
+        and (pose := _pose(transforms, names.fixed, names.base, time))
+        and (mount := _pose(transforms, names.base, frame, time))
+    ]
     if sampled:
-        chassis = Rotation.from_quat(turns).as_matrix()
-        peaks |= crosschecks.by_poses(np.array(sampled), np.array(verticals), chassis)
+        peaks |= crosschecks.by_poses(*map(np.array, zip(*sampled, strict=True)))
     return compared(topics.attitude, **peaks)
 
 
@@ -239,19 +238,9 @@ def _returns(times: FloatArray, ups: FloatArray) -> Peak | None:
     return crosschecks.by_steps(times[known], ups[known], level).get("transforms_return")
 
 
-def _judge(checked: Checked, heard: _Heard) -> None:
+def _judge(checked: Checked) -> None:
     """Leave out the devices that are contradicted, and say so."""
-    lost = sum(not np.isfinite(row[2]).all() for row in heard.units)
     topics = checked.topics
-    if topics.attitude is not None and lost == len(heard.units):
-        why = "it has no message"
-        if lost:
-            why = f"it tells no orientation (its covariance or quaternion says so); {ABSENT}"
-        checked.remarks.append(f"{topics.attitude} is not used: {why}")
-        topics = replace(topics, attitude=None)
-    elif lost:
-        part = f"{lost} of {len(heard.units)} messages"
-        checked.remarks.append(f"{topics.attitude}: {part} tell no orientation; {ABSENT}")
     for one in checked.differences:
         device, sentence = one.check.name.partition("_")[0], one.sentence(checked.begun)
         if one.verdict == "ok":
