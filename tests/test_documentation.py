@@ -248,8 +248,8 @@ def run(command: list[str], folder: Path) -> None:
 
 
 def test_the_python_examples_run(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    def ran(word: str) -> dict[str, Any]:
-        names: dict[str, Any] = {}
+    def ran(word: str, **names_before: Any) -> dict[str, Any]:
+        names: dict[str, Any] = dict(names_before)
         with contextlib.chdir(folder):
             exec(example(word), names)
         return names
@@ -267,6 +267,8 @@ def test_the_python_examples_run(folder: Path, capsys: pytest.CaptureFixture[str
     assert all(abs(angle) <= math.pi / 6 + 1e-9 for angle in names["targets"])
     answer = ran("RobotSetup(")["answer"]
     assert (answer.state, answer.action is None) == ("driving", False)
+    names = ran("CommandWatch()", answer=answer, now=answer.time)
+    assert (names["speed"], names["stopped"]) == (0.2, True)
     out = capsys.readouterr().out
     assert "theta_R rad L pitch, nose up positive" in out
     assert "driving" in out
@@ -276,7 +278,7 @@ def test_every_python_example_is_tried() -> None:
     assert [command for command in LAUNCHED if command not in commands()] == []
     library = ("flipperctl.train", "flipperctl.load", "flipperctl.plot")  # tests of their own
     tried = *library, "mound.npy", "rgb_array", 'OnnxPolicy("stair.onnx")', "class StandIn"
-    tried += "Conformance", "RobotSetup(", "action_space.sample"
+    tried += "Conformance", "RobotSetup(", "CommandWatch()", "action_space.sample"
     others = set(blocks("python")) - set(saved().values()) - {example(word) for word in tried}
     others -= set(blocks("python", OWN_METHOD.read_text()))  # tests/test_own_method.py
     assert others == set()
