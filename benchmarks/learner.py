@@ -19,7 +19,6 @@ import numpy as np
 import torch
 
 from benchmarks.settings import Benchmark, ratio
-from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.replay import Replay
 from flipperctl.api import ACTIONS
@@ -28,6 +27,8 @@ from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.privileged import SIZE
 from flipperctl.errors import RequestError
+from flipperctl.learners import D3qn
+from flipperctl.learners.double_q import DoubleQ
 from flipperctl.policies.controllers import FunctionPolicy
 from flipperctl.rollout.episode import steps, training_seed
 
@@ -55,10 +56,10 @@ def measure(bench: Benchmark, rivals: Rivals = lambda *_: {}) -> dict[str, Any]:
     ``rivals`` take turns with flipperctl's learner.
     """
     s, config = bench.settings, bench.config
-    if config.agent.is_policy_gradient:
+    if not isinstance(config.agent, D3qn):
         raise RequestError(
-            f"learner: agent.learner={config.agent.learner} has updates of whole rounds; the "
-            "gradient steps of a double DQN alone are timed"
+            f"learner: agent={config.agent.plugin_name} has other updates; the gradient steps of "
+            "a double DQN alone are timed"
         )
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -96,7 +97,7 @@ def measure(bench: Benchmark, rivals: Rivals = lambda *_: {}) -> dict[str, Any]:
 def fill(config: TrainConfig, count: int, seed: int) -> Replay:
     """Return a replay with ``count`` one-step transitions of a random policy."""
     size = input_size(config.network, config.perception)
-    privileged = config.learns_privileged_value
+    privileged = config.agent.privileged(config)
     replay = Replay(count, size, 1, config.agent.gamma, privileged=SIZE if privileged else 0)
     rng, number = np.random.default_rng(seed), itertools.count()
     env = FlipperEnv(config=config.environment())
@@ -105,6 +106,7 @@ def fill(config: TrainConfig, count: int, seed: int) -> Replay:
         seed_of_one = training_seed(seed, next(number))
         frames = config.network.frames
         for step in steps(env, policy, seed_of_one, frames=frames, privileged=privileged):
+            assert isinstance(step.action, int)  # of turns
             replay.add(
                 step.observation,
                 step.action,
@@ -122,12 +124,13 @@ def fill(config: TrainConfig, count: int, seed: int) -> Replay:
 
 def contestant(config: TrainConfig, replay: Replay, batch_size: int, seed: int) -> Contestant:
     """Return flipperctl's learner on the configuration's device."""
+    assert isinstance(config.agent, D3qn)
     settings = config.agent.model_copy(update={"batch_size": batch_size})
-    agent = D3qn(
+    agent = DoubleQ(
         *(config.network, config.perception, settings),
         seed=seed,
         device=config.device,
-        privileged=SIZE if config.learns_privileged_value else 0,
+        privileged=SIZE if config.agent.privileged(config) else 0,
     )
     rng = np.random.default_rng(seed)
     rows = agent.candidates * settings.updates_together * batch_size

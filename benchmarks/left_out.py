@@ -21,7 +21,7 @@ import argparse
 import re
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -33,13 +33,11 @@ from numpy.typing import NDArray
 import flipperctl
 from flipperctl import entry, plugins
 from flipperctl.agent.risk import RiskNetwork, risk_loss
-from flipperctl.api import FloatArray
+from flipperctl.api import FailureRisk, FloatArray
 from flipperctl.checkpoint import Checkpoint, read_policy, shipped_policies, write
-from flipperctl.config import Agent
 from flipperctl.core.risk import (
     LAGS,
     EpisodeRisk,
-    EscapeRule,
     Place,
     RiskCalibration,
     RiskSign,
@@ -132,7 +130,10 @@ def seen(
     config = checkpoint.policy_config()
     env: Any = flipperctl.environment(terrain=kind, conditions=conditions).unwrapped
     watch: Any = _Watch(float(draws))
-    rule = EscapeRule(config.agent.escape_temperature, 1)
+    risk = config.agent.failure_risk
+    assert risk is not None  # of a checkpoint with a risk
+    assert risk.escape is not None
+    rule = replace(risk.escape, decisions=1)
     policy = TrainedPolicy(policy_module(checkpoint), config.network.frames, watch, rule)
     for seed in seeds:
         row = play(env, policy, seed)
@@ -160,13 +161,13 @@ def learnt(episodes: Sequence[Seen], horizon: int, seed: int) -> RiskNetwork:
 
 
 def calibration(
-    told: Sequence[tuple[RiskNetwork, Sequence[Seen]]], agent: Agent
+    told: Sequence[tuple[RiskNetwork, Sequence[Seen]]], agent: FailureRisk
 ) -> tuple[RiskCalibration, dict[str, float]]:
     """Return the calibration of networks on episodes that each of them has not learnt from.
 
     Its metrics come with it, as a validation holds them.
     """
-    sign = RiskSign(agent.risk_horizon, 1.0)
+    sign = RiskSign(agent.horizon, 1.0)
     rows = [
         {
             "outcome": "stuck" if episode.failed else "reached",
@@ -194,7 +195,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     plugins.load([])
     checkpoint = read_policy(shipped_policies().get(options.policy, Path(options.policy)))
     config = checkpoint.policy_config()
-    agent = config.agent.model_copy(update={"risk_false_alarms": options.alarms})
+    risk = config.agent.failure_risk
+    assert risk is not None  # of a checkpoint with a risk
+    agent = replace(risk, false_alarms=options.alarms)
     learning, testing = list[Seen](), list[Seen]()
     for kind in (kind for kinds in GROUPS.values() for kind in kinds):
         for part, into in enumerate((testing, learning, learning)):
@@ -221,7 +224,7 @@ def save(
 
 
 def show(
-    learning: Sequence[Seen], testing: Sequence[Seen], agent: Agent, stride: float
+    learning: Sequence[Seen], testing: Sequence[Seen], agent: FailureRisk, stride: float
 ) -> tuple[RiskNetwork, dict[str, float]]:
     """Train the networks and print the table; ``stride``: way of the belts in a decision [m].
 
@@ -232,7 +235,7 @@ def show(
     @cache
     def without(groups: frozenset[str]) -> RiskNetwork:
         left = [kind for group in groups for kind in GROUPS[group]]
-        return learnt([e for e in learning if e.kind not in left], agent.risk_horizon, 0)
+        return learnt([e for e in learning if e.kind not in left], agent.horizon, 0)
 
     known = without(frozenset())
     usual, _ = calibration([(known, testing)], agent)

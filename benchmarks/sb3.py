@@ -23,9 +23,9 @@ from flipperctl.agent.replay import Replay
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.rows import reached
+from flipperctl.learners.sb3_run import Scaled
 from flipperctl.policies.trained import TrainedPolicy
 from flipperctl.rollout.episode import play, validation_seed
-from flipperctl.training.sb3 import Scaled
 
 SETTINGS: Mapping[str, Any] = {
     "net_arch": (128, 128),

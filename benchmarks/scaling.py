@@ -14,12 +14,13 @@ import numpy as np
 import torch
 
 from benchmarks.settings import Benchmark, ratio
-from flipperctl.agent.d3qn import D3qn
-from flipperctl.agent.learner import arrays
+from flipperctl.agent.risk import weights_of
 from flipperctl.bench import measure_in_turn, quantity
 from flipperctl.config import RayCollector, TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError
+from flipperctl.learners import D3qn
+from flipperctl.learners.double_q import DoubleQ
 from flipperctl.policies.trained import ExploringPolicy
 from flipperctl.rollout.cluster import LOCAL, QUIET, is_connected, join
 from flipperctl.rollout.collect import RayWorkers, RolloutWorkers
@@ -35,7 +36,8 @@ Collect = Callable[[int], int]
 
 def in_process(config: TrainConfig) -> Collect:
     """Return the reference: one environment and one agent in this process, as in the trainer."""
-    agent = D3qn(config.network, config.perception, config.agent, seed=config.seed)
+    assert isinstance(config.agent, D3qn)
+    agent = DoubleQ(config.network, config.perception, config.agent, seed=config.seed)
     env, rng = FlipperEnv(config=config.environment()), np.random.default_rng(config.seed)
     frames = config.network.frames
     policy = ExploringPolicy(agent.online, frames, lambda: EPSILON, rng, agent.noise_rng)
@@ -49,8 +51,9 @@ def in_process(config: TrainConfig) -> Collect:
 
 def by_workers(config: TrainConfig, workers: RolloutWorkers) -> Collect:
     """Return a collector whose workers play with the weights of an untrained network."""
-    agent = D3qn(config.network, config.perception, config.agent, seed=config.seed)
-    weights, numbers = arrays(agent.online), itertools.count(1)
+    assert isinstance(config.agent, D3qn)
+    agent = DoubleQ(config.network, config.perception, config.agent, seed=config.seed)
+    weights, numbers = weights_of(agent.online), itertools.count(1)
 
     def collect(decisions: int) -> int:
         """Play whole episodes, all of which end before this returns, so that no worker waits."""
@@ -59,7 +62,7 @@ def by_workers(config: TrainConfig, workers: RolloutWorkers) -> Collect:
             while done < decisions and len(workers.outstanding()) < workers.capacity:
                 number = next(numbers)
                 seed = training_seed(config.seed, number)
-                workers.send(RolloutRequest(number, seed, EPSILON, 0, 0, weights))
+                workers.send(RolloutRequest(number, seed, 0, 0, weights))
             _, played = workers.take(lambda: False) or (None, None)
             done += 0 if played is None else len(played)
         return done
@@ -89,7 +92,7 @@ def measure(bench: Benchmark) -> dict[str, Any]:
     clocks: dict[str, Callable[[], float]] = {}
     with ExitStack() as started:
         started.callback(torch.set_num_threads, threads)
-        if config.teacher.controller is None and not config.agent.is_policy_gradient:
+        if config.teacher.controller is None and isinstance(config.agent, D3qn):
             clocks["in_process.1"] = _clock(in_process(config), s.decisions)
         try:
             for kind, count in itertools.product(("processes", "ray"), counts):

@@ -19,11 +19,12 @@ import torch
 from benchmarks import learner
 from benchmarks.learner import Contestant
 from benchmarks.settings import MISSING, Benchmark, ratio
-from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.replay import Replay
 from flipperctl.api import ACTIONS
 from flipperctl.config import TrainConfig
+from flipperctl.learners import D3qn
+from flipperctl.learners.double_q import DoubleQ
 
 ABOUT = (
     "sample, gradient step and soft target update of our agent against Stable-Baselines3's DQN, "
@@ -50,7 +51,8 @@ def rivals(
     """Return Stable-Baselines3's DQN, unchanged and with torch's fused Adam."""
     from benchmarks import sb3
 
-    agent = D3qn(config.network, config.perception, config.agent, seed=seed)
+    assert isinstance(config.agent, D3qn)  # which the benchmark of learners has checked
+    agent = DoubleQ(config.network, config.perception, config.agent, seed=seed)
     wanted = sum(p.numel() for p in agent.online.parameters())
     layers = hidden_layers(agent.online, input_size(config.network, config.perception))
     width = equal_width(wanted, config.perception.size, len(ACTIONS), layers)

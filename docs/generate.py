@@ -34,6 +34,7 @@ HEADINGS: Mapping[str, str] = {
     "terrain": "Terrains",
     "reward": "Reward terms",
     "network": "Networks",
+    "agent": "Learners",
     "controller": "Controllers",
     "sim": "Engines",
     "perception": "Sensors",

@@ -75,8 +75,6 @@ COSTLY = {
     "network.quantiles": 64,
     **dict.fromkeys(("terrain.steps", "terrain.blocks", "terrain.obstacles"), 8),
     "teacher.final_updates": 8,
-    "agent.policy_gradient.decisions": 40,
-    "agent.policy_gradient.passes": 3,
     "teacher.controller.budget": 2000,
     "teacher.controller.width": 20,
     "teacher.controller.beam": 16,
@@ -87,8 +85,14 @@ COSTLY = {
 """Settings drawn up to a smaller value than their own, since more would only take longer."""
 DEAREST = 300
 """Largest number drawn for a setting without an upper bound."""
-SECTIONS = ("robot", "episode", "agent", "train", "eval", "teacher")
-GROUPS = {"terrain": "terrain", "network": "network", "sim": "sim", "perception": "perception"}
+SECTIONS = ("robot", "episode", "train", "eval", "teacher")
+GROUPS = {
+    "terrain": "terrain",
+    "network": "network",
+    "agent": "agent",
+    "sim": "sim",
+    "perception": "perception",
+}
 """Section with one plugin → the plugin's kind."""
 
 

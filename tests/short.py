@@ -6,7 +6,7 @@ from flipperctl import checkpoint
 from flipperctl.config import TrainConfig, with_overrides
 from flipperctl.training.trainer import Trainer
 
-SHORT = {
+SHORT: dict[str, object] = {
     "train.decisions": 600,
     "train.validate_every": 300,
     "train.validation_episodes": 3,
@@ -17,14 +17,18 @@ SHORT = {
 
 
 def short_config(**more: object) -> TrainConfig:
-    """600 decisions on steps."""
+    """600 decisions on steps; a learner that is named has its own settings alone."""
     base = TrainConfig(terrain="step", network="at_d3qn", seed=7)
-    return with_overrides(base, {**SHORT, **more})
+    return with_overrides(base, {**_of_learner(SHORT, more), **more})
+
+
+def _of_learner(short: dict[str, object], more: dict[str, object]) -> dict[str, object]:
+    return {k: v for k, v in short.items() if "agent" not in more or not k.startswith("agent.")}
 
 
 def few(**more: object) -> TrainConfig:
     """300 decisions on steps, with two short validations."""
-    less = {
+    less: dict[str, object] = {
         "train.decisions": 300,
         "train.validate_every": 150,
         "train.validation_episodes": 2,
@@ -32,7 +36,7 @@ def few(**more: object) -> TrainConfig:
         "agent.epsilon_decisions": 200,
         "agent.batch_size": 32,
     }
-    return short_config(**{**less, **more})
+    return short_config(**{**_of_learner(less, more), **more})
 
 
 def trainer(config: TrainConfig, folder: Path) -> Trainer:

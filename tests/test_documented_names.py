@@ -87,9 +87,9 @@ def test_every_setting_that_is_named_exists() -> None:
         path = path.removeprefix("teacher.") if path.startswith("teacher.controller.") else path
         if path.startswith(("randomise.sim.", "randomise.robot.", "randomise.perception.")):
             path = path.removeprefix("randomise.")  # a setting by its path
-        if path.startswith("method.settings."):  # arguments of DQN or TD3
+        if path.startswith("agent.settings."):  # arguments of DQN or TD3
             arguments = {*signature(DQN).parameters, *signature(TD3).parameters}
-            path = "method.settings" if path.split(".")[2] in arguments else path
+            path = "agent.settings" if path.split(".")[2] in arguments else path
         own = re.search(rf"^    {path.rpartition('.')[2]}: ", TEXTS[page], re.MULTILINE)
         if path not in known and not own:  # a field of the plugin that the page writes
             missing.add((page, path))

@@ -1,1 +1,1 @@
-"""The learner: replay, losses, schedules and the double dueling DQN."""
+"""A library for learners: networks, replay, losses, curiosity, the risk of failing."""

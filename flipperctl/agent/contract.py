@@ -23,7 +23,6 @@ from flipperctl.agent.networks import (
 )
 from flipperctl.agent.replay import require, row_bytes
 from flipperctl.api import ACTIONS, Network, ObservationLayout
-from flipperctl.config import Agent
 from flipperctl.errors import ConfigError
 from flipperctl.guard import naming
 from flipperctl.randomness import global_states, moved_since
@@ -35,36 +34,36 @@ def check_demand(
     network: Network,
     layout: ObservationLayout,
     n_actions: int,
-    settings: Agent,
-    decisions: int,
     *,
-    labelled: bool = False,
+    rows: int,
+    drawn: int,
+    batch: int,
+    labels: int = 0,
     privileged: int = 0,
+    risk: bool = False,
 ) -> None:
     """Check the network, and that the replay and the batches of a training fit into memory.
 
-    ``decisions``: the run's budget, which also limits the transitions in the replay; they have
-    labels if the run is ``labelled``, and ``privileged`` numbers of a privileged state.
+    ``rows``: transitions that the replay will hold; ``drawn``: those that are drawn from it at a
+    time, of which each update takes ``batch``; ``labels`` and ``privileged``: lengths of their
+    labels and privileged states; ``risk``: whether a risk is learnt.
     """
     with torch.random.fork_rng(devices=[]):
         module = build_network(network, layout, n_actions)
         inputs = input_size(network, layout)
         activations = _count_activations(module, inputs)
-    rows = min(settings.replay_size, decisions)
     require(
-        rows * row_bytes(inputs, n_actions if labelled else 0, privileged, risk=settings.risk),
+        rows * row_bytes(inputs, labels, privileged, risk=risk),
         f"agent.replay_size: {rows:,} transitions of {inputs} numbers each take",
         "lower it, or use fewer bins or frames",
     )
-    together, batch = settings.updates_together, settings.batch_size
     # The transitions of all updates; and for one update the output of every layer and its gradient.
-    drawn = settings.candidates * together * batch
     numbers = 2 * drawn * inputs + 2 * batch * activations
     require(
         _FLOAT * numbers,
-        f"agent.batch_size: {drawn // batch} times {batch:,} transitions "
-        "(agent.updates_together and agent.candidates times it) take",
-        "lower one of the three",
+        f"agent.batch_size: {drawn // batch} times {batch:,} transitions, which are drawn at a "
+        "time, take",
+        "lower it, or the settings that multiply it",
     )
 
 

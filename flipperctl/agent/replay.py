@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -73,6 +74,16 @@ def _columns(
     if risk:
         found |= {"failing": number, "resembles": ((len(LAGS),), np.float32)}
     return found
+
+
+_LIMITS: Final[dict[str, tuple[float, float]]] = {
+    "action": (0.0, len(ACTIONS) - 1),
+    "discount": (0.0, 1.0),
+    "label": (0.0, 1.0),
+    "failing": (UNKNOWN, 1.0),
+    "resembles": (0.0, 1.0),
+}
+"""Array of a replay → its smallest and largest number."""
 
 
 def row_bytes(size: int, labels: int = 0, privileged: int = 0, *, risk: bool = False) -> int:
@@ -298,17 +309,40 @@ class Replay:
             raise RuntimeError("the replay can be saved only between episodes")
         return {name: array[: len(self)] for name, array in self.arrays.items()}
 
-    def blank(self, added: int) -> dict[str, NDArray[np.generic]]:
-        """Return arrays of the shapes and types of ``filled`` after ``added`` transitions."""
-        return {n: array[: min(added, self.capacity)] for n, array in self.arrays.items()}
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """Return the used part of each array for a checkpoint, between episodes."""
+        return {name: torch.from_numpy(array) for name, array in self.filled().items()}
+
+    def restore_tensors(
+        self, tensors: Mapping[str, torch.Tensor], added: int, kept: int = 0
+    ) -> None:
+        """Restore what ``tensors`` returned; see ``restore``."""
+        self.restore({name: tensor.numpy() for name, tensor in tensors.items()}, added, kept)
 
     def restore(self, arrays: dict[str, NDArray[np.generic]], added: int, kept: int = 0) -> None:
         """Restore the arrays that ``filled`` returned after ``added`` transitions.
 
         ``kept`` of them are never overwritten.
+
+        Raises:
+            ValueError: they are not those of such a replay.
         """
+        if not 0 <= kept <= added or kept >= self.capacity:
+            raise ValueError(f"{added} transitions with {kept} kept do not fit {self.capacity}")
+        if wrong := arrays.keys() ^ self.arrays.keys():
+            raise ValueError(f"{min(wrong)} is missing or unknown")
         for name, array in self.arrays.items():
-            array[: len(arrays[name])] = arrays[name]
+            values: NDArray[Any] = arrays[name]
+            wanted = array[: min(added, self.capacity)]
+            if values.shape != wanted.shape or values.dtype != wanted.dtype:
+                raise ValueError(
+                    f"{name} is {values.dtype} {values.shape}; {wanted.dtype} {wanted.shape} is "
+                    "needed"
+                )
+            least, most = _LIMITS.get(name, (-math.inf, math.inf))
+            if not (np.isfinite(values).all() and ((values >= least) & (values <= most)).all()):
+                raise ValueError(f"{name} is not finite, or lies outside of {least:g} to {most:g}")
+            wanted[:] = values
         self.added, self.kept = added, kept
         self.drop_pending()
 
@@ -362,6 +396,16 @@ class GroupMemory:
     def filled(self) -> dict[str, NDArray[np.generic]]:
         """Return the used part of each array; nothing before the first groups."""
         return {name: array[: len(self)] for name, array in self._arrays.items() if self.added}
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """Return the used part of each array for a checkpoint, between episodes."""
+        return {name: torch.from_numpy(array) for name, array in self.filled().items()}
+
+    def restore_tensors(
+        self, tensors: Mapping[str, torch.Tensor], added: int, kept: int = 0
+    ) -> None:
+        """Restore what ``tensors`` returned; see ``restore``."""
+        self.restore({name: tensor.numpy() for name, tensor in tensors.items()}, added, kept)
 
     def restore(self, arrays: dict[str, NDArray[np.generic]], added: int, size: int) -> None:
         """Restore the arrays that ``filled`` returned after ``added`` groups.

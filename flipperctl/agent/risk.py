@@ -114,12 +114,14 @@ def plain_risk(network: RiskNetwork, horizon: int) -> Risk:
 
 def split_weights(
     weights: Mapping[str, NDArray[np.generic]],
-) -> tuple[dict[str, torch.Tensor], dict[str, torch.Tensor]]:
+) -> tuple[dict[str, torch.Tensor], dict[str, NDArray[np.generic]]]:
     """Return the weights of the risk network, if there are any, and those of the policy."""
-    risk, policy = dict[str, torch.Tensor](), dict[str, torch.Tensor]()
+    risk, policy = dict[str, torch.Tensor](), dict[str, NDArray[np.generic]]()
     for name, array in weights.items():
-        part = risk if name.startswith(WEIGHTS) else policy
-        part[name.removeprefix(WEIGHTS)] = torch.from_numpy(array)
+        if name.startswith(WEIGHTS):
+            risk[name.removeprefix(WEIGHTS)] = torch.from_numpy(array)
+        else:
+            policy[name] = array
     return risk, policy
 
 
@@ -159,7 +161,18 @@ class RiskLearner:
             self.optimiser.step(torch.cat([g.reshape(-1) for g in gradients]), rate)
         return value
 
-    def arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Return a copy of the weights, named for policies in other processes."""
-        state = self.network.state_dict()
-        return {f"{WEIGHTS}{n}": tensor.cpu().numpy().copy() for n, tensor in state.items()}
+
+def policy_arrays(
+    policy: torch.nn.Module, risk: torch.nn.Module | None
+) -> dict[str, NDArray[np.generic]]:
+    """Return a copy of the weights of a policy and of its risk, named for other processes."""
+    found = weights_of(policy)
+    if risk is not None:
+        found |= {f"{WEIGHTS}{name}": array for name, array in weights_of(risk).items()}
+    return found
+
+
+def weights_of(module: torch.nn.Module) -> dict[str, NDArray[np.generic]]:
+    """Return a copy of a network's weights, for other processes."""
+    state = module.state_dict()
+    return {name: tensor.cpu().numpy().copy() for name, tensor in state.items()}

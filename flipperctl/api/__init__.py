@@ -36,6 +36,15 @@ from flipperctl.api.engines import (
     World,
     engine,
 )
+from flipperctl.api.learners import (
+    FailureRisk,
+    Learner,
+    Learning,
+    Loop,
+    Step,
+    Training,
+    learner,
+)
 from flipperctl.api.plugin import NAME_RULE, Plugin, is_plugin_name, registry
 from flipperctl.api.profile import MirroredSurface, Profile, Surface
 from flipperctl.api.ranges import IntRange, Range
@@ -79,13 +88,17 @@ __all__ = [
     "EndingWorld",
     "Engine",
     "Estimator",
+    "FailureRisk",
     "FloatArray",
     "GroundSensor",
     "Instrument",
     "IntRange",
+    "Learner",
+    "Learning",
     "Limits",
     "Listener",
     "Logger",
+    "Loop",
     "Measure",
     "Measured",
     "MirroredSurface",
@@ -117,8 +130,10 @@ __all__ = [
     "Simulator",
     "Start",
     "StateGroups",
+    "Step",
     "Surface",
     "Terrain",
+    "Training",
     "TrainingEpisodes",
     "Transition",
     "Transitions",
@@ -130,6 +145,7 @@ __all__ = [
     "controller",
     "engine",
     "is_plugin_name",
+    "learner",
     "limited",
     "logger",
     "measure",

@@ -64,7 +64,7 @@ NAME_RULE = "lower-case letters, digits and _ are allowed, a letter first, and n
 
 _YAML = {"null", "true", "false", "yes", "no", "on", "off", "nan", "inf"}
 """What a configuration or an override reads as a value."""
-_DECORATORS = {"sim": "engine", "perception": "sensor"}
+_DECORATORS = {"sim": "engine", "perception": "sensor", "agent": "learner"}
 """Kind → name of its decorator, where they differ."""
 
 

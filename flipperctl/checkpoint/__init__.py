@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from flipperctl import __version__, plugins
 from flipperctl.api import Plugin, registry
 from flipperctl.checkpoint import document as documents
-from flipperctl.checkpoint import hub
+from flipperctl.checkpoint import former, hub
 from flipperctl.checkpoint.document import Document, PluginReference, State, serialize
 from flipperctl.config import TrainConfig, parse, resolver, to_dict
 from flipperctl.config.models import with_stand_ins
@@ -32,19 +32,11 @@ from flipperctl.sim.versions import engine_versions
 if TYPE_CHECKING:
     import torch
 
-_SB3 = "stable-baselines3"
 PLUGINS = Path("plugins")
 """Folder of a run with copies of its plugin files, and their SHA-256 in ``SHA256SUMS``."""
 TRUST = "FLIPPERCTL_TRUST"
 """Environment variable: folders below which runs load their copies of plugin files unasked."""
 BEST, LAST = Path("checkpoints/best.safetensors"), Path("checkpoints/last.safetensors")
-
-_FIXED: Mapping[str, Mapping[str, object]] = {
-    "sim": {"engine": "compiled"},
-    "agent": {"act_with": "target"},
-    "policy_gradient": {"value_rate": 1e-3, "value_passes": 8},
-}
-"""Section → former settings of files of this format, with the value that each has now."""
 
 
 @dataclass(frozen=True)
@@ -69,13 +61,13 @@ class Checkpoint:
     def policy_config(self) -> TrainConfig:
         """Return the training configuration as far as the policy needs it.
 
-        Stand-ins replace a terrain and reward terms whose plugins are missing; a teacher and
-        loggers whose plugins are missing are left out.
+        Stand-ins replace a terrain, reward terms and a learner whose plugins are missing; a teacher
+        and loggers whose plugins are missing are left out.
         """
         self._load_trusted()
         known = frozenset(registry.items())
         if known not in self._configs:
-            self._require_plugins(optional=("terrain", "reward", "controller", "logger"))
+            self._require_plugins(optional=("terrain", "reward", "controller", "logger", "agent"))
             files = {(p.kind, p.name): self._file(p.file) for p in self.document.plugins if p.file}
             settings = self.document.config.model_dump(mode="json")
             self._configs[known] = self._parse(with_stand_ins(settings, files))
@@ -106,7 +98,7 @@ class Checkpoint:
 
     def _parse(self, settings: Mapping[str, Any]) -> TrainConfig:
         try:
-            return parse(TrainConfig, _without_fixed(settings))
+            return parse(TrainConfig, former.current(settings))
         except ConfigError as error:
             raise CheckpointError(
                 f"{self.path}: its configuration is not valid: {error}"
@@ -167,7 +159,7 @@ def describe(
             "numpy": np.__version__,
             "gymnasium": gymnasium.__version__,
             **engine_versions(config.sim),
-            **({} if config.method is None else {_SB3: version(_SB3)}),
+            **{name: version(name) for name in config.agent.packages},
         },
         plugins=plugin_references(config),
         actions=documents.Actions(
@@ -181,7 +173,7 @@ def describe(
 
 def plugged(config: TrainConfig) -> list[Plugin]:
     """Return the plugins of a configuration, without those in their settings."""
-    chosen = [config.terrain, config.network, config.sim, config.perception]
+    chosen = [config.terrain, config.network, config.agent, config.sim, config.perception]
     named = [*config.rewards.values(), *config.logger.values()]
     teacher = config.teacher.controller
     return [*chosen, *named, *([] if teacher is None else [teacher])]
@@ -201,14 +193,9 @@ def plugin_references(config: TrainConfig) -> tuple[PluginReference, ...]:
     )
 
 
-def _without_fixed(settings: Mapping[str, Any], section: str = "") -> dict[str, Any]:
-    """Return settings without former ones that have the value that is fixed now."""
-    former = _FIXED.get(section, {})
-    return {
-        name: _without_fixed(value, name) if isinstance(value, Mapping) else value
-        for name, value in settings.items()
-        if name not in former or value != former[name]
-    }
+def join(parts: Mapping[str, Mapping[str, torch.Tensor]]) -> dict[str, torch.Tensor]:
+    """Return the tensors of all parts, their names after those of the parts."""
+    return {f"{part}.{name}": t for part, state in parts.items() for name, t in state.items()}
 
 
 def write(path: Path, document: Document, tensors: Mapping[str, torch.Tensor]) -> None:
@@ -249,20 +236,13 @@ def _read_once(place: Path, path: Path, *stamp: int) -> Checkpoint:
     return read(path)
 
 
-_RUN_PARTS = (
-    *("online", "target", "baselines", "optimiser", "risk", "risk_optimiser", "replay"),
-    *("anchor", "values", "value_optimiser", "counts"),  # of a policy gradient
-    "start",  # of a training that learns its labels anew at the end
-    "sb3",  # of a training by method=sb3
-)
-
-
 def _check_names(document: Document, tensors: Mapping[str, torch.Tensor]) -> None:
     """Check that every tensor belongs to a part that a checkpoint of this kind has."""
     parts = {"policy", "risk"}
     if state := document.state:
-        parts = {*_RUN_PARTS, *(f"weights{request.version}" for request in state.orders)}
-        parts |= {"groups"} if state.groups_added else set()
+        if not state.parts:  # of a run before learners were plugins
+            return
+        parts = {*state.parts, *(f"weights{request.version}" for request in state.orders)}
     for name in tensors:
         part = name.partition(".")[0]
         if part not in parts:

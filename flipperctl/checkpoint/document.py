@@ -27,6 +27,7 @@ from pydantic import (
     model_validator,
 )
 
+from flipperctl.checkpoint import former
 from flipperctl.core.reading import read_whole
 from flipperctl.core.targets import ACTIONS, JOINTS
 from flipperctl.errors import CheckpointError, other_format
@@ -151,7 +152,6 @@ class RequestState(Record):
 
     episode: Count
     seed: Count
-    epsilon: Fraction
     decision: Count
     version: Count
     difficulty: Fraction
@@ -173,14 +173,6 @@ class GeneratorState(Record):
     uinteger: Annotated[int, Field(ge=0, lt=2**32)]
 
 
-class Generators(Record):
-    """The states of the random generators of a run."""
-
-    explore: GeneratorState
-    sample: GeneratorState
-    noise: GeneratorState
-
-
 class State(Record):
     """All that a run needs to be resumed, besides the tensors; nothing depends on the clock."""
 
@@ -197,14 +189,13 @@ class State(Record):
     difficulty: Fraction
     orders: tuple[RequestState, ...]
     """Outstanding requests, oldest first; the key's name is part of the format."""
-    replay_added: Count
-    replay_kept: Count
-    """Number of recorded transitions in the replay."""
-    groups_added: Count
-    """Number of groups of valued states so far."""
+    parts: tuple[Label, ...]
+    """Parts of the tensors that belong to the learner."""
+    learner: dict[Label, JsonValue]
+    """What the learner keeps beside its tensors."""
     files: tuple[Label | None, ...]
     """SHA-256 of each file that the plugins read, such as recorded ground."""
-    generators: Generators
+    generators: dict[Label, GeneratorState]
 
     @property
     def best(self) -> Validation | None:
@@ -213,11 +204,8 @@ class State(Record):
 
     @model_validator(mode="after")
     def _counts_agree(self) -> State:
-        added = self.decision + self.replay_kept
         limits = [
             ("episode", self.episode, "decision", self.decision),
-            ("replay_added", self.replay_added, "decision + replay_kept", added),
-            ("replay_kept", self.replay_kept, "replay_added", self.replay_added),
             ("lost", self.lost, "started", self.started),
         ]
         for at, request in enumerate(self.orders):
@@ -295,7 +283,7 @@ def parse(text: str) -> Document:
     raw = decode(text)
     if raw.get("kind") == EPISODES:
         raise ValueError("it describes recorded episodes, which hold no policy")
-    return validated(Document, raw, FORMAT)
+    return validated(Document, former.document(raw), FORMAT)
 
 
 def decode(text: str) -> dict[str, Any]:
@@ -415,7 +403,7 @@ def _contents(data: bytes, path: Path, noun: str) -> tuple[str, dict[str, torch.
         raise CheckpointError(
             f"{path} is a pickle or a zip archive, not a safetensors file; "
             "flipperctl never loads these, since they can run code. flipperctl.save writes the "
-            "network of a model of your own (docs/own_method.md), and train method=sb3 trains one"
+            "network of a model of your own (docs/own_method.md), and train agent=sb3 trains one"
         )
     try:
         tensors = load(data)

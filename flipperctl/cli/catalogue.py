@@ -14,19 +14,17 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from textwrap import shorten
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 from flipperctl import plugins
-from flipperctl.api import Robot, Settings, registry
+from flipperctl.api import Learner, Robot, Settings, registry
 from flipperctl.api.plugin import broken
 from flipperctl.checkpoint import shipped_policies
 from flipperctl.cli.glossary import GLOSSARY
 from flipperctl.config import (
-    Agent,
     Episode,
     Eval,
     LocalCollector,
-    PolicyGradient,
     Randomise,
     RayCollector,
     Teacher,
@@ -35,7 +33,6 @@ from flipperctl.config import (
     strict_yaml,
 )
 from flipperctl.config.describe import Field, fields, summary
-from flipperctl.config.method import Algorithm, Sb3
 from flipperctl.config.presets import presets as files
 from flipperctl.config.words import key_of, override_text
 from flipperctl.errors import RequestError
@@ -56,9 +53,6 @@ from flipperctl.training.sweep import of_reached
 SECTIONS: Mapping[str, type[Settings]] = {
     "train": Train,
     "eval": Eval,
-    "agent": Agent,
-    "agent.policy_gradient": PolicyGradient,
-    "method=sb3": Sb3,
     "robot": Robot,
     "episode": Episode,
     "randomise": Randomise,
@@ -70,7 +64,7 @@ SECTIONS: Mapping[str, type[Settings]] = {
 """Class of each section whose settings do not depend on a plugin."""
 
 PLUGIN_KEYS: Mapping[str, str] = {
-    **{kind: kind for kind in ("terrain", "network", "controller", "sim", "perception")},
+    **{kind: kind for kind in ("terrain", "network", "agent", "controller", "sim", "perception")},
     "reward": "rewards.NAME",
     "logger": "logger.NAME",
 }
@@ -119,6 +113,7 @@ KINDS: Mapping[str, Mapping[str, Group]] = {
         "rewards": Group("flipperctl train rewards=NAME", "tuned"),
         "reward": Group("flipperctl train rewards.NAME=NAME", "impact"),
     },
+    "learners": {"agent": Group("flipperctl train agent=NAME", "policy_gradient")},
     "networks": {"network": Group("flipperctl train network=NAME", "conv")},
     "controllers": {"controller": Group("flipperctl eval NAME terrain=stair", "level")},
     "policies": {"policy": Group("flipperctl eval NAME terrain=stair", "generalist")},
@@ -225,6 +220,10 @@ def preset(group: str, name: str, file: Any) -> Entry:
         about = " ".join(comment.split())
         prefix = "" if group in ("experiment", "conditions") else f"{group}."
         held = dict(_flat(document, prefix))
+        if group == "experiment":  # and what it sets of single learners
+            for part, inner in files("by_learner").items():
+                if part.startswith(f"{name}-"):
+                    held |= _flat(strict_yaml.read(inner, part) or {}, f"{Learner.kind}.")
     return Entry(group, name, first_sentence(about), about, held)
 
 
@@ -257,24 +256,22 @@ def keys() -> Iterator[Key]:
 
 
 def _arguments() -> Iterator[Key]:
-    """Yield the arguments of the learners of Stable-Baselines3.
+    """Yield the keys within mappings of learners, as the learners describe them.
 
     Raises:
-        MissingExtraError: it is not installed.
+        MissingExtraError: what a learner needs is not installed.
     """
-    from flipperctl.training.sb3 import arguments
-
-    for name in get_args(Algorithm):
-        for one in arguments(name):
-            key, owner = f"method.settings.{one.name}", f"method=sb3 method.algorithm={name}"
-            yield Key(key, owner, Sb3, one)
+    for (kind, _), plugin in sorted(registry.items()):
+        if kind == Learner.kind and issubclass(plugin, Learner):
+            for owner, field in plugin.arguments():
+                yield Key(f"{kind}.{field.name}", owner, plugin, field)
 
 
 def keys_named(word: str) -> list[Key]:
     """Return the settings that a word names: by key, by section, by ``stair.rise`` or ``rise``."""
     found = list(keys())
     whole = [one for one in found if one.key == word]
-    if not whole and word.startswith("method."):
+    if not whole and word.count(".") > 1 and word.startswith(f"{Learner.kind}."):
         found = list(_arguments())
         whole = [one for one in found if one.key == word]
     whole += [one for one in found if one.owner.partition("=")[0] == word]

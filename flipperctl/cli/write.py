@@ -263,7 +263,7 @@ def new(
         str,
         typer.Argument(
             metavar="KIND",
-            help="terrain, reward, network, controller, engine, sensor, measure, logger.",
+            help="terrain, reward, network, learner, controller, engine, sensor, measure, logger.",
         ),
     ],
     name: Annotated[
@@ -283,8 +283,8 @@ def new(
 ) -> None:
     """Write a plugin as a starting point: one file, or with --package an installable project.
 
-    KIND is terrain, reward, network, controller, engine, sensor, measure or logger. The plugin
-    works as written and passes the conformance suite. Existing files are never overwritten.
+    KIND is terrain, reward, network, learner, controller, engine, sensor, measure or logger. The
+    plugin works as written and passes the conformance suite. Existing files are never overwritten.
 
     [bold]Examples[/]
 

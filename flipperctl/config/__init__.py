@@ -1,14 +1,14 @@
 """The composed configuration as frozen pydantic models.
 
-``sections`` and ``agent`` define the settings, ``sampled`` the ranges sampled for each episode, and
-``models`` whole configurations; ``resolver`` builds them from names and overrides, and ``identity``
-compares plugins.
+``sections`` and ``teacher`` define the settings, ``sampled`` the ranges sampled for each episode,
+and ``models`` whole configurations; ``resolver`` builds them from names and overrides, and
+``identity`` compares plugins.
 """
 
-from flipperctl.config.agent import Agent, PolicyGradient, Teacher
 from flipperctl.config.identity import identity
 from flipperctl.config.models import (
     DEFAULT_ENGINE,
+    DEFAULT_LEARNER,
     PAPER_REWARDS,
     EnvConfig,
     EvalConfig,
@@ -23,17 +23,17 @@ from flipperctl.config.sections import (
     RayCollector,
     Train,
 )
+from flipperctl.config.teacher import Teacher
 
 __all__ = [
     "DEFAULT_ENGINE",
+    "DEFAULT_LEARNER",
     "PAPER_REWARDS",
-    "Agent",
     "EnvConfig",
     "Episode",
     "Eval",
     "EvalConfig",
     "LocalCollector",
-    "PolicyGradient",
     "Randomise",
     "RayCollector",
     "Teacher",

@@ -12,38 +12,18 @@ from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from typing import Any
 
-from flipperctl.api import Logger, Measure, Plugin, Robot, registry
+from flipperctl.api import Learner, Logger, Measure, Plugin, Robot, registry
 from flipperctl.api.plugin import registered_names
 from flipperctl.config import resolver
-from flipperctl.config.agent import Teacher
-from flipperctl.config.method import Sb3
 from flipperctl.config.models import EnvConfig, EvalConfig, TrainConfig
 from flipperctl.config.sections import LocalCollector, RayCollector
+from flipperctl.config.teacher import Teacher
 from flipperctl.errors import ConfigError
 from flipperctl.guard import plugin_label
 from flipperctl.messages import broken_hint, close_match, missing_name
 
 _ALIKE = 0.02
 """Relative difference of lengths that makes none [-]."""
-
-
-def first_update(config: TrainConfig) -> tuple[int, str] | None:
-    """Return the decisions before our own learner first changes the policy, and why, as a clause.
-
-    None: labels may change it from the start, or at the end.
-    """
-    agent, teacher = config.agent, config.teacher
-    if agent.is_policy_gradient:
-        settings = agent.policy_gradient
-        first = (settings.warm_up + 1) * settings.decisions
-        return first, (
-            f"it learns from {first} decisions on; {settings.warm_up} rounds of "
-            f"agent.policy_gradient.decisions={settings.decisions} are for the values alone"
-        )
-    if teacher.episodes or teacher.final_updates:
-        return None
-    starts = agent.learning_starts
-    return starts, f"learning starts after agent.learning_starts={starts} decisions"
 
 
 def notices(config: EnvConfig) -> Iterator[str]:
@@ -83,31 +63,26 @@ def notes_on_robot(config: EnvConfig) -> Iterator[str]:
         )
 
 
-_OWN_LEARNER = ("agent.", "collector", "train.mode", "train.workers")
-
-
-def _refuse_of_our_learner(method: Sb3, given: Mapping[str, str]) -> None:
-    """Refuse overrides of settings of our own learner, which a run of ``method`` does not have."""
-    for key, typed in given.items():
-        if key.startswith(_OWN_LEARNER) and key != "agent.gamma":
-            raise ConfigError(
-                f"{typed}: it has no effect with method={method.name}; its settings are arguments "
-                f"of the algorithm, as in {method.example}"
-            )
+_COLLECTING = ("collector", "train.mode", "train.workers")
 
 
 def refuse_ineffective(config: EnvConfig, given: Mapping[str, str]) -> None:
     """Refuse an override of a setting that is sampled anew for every episode.
 
-    With another ``method``, settings of our own learner are refused, too.
+    With a learner that plays its episodes itself, those of the collectors are refused, too.
 
     ``given`` holds the overridden keys, and the override of each as it was typed.
 
     With ``randomise.spread``, samples lie around the value of the setting, which then has one. All
     settings of the robot at once are those of a file, ``robot=FILE``, of which some may be sampled.
     """
-    if (method := getattr(config, "method", None)) is not None:
-        _refuse_of_our_learner(method, given)
+    if isinstance(config, TrainConfig) and config.agent.own_loop:
+        for key, typed in given.items():
+            if key.startswith(_COLLECTING):
+                name = config.agent.plugin_name
+                raise ConfigError(
+                    f"{typed}: it has no effect with agent={name}, which plays its episodes itself"
+                )
     if config.randomise.spread is not None:
         return
     whole = all(f"robot.{field}" in given for field in type(config.robot).model_fields)
@@ -126,8 +101,8 @@ def refuse_ineffective(config: EnvConfig, given: Mapping[str, str]) -> None:
 
 
 GROUPS = (
-    *("terrain", "robot", "rewards", "network", "collector", "teacher", "logger"),
-    *("sim", "perception", "conditions", "method"),
+    *("terrain", "robot", "rewards", "network", "agent", "collector", "teacher", "logger"),
+    *("sim", "perception", "conditions"),
 )
 """Groups whose choice is stored under a key of the same name."""
 CHOICES = (*GROUPS, "controller", "experiment")
@@ -149,13 +124,14 @@ def entries() -> Iterator[tuple[str, str, dict[str, Any]]]:
         if kind == Measure.kind:
             continue  # every measure is taken of every episode; none is chosen
         defaults = resolver.defaults(cls)
+        if issubclass(cls, Learner) and (network := cls.default_network):
+            choice = [{"override /network": network}, "_self_"]
+            yield kind, name, {"defaults": choice, kind: defaults}
+            continue
         yield kind, name, defaults
         if kind == "controller":
             own = getattr(cls, "reference_settings", {})
             yield "teacher", name, {**teaching, "controller": {**defaults, **own}}
-    yield "method", "own", {}
-    own = [{"override /network": "mlp"}, "_self_"]
-    yield "method", "sb3", {"defaults": own, "method": resolver.to_dict(Sb3())}
     for collector in (LocalCollector(), RayCollector()):
         yield "collector", collector.name, resolver.to_dict(collector)
 

@@ -18,6 +18,7 @@ from flipperctl.api import (
     NAME_RULE,
     SAMPLE_PERIOD,
     Engine,
+    Learner,
     Logger,
     Network,
     Plugin,
@@ -27,12 +28,11 @@ from flipperctl.api import (
     Settings,
     Shaping,
     Terrain,
+    Training,
     Transition,
     is_plugin_name,
     registry,
 )
-from flipperctl.config.agent import Agent, Teacher
-from flipperctl.config.method import Sb3
 from flipperctl.config.resolver import create, loggers_by_name, named_robot, to_dict
 from flipperctl.config.sampled import Randomise, check_ranges, replace_settings, sample
 from flipperctl.config.sections import (
@@ -42,6 +42,7 @@ from flipperctl.config.sections import (
     RayCollector,
     Train,
 )
+from flipperctl.config.teacher import Teacher
 from flipperctl.core.targets import ActionKind
 from flipperctl.errors import ConfigError, PluginError
 from flipperctl.messages import close_match, missing_plugin
@@ -51,8 +52,9 @@ def _plugin(kind: str) -> tuple[BeforeValidator, PlainSerializer]:
     """Return what reads and writes the plugin of the section ``kind``."""
 
     def read(value: object) -> object:
-        if kind in ("sim", "perception") and isinstance(value, Mapping) and "name" not in value:
-            value = {"name": DEFAULT_ENGINE, **value}
+        default = _DEFAULTS.get(kind)
+        if default and isinstance(value, Mapping) and "name" not in value:
+            value = {"name": default, **value}
         return create(kind, value, kind)
 
     return BeforeValidator(read), PlainSerializer(to_dict)
@@ -98,6 +100,7 @@ NamedRobot = Annotated[
     Robot, BeforeValidator(lambda value: named_robot(value) if isinstance(value, str) else value)
 ]
 AnyNetwork = Annotated[Network, *_plugin("network")]
+AnyLearner = Annotated[Learner, *_plugin("agent")]
 AnyEngine = Annotated[Engine, *_plugin("sim")]
 AnySensor = Annotated[Sensor, *_plugin("perception")]
 AnyRewards = Annotated[dict[str, RewardTerm], BeforeValidator(_rewards), PlainSerializer(_to_dicts)]
@@ -105,7 +108,10 @@ AnyLoggers = Annotated[dict[str, Logger], BeforeValidator(_loggers), PlainSerial
 
 DEFAULT_ENGINE = "planar"
 """Name of the default engine and of the default sensor."""
+DEFAULT_LEARNER = "d3qn"
 DEFAULT_LOGGER = "tensorboard"
+_DEFAULTS = {"sim": DEFAULT_ENGINE, "perception": DEFAULT_ENGINE, "agent": DEFAULT_LEARNER}
+"""Kind of plugin → the one whose settings a section without a name has."""
 PAPER_REWARDS = {"flipper": "flipper", "pitch": "pitch", "end": "end"}
 
 
@@ -205,11 +211,12 @@ class TrainConfig(EnvConfig):
     actions: ActionKind = Field(
         "turns",
         description="turns: one of nine turns by an angle step in each decision; rates: any turn "
-        "up to that, which needs a method of continuous actions [-]",
+        "up to that, which needs a learner of continuous actions [-]",
     )
     network: AnyNetwork = Field(description="the network of the policy [-]")
-    method: Sb3 | None = Field(None, description="a learner in place of our own [-]")
-    agent: Agent = Agent()
+    agent: AnyLearner = Field(
+        default_factory=lambda: cast("Learner", DEFAULT_LEARNER), description="the learner [-]"
+    )
     train: Train = Train()
     collector: LocalCollector | RayCollector = Field(
         LocalCollector(), discriminator="name", description="where training episodes are played [-]"
@@ -223,84 +230,33 @@ class TrainConfig(EnvConfig):
     seed: int = Field(1, ge=0, le=2**63 - 1, description="seed of all randomness [-]")
     device: str = Field("cpu", description="torch device of the learner, such as cpu or cuda [-]")
 
-    def temperature_at(self, decision: int) -> float:
-        """Return the temperature of the policy gradient's draws at a decision of the run [-]."""
-        return self.agent.policy_gradient.temperature_at(decision / self.train.decisions)
-
-    @property
-    def learns_privileged_value(self) -> bool:
-        """Whether the learner needs privileged states: no learner of labels alone uses them."""
-        return self.agent.is_policy_gradient or (
-            self.agent.privileged_value
-            and not (self.teacher.teaches and not self.teacher.td_weight)
-        )
-
-    @property
-    def keeps_distributions(self) -> bool:
-        """Whether each decision has a distribution over actions: a teacher's, or its own."""
-        return self.agent.is_policy_gradient or self.teacher.teaches
-
     @model_validator(mode="after")
     def _check(self) -> TrainConfig:
-        for fault in (*self._faults(), *self._faults_of_values(), *self._faults_of_rewards()):
+        for fault in (*self._faults(), *self._faults_of_rewards()):
             raise ConfigError(fault)
+        try:
+            self.agent.check(self)
+        except ValueError as error:
+            raise ConfigError(str(error)) from error
         return self
 
     def _faults(self) -> Iterator[str]:
-        if (method := self.method) is not None:
-            if self.network.plugin_name != "mlp":
-                yield (
-                    f"network: {self.network.plugin_name} does not go with method={method.name}, "
-                    "which trains perceptrons; network=mlp is allowed"
-                )
-            if self.actions not in method.kinds:
-                yield (
-                    f"actions: {self.actions} does not go with method.algorithm="
-                    f"{method.algorithm}; actions={' or '.join(method.kinds)} is allowed"
-                )
-            agent, kept = self.agent, ("risk", "curiosity", "start_from")
-            for name in kept:
-                if getattr(agent, name):
-                    yield f"agent.{name}: it does not go with method={method.name}; leave it out"
-            if agent.is_policy_gradient:
-                yield f"agent.learner: {agent.learner} does not go with method={method.name}"
-            if self.teacher.teaches or self.train.record:
-                name = "teacher" if self.teacher.teaches else "train.record"
-                yield f"{name}: it does not go with method={method.name}; leave it out"
-            return
+        """Yield what the learner does not go with, by what it says of itself."""
+        agent, name = self.agent, f"agent={self.agent.plugin_name}"
+        if self.actions not in agent.drives:
+            yield (
+                f"actions: {self.actions} does not go with {name}; "
+                f"actions={' or '.join(agent.drives)} is allowed; flipperctl list learners shows "
+                "others"
+            )
+        if self.teacher.teaches and not agent.takes_teacher:
+            yield f"teacher: {name} learns from rewards alone; set teacher=none"
+        if self.train.record and (agent.own_loop or self.actions == "rates"):
+            yield f"train.record: it does not go with {name} actions={self.actions}; leave it out"
         if self.train.mode == "exact" and self.collector.name != "local":
             yield (
                 "train.mode: exact plays episodes in the learner's process; "
                 f"collector={self.collector.name} needs train.mode=fast"
-            )
-        if self.agent.is_policy_gradient and self.teacher.teaches:
-            yield (
-                "teacher: agent.learner=policy_gradient learns from rewards alone; set teacher=none"
-            )
-        if self.teacher.episodes is not None and self.learns_privileged_value:
-            yield (
-                "agent.privileged_value: the recorded episodes of teacher.episodes hold no "
-                "privileged states; set agent.privileged_value=false"
-            )
-
-    def _faults_of_values(self) -> Iterator[str]:
-        if self.teacher.loss != "values":
-            return
-        if self.network.frames > 1:
-            yield (
-                f"network: {self.network.plugin_name} takes {self.network.frames} "
-                "observations; teacher.loss=values teaches the values of single ones"
-            )
-        if self.teacher.controller is None:
-            yield (
-                "teacher.loss: values are computed by a controller, such as teacher=searched; "
-                "recorded episodes have none"
-            )
-        gamma = getattr(self.teacher.controller, "gamma", self.agent.gamma)
-        if gamma != self.agent.gamma:
-            yield (
-                f"teacher.controller.gamma: {gamma} is not agent.gamma ({self.agent.gamma}); "
-                f"set teacher.controller.gamma={self.agent.gamma}"
             )
 
     def _faults_of_rewards(self) -> Iterator[str]:
@@ -310,19 +266,13 @@ class TrainConfig(EnvConfig):
                 f"{', '.join(self.rewards) or 'none'}); add one with "
                 "+reward@rewards.pitch=pitch, or leave rewards=paper as it is"
             )
-        agent = self.agent
+        gamma = self.agent.gamma
         for name, term in self.rewards.items():
-            if isinstance(term, Shaping) and term.gamma != agent.gamma:
+            if isinstance(term, Shaping) and term.gamma != gamma:
                 yield (
-                    f"rewards.{name}.gamma: {term.gamma} is not agent.gamma ({agent.gamma}); the "
+                    f"rewards.{name}.gamma: {term.gamma} is not agent.gamma ({gamma}); the "
                     "shaping would change the optimal policy; set "
-                    f"rewards.{name}.gamma={agent.gamma}"
-                )
-            if isinstance(term, Shaping) and agent.bootstrap_outcomes:
-                yield (
-                    f"agent.bootstrap_outcomes: the shaping rewards.{name} ends with the episode, "
-                    "so the value must end too; set agent.bootstrap_outcomes=[] or drop the term "
-                    f"with ~rewards.{name}"
+                    f"rewards.{name}.gamma={gamma}"
                 )
 
 
@@ -354,8 +304,30 @@ class AbsentReward(RewardTerm):
         raise PluginError(self.missing)
 
 
+class AbsentLearner(Learner):
+    """Keep the settings of a learner whose plugin is missing."""
+
+    model_config = ConfigDict(extra="allow")
+    missing: ClassVar[str]
+    """What is missing, and how to get it."""
+    takes_teacher: ClassVar[bool] = True
+
+    @property
+    def drives(self) -> tuple[ActionKind, ...]:
+        """Any kind: the policy exists."""
+        return "turns", "rates"
+
+    def build(self, training: Training) -> NoReturn:
+        """Raise a PluginError."""
+        raise PluginError(self.missing)
+
+    def drive(self, *given: object) -> NoReturn:
+        """Raise a PluginError."""
+        raise PluginError(self.missing)
+
+
 def with_stand_ins(settings: Mapping[str, Any], files: Files) -> dict[str, Any]:
-    """Return a plain configuration with stand-ins where terrain or reward plugins are missing.
+    """Return a plain configuration with stand-ins where terrain, reward or learner are missing.
 
     A missing teacher's controller and missing loggers are left out, since only a training needs
     them.
@@ -365,6 +337,8 @@ def with_stand_ins(settings: Mapping[str, Any], files: Files) -> dict[str, Any]:
     if "rewards" in settings:
         terms = settings["rewards"]
         result["rewards"] = {k: _or_stand_in(AbsentReward, v, files) for k, v in terms.items()}
+    if "name" in (agent := settings.get("agent") or {}):
+        result["agent"] = _or_stand_in(AbsentLearner, agent, files)
     teacher = settings.get("teacher") or {}
     if any(_missing_names("controller", teacher.get("controller"))):
         result["teacher"] = {**teacher, "controller": None}
@@ -375,7 +349,9 @@ def with_stand_ins(settings: Mapping[str, Any], files: Files) -> dict[str, Any]:
     return result
 
 
-def _or_stand_in(family: type[AbsentTerrain | AbsentReward], settings: Any, files: Files) -> Any:
+def _or_stand_in(
+    family: type[AbsentTerrain | AbsentReward | AbsentLearner], settings: Any, files: Files
+) -> Any:
     """Return the settings, or a stand-in if a plugin that they name is missing."""
     kind = family.kind
     name = next(_missing_names(kind, settings), None)

@@ -253,6 +253,7 @@ _guarded_functions: WeakSet[Callable[..., object]] = WeakSet()
 _RAISED: dict[tuple[str, str], type[FlipperctlError]] = {
     ("network", "build"): ConfigError,
     ("network", "frames"): ConfigError,
+    ("agent", "build"): ConfigError,
     ("reward", "bounds"): PluginError,
 }
 """(kind, method) → the error that rejects a plugin before it is used."""
@@ -262,7 +263,10 @@ _REFUSALS: dict[tuple[str, str], type[FlipperctlError]] = {
     ("terrain", "labelled"): TerrainError,
 }
 """(kind, method) → the error in place of a ValueError, with which the method rejects a request."""
-_PASSED_ON: dict[str, type[BaseException]] = {"notices": ValueError, "open": BaseException}
+_PASSED_ON: dict[str, type[BaseException]] = {
+    **dict.fromkeys(("notices", "check", "check_start"), ValueError),
+    "open": BaseException,
+}
 """Method → the errors that it passes on unchanged because the caller interprets them."""
 _NO_PLUGINS = (float, int, bool, tuple, type(None))
 """Types of results that need no guard."""

@@ -55,7 +55,8 @@ def policy_metadata(config: TrainConfig, risk: RiskSign | None = None) -> dict[s
     if risk is not None:
         sign = {"meaning": MEANING_OF_RISK, **asdict(risk)}
         values["risk"] = {**sign, "lags": LAGS, "scale": SCALE}
-        if (escape := config.agent.escape) is not None:
+        settings = config.agent.failure_risk
+        if settings is not None and (escape := settings.escape) is not None:
             values["escape"] = {"meaning": MEANING_OF_ESCAPE, **asdict(escape)}
     if isinstance(layout, LidarSensor):
         values["map"] = {"meaning": MEANING_OF_MAP, **asdict(layout.map_quality)}

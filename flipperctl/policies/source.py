@@ -195,8 +195,9 @@ class PolicySource:
         checkpoint = read_policy(self.file)
         own = checkpoint.policy_config()
         module, risk = policy_module(checkpoint), policy_risk(checkpoint)
-        escape, frames = own.agent.escape, own.network.frames
-        policy = TrainedPolicy(module, frames, risk, escape, own.actions)
+        settings = own.agent.failure_risk
+        escape = None if settings is None else settings.escape
+        policy = TrainedPolicy(module, own.network.frames, risk, escape, own.actions)
         check_layout(self.file, own.perception.layout, config)
         return policy
 

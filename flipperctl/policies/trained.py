@@ -212,13 +212,13 @@ def policy_risk(checkpoint: Checkpoint) -> Risk | None:
     It maps observations (B, F · n) of F frames in SI units to probabilities (B, 1).
     """
     config, document = checkpoint.policy_config(), checkpoint.document
-    if not config.agent.risk:
+    if (settings := config.agent.failure_risk) is None:
         return None
     network = RiskNetwork(input_size(config.network, config.perception))
     weights = checkpoint.part("risk")
     # Its calibration is that of the policy's validation, or of the run's last one, if any.
     validations = document.state.validations if document.state else (document.validation,)
-    calibration = uncalibrated(config.agent.risk_horizon)
+    calibration = uncalibrated(settings.horizon)
     try:
         require_equal_layout(weights, network.state_dict())
         if validations and (validation := validations[-1]):
@@ -257,15 +257,10 @@ def read_value(file: Path, name: str, path: str) -> LearnedValue:
             "it only imitated its teacher, so that its values estimate no return; train with "
             "teacher.td_weight above 0, or with experiment=searched"
         )
-    elif config.method is not None:
+    elif config.agent.value_scale is None:
         fault = (
-            f"it learnt by method={config.method.name}, whose networks are not read as values; "
-            "train with the default method"
-        )
-    elif config.agent.is_policy_gradient:
-        fault = (
-            "it learnt by a policy gradient, so that its values order the actions and estimate no "
-            "return; train with agent.learner=d3qn, or with experiment=searched"
+            f"it learnt by agent={config.agent.plugin_name}, so that its outputs order the actions "
+            "and estimate no return; train with agent=d3qn, or with experiment=searched"
         )
     else:
         return value_of(policy_module(checkpoint), config)
@@ -277,7 +272,8 @@ read_value_once = cache(read_value)
 
 def value_of(module: torch.nn.Module, config: TrainConfig) -> LearnedValue:
     """Return the values of a network of one observation, in ``eval()`` mode, and its training."""
-    scale = config.agent.reward_scale
+    scale = config.agent.value_scale
+    assert scale is not None  # of a learner that estimates returns
 
     def value(observations: NDArray[np.float32]) -> FloatArray:
         with one_thread():

@@ -14,7 +14,7 @@ from __future__ import annotations
 import os
 import platform
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
@@ -29,24 +29,21 @@ from safetensors.numpy import load_file, save_file
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.networks import build_policy, naming_network
 from flipperctl.agent.risk import RiskNetwork, plain_risk, split_weights
-from flipperctl.api import Policy
+from flipperctl.api import Step
 from flipperctl.config import RayCollector, TrainConfig, parse, to_dict
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.policies.controllers import DaggerPolicy, PluginPolicy
-from flipperctl.policies.source import controller_policy
-from flipperctl.policies.trained import ExploringPolicy, SamplingPolicy, TrainedPolicy
+from flipperctl.policies.trained import TrainedPolicy
 from flipperctl.rollout import cluster
 from flipperctl.rollout.episode import (
     RolloutRequest,
     Row,
-    Step,
     Weights,
     exploration_rng,
     play,
-    steps,
 )
 from flipperctl.rollout.pool import POLL, Stop, WorkerDiedError, WorkerPool
 from flipperctl.rollout.statement import Statement
+from flipperctl.rollout.training import ConfiguredTraining
 
 
 @dataclass(frozen=True)
@@ -90,13 +87,21 @@ class Stopwatch:
 class Actor:
     """Plays training episodes with the weights that come with each request."""
 
-    def __init__(self, config: dict[str, Any]) -> None:
-        """Build the environment and the network of ``config``, a ``TrainConfig`` as plain data."""
+    def __init__(self, config: dict[str, Any], shared: Mapping[str, Any] | None = None) -> None:
+        """Build the environment and the networks of ``config``, a ``TrainConfig`` as plain data.
+
+        ``shared``: what the learner's process shares, see ``flipperctl.api.Training``.
+        """
         torch.set_num_threads(1)
-        self._config = parse(TrainConfig, config)
-        self._env = FlipperEnv(config=self._config.environment())
-        self._greedy = GreedyPlayer(self._config, self._env)
-        self._teacher = teacher_of(self._config)
+        parsed = parse(TrainConfig, config)
+        self._training, self._seed = ConfiguredTraining(parsed, shared or {}), parsed.seed
+        self._env = self._training.environment()
+        self._greedy = GreedyPlayer(parsed, self._env)
+        self._module = parsed.agent.driving_network(self._training).requires_grad_(False)
+        self._rng, self._decision = np.random.default_rng(), 0
+        self._policy = parsed.agent.drive(
+            self._training, self._module, lambda: self._decision, self._rng
+        )
 
     def evaluate(self, weights: Weights, seed: int) -> Row:
         """Play the greedy episode of a seed; return its row."""
@@ -105,58 +110,18 @@ class Actor:
 
     def play(self, request: RolloutRequest, weights: Weights) -> list[Step]:
         """Play one episode to its end; equal requests with equal weights give equal episodes."""
-        self._greedy.load(weights)
-        config = self._config
-        rng = exploration_rng(config.seed, request.episode)
-        policy = training_policy(
-            *(config, self._greedy.module, self._teacher, lambda: request.epsilon),
-            decision=lambda: request.decision,
-            starts=config.agent.learning_starts,
-            rngs=(rng, rng),
-        )
-        return list(training_steps(config, self._env, policy, request.seed, request.difficulty))
+        load_weights(self._module, weights)
+        rng = exploration_rng(self._seed, request.episode)
+        self._rng.bit_generator.state = rng.bit_generator.state
+        self._decision = request.decision
+        played = self._training.steps(self._env, self._policy, request.seed, request.difficulty)
+        return list(played)
 
 
-def teacher_of(config: TrainConfig) -> PluginPolicy | None:
-    """Return the teacher's policy, if the training has one that acts."""
-    teacher = config.teacher.controller
-    if teacher is None:
-        return None
-    return controller_policy(teacher, config.environment(), "teacher.controller")
-
-
-def training_policy(
-    config: TrainConfig,
-    module: torch.nn.Module,
-    teacher: PluginPolicy | None,
-    epsilon: Callable[[], float],
-    *,
-    decision: Callable[[], int],
-    starts: int,
-    rngs: tuple[np.random.Generator, np.random.Generator],
-) -> SamplingPolicy | ExploringPolicy | DaggerPolicy:
-    """Return the policy of training episodes, mixed with the teacher if there is one.
-
-    Before the ``decision`` of the run comes to ``starts``, a teacher drives. ``rngs`` draw the
-    actions and the network's noise.
-    """
-    frames, agent = config.network.frames, config.agent
-    student: SamplingPolicy | ExploringPolicy = (
-        SamplingPolicy(module, frames, lambda: config.temperature_at(decision()), rngs[0])
-        if agent.is_policy_gradient
-        else ExploringPolicy(module, frames, epsilon, *rngs, share=agent.exploring_share)
-    )
-    if teacher is None:
-        return student
-    return DaggerPolicy(student, teacher, config.teacher, lambda: decision() >= starts, rngs[0])
-
-
-def training_steps(
-    config: TrainConfig, env: FlipperEnv, policy: Policy, seed: int, difficulty: float
-) -> Iterator[Step]:
-    """Yield the steps of an episode with what the training learns from."""
-    frames, privileged = config.network.frames, config.learns_privileged_value
-    return steps(env, policy, seed, difficulty=difficulty, frames=frames, privileged=privileged)
+def load_weights(module: torch.nn.Module, weights: Weights) -> None:
+    """Give a network the weights of another process."""
+    with naming_network(module, "load_state_dict"):  # its shapes may have changed
+        module.load_state_dict({name: torch.from_numpy(array) for name, array in weights.items()})
 
 
 class GreedyPlayer:
@@ -168,9 +133,9 @@ class GreedyPlayer:
         self._risk = None
         with torch.random.fork_rng(devices=[]):  # the weights will come
             self.module = build_policy(config.network, env.layout, config.actions)
-            if config.agent.risk:
+            if (risk := config.agent.failure_risk) is not None:
                 network = RiskNetwork(input_size(config.network, env.layout))
-                self._risk = plain_risk(network, config.agent.risk_horizon)
+                self._risk = plain_risk(network, risk.horizon)
         self.module.requires_grad_(False)
 
     def load(self, weights: Weights) -> None:
@@ -178,8 +143,7 @@ class GreedyPlayer:
         risk, state = split_weights(weights)
         if risk and self._risk is not None:
             self._risk.network.load_state_dict(risk)
-        with naming_network(self.module, "load_state_dict"):  # its shapes may have changed
-            self.module.load_state_dict(state)
+        load_weights(self.module, state)
 
     def play(self, seed: int) -> Row:
         """Play the greedy episode of a seed; return its row."""
@@ -192,12 +156,12 @@ _stopwatch: Stopwatch
 """The actor of this worker process, and what measures its waits."""
 
 
-def create_actor(config: dict[str, Any], *statements: Statement) -> None:
+def create_actor(config: dict[str, Any], shared: Mapping[str, Any], *statements: Statement) -> None:
     """Create the actor of this worker process, which agrees with the learner's ``statements``."""
     global _actor, _stopwatch
     for statement in statements:
         statement.enter()
-    _actor, _stopwatch = Actor(config), Stopwatch()
+    _actor, _stopwatch = Actor(config, shared), Stopwatch()
 
 
 def play_request(request: RolloutRequest, weights: Weights | Path) -> Rollout:
@@ -257,8 +221,10 @@ class InProcessCollector:
 class RolloutWorkers:
     """Actors in processes of this machine; rollouts come in the order of the requests."""
 
-    def __init__(self, count: int, config: TrainConfig) -> None:
-        """Create the actors, without waiting for them."""
+    def __init__(
+        self, count: int, config: TrainConfig, shared: Mapping[str, Any] | None = None
+    ) -> None:
+        """Create the actors, without waiting for them; ``shared``: see ``Actor``."""
         self._opened = ExitStack()
         self._sent: dict[Future[Rollout], RolloutRequest] = {}
         self._newest: dict[str, Rollout] = {}
@@ -266,7 +232,7 @@ class RolloutWorkers:
         """Weights as they are given to calls, by their versions."""
         inputs = Statement.of_inputs(config, config.network, config.teacher.controller)
         statements = Statement.of_code(), inputs
-        self._pool = self._open(count, (to_dict(config), *statements))
+        self._pool = self._open(count, (to_dict(config), dict(shared or {}), *statements))
 
     def _open(self, count: int, arguments: tuple[Any, ...]) -> WorkerPool:
         # Weights go through files: a process that dies while it receives a long message would block
@@ -346,11 +312,12 @@ class RayWorkers(RolloutWorkers):
         self,
         settings: RayCollector,
         config: TrainConfig,
+        shared: Mapping[str, Any] | None = None,
         report: Callable[[str], None] = lambda text: None,
     ) -> None:
         """Create the actors, without waiting; ``report`` gets sentences about them."""
         self._settings, self._report = settings, report
-        super().__init__(settings.workers, config)
+        super().__init__(settings.workers, config, shared)
 
     def _open(self, count: int, arguments: tuple[Any, ...]) -> WorkerPool:
         address = self._settings.address or cluster.LOCAL

@@ -24,7 +24,7 @@ from flipperctl.api import (
     Perception,
     Policy,
     RecordedEpisode,
-    StateGroups,
+    Step,
     Terrain,
     Transition,
 )
@@ -253,36 +253,12 @@ Weights = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
-class Step:
-    """One step of an episode; observations are the network's inputs, (frames · n,)."""
-
-    observation: NDArray[np.float32]
-    action: int
-    reward: float
-    next_observation: NDArray[np.float32]
-    ending: Row | None
-    """``seed``, ``outcome``, metrics and difficulty after the episode's last step; None before."""
-    label: NDArray[np.float32] | None = None
-    """The teacher's distribution over actions at ``observation``, (9,), if there is a teacher."""
-    groups: StateGroups | None = None
-    """After the last step, the states that the teacher valued on the episode's ground."""
-    explored: bool = False
-    """Whether the action was random."""
-    privileged: NDArray[np.float32] | None = None
-    """Privileged state at ``observation``, (P,), if the training has them."""
-    next_privileged: NDArray[np.float32] | None = None
-    """Privileged state at ``next_observation``, (P,)."""
-
-
-@dataclass(frozen=True)
 class RolloutRequest:
     """All that a worker needs to play one training episode."""
 
     episode: int
     """Number of the episode in the run, from 0."""
     seed: int
-    epsilon: float
-    """Probability of a random action."""
     decision: int
     """Decisions of the run at the time of the request."""
     version: int
@@ -314,7 +290,7 @@ def steps(
             states.add(d.transition)
         yield Step(
             observation=stacked(d.perception.recent, frames) if before is None else before,
-            action=d.action,
+            action=d.action if d.rates is None else d.rates,
             reward=d.reward,
             next_observation=after,
             ending=None if d.ending is None else {**d.ending, "difficulty": difficulty},

@@ -17,7 +17,7 @@ from flipperctl.errors import OutputError, PluginError, RequestError
 from flipperctl.files import failure, make_folder, new_folder
 from flipperctl.messages import close_match
 
-_REGISTERED = {"engine": "sim", "sensor": "perception"}
+_REGISTERED = {"engine": "sim", "sensor": "perception", "learner": "agent"}
 """The kind in the registry, and so the key that chooses the plugin, where it is another word."""
 _USAGE = {
     "terrain": (
@@ -30,6 +30,10 @@ _USAGE = {
         "flipperctl train rewards.{name}={name}{plugins}",
     ),
     "network": ("flipperctl train network={name}{plugins}",),
+    "learner": (
+        "flipperctl train agent={name} terrain=step{plugins}",
+        "flipperctl train -m agent={name},d3qn seed=1,2 terrain=step{plugins}",
+    ),
     "controller": ("flipperctl eval {name} terrain=step{plugins}",),
     "engine": (
         "flipperctl eval okada sim={name} terrain=step{plugins}",

@@ -30,13 +30,14 @@ from pydantic import ValidationError
 from flipperctl import plugins as loader
 from flipperctl.api import IntRange, Plugin, Range, registry
 from flipperctl.config import resolver
-from flipperctl.errors import ConformanceError, FlipperctlError
+from flipperctl.errors import ConfigError, ConformanceError, FlipperctlError
 from flipperctl.guard import error_line, error_place, plugin_label
 
 _MODULES = {
     **{"terrain": "terrain", "sim": "engine", "perception": "sensor"},
     **dict.fromkeys(("reward", "measure", "logger"), "recorded"),
     **dict.fromkeys(("network", "controller"), "policies"),
+    "agent": "learner",
 }
 """Kind of plugin → module with its checks."""
 _BOUNDS = {"ge": 0, "le": 0, "gt": 1, "lt": -1}
@@ -139,7 +140,7 @@ def _checks(cls: type[Plugin], pictures: Path | None) -> Iterator[Check]:
     searches = getattr(cls, "searches_first", False)
     for name, test, everywhere in _tests[cls.kind]:
         yield at(name, test, everywhere=everywhere and not searches)
-    if cls.kind != "logger":  # which gives nothing
+    if cls.kind not in ("logger", "agent"):  # which give an environment nothing
         elsewhere = import_module("flipperctl.testing.elsewhere")
         yield at("another process", elsewhere.another_process, everywhere=False)
     if cls.kind == "terrain" and pictures is not None:
@@ -244,6 +245,8 @@ def variants(cls: type[Plugin]) -> list[Variant]:
             label = f"{field}={value}"
             try:
                 found.append(Variant(label, cls(**{field: value})))
+            except ConfigError:  # of a validator, as below
+                continue
             except ValidationError as error:
                 if error.errors()[0]["type"] != "value_error":
                     raise _invalid(label, error) from error

@@ -155,7 +155,7 @@ def trains(network: Network) -> None:
                 trainer = Trainer(config, folder)
                 trainer.restore(checkpoint.read(last))
             trainer.run()
-            for policy in (trainer.agent.policy, policy_module(checkpoint.read(last))):
+            for policy in (trainer.learning.policy, policy_module(checkpoint.read(last))):
                 with torch.no_grad():
                     values.append(policy.eval()(rows))
     require(

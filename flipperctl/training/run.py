@@ -17,8 +17,8 @@ from typing import Any
 import torch
 
 from flipperctl import checkpoint
-from flipperctl.agent.contract import check_contract, check_demand
-from flipperctl.api import ACTIONS, Listener
+from flipperctl.agent.contract import check_contract
+from flipperctl.api import Listener
 from flipperctl.api.controllers import is_rule
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.checkpoint.document import State
@@ -52,11 +52,8 @@ from flipperctl.results import METRICS, finished, hold, holds_run, names
 from flipperctl.reward_sum import paying_terms
 from flipperctl.session import command, interrupts, quote_path
 from flipperctl.training import folder as run_folder
-from flipperctl.training.base import BaseTrainer, closer
 from flipperctl.training.listeners import MetricsCsv, openers
-from flipperctl.training.recorded import read_teacher
-from flipperctl.training.starting import read_start, read_values
-from flipperctl.training.trainer import Trainer
+from flipperctl.training.trainer import Trainer, closer
 
 _RESUMABLE = ("train.", "device", "collector", "logger")
 """What the overrides of a resumed run begin with."""
@@ -70,25 +67,11 @@ def check(config: TrainConfig) -> None:
     env = FlipperEnv(config=config.environment())
     env.reset(seed=0)
     require_repeatable(env, 0)
-    if config.method is not None:
-        from flipperctl.training.sb3 import check_settings
-
-        check_settings(config)
-        return
-    if config.actions == "rates":
-        raise ConfigError(
-            "actions: rates needs a method of continuous actions, such as "
-            "method=sb3 method.algorithm=sac; the agent chooses among turns"
-        )
-    recording = read_teacher(config)
-    check_demand(
-        *(config.network, config.perception, len(ACTIONS), config.agent),
-        config.train.decisions + (0 if recording is None else recording.decisions),
-        labelled=config.teacher.teaches,
-    )
+    try:
+        config.agent.check_start(config)
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
     check_contract(config.network, config.perception)
-    read_start(config)
-    read_values(config)
 
 
 def check_resumable(words: Iterable[str]) -> None:
@@ -342,25 +325,16 @@ def _continue(
     return _train(trainer, decision, reports, stop)
 
 
-def _trainer(config: TrainConfig, directory: Path) -> BaseTrainer:
+def _trainer(config: TrainConfig, directory: Path) -> Trainer:
     """Return a trainer whose directory has no leftovers and the folder of checkpoints."""
     run_folder.clear_leftovers(directory)
-    trainer = _trainer_of(config)(config, directory)
+    trainer = Trainer(config, directory)
     make_folder(directory / checkpoint.BEST.parent)
     return trainer
 
 
-def _trainer_of(config: TrainConfig) -> Callable[[TrainConfig, Path], BaseTrainer]:
-    """Return the trainer of a method; Stable-Baselines3's takes seconds to import."""
-    if config.method is None:
-        return Trainer
-    from flipperctl.training.sb3 import Sb3Trainer
-
-    return Sb3Trainer
-
-
 def _train(
-    trainer: BaseTrainer, resume_at: int | None, reports: Reports, stop: Callable[[], bool]
+    trainer: Trainer, resume_at: int | None, reports: Reports, stop: Callable[[], bool]
 ) -> Finished:
     directory, config = trainer.directory, trainer.config
     total, done = config.train.decisions, trainer.progress.decision

@@ -1,97 +1,123 @@
-"""The training loop: act → step → store → learn, with validations and checkpoints.
+"""The training loop: act → step → store → learn, with validations, checkpoints and the summary.
 
-When the budget is spent, the rest of the running episodes is not learnt from.
+In: a validated configuration and the directory of a new or resumed run. Out: checkpoints and
+summary.json. The first checkpoint is written before the first decision, so that a killed run can
+always be resumed. The learner is known by ``flipperctl.api.Learner`` alone. When the budget is
+spent, the rest of the running episodes is not learnt from.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
 from flipperctl import checkpoint
-from flipperctl.agent.contract import check_demand
-from flipperctl.agent.d3qn import D3qn
-from flipperctl.agent.learner import join
-from flipperctl.agent.policy_gradient import PolicyGradient
-from flipperctl.api import ACTIONS, Listener
+from flipperctl.api import Listener, Logger, Outcome
 from flipperctl.checkpoint import Checkpoint
-from flipperctl.checkpoint.document import Generators, RequestState, State
+from flipperctl.checkpoint.document import (
+    Document,
+    GeneratorState,
+    RequestState,
+    State,
+    require_equal_layout,
+)
 from flipperctl.config import TrainConfig
-from flipperctl.env.privileged import SIZE
-from flipperctl.errors import CheckpointError, ConfigError
+from flipperctl.config.identity import all_files_read, content_digest
+from flipperctl.env import ground
+from flipperctl.env.metrics import DRAWN
+from flipperctl.errors import CheckpointError
+from flipperctl.files import write_json
 from flipperctl.rollout.collect import Collector
 from flipperctl.rollout.episode import RolloutRequest, Row
-from flipperctl.training.base import BaseTrainer, Stop, closer
-from flipperctl.training.episodes import (
-    EpisodeSource,
-    TrainingRecorder,
-    ValueTargets,
-    arrays,
-    new_replay,
-    run_arrays,
-    store,
-)
-from flipperctl.training.recorded import add_recorded
-from flipperctl.training.starting import FinalFit, start
+from flipperctl.rollout.training import ConfiguredTraining
+from flipperctl.training.episodes import EpisodeSource, Progress, TrainingRecorder
+from flipperctl.training.listeners import Companion
+from flipperctl.training.validation import Validator
+
+COUNTERS = ("decision", "episode", "started", "lost", "updates", "loss", "difficulty")
+"""Numbers of ``Progress`` that a checkpoint holds."""
+Stop = Callable[[], bool]
 
 
-class Trainer(BaseTrainer):
-    """A run of our own learners."""
+def closer(opened: Listener | Collector) -> Callable[..., None]:
+    """Return an ``ExitStack`` callback that closes; of several errors, the first is raised."""
+
+    def close(kind: object, error: BaseException | None, trace: object) -> None:
+        try:
+            opened.close()
+        except BaseException:
+            if error is None:
+                raise
+
+    return close
+
+
+class Trainer:
+    """One training run."""
 
     def __init__(
         self, config: TrainConfig, directory: Path, listeners: Sequence[Listener] = ()
     ) -> None:
-        super().__init__(config, directory, listeners)
-        layout, agent = self.env.layout, config.agent
-        privileged = SIZE if config.learns_privileged_value else 0
-        check_demand(
-            *(config.network, layout, len(ACTIONS), agent, config.train.decisions),
-            labelled=config.keeps_distributions,
-            privileged=privileged,
-        )
-        init, explore, sample, again = np.random.SeedSequence(config.seed).spawn(4)
-        seed = int(init.generate_state(1)[0])
-        self.agent: D3qn | PolicyGradient = (PolicyGradient if agent.is_policy_gradient else D3qn)(
-            *(config.network, layout, agent),
-            seed=seed,
-            device=config.device,
-            teacher=config.teacher if config.teacher.teaches else None,
-            privileged=privileged,
-        )
-        self.replay = new_replay(config, layout, privileged)
-        self.valued = ValueTargets(config.teacher)
-        self._final_fit = FinalFit(config, layout, self.replay, (seed, again), self._report)
-        exploring, self._sample_rng = np.random.default_rng(explore), np.random.default_rng(sample)
-        self._generators = {"explore": exploring, "sample": self._sample_rng}
-        self._generators["noise"] = self.agent.noise_rng
-        self.episodes = EpisodeSource(config, self.agent, self.progress, exploring, self._report)
-        self._validating(self.agent)
+        torch.set_num_threads(config.train.threads)
+        self.config, self.directory = config, directory
+        self.listeners = list(listeners)
+        self.progress = Progress(ground.first_difficulty(config.terrain))
+        plugged = checkpoint.plugged(config)
+        self._files = all_files_read(p for p in plugged if p.kind != Logger.kind)
+        self._digests = tuple(map(content_digest, self._files))
+        self.companion, self._restored = Companion(directory), False
+        self._idle_share: float | None = None
+        self._early_notes: list[str] | None = []
         self._outstanding: list[RolloutRequest] = []
         self._recorder = TrainingRecorder(config, directory)
-        self._idle_share: float | None = None
+        self._training = ConfiguredTraining(config, report=self._report)
+        self.env = self._training.environment()
+        self.learning = config.agent.build(self._training)
+        self.episodes = EpisodeSource(self._training, self.learning, self.progress)
+        self.validator = Validator(config, self.learning, self.env)
 
-    def summary(self, finished: bool) -> dict[str, Any]:
-        """Return the results of the run, with the share of time in which its workers waited."""
-        idle = {} if self._idle_share is None else {"workers_idle": round(self._idle_share, 3)}
-        return super().summary(finished) | idle
+    def run(
+        self,
+        stop: Stop = lambda: False,
+        regret: Callable[[], dict[str, Any] | None] = lambda: None,
+    ) -> dict[str, Any]:
+        """Train until the budget is spent or ``stop`` returns True.
 
-    def _exploring(self) -> tuple[float, int]:
-        return self.episodes.epsilon, self.episodes.lag
+        ``stop`` is called between episodes, in validations, and while waiting for workers.
+        ``regret`` is called once if the budget is spent, after the last checkpoint; its result
+        is part of the summary. Returns the summary, which is also written to ``summary.json``. The
+        listeners are closed even after an error.
+        """
+        with ExitStack() as opened:
+            for listener in self.listeners:
+                opened.push(closer(listener))
+            self.companion.start()
+            early, self._early_notes = self._early_notes or [], None
+            budget, first = self.config.train.decisions, self.config.agent.first_update(self.config)
+            if first is not None and budget < first[0] and not self.progress.updates:
+                self._report(f"train.decisions={budget} leaves the policy as it begins: {first[1]}")
+            for text in early:
+                self._report(text)
+            finished = self._run(stop, opened)
+            summary = self.summary(finished)
+            summary["regret"] = regret() if finished else None
+            write_json(self.directory / "summary.json", summary)
+            return summary
 
     def _run(self, stop: Stop, opened: ExitStack) -> bool:
+        """Train; return whether the budget is spent. ``opened`` closes what is put into it."""
         if not self._restored:  # else the checkpoint has what follows
             self._recorder.restore(0)
-            self._final_fit.begin(start(self.config, self.agent))
-            add_recorded(self.replay, self.config, self._report)
+            self.learning.begin()
         self._save_all(self._outstanding)
-        collector = self.episodes.start_collector(self._outstanding, stop, self.replay.kept)
+        collector = self.episodes.start_collector(self._outstanding, stop)
         opened.push(closer(collector))
-        finished = self._train(collector, stop)
+        train = self._train_itself if self.config.agent.own_loop else self._train
+        finished = train(collector, stop)
         self._idle_share = collector.idle_share()
         self._save_all(collector.outstanding())
         self._recorder.finish()
@@ -100,14 +126,14 @@ class Trainer(BaseTrainer):
     def _train(self, collector: Collector, stop: Stop) -> bool:
         """Train and validate; return whether the budget is spent, False if the run was stopped.
 
-        A run that was stopped in a validation, or while it learnt all labels anew, repeats that
-        first when it is resumed.
+        A run that was stopped in a validation, or in what the learner does after the last decision,
+        repeats that first when it is resumed.
         """
         settings, progress = self.config.train, self.progress
         while True:
             over = progress.decision >= settings.decisions
             if self._validation_due():
-                if over and not self._final_fit.run(self.agent, stop):
+                if over and not self.learning.finish(stop):
                     return False
                 if not self._validate(collector):
                     return False
@@ -118,66 +144,107 @@ class Trainer(BaseTrainer):
                 return False
             before = progress.decision
             self._train_episode(collector)
-            passed = progress.decision // settings.checkpoint_every
-            if passed > before // settings.checkpoint_every and not self._validation_due():
+            if self._checkpoint_due(before) and not self._validation_due():
                 self._save_all(collector.outstanding())
+
+    def _train_itself(self, collector: Collector, stop: Stop) -> bool:
+        """Let a learner with a loop of its own train; see ``_train``."""
+        finished = self.progress.decision >= self.config.train.decisions or self.learning.train(
+            OwnLoop(self, collector, stop)
+        )
+        return finished and (not self._validation_due() or self._validate(collector))
 
     def _train_episode(self, collector: Collector) -> None:
         """Collect, store and learn until the episode or the budget ends.
 
         Does nothing if the run is to stop before an episode arrives.
         """
+        learning, progress = self.learning, self.progress
         ending: Row | None = None
         for step in collector.episode():
-            ending = step.ending
-            store(self.replay, step, self.config)
-            self.valued.add(step)
-            self._recorder.add(step, self.progress.episode)
-            self.progress.decision += 1
-            self._learn_from_replay()
-            if self.progress.decision >= self.config.train.decisions:
+            ending = None if step.ending is None else dict(step.ending)
+            self._recorder.add(step, progress.episode)
+            self.count_decision()
+            learning.add(step, progress.decision)
+            self.follow()
+            if progress.decision >= self.config.train.decisions:
                 break
         if ending is None:  # the budget ended first, or the run is to stop
-            if self.config.agent.is_policy_gradient:  # the next one would seem to be its rest
-                self.replay.take_back()
-            self.replay.drop_pending()
+            learning.drop_episode()
             self._recorder.drop()
         else:
-            self._end_episode(ending)
-            self._learn_from_episodes()
+            self.end_episode(ending)
+            learning.end_episode(progress.decision)
+            self.follow()
 
-    def _learn_from_replay(self) -> None:
-        """Update from random transitions, every few decisions.
+    def validate_and_save(self, collector: Collector, before: int) -> bool:
+        """Do what is due since the decision ``before``; return False if the run is to stop."""
+        due = self._validation_due()
+        if due and not self._validate(collector):
+            return False
+        if due or self._checkpoint_due(before):
+            self._save_all(collector.outstanding())
+        return True
 
-        No update is due before the first transition, complete after ``n_step`` decisions.
-        """
-        agent, progress, rng = self.config.agent, self.progress, self._sample_rng
-        together = agent.updates_together
-        due = progress.decision % (agent.update_every * together) == 0
-        begun = progress.decision + self.replay.kept >= agent.learning_starts
-        if isinstance(self.agent, D3qn) and due and begun and len(self.replay):
-            batch = self.replay.sample(self.agent.candidates * together * agent.batch_size, rng)
-            valued = self.valued.batches(together, rng)
-            fraction = progress.decision / self.config.train.decisions
-            progress.loss = self.agent.update(batch, fraction, valued)
-            progress.updates += together
+    def count_decision(self) -> None:
+        """Count a decision."""
+        self.progress.decision += 1
 
-    def _learn_from_episodes(self) -> None:
-        """Update from the newest whole episodes, each used once, if enough decisions are new."""
-        agent, replay, progress = self.agent, self.replay, self.progress
-        if not isinstance(agent, PolicyGradient):
-            return
-        new = replay.added - agent.learnt
-        if new > replay.capacity:  # one episode is longer than a whole round
-            raise ConfigError(
-                f"agent.replay_size: {replay.capacity:,} decisions are fewer than the {new:,} of "
-                "whole episodes that the policy gradient learns from at once; raise it"
-            )
-        if new >= self.config.agent.policy_gradient.decisions:
-            fraction = progress.decision / self.config.train.decisions
-            progress.loss = agent.update(replay.newest(new), fraction, self._sample_rng)
-            agent.learnt = replay.added
-            progress.updates += 1
+    def follow(self) -> None:
+        """Take the number of updates and the loss from the learner."""
+        self.progress.updates, self.progress.loss = self.learning.updates, self.learning.loss
+
+    def _checkpoint_due(self, before: int) -> bool:
+        """Return whether a checkpoint is due since the decision ``before``."""
+        every = self.config.train.checkpoint_every
+        return self.progress.decision // every > before // every
+
+    def _validation_due(self) -> bool:
+        """Return whether a validation is due since the last one, or at the end of the budget."""
+        decision, settings, last = self.progress.decision, self.config.train, self.validator.last
+        if decision >= settings.decisions:
+            return last is None or last.decision != decision
+        before = 0 if last is None else last.decision
+        return decision // settings.validate_every > before // settings.validate_every
+
+    def end_episode(self, ending: Row) -> None:
+        """Count an episode that has ended, and show its row."""
+        reached = ending["outcome"] == Outcome.REACHED
+        progress, terrain = self.progress, self.config.terrain
+        progress.episode += 1
+        progress.recent.append(reached)
+        progress.difficulty = ground.next_difficulty(terrain, progress.difficulty, reached)
+        row = {**self._common_columns(), "success_rate": progress.success_rate}
+        own = {name: value for name, value in ending.items() if not name.startswith(DRAWN)}
+        for listener in self.listeners:
+            listener.episode({**row, "lag": self.episodes.lag, **own})
+
+    def _validate(self, collector: Collector) -> bool:
+        """Validate the policy; return False if the run is to stop before the result is known."""
+        found = self.validator.validate(collector, self.progress.decision)
+        if found is None:
+            return False
+        means = found.model_dump(exclude={"decision"})
+        for listener in self.listeners:
+            listener.validation({**self._common_columns(), **means})
+        return True
+
+    def _report(self, text: str) -> None:
+        if self._early_notes is not None:  # before there are listeners
+            self._early_notes.append(text)
+        for listener in self.listeners if self._early_notes is None else ():
+            listener.note(text)
+
+    def _common_columns(self) -> dict[str, Any]:
+        """Return the columns of ``metrics.csv`` that all rows share."""
+        progress = self.progress
+        return {
+            "decision": progress.decision,
+            "episode": progress.episode,
+            "epsilon": self.learning.exploration(progress.decision),
+            "loss": progress.loss if progress.updates else None,
+            "seconds": round(self.companion.seconds, 3),
+        }
 
     def save(self, outstanding: Sequence[RolloutRequest] = ()) -> None:
         """Write ``last.safetensors``: all that the run needs to be resumed.
@@ -186,49 +253,156 @@ class Trainer(BaseTrainer):
         resumed run resends the ``outstanding`` requests.
         """
         self._recorder.save()
-        parts = {"replay": self.replay.filled(), "groups": self.valued.memory.filled()}
-        parts |= {f"weights{request.version}": dict(request.weights) for request in outstanding}
-        held = {p: {n: torch.from_numpy(a) for n, a in kept.items()} for p, kept in parts.items()}
-        tensors = self.agent.tensors() | self._final_fit.tensors() | join(held)
-        generators = {n: g.bit_generator.state for n, g in self._generators.items()}
+        learnt = {"target": self.learning.policy.state_dict(), **self.learning.tensors()}
+        weights = {
+            f"weights{request.version}": {
+                name: torch.from_numpy(array) for name, array in request.weights.items()
+            }
+            for request in outstanding
+        }
         requests = [
             RequestState(**{name: getattr(request, name) for name in RequestState.model_fields})
             for request in outstanding
         ]
-        state = self._state(
+        states = {n: g.bit_generator.state for n, g in self._training.generators.items()}
+        state = State(
+            **{name: getattr(self.progress, name) for name in COUNTERS},
+            recent=tuple(self.progress.recent),
+            validations=tuple(self.validator.history),
+            best_by=self.validator.best_by,
+            files=self._digests,
             orders=tuple(requests),
-            replay_added=self.replay.added,
-            replay_kept=self.replay.kept,
-            groups_added=self.valued.memory.added,
-            generators=Generators.model_validate(generators),
+            parts=tuple(learnt),
+            learner=dict(self.learning.counters()),
+            generators={n: GeneratorState.model_validate(state) for n, state in states.items()},
         )
         document = checkpoint.describe(self.config, "last", state=state)
+        tensors = checkpoint.join({**learnt, **weights})
         self._write_last(document, tensors)
 
-    def _save_all(self, outstanding: Sequence[RolloutRequest]) -> None:
-        self.save(outstanding)
-        self._save_best()
+    @property
+    def rows(self) -> int:
+        """Number of rows that the run has written: one for each episode and each validation."""
+        return self.progress.episode + len(self.validator.history)
 
-    def _policy(self) -> Mapping[str, Mapping[str, torch.Tensor]]:
-        networks = {"policy": self.agent.policy.state_dict()}
-        if self.agent.risk is not None:
-            networks["risk"] = self.agent.risk.network.state_dict()
-        return networks
+    def _write_last(self, document: Document, tensors: Mapping[str, torch.Tensor]) -> None:
+        """Write ``last.safetensors``, and before it what it states of the clock."""
+        self.companion.write(self.rows)
+        checkpoint.write(self.directory / checkpoint.LAST, document, tensors)
+
+    def _save_all(self, outstanding: Sequence[RolloutRequest]) -> None:
+        """Write the last checkpoint, and ``best.safetensors`` if the policy is the best so far.
+
+        In this order, so that a killed run never leaves a best policy from after its last
+        checkpoint; a resumed run writes a best policy that was not written before.
+        """
+        self.save(outstanding)
+        best, learning = self.validator.best, self.learning
+        if best is None or best.decision != self.progress.decision:
+            return
+        document = checkpoint.describe(
+            self.config, "best", decision=best.decision, validation=best.model_dump()
+        )
+        parts = {"policy": learning.policy.state_dict()}
+        if learning.risk is not None:
+            parts["risk"] = learning.risk.state_dict()
+        checkpoint.write(self.directory / checkpoint.BEST, document, checkpoint.join(parts))
+
+    def restore(self, saved: Checkpoint) -> None:
+        """Restore the run from its last checkpoint."""
+        state = saved.document.state
+        if state is None:
+            raise CheckpointError(f"{saved.path} holds a policy alone, not a run")
+        for file, now, then in zip(self._files, self._digests, state.files, strict=False):
+            if None not in (now, then) and now != then:
+                raise CheckpointError(
+                    f"{file} has changed since the run began, and a resumed run keeps it; "
+                    "restore the file, or start a new run from this one's policy: "
+                    f"agent.start_from={self.directory}"
+                )
+        self._restore(saved, state)
+        for name in COUNTERS:
+            setattr(self.progress, name, getattr(state, name))
+        self.progress.recent.extend(state.recent)
+        self.validator.history[:] = state.validations
+        self._restored = True
+        self.companion.read()
 
     def _restore(self, saved: Checkpoint, state: State) -> None:
-        replay, weights = run_arrays(saved, state, self.agent, self.replay)
-        self.agent.restore(saved.tensors, state.updates)
-        self.replay.restore(replay, state.replay_added, state.replay_kept)
-        size = self.replay.arrays["observation"].shape[1]
+        """Restore the learner, its generators, the outstanding requests and recorded episodes."""
+        learning = self.learning
+        learning.updates, learning.loss = state.updates, state.loss
         try:
-            self.valued.memory.restore(arrays(saved, "groups"), state.groups_added, size)
-        except ValueError as error:
-            raise CheckpointError(f"{saved.path}: its part groups is not valid: {error}") from error
-        self._final_fit.restore(saved)
-        for name, generator in state.generators.model_dump().items():
-            self._generators[name].bit_generator.state = generator
+            learning.restore({name: saved.part(name) for name in state.parts}, state.learner)
+            for name, tensors in learning.tensors().items():  # all that it saves, and no more
+                require_equal_layout(saved.part(name), tensors)
+            for name, generator in self._training.generators.items():
+                generator.bit_generator.state = state.generators[name].model_dump()
+        except (ValueError, TypeError, LookupError, RuntimeError) as error:
+            raise CheckpointError(f"{saved.path}: its state is not valid: {error}") from error
+        expected = learning.driving.state_dict()
+        weights = {}
+        for version in {request.version for request in state.orders}:
+            part = saved.part(f"weights{version}")
+            try:
+                require_equal_layout(part, expected)
+            except ValueError as error:
+                text = f"{saved.path}: its part weights{version} is not valid: {error}"
+                raise CheckpointError(text) from error
+            weights[version] = {name: tensor.numpy() for name, tensor in part.items()}
         self._outstanding = [
             RolloutRequest(**request.model_dump(), weights=weights[request.version])
             for request in state.orders
         ]
         self._recorder.restore(state.episode)
+
+    def summary(self, finished: bool) -> dict[str, Any]:
+        """Return the results of the run, as JSON types."""
+        config, progress = self.config, self.progress
+        validations = {"best": self.validator.best, "last": self.validator.last}
+        return {
+            "finished": finished,
+            "terrain": config.terrain.plugin_name,
+            "network": config.network.plugin_name,
+            "seed": config.seed,
+            "decisions": progress.decision,
+            "episodes": progress.episode,
+            "lost_episodes": progress.lost,
+            "seconds": round(self.companion.seconds, 1),
+            "success_rate": progress.success_rate,
+            **{name: found and found.model_dump() for name, found in validations.items()},
+            **({} if self._idle_share is None else {"workers_idle": round(self._idle_share, 3)}),
+        }
+
+
+class OwnLoop:
+    """The run for a learner that plays its episodes itself, ``flipperctl.api.Loop``."""
+
+    def __init__(self, trainer: Trainer, collector: Collector, stop: Stop) -> None:
+        self._trainer, self._collector, self._stop = trainer, collector, stop
+        self._before = trainer.progress.decision
+
+    @property
+    def decision(self) -> int:
+        """Number of decisions of the run so far."""
+        return self._trainer.progress.decision
+
+    def begin_episode(self) -> tuple[int, float]:
+        """Return seed and difficulty of the next episode."""
+        difficulty = self._trainer.progress.difficulty
+        return self._trainer.episodes.next_seed(), difficulty
+
+    def count_decision(self) -> None:
+        """Count a decision."""
+        self._trainer.count_decision()
+        self._trainer.follow()
+
+    def end_episode(self, ending: Mapping[str, Any]) -> None:
+        """Take in the seed, the outcome and the metrics of an episode that has ended."""
+        self._trainer.end_episode(dict(ending))
+
+    def between_episodes(self) -> bool:
+        """Validate and save what is due; return False if the run is to stop."""
+        goes_on = self._trainer.validate_and_save(self._collector, self._before)
+        self._before = self.decision
+        return goes_on and not self._stop()

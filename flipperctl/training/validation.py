@@ -8,15 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from flipperctl.agent.risk import POSITIVES
-from flipperctl.api import FloatArray, Outcome
+from flipperctl.agent.risk import POSITIVES, policy_arrays
+from flipperctl.api import FailureRisk, FloatArray, Learning, Outcome
 from flipperctl.checkpoint.document import BestBy, Validation
-from flipperctl.config import Agent, TrainConfig
+from flipperctl.config import TrainConfig
 from flipperctl.core.risk import RiskCalibration, RiskSign
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.metrics import DRAWN
@@ -38,7 +37,7 @@ _STEPS: Final = 50
 
 
 def calibrated(
-    rows: Sequence[Row], settings: Agent
+    rows: Sequence[Row], settings: FailureRisk | None
 ) -> tuple[RiskCalibration, dict[str, float]] | None:
     """Return the calibration of a validation's risks, which are taken out of its rows.
 
@@ -46,17 +45,17 @@ def calibrated(
     """
     found = [(EpisodeRisks.pop(row), row["outcome"] != Outcome.REACHED) for row in rows]
     episodes = [(risks, fails) for risks, fails in found if risks is not None]
-    if not episodes:
+    if not episodes or settings is None:
         return None
     told, came = predicted_and_actual(episodes)
-    slope, shift = fit(_log_odds(told), came, settings.risk_horizon)
-    sign = RiskSign(settings.risk_horizon, 1.0)
+    slope, shift = fit(_log_odds(told), came, settings.horizon)
+    sign = RiskSign(settings.horizon, 1.0)
     probabilities = []
     for risks, fails in episodes:
         odds = slope * _log_odds(np.array(risks.told)) + shift
         probabilities.append((EpisodeRisks.of(sign, sigmoid(odds).tolist()), fails))
-    threshold = threshold_for(probabilities, settings.risk_false_alarms, _LEAST)
-    calibration = RiskCalibration(RiskSign(settings.risk_horizon, threshold), slope, shift)
+    threshold = threshold_for(probabilities, settings.false_alarms, _LEAST)
+    calibration = RiskCalibration(RiskSign(settings.horizon, threshold), slope, shift)
     final = [(EpisodeRisks(calibration.sign, risks.told), fails) for risks, fails in probabilities]
     summary = summarise(final)
     assert summary is not None  # there are episodes
@@ -120,18 +119,11 @@ _BEST_BY: Final[dict[str, BestBy]] = {
 }
 
 
-class PolicyArrays(Protocol):
-    """A learner with a policy."""
-
-    def policy_arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Return the weights of the policy, and of its risk, as a ``GreedyPlayer`` takes them."""
-
-
 class Validator:
-    """Validates the agent's policy and keeps the results."""
+    """Validates the learner's policy and keeps the results."""
 
-    def __init__(self, config: TrainConfig, agent: PolicyArrays, env: FlipperEnv) -> None:
-        self._agent, self._learner = agent, config.agent
+    def __init__(self, config: TrainConfig, learning: Learning, env: FlipperEnv) -> None:
+        self._learning, self._risk = learning, config.agent.failure_risk
         self._greedy = GreedyPlayer(config, env)
         settings = config.train
         self._seeds = [
@@ -160,13 +152,13 @@ class Validator:
         ``decision``: number of decisions of the run so far. Returns None if the run is to stop
         before the last episode has ended.
         """
-        weights = self._agent.policy_arrays()
+        weights = policy_arrays(self._learning.policy, self._learning.risk)
         self._greedy.load(weights)
         rows = collector.evaluate(weights, self._seeds, self._greedy.play)
         if rows is None:
             return None
         reached_rows = [row for row in rows if reached(row)]
-        risk = calibrated(rows, self._learner)
+        risk = calibrated(rows, self._risk)
         numbers = [n for n, v in rows[0].items() if isinstance(v, float | int) and n != "seed"]
         names = [n for n in numbers if not n.startswith(DRAWN)]  # parts of a mix draw others
         # Means over the episodes that reached the finish, as in the paper; over all if none did.

@@ -4,10 +4,11 @@ from typing import Any, ClassVar
 
 import torch
 
-from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.replay import Batch
 from flipperctl.api import Network, ObservationLayout
-from flipperctl.config import Agent, Teacher, resolver
+from flipperctl.config import Teacher, resolver
+from flipperctl.learners import D3qn
+from flipperctl.learners.double_q import DoubleQ
 
 LAYOUT = ObservationLayout()
 ACTIONS = 9
@@ -44,10 +45,10 @@ class Ramp(Network):
 
 def learner(
     network: str = "at_d3qn", seed: int = 0, teacher: Teacher | None = None, **settings: Any
-) -> D3qn:
+) -> DoubleQ:
     built = resolver.create("network", network, "network")
     assert isinstance(built, Network)
-    return D3qn(built, LAYOUT, Agent(**settings), seed=seed, teacher=teacher)
+    return DoubleQ(built, LAYOUT, D3qn(**settings), seed=seed, teacher=teacher)
 
 
 def fixed_batch(size: int = 64, frames: int = 1) -> Batch:

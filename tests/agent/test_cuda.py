@@ -9,12 +9,14 @@ import pytest
 import torch
 
 from flipperctl import checkpoint
-from flipperctl.agent.d3qn import D3qn
-from flipperctl.agent.learner import Learner
-from flipperctl.agent.policy_gradient import PolicyGradient
+from flipperctl.agent.risk import weights_of
 from flipperctl.api import Network
-from flipperctl.config import Agent, Teacher, resolver
+from flipperctl.config import Teacher, resolver
 from flipperctl.core.risk import LAGS
+from flipperctl.learners import D3qn, PolicyGradient
+from flipperctl.learners.clipped import ClippedGradient
+from flipperctl.learners.double_q import DoubleQ
+from flipperctl.learners.pair import NetworkPair
 from tests.short import short_config, trainer
 
 from .learners import ACTIONS, LAYOUT, fixed_batch
@@ -22,15 +24,16 @@ from .learners import ACTIONS, LAYOUT, fixed_batch
 pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no CUDA device")
 
 
-def learners(device: str) -> Iterator[Learner]:
+def learners(device: str) -> Iterator[NetworkPair]:
     """Yield one of values with a teacher, and one by the policy gradient with an anchor."""
     network = resolver.create("network", "at_d3qn", "network")
     assert isinstance(network, Network)
-    agent, teacher = Agent(risk=True, batch_size=64), Teacher(controller={"name": "okada"})
-    yield D3qn(network, LAYOUT, agent, seed=0, device=device, teacher=teacher)
-    own = {"policy_gradient": {"warm_up": 0, "anchor": 0.01}, "risk": True, "batch_size": 64}
-    agent = Agent(learner="policy_gradient", n_step=1, **own)
-    yield PolicyGradient(network, LAYOUT, agent, seed=0, device=device, privileged=2)
+    agent, teacher = D3qn(risk=True, batch_size=64), Teacher(controller={"name": "okada"})
+    yield DoubleQ(network, LAYOUT, agent, seed=0, device=device, teacher=teacher)
+    gradient = PolicyGradient(
+        warm_up=0, anchor=0.01, risk=True, batch_size=64, decisions=64, replay_size=128
+    )
+    yield ClippedGradient(network, LAYOUT, gradient, seed=0, device=device, privileged=2)
 
 
 def test_its_updates_are_those_of_the_cpu() -> None:
@@ -46,14 +49,14 @@ def test_its_updates_are_those_of_the_cpu() -> None:
     for here, there in zip(learners("cpu"), learners("cuda"), strict=True):
         for made in (here, there):
             for _ in range(3):
-                if isinstance(made, PolicyGradient):
+                if isinstance(made, ClippedGradient):
                     made.update(batch, 0.0, np.random.default_rng(1))
                 else:
-                    assert isinstance(made, D3qn)
+                    assert isinstance(made, DoubleQ)
                     made.update(batch, 0.0)
         assert {tensor.device.type for tensor in there.online.state_dict().values()} == {"cuda"}
-        found = there.policy_arrays()
-        for name, weights in here.policy_arrays().items():
+        found = weights_of(there.policy)
+        for name, weights in weights_of(here.policy).items():
             np.testing.assert_allclose(found[name], weights, atol=1e-4, err_msg=name)
 
 

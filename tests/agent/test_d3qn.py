@@ -6,23 +6,25 @@ import numpy as np
 import pytest
 import torch
 
-from flipperctl.agent.d3qn import D3qn
 from flipperctl.agent.losses import searched_values, teacher_large_margin
 from flipperctl.agent.replay import Batch, GroupBatch
 from flipperctl.api import Network, Perception, RobotGeometry
 from flipperctl.api.plugin import registered_names
-from flipperctl.config import Agent, Teacher, resolver
+from flipperctl.checkpoint import join
+from flipperctl.config import Teacher, resolver
 from flipperctl.core.risk import LAGS
 from flipperctl.errors import NonFiniteError
+from flipperctl.learners import D3qn
+from flipperctl.learners.double_q import DoubleQ
 from flipperctl.policies.trained import ExploringPolicy
 from tests.agent.learners import ACTIONS, LAYOUT, Ramp, fixed_batch, learner
 
 
-def weights(agent: D3qn) -> dict[str, torch.Tensor]:
+def weights(agent: DoubleQ) -> dict[str, torch.Tensor]:
     return {name: p.detach().clone() for name, p in agent.online.named_parameters()}
 
 
-def explored(agent: D3qn, epsilon: float, count: int) -> list[int]:
+def explored(agent: DoubleQ, epsilon: float, count: int) -> list[int]:
     """Return actions of the exploring policy, all for the same observation."""
     rng = np.random.default_rng(0)
     policy = ExploringPolicy(agent.online, 1, lambda: epsilon, rng, agent.noise_rng)
@@ -39,7 +41,7 @@ def actions(explorer: ExploringPolicy, count: int) -> list[tuple[int, bool]]:
 
 
 def test_acts_greedily_without_epsilon_and_uniformly_with_all_of_it() -> None:
-    agent = D3qn(Ramp(), LAYOUT, Agent(), seed=0)
+    agent = DoubleQ(Ramp(), LAYOUT, D3qn(), seed=0)
     assert set(explored(agent, 0.0, 20)) == {ACTIONS - 1}
     drawn = np.bincount(explored(agent, 1.0, 900))
     # Each of nine 100 times, ± √(900 · 1/9 · 8/9) = 9
@@ -47,7 +49,7 @@ def test_acts_greedily_without_epsilon_and_uniformly_with_all_of_it() -> None:
 
 
 def test_random_actions_are_reported_and_a_share_of_the_episodes_has_some() -> None:
-    agent, rng = D3qn(Ramp(), LAYOUT, Agent(), seed=0), np.random.default_rng(0)
+    agent, rng = DoubleQ(Ramp(), LAYOUT, D3qn(), seed=0), np.random.default_rng(0)
     taken = actions(ExploringPolicy(agent.online, 1, lambda: 0.5, rng, rng), 200)
     assert {random for _, random in taken} == {True, False}
     assert all(random for action, random in taken if action != ACTIONS - 1)
@@ -61,7 +63,7 @@ def test_random_actions_are_reported_and_a_share_of_the_episodes_has_some() -> N
 
 
 def test_the_loss_of_one_decision_by_hand() -> None:
-    agent = D3qn(Ramp(), LAYOUT, Agent(reward_scale=1.0), seed=0)
+    agent = DoubleQ(Ramp(), LAYOUT, D3qn(reward_scale=1.0), seed=0)
     rising = torch.arange(ACTIONS, dtype=torch.float32)
     for network, slopes in ((agent.online, rising), (agent.target, 10 - rising)):
         assert isinstance(network, torch.nn.Linear)
@@ -75,7 +77,7 @@ def test_the_loss_of_one_decision_by_hand() -> None:
     # Q = 2 · 2 = 4; next, the online network prefers action 8, which the target network values
     # at (10 - 8) · 0.5 = 1; so the target is 1 + 0.5 · 1 = 1.5, and 2.5 off costs 2.5 - 0.5.
     assert agent.update(batch, 0.0) == pytest.approx(2.0)
-    single = D3qn(Ramp(), LAYOUT, Agent(reward_scale=1.0, double=False), seed=0)
+    single = DoubleQ(Ramp(), LAYOUT, D3qn(reward_scale=1.0, double=False), seed=0)
     single.online.load_state_dict({"weight": torch.outer(rising, one_hot), "bias": 0 * rising})
     single.target.load_state_dict({"weight": torch.outer(10 - rising, one_hot), "bias": 0 * rising})
     # The target network alone prefers action 0 and values it at 10 · 0.5 = 5: 1 + 0.5 · 5 = 3.5.
@@ -293,11 +295,11 @@ UNSEEN = 2.0
 """Size of what moves all values of a state alike and is not in its observation."""
 
 
-def privileged_agent(network: str = "mlp", privileged: int = 1) -> D3qn:
+def privileged_agent(network: str = "mlp", privileged: int = 1) -> DoubleQ:
     small = {"name": "mlp", "hidden": [32]} if network == "mlp" else network
     built = resolver.create("network", small, "network")
     assert isinstance(built, Network)
-    return D3qn(built, LAYOUT, Agent(reward_scale=1.0), seed=0, privileged=privileged)
+    return DoubleQ(built, LAYOUT, D3qn(reward_scale=1.0), seed=0, privileged=privileged)
 
 
 def unseen_batch(size: int = 256) -> Batch:
@@ -314,7 +316,7 @@ def unseen_batch(size: int = 256) -> Batch:
     )
 
 
-def differences(learner: D3qn) -> torch.Tensor:
+def differences(learner: DoubleQ) -> torch.Tensor:
     """Return the values of the acting network minus that of action 0, (9,)."""
     with torch.no_grad():
         values = learner.online(torch.zeros(1, LAYOUT.size))[0]
@@ -348,9 +350,11 @@ def test_the_next_state_s_baseline_is_discounted_into_the_target() -> None:
 
 def test_an_update_moves_the_baseline_its_target_follows_and_the_policy_has_neither() -> None:
     made = privileged_agent("quantile")
-    before = {name: tensor.clone() for name, tensor in made.tensors().items()}
+    before = {name: tensor.clone() for name, tensor in join(made.tensors()).items()}
     made.update(unseen_batch(), 0.0)
-    moved = {name for name, now in made.tensors().items() if not torch.equal(now, before[name])}
+    moved = {
+        name for name, now in join(made.tensors()).items() if not torch.equal(now, before[name])
+    }
     assert moved >= {name for name in before if name.startswith("baselines.")} != set()
     plain = privileged_agent("quantile", privileged=0)
     assert made.policy.state_dict().keys() == plain.policy.state_dict().keys()

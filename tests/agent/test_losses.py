@@ -22,7 +22,7 @@ from flipperctl.agent.losses import (
 )
 from flipperctl.api import Network, ObservationLayout
 from flipperctl.config import resolver
-from flipperctl.config.agent import linear
+from flipperctl.learners.settings import linear
 
 
 def test_the_online_network_chooses_and_the_target_network_values() -> None:

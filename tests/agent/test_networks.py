@@ -11,9 +11,10 @@ import torch
 from torch import nn
 
 from flipperctl.agent.contract import check_contract
-from flipperctl.agent.d3qn import D3qn
-from flipperctl.config import Agent
+from flipperctl.checkpoint import join
 from flipperctl.errors import ConfigError
+from flipperctl.learners import D3qn
+from flipperctl.learners.double_q import DoubleQ
 from tests.agent.learners import ACTIONS, LAYOUT, Foreign, fixed_batch
 
 
@@ -117,7 +118,7 @@ def test_what_differs_in_training_acts_in_the_loss_alone_and_repeats(inner: nn.M
             saved, steps = agent.tensors(), agent.optimiser.steps
             agent = learner(copy.deepcopy(module))
             agent.restore(saved, steps)
-        found.append((agent.update(fixed_batch(), 0.0), agent.tensors()))
+        found.append((agent.update(fixed_batch(), 0.0), join(agent.tensors())))
         assert torch.equal(torch.get_rng_state(), before)
         assert not agent.target.training
         assert not agent.online.training
@@ -126,8 +127,8 @@ def test_what_differs_in_training_acts_in_the_loss_alone_and_repeats(inner: nn.M
     assert all(torch.equal(tensor, others[name]) for name, tensor in tensors.items())
 
 
-def learner(module: nn.Module) -> D3qn:
-    return D3qn(Foreign(module=module), LAYOUT, Agent(), seed=0)
+def learner(module: nn.Module) -> DoubleQ:
+    return DoubleQ(Foreign(module=module), LAYOUT, D3qn(), seed=0)
 
 
 # In the learner
@@ -170,7 +171,7 @@ class Odd(nn.Linear):
 )
 def test_a_network_that_does_not_fit_is_named(module: Any, text: str) -> None:
     with pytest.raises(ConfigError, match="network 'foreign'.*" + text):
-        D3qn(Foreign(module=module), LAYOUT, Agent(), seed=0)
+        DoubleQ(Foreign(module=module), LAYOUT, D3qn(), seed=0)
 
 
 class Counted(nn.Module):
@@ -193,8 +194,8 @@ class Counted(nn.Module):
 
 def test_the_target_s_statistics_follow_as_its_weights_do() -> None:
     module = Counted()
-    settings = Agent(target_rate=0.25, updates_together=1)
-    agent = D3qn(Foreign(module=module), LAYOUT, settings, seed=0)
+    settings = D3qn(target_rate=0.25, updates_together=1)
+    agent = DoubleQ(Foreign(module=module), LAYOUT, settings, seed=0)
     assert float(agent.target.get_buffer("mean")[0]) == 0.0  # building it changed nothing
     for _ in range(2):
         agent.update(fixed_batch(), 0.0)
@@ -208,4 +209,4 @@ def test_the_target_s_statistics_follow_as_its_weights_do() -> None:
 def test_a_network_with_a_wrong_number_of_frames_is_named() -> None:
     for frames in (0, 33):
         with pytest.raises(ConfigError, match=f"frames is {frames}; 1 to 32 is allowed"):
-            D3qn(Foreign(module=None, window=frames), LAYOUT, Agent(), seed=0)
+            DoubleQ(Foreign(module=None, window=frames), LAYOUT, D3qn(), seed=0)

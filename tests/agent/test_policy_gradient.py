@@ -9,39 +9,32 @@ import pytest
 import torch
 
 from flipperctl.agent.losses import clipped_gain, divergence
-from flipperctl.agent.policy_gradient import PolicyGradient, advantages, limited
 from flipperctl.agent.replay import Batch, Replay
 from flipperctl.api import Network
-from flipperctl.config import Agent, resolver
-from flipperctl.config.agent import PolicyGradient as PolicyGradientSettings
+from flipperctl.config import resolver
 from flipperctl.errors import NonFiniteError
+from flipperctl.learners import PolicyGradient
+from flipperctl.learners.clipped import ClippedGradient, advantages, limited
 
 from .learners import ACTIONS, LAYOUT
 
 TEMPERATURE = 0.5
 
 
-def learner(**settings: Any) -> PolicyGradient:
+def learner(**settings: Any) -> ClippedGradient:
     built = resolver.create("network", {"name": "mlp", "hidden": [32]}, "network")
     assert isinstance(built, Network)
     shared = {"temperature": TEMPERATURE, "decisions": 64, "warm_up": 0}
-    own = {**shared, **settings.pop("policy_gradient", {})}
-    agent = Agent(
-        learner="policy_gradient",
-        n_step=1,
-        batch_size=64,
-        policy_gradient=own,
-        **{"reward_scale": 1.0, **settings},
-    )
-    return PolicyGradient(built, LAYOUT, agent, seed=0, privileged=2)
+    agent = PolicyGradient(**{"batch_size": 64, "reward_scale": 1.0, **shared, **settings})
+    return ClippedGradient(built, LAYOUT, agent, seed=0, privileged=2)
 
 
-def probabilities(agent: PolicyGradient, observation: torch.Tensor) -> torch.Tensor:
+def probabilities(agent: ClippedGradient, observation: torch.Tensor) -> torch.Tensor:
     with torch.no_grad():
         return torch.softmax(agent.online.eval()(observation) / TEMPERATURE, dim=1)
 
 
-def round_of(agent: PolicyGradient, rng: np.random.Generator, best: int = 3) -> Batch:
+def round_of(agent: ClippedGradient, rng: np.random.Generator, best: int = 3) -> Batch:
     """Decisions that the policy drew itself; action ``best`` pays 1, all others nothing."""
     observation = torch.from_numpy(rng.normal(0, 0.3, (256, LAYOUT.size)).astype(np.float32))
     label = probabilities(agent, observation)
@@ -58,7 +51,7 @@ def round_of(agent: PolicyGradient, rng: np.random.Generator, best: int = 3) -> 
     )
 
 
-def trained(rounds: int, **settings: Any) -> tuple[PolicyGradient, list[float]]:
+def trained(rounds: int, **settings: Any) -> tuple[ClippedGradient, list[float]]:
     agent, rng = learner(**settings), np.random.default_rng(1)
     found = []
     for _ in range(rounds):
@@ -89,6 +82,7 @@ def test_values_learn_the_return_and_a_copy_goes_on_with_the_counts() -> None:
     copy = learner()
     agent.update(batch, 0.0, np.random.default_rng(0))
     copy.restore(agent.tensors(), 0)
+    copy.restore_counters(agent.counters())
     assert copy.rounds == 1
     assert copy.optimiser.steps == agent.optimiser.steps
     assert copy._value_optimiser.steps == agent._value_optimiser.steps
@@ -123,15 +117,15 @@ def test_the_divergence_is_that_of_kullback_and_leibler() -> None:
 
 
 def test_what_pays_becomes_probable() -> None:
-    _, found = trained(30, learning_rate=0.003, policy_gradient={"divergence": 0.1})
+    _, found = trained(30, learning_rate=0.003, divergence=0.1)
     assert found[0] < 0.2
     assert found[-1] > 0.8
 
 
 def test_the_temperature_falls_linearly_or_stays() -> None:
-    falling = PolicyGradientSettings(temperature=0.05, temperature_end=0.01)
+    falling = PolicyGradient(temperature=0.05, temperature_end=0.01)
     assert [falling.temperature_at(f) for f in (0, 0.5, 1)] == pytest.approx([0.05, 0.03, 0.01])
-    assert PolicyGradientSettings(temperature=0.2).temperature_at(0.9) == 0.2
+    assert PolicyGradient(temperature=0.2).temperature_at(0.9) == 0.2
 
 
 def test_a_lower_temperature_leads_the_same_values_to_other_probabilities() -> None:
@@ -145,12 +139,12 @@ def test_a_lower_temperature_leads_the_same_values_to_other_probabilities() -> N
 
 def test_an_anchor_keeps_the_policy_near_its_start() -> None:
     settings = {"divergence": 0.1, "anchor": 10.0}
-    _, found = trained(30, learning_rate=0.003, policy_gradient=settings)
+    _, found = trained(30, learning_rate=0.003, **settings)
     assert found[-1] < found[0] + 0.1
 
 
 def test_the_policy_stops_at_its_divergence_while_the_values_go_on() -> None:
-    agent, rng = learner(learning_rate=0.01, policy_gradient={"divergence": 1e-6}), None
+    agent, rng = learner(learning_rate=0.01, divergence=1e-6), None
     rng = np.random.default_rng(0)
     agent.update(round_of(agent, rng), 0.0, rng)
     assert agent.optimiser.steps == 2  # the second one finds that the first went too far
@@ -158,7 +152,7 @@ def test_the_policy_stops_at_its_divergence_while_the_values_go_on() -> None:
 
 
 def test_in_its_first_rounds_only_the_values_learn() -> None:
-    agent, rng = learner(policy_gradient={"warm_up": 1}), np.random.default_rng(0)
+    agent, rng = learner(warm_up=1), np.random.default_rng(0)
     before = {name: tensor.clone() for name, tensor in agent.online.state_dict().items()}
     agent.update(round_of(agent, rng), 0.0, rng)
     assert agent._value_optimiser.steps == 8 * 4

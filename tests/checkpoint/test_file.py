@@ -15,6 +15,7 @@ from safetensors.torch import save_file
 
 from flipperctl import checkpoint
 from flipperctl.api import registry
+from flipperctl.checkpoint import former
 from flipperctl.checkpoint.document import FORMAT
 from flipperctl.config.models import AbsentTerrain
 from flipperctl.errors import CheckpointError, WriteError
@@ -230,7 +231,6 @@ def test_text_that_is_not_a_document_is_refused(text: str, expected: str, best: 
         ({"state.recent": [True] * 101}, "document.state.recent: "),
         ({"state.validations.0.pitch_variation": None}, "state.validations.0.pitch_variation: "),
         ({"state.lost": 10**6}, "lost is 1000000, above started"),
-        ({"state.replay_added": 601}, "replay_added is 601, above decision"),
         ({"state.orders": [[0, 1, 0.5, 0, 0, 1.0]]}, "document.state.orders.0: "),
     ],
 )
@@ -288,11 +288,42 @@ def test_a_checkpoint_of_another_version_is_refused_in_one_line(last: Path) -> N
     assert refused in done.err
 
 
-def test_a_former_setting_of_a_file_is_left_out_at_its_last_value() -> None:
-    sections = {"sim": {"engine": "compiled"}, "agent": {"policy_gradient": {"value_passes": 8}}}
-    assert checkpoint._without_fixed(sections) == {"sim": {}, "agent": {"policy_gradient": {}}}
-    changed = {"sim": {"engine": "plain"}, "terrain": {"engine": "compiled"}}
-    assert checkpoint._without_fixed(changed) == changed
+FORMER = {
+    "d3qn": ({"learner": "d3qn", "n_step": 2, "policy_gradient": {"value_passes": 8}}, None),
+    "policy_gradient": (
+        {"learner": "policy_gradient", "n_step": 1, "policy_gradient": {"clip": 0.2}},
+        None,
+    ),
+    "sb3": ({"learner": "d3qn"}, {"name": "sb3", "algorithm": "sac", "settings": {"tau": 0.1}}),
+}
+"""Learner → ``agent`` and ``method`` before learners were plugins."""
+
+
+@pytest.mark.parametrize("name", FORMER)
+def test_the_learner_of_a_former_file_is_a_plugin_now(name: str) -> None:
+    agent, method = FORMER[name]
+    sim = {"name": "planar", "engine": "compiled"}
+    config = {"sim": sim, "agent": {"gamma": 0.9, **agent}, "method": method}
+    read = former.current(config)
+    assert read["sim"] == {"name": "planar"}
+    assert (read["agent"]["name"], read["agent"]["gamma"]) == (name, 0.9)
+    assert read["agent"].get("n_step") == (2 if name == "d3qn" else None)
+    assert read["agent"].get("clip") == (0.2 if name == "policy_gradient" else None)
+    assert read["agent"].get("algorithm") == ("sac" if name == "sb3" else None)
+    assert former.current(read) == read
+
+
+def test_a_run_from_before_learners_were_plugins_is_evaluated_and_not_resumed(last: Path) -> None:
+    saved = checkpoint.read(last)
+    state = saved.document.plain()["state"]
+    counts = {"replay_added": 600, "replay_kept": 0, "groups_added": 0}
+    before = {k: v for k, v in state.items() if k not in ("parts", "learner")} | counts
+    agent = {"learner": "d3qn", "n_step": 3, "policy_gradient": {"clip": 0.15}}
+    resign(last, {"state": before, "config.agent": agent, "config.method": None})
+    old = checkpoint.read(last)
+    assert policy_module(old).state_dict().keys() == saved.part("target").keys()
+    with pytest.raises(CheckpointError, match=r"its state is not valid: its part online"):
+        trainer(short_config(), last.parents[1]).restore(old)
 
 
 def test_the_time_continues_when_a_run_is_resumed(last: Path) -> None:

@@ -50,7 +50,7 @@ def test_a_card_from_results_with_the_commands_that_make_them(tmp_path: Path) ->
         "--passable generalist,level conditions=nominal perception.noise=0.01 terrain=flat\n"
     )
     assert command in text  # without the note that the hash differs
-    assert '| `agent.learner` | "policy_gradient" |' in text
+    assert '| `agent` | "policy_gradient" |' in text
     assert "| flipper energy [J] | of passable |" in text
     assert "| 1 of 1 |" in text
     assert "| terrain | conditions | policy |" in text  # of which one table may have several

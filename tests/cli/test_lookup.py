@@ -69,7 +69,7 @@ def test_a_run_is_listed_with_its_best_validation(short_run: Path, tmp_path: Pat
 def test_a_setting_says_what_changes_it_and_how_it_is_typed(tmp_path: Path) -> None:
     (found,) = document("explain", "agent.epsilon_decisions", cwd=tmp_path)["settings"]
     assert found["set_by"]["experiment=quick"] == "4800"
-    assert (found["default"], found["bounds"], found["of"]) == (15000, "≥ 1, ≤ 1e+08", "agent")
+    assert (found["default"], found["bounds"], found["of"]) == (15000, "≥ 1, ≤ 1e+08", "agent d3qn")
     assert found["command"] == "flipperctl train agent.epsilon_decisions=15000"
     (found,) = document("explain", "stair.rise", cwd=tmp_path)["settings"]
     assert (found["key"], found["train"], found["unit"]) == ("terrain.rise", 0.2, "m")
@@ -86,10 +86,10 @@ def test_every_top_level_setting_and_argument_is_explained(tmp_path: Path) -> No
     assert (found["default"], found["command"]) == ("at_d3qn", "flipperctl train network=conv")
     (found,) = document("explain", "rewards", cwd=tmp_path)["settings"]
     assert "swing" in found["default"]
-    found = document("explain", "method.settings.tau", cwd=tmp_path)["settings"]
+    found = document("explain", "agent.settings.tau", cwd=tmp_path)["settings"]
     assert {one["bounds"] for one in found} == {"≥ 0, ≤ 1"}
     assert found[0]["command"].endswith(
-        "method=sb3 method.algorithm=dqn method.settings.tau=0.01"  # ours, not the library's
+        "agent=sb3 agent.algorithm=dqn agent.settings.tau=0.01"  # ours, not the library's
     )
 
 

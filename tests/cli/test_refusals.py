@@ -27,24 +27,28 @@ eval level --passable okda -> --passable | 'okada'
 eval okada conditions=varid -> did you mean 'varied'?
 eval okada conditions=trained -> need --checkpoint; known: nominal
 train conditions=null -> null is not allowed
-train method=sb4 -> there is no method 'sb4'; known: own, sb3
-train method=sb3 method.algorithm=trpo -> method.algorithm | 'dqn', 'ppo'
-train method=sb3 method.algorithm=sac -> actions: turns does not go with | actions=rates is allowed
-train method=sb3 actions=rates -> method.algorithm=dqn; actions=turns is allowed
-train actions=rates -> actions: rates needs a method of continuous actions
+train agent=sb4 -> there is no agent plugin 'sb4' | d3qn, policy_gradient, sb3
+train method=sb3 -> method: a learner is chosen by its name, agent=NAME (d3qn, policy_gradient, sb3)
+train agent.learner=sb3 -> agent.learner: a learner is chosen by its name, agent=NAME
+train agent.policy_gradient.clip=0.2 -> agent.policy_gradient.clip: a learner is chosen by its name
+train agent=sb3 agent.algorithm=trpo -> agent.algorithm | 'dqn', 'ppo'
+train agent=sb3 agent.algorithm=sac -> actions: turns does not go with | actions=rates is allowed
+train agent=sb3 actions=rates -> agent=sb3; actions=turns is allowed
+train actions=rates -> actions: rates does not go with agent=d3qn | flipperctl list learners
 train actions=box -> actions | 'turns' or 'rates'
-train method=sb3 network=dueling_mlp -> dueling_mlp does not go with | network=mlp is allowed
-train method=sb3 agent.n_step=2 -> agent.n_step=2: it has no effect with method=sb3
-train method=sb3 teacher=okada -> teacher: it does not go with method=sb3
-train method=sb3 agent.risk=true -> agent.risk: it does not go with method=sb3
-train method=sb3 method.settings.buffer_size=-1 -> a whole number ≥ 0 is allowed
-train method=sb3 method.settings.tau=5 -> method.settings.tau: ≥ 0, ≤ 1 is allowed; the value is 5
-train method=sb3 method.settings.learning_rat=1 -> no such argument (did you mean 'learning_rate'
-train method=sb3 method.settings.gamma=0.9 -> it is the run's; set agent.gamma
-train method=sb3 method.settings.batch_size=many -> a number is allowed; the value is 'many'
-train method=sb3 method.settings.train_freq=[1,"day"] -> method.settings: DQN refuses them
-train method=sb3 method.settings.policy_kwargs={net_arch:[8]} -> network.hidden sets its widths
-train method.algorithm=sac -> method.algorithm | method=sb3
+train agent=sb3 network=dueling_mlp -> dueling_mlp does not go with | network=mlp is allowed
+train agent=sb3 agent.n_step=2 -> agent.n_step: there is no such key
+train agent=sb3 teacher=okada -> teacher: agent=sb3 learns from rewards alone; set teacher=none
+train agent=sb3 train.mode=exact -> train.mode=exact: it has no effect with agent=sb3
+train agent=sb3 train.record=true -> train.record: it does not go with agent=sb3
+train agent=sb3 agent.settings.buffer_size=-1 -> a whole number ≥ 0 is allowed
+train agent=sb3 agent.settings.tau=5 -> agent.settings.tau: ≥ 0, ≤ 1 is allowed; the value is 5
+train agent=sb3 agent.settings.learning_rat=1 -> no such argument (did you mean 'learning_rate'
+train agent=sb3 agent.settings.gamma=0.9 -> it is the run's; set agent.gamma
+train agent=sb3 agent.settings.batch_size=many -> a number is allowed; the value is 'many'
+train agent=sb3 agent.settings.train_freq=[1,"day"] -> agent.settings: DQN refuses them
+train agent=sb3 agent.settings.policy_kwargs={net_arch:[8]} -> network.hidden sets its widths
+train method.algorithm=sac -> method.algorithm: a learner is chosen
 inspect reward conditions=nominal,varied -> give 2 configurations
 inspect terrain stair eval.seed=4 -> eval.seed=4 | --seed
 eval okada terrain=stair,stair -> is given twice; once is allowed
@@ -73,7 +77,7 @@ new -> 'KIND' | see flipperctl new --help
 export -> Choose from: onnx, pt2 | see flipperctl export --help
 train 'terrain=step seed=3' -> several overrides | out: terrain=step seed=3
 train seed=1,2 -> seed=1,2: several values | add -m
-train gamma=0.9 -> gamma: there is no such key (did you mean agent.gamma or
+train gamma=0.9 -> gamma: there is no such key (did you mean | agent.gamma?)
 eval --controller level friction=1 -> did you mean  | sim.friction
 train controller=okada -> controller: there is no such key | teacher
 eval runs/x -> runs/x | no such run | generalist
@@ -113,7 +117,7 @@ train rewards=paper '~rewards.flipper' '~rewards.pitch' rewards.end.weight=0 \
     -> a training needs a term whose weight is not 0 | end
 train agent.replay_size=10000000 train.decisions=1000000000 perception.bins=101 \
     network=stacked network.window=16 \
-    -> agent.replay_size | 10,000,000 transitions of 3280 numbers | 262.6 GB
+    -> agent.replay_size | 10,000,000 transitions of 3280 numbers | 266.2 GB
 train agent.batch_size=65536 'network.terrain=[50000,100]' -> agent.batch_size | 65,536 | GB
 eval --controller planner controller.widht=5 -> controller.widht | 'width' | budget
 train sim.substep=0.003 -> sim | substep must divide 0.01

@@ -14,7 +14,6 @@ from flipperctl.config import (
     to_dict,
     with_overrides,
 )
-from flipperctl.config.defaults import first_update
 from flipperctl.config.models import with_stand_ins
 from flipperctl.errors import ConfigError
 from tests.short import short_config
@@ -22,10 +21,9 @@ from tests.short import short_config
 PLAIN = to_dict(TrainConfig(terrain="flat", network="mlp"))
 STAIR = EnvConfig(terrain="stair")
 GRADIENT = {
-    "agent.learner": "policy_gradient",
-    "agent.n_step": 1,
-    "agent.policy_gradient.decisions": 100,
-    "agent.policy_gradient.warm_up": 2,
+    "agent": "policy_gradient",
+    "agent.decisions": 100,
+    "agent.warm_up": 2,
 }
 OKADA = {"teacher.controller": {"name": "okada"}, "teacher.td_weight": 0.0}
 
@@ -151,6 +149,7 @@ def test_a_resumed_run_may_have_other_loggers() -> None:
     ],
 )
 def test_the_first_update_is_stated(settings: dict[str, Any], decisions: int, words: str) -> None:
-    first = first_update(short_config(**{**settings, "train.decisions": decisions}))
+    config = short_config(**{**settings, "train.decisions": decisions})
+    first = config.agent.first_update(config)
     assert (first is not None and decisions < first[0]) == bool(words)
     assert first is None or words in first[1]

@@ -52,7 +52,7 @@ TRAININGS = {
     "taught": f"experiment=taught {_TEACHER} terrain=ramp agent.batch_size=32",
     "distilled": "experiment=distilled teacher.controller.policy=generalist teacher.final_updates=8"
     " agent.batch_size=32",
-    "refined": "experiment=refined agent.policy_gradient.decisions=100 agent.batch_size=64",
+    "refined": "experiment=refined agent.decisions=100 agent.batch_size=64",
     "risk": "terrain=plum agent.risk=true agent.risk_horizon=8",
     "sweep": "-m terrain=step seed=1,2 train.regret_episodes=0",
     "resumed": "terrain=stair train.decisions=1500 train.regret_episodes=0",

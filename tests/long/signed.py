@@ -13,7 +13,7 @@ import onnx
 import torch
 
 from flipperctl import checkpoint
-from flipperctl.agent.learner import arrays
+from flipperctl.agent.risk import weights_of
 from flipperctl.cli.inspect import print_checkpoint as show
 from flipperctl.config import with_overrides
 from flipperctl.export.policy import export
@@ -37,9 +37,9 @@ def files(folder: Path) -> dict[str, bytes]:
     config = with_overrides(short_config(**budget), small)
     learner = trainer(config, run)
     learner.run()
-    weights = arrays(learner.agent.online)
+    weights = weights_of(learner.learning.driving)
     now = learner.progress
-    request = RolloutRequest(now.started, 5, 0.5, now.decision, now.updates, weights, 1.0)
+    request = RolloutRequest(now.started, 5, now.decision, now.updates, weights, 1.0)
     learner.progress.started += 1
     learner.save([request])
     saved = checkpoint.read(run / checkpoint.BEST)
@@ -72,7 +72,7 @@ def read_checkpoint(path: Path) -> str:
     if saved.document.kind == "last":
         learner = Trainer(config, path.parents[1])
         learner.restore(saved)
-        counted = (learner.progress.decision, learner.episodes.epsilon, len(learner.replay))
+        counted = (learner.progress.decision, learner.learning.counters())
         known += map(str, counted)
     return _hash(known)
 

@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from flipperctl.agent.frames import input_size
+from flipperctl.agent.risk import policy_arrays
 from flipperctl.api import Perception, Simulator, action_index
 from flipperctl.config import to_dict
 from flipperctl.env.flipper_env import FlipperEnv
@@ -115,7 +116,7 @@ def test_it_does_not_matter_which_process_plays_a_validation(network: str, tmp_p
     before = torch.random.get_rng_state()
     here, there = GreedyPlayer(config, run.validator._greedy._env), Actor(to_dict(config))
     assert torch.equal(torch.random.get_rng_state(), before)  # it draws none of the training's
-    weights = run.agent.policy_arrays()
+    weights = policy_arrays(run.learning.policy, run.learning.risk)
     here.load(weights)
     rows = [here.play(3), there.evaluate(weights, 3)]
     assert rows[0] == rows[1]

@@ -10,6 +10,7 @@ import pytest
 
 from flipperctl.config import with_overrides
 from flipperctl.errors import ConfigError, FlipperctlError
+from flipperctl.learners.d3qn_run import DoubleQLearning
 from flipperctl.rollout import cluster as ray_cluster
 from flipperctl.training.run import resume
 from tests.rollout.notes import Notes
@@ -123,7 +124,8 @@ def test_a_run_on_two_nodes_finishes_though_one_is_killed(cluster: Any, tmp_path
     lost = [note for note in killer.notes if "a worker died" in note]  # one may wait for a CPU, too
     assert summary["lost_episodes"] == len(lost) >= 1
     assert max(killer.lags) > 0
-    labels = learner.replay.filled()["label"]  # they come with the rollouts that arrived
+    assert isinstance(learner.learning, DoubleQLearning)
+    labels = learner.learning.replay.filled()["label"]  # they come with the rollouts that arrived
     assert (labels.sum(axis=1) == 1).all()
 
 

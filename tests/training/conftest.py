@@ -11,13 +11,13 @@ from flipperctl.config import TrainConfig
 from flipperctl.training.episodes import EPISODES
 from tests.short import few, trainer
 
-GRADIENT = {
-    "agent.learner": "policy_gradient",
-    "agent.n_step": 1,
+GRADIENT: dict[str, object] = {
+    "agent": "policy_gradient",
     "agent.risk": True,
-    "agent.policy_gradient.decisions": 100,
-    "agent.policy_gradient.warm_up": 1,
-    "agent.policy_gradient.anchor": 0.01,
+    "agent.decisions": 100,
+    "agent.warm_up": 1,
+    "agent.anchor": 0.01,
+    "agent.batch_size": 32,
 }
 MPC = {"teacher.controller": {"name": "mpc", "value": "", "beam": 1, "horizon": 2}}
 SETUPS: dict[str, dict[str, object]] = {
@@ -55,7 +55,9 @@ SETUPS: dict[str, dict[str, object]] = {
 
 def setup(name: str, **more: object) -> TrainConfig:
     """Return the configuration of a training by its name."""
-    short = {"train.decisions": 200, "train.validate_every": 100, "agent.learning_starts": 30}
+    short: dict[str, object] = {"train.decisions": 200, "train.validate_every": 100}
+    if "agent" not in SETUPS[name]:
+        short["agent.learning_starts"] = 30
     return few(**{**short, **SETUPS[name], **more})
 
 

@@ -7,10 +7,10 @@ import onnxruntime
 import pytest
 
 from flipperctl import checkpoint
-from flipperctl.agent.d3qn import D3qn
-from flipperctl.agent.learner import arrays
+from flipperctl.agent.risk import weights_of
 from flipperctl.config import EnvConfig, to_dict
 from flipperctl.export import policy as export_policy
+from flipperctl.learners.double_q import DoubleQ
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.collect import Actor
 from flipperctl.rollout.episode import RolloutRequest
@@ -50,11 +50,13 @@ def test_the_exported_policy_acts_as_the_trained_one(
 
 @pytest.mark.parametrize("name", ["noisy", "stacked"])
 def test_workers_use_several_frames_and_repeatable_noise(name: str) -> None:
-    settings = setup(name, **{"agent.exploring_share": 1.0})
+    settings = setup(
+        name, **{"agent.exploring_share": 1.0, "agent.epsilon_start": 0.0, "agent.epsilon_end": 0.0}
+    )
     network, layout = settings.network, settings.perception
-    weights = arrays(D3qn(network, layout, settings.agent, seed=1).online)
+    weights = weights_of(DoubleQ(network, layout, settings.agent, seed=1).online)
     actors = [Actor(to_dict(settings)) for _ in range(2)]
-    requests = [RolloutRequest(episode, 5, 0.0, 0, 0, {}) for episode in (0, 1)]
+    requests = [RolloutRequest(episode, 5, 0, 0, {}) for episode in (0, 1)]
     actors[1].evaluate(weights, 3)  # must not change the next rollout
     one, again, other = (
         actor.play(request, weights)

@@ -2,16 +2,17 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
 from flipperctl import checkpoint
-from flipperctl.agent.policy_gradient import PolicyGradient
 from flipperctl.agent.replay import Replay
 from flipperctl.config import with_overrides
 from flipperctl.errors import CheckpointError, ConfigError
+from flipperctl.learners.clipped import GradientLearning
 from flipperctl.policies.source import learned_value
 from tests.short import few, trainer
 from tests.training.conftest import GRADIENT, setup
@@ -28,7 +29,10 @@ def test_each_decision_is_drawn_by_probabilities_and_used_once(run: Path) -> Non
     last = checkpoint.read(run / checkpoint.LAST)
     labels = last.part("replay")["label"].numpy()
     assert labels.sum(axis=1) == pytest.approx(np.ones(len(labels)), abs=1e-5)
-    rounds, learnt, policy_steps, value_steps, _ = last.part("counts")["all"].tolist()
+    assert last.document.state is not None
+    counters: Any = last.document.state.learner
+    rounds, learnt = counters["rounds"], counters["learnt"]
+    policy_steps, value_steps, _ = counters["steps"]
     assert 2 <= rounds <= 3
     assert 100 * rounds <= learnt <= 400
     assert value_steps > policy_steps > 0
@@ -48,20 +52,23 @@ def test_the_part_of_an_episode_that_the_budget_cut_is_not_learnt(run: Path) -> 
 
 def test_a_round_longer_than_the_replay_is_refused(tmp_path: Path) -> None:
     made, row = trainer(setup("gradient"), tmp_path), np.zeros(2, np.float32)
-    assert isinstance(made.agent, PolicyGradient)
-    made.replay = Replay(4, size=2, n_step=1, gamma=0.5)
+    learning = made.learning
+    assert isinstance(learning, GradientLearning)
+    learning.replay = Replay(4, size=2, n_step=1, gamma=0.5)
     for step in range(6):
-        made.replay.add(row, 0, 0.0, row, over=step == 5, bootstrap=False)
+        learning.replay.add(row, 0, 0.0, row, over=step == 5, bootstrap=False)
     with pytest.raises(ConfigError, match=r"agent\.replay_size: 4 decisions .* than the 6 of"):
-        made._learn_from_episodes()
+        learning.end_episode(6)
 
 
 @pytest.mark.long
 def test_workers_draw_too_and_draws_become_sharper_towards_the_end(tmp_path: Path) -> None:
-    sharper = {"agent.policy_gradient.temperature_end": 0.001, "train.mode": "fast"}
+    sharper = {"agent.temperature_end": 0.001, "train.mode": "fast"}
     made = trainer(setup("gradient", **sharper), tmp_path)
     made.run()
-    labels = made.replay.arrays["label"][: len(made.replay)]
+    assert isinstance(made.learning, GradientLearning)
+    replay = made.learning.replay
+    labels = replay.arrays["label"][: len(replay)]
     assert labels.sum(axis=1) == pytest.approx(np.ones(len(labels)), abs=1e-5)
     assert labels[-60:].max(axis=1).mean() > labels[:60].max(axis=1).mean() + 0.2
 
@@ -69,11 +76,10 @@ def test_workers_draw_too_and_draws_become_sharper_towards_the_end(tmp_path: Pat
 @pytest.mark.parametrize(
     ("changes", "text"),
     [
-        ({"agent.n_step": 3}, "agent.n_step: 3 does not go with agent.learner=policy_gradient"),
-        ({"agent.bootstrap_outcomes": ["timeout"]}, "agent.bootstrap_outcomes: "),
-        ({"agent.replay_size": 199, "agent.policy_gradient.decisions": 100}, "200 .* or more is"),
+        ({"agent.n_step": 3}, "agent.n_step: there is no such key"),
+        ({"agent.replay_size": 199, "agent.decisions": 100}, "200 .* or more is"),
         ({"teacher": {"controller": {"name": "okada"}}}, "set teacher=none"),
-        ({"agent.policy_gradient.start_values": True}, "start_values: true needs a run"),
+        ({"agent.start_values": True}, "start_values: true needs a run"),
     ],
 )
 def test_settings_that_do_not_go_with_it_are_refused(changes: dict[str, object], text: str) -> None:
@@ -82,6 +88,6 @@ def test_settings_that_do_not_go_with_it_are_refused(changes: dict[str, object],
 
 
 def test_its_values_are_not_taken_for_returns(run: Path) -> None:
-    text = r"controller\.value=.*: it learnt by a policy gradient"
+    text = r"controller\.value=.*: it learnt by agent=policy_gradient"
     with pytest.raises(CheckpointError, match=text):
         learned_value(str(run), "controller.value")

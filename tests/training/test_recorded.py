@@ -3,7 +3,7 @@
 import itertools
 import math
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +17,14 @@ from flipperctl.checkpoint.recording import Recording
 from flipperctl.config import EnvConfig, TrainConfig
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.evaluation.rows import RECORDED
+from flipperctl.learners.recorded import check_fit, differing_conditions, fill, read_teacher
+from flipperctl.policies import controllers
 from flipperctl.policies.controllers import DaggerPolicy
 from flipperctl.policies.source import PolicySource
-from flipperctl.rollout import collect as actor
 from flipperctl.rollout.collect import RolloutWorkers
 from flipperctl.training import episodes
 from flipperctl.training.episodes import EPISODES, PARTS
 from flipperctl.training.folder import clear_leftovers
-from flipperctl.training.recorded import check_fit, differing_conditions, fill, read_teacher
 from flipperctl.training.trainer import Trainer
 from tests.cli.call import EXACT, call
 from tests.played import play_episodes
@@ -83,7 +83,7 @@ def test_a_run_with_a_recorded_teacher_resumes_bit_for_bit_without_the_file(
     state = saved.document.state
     assert state is not None
     decisions = recording.read(file).decisions
-    assert state.replay_kept == decisions
+    assert state.learner["kept"] == decisions
     labelled = saved.part("replay")["label"].sum(dim=1)
     assert (labelled[:decisions] == 1).all()  # the recorded ones, and none of the student's
     assert not labelled[decisions:].any()
@@ -127,7 +127,7 @@ def test_labels_alone_may_come_from_other_rewards_and_must_be_there(file: Path) 
     alone = {"teacher.td_weight": 0.0, "teacher.episodes": str(file)}
     other = {"rewards.pitch.lambda_2": 3.0, "agent.privileged_value": True}
     config = short_config(**alone, **other)
-    assert not config.learns_privileged_value  # nothing would use it
+    assert not config.agent.privileged(config)  # nothing would use it
     found = read_teacher(config)
     assert found is not None
     for episode in found.episodes:
@@ -234,17 +234,21 @@ def test_recorded_decisions_count_before_the_student_drives(
         "teacher.episodes": str(file),
     }
     begins = max(1, starts - recording.read(file).decisions)
-    made: list[TrainConfig] = []
+    made: list[dict[str, Any]] = []
 
     class Workers(RolloutWorkers):
-        def __init__(self, count: int, config: TrainConfig) -> None:
-            made.append(config)
-            super().__init__(count, config)
+        def __init__(
+            self, count: int, config: TrainConfig, shared: Mapping[str, Any] | None = None
+        ) -> None:
+            made.append(dict(shared or {}))
+            super().__init__(count, config, shared)
 
     monkeypatch.setattr(episodes, "RolloutWorkers", Workers)
     fast = trainer(few(**settings, **{"train.mode": "fast"}), tmp_path / "fast")
     fast.run(lambda: True)
-    assert [config.agent.learning_starts for config in made] == [begins]
+    recorded = recording.read(file).decisions
+    assert [max(1, starts - shared["recorded"]) for shared in made] == [begins]
+    assert begins == max(1, starts - recorded)
 
     learns: list[Callable[[], bool]] = []
 
@@ -252,7 +256,7 @@ def test_recorded_decisions_count_before_the_student_drives(
         learns.append(arguments[3])
         return DaggerPolicy(*arguments)
 
-    monkeypatch.setattr(actor, "DaggerPolicy", taught)
+    monkeypatch.setattr(controllers, "DaggerPolicy", taught)
     exact = trainer(few(**settings), tmp_path / "exact")
     exact.run(lambda: True)
     for decision, student in ((begins - 1, False), (begins, True)):
@@ -270,11 +274,11 @@ def test_each_checkpoint_writes_its_new_episodes_alone_and_a_kill_loses_none(
     config = few(**{"train.record": True, "train.checkpoint_every": 40})
     whole, save, count = tmp_path / "whole", Trainer._write_last, itertools.count()
 
-    def copying(self: Trainer, outstanding: Any) -> None:
+    def copying(self: Trainer, *given: Any) -> None:
         number = next(count)
         if number == 5:
             shutil.copytree(whole, tmp_path / "before")
-        save(self, outstanding)
+        save(self, *given)
         if number == 5:
             shutil.copytree(whole, tmp_path / "after")
 

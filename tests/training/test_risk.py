@@ -10,8 +10,8 @@ import onnxruntime
 import pytest
 
 from flipperctl import checkpoint
-from flipperctl.api import Outcome
-from flipperctl.config import Agent, EnvConfig
+from flipperctl.api import FailureRisk, Outcome
+from flipperctl.config import EnvConfig
 from flipperctl.core.risk import EscapeRule, RiskSign
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError, PolicyError
@@ -144,14 +144,14 @@ def row(outcome: Outcome, told: list[float]) -> Row:
 def test_the_threshold_allows_the_share_of_false_alarms() -> None:
     rows = [row(Outcome.REACHED, [0.01, 0.1 + 0.05 * i, 0.01]) for i in range(10)]
     rows += [row(Outcome.STUCK, [0.01] * 4 + [0.9] * 5)]
-    found = calibrated(rows, Agent(risk_horizon=5, risk_false_alarms=0.2))
+    found = calibrated(rows, FailureRisk(5, 0.2, None))
     assert found is not None
     metrics = found[1]
     assert (metrics["risk_reached"], metrics["risk_failures"]) == (10, 1)
     assert (metrics["risk_false_alarms"], metrics["risk_announced"]) == (2, 1)
     assert metrics["risk_false_warnings"] == pytest.approx(2 / 30)
     assert not any("risks" in one for one in rows)  # so that no mean is taken over them
-    assert calibrated([{"outcome": "reached"}], Agent()) is None
+    assert calibrated([{"outcome": "reached"}], FailureRisk(5, 0.2, None)) is None
 
 
 def test_the_calibration_recovers_a_slope_and_a_shift() -> None:

@@ -9,16 +9,18 @@ import pytest
 import torch
 
 from flipperctl import checkpoint
+from flipperctl.agent.risk import weights_of
 from flipperctl.api import ACTIONS
 from flipperctl.config import TrainConfig, with_overrides
 from flipperctl.errors import CheckpointError
 from flipperctl.evaluation.play import EpisodeDigest
 from flipperctl.export.policy import export
+from flipperctl.learners.sb3_run import Sb3Learning
 from flipperctl.policies.source import ExportedPolicy
 from flipperctl.policies.trained import TrainedPolicy, policy_module
 from flipperctl.rollout.episode import decisions
 from flipperctl.runtime import OnnxPolicy
-from flipperctl.training.sb3 import Sb3Trainer
+from flipperctl.training.trainer import Trainer
 from tests.short import few
 
 pytestmark = pytest.mark.slow
@@ -36,17 +38,22 @@ METHODS: dict[tuple[str, str], dict[str, Any]] = {
 
 
 def config_of(algorithm: str, actions: str, **more: object) -> TrainConfig:
-    method = {"algorithm": algorithm, "settings": METHODS[algorithm, actions]}
+    agent = {"name": "sb3", "algorithm": algorithm, "settings": METHODS[algorithm, actions]}
     network = {"name": "mlp", "hidden": [24, 16]}
-    own = {"method": method, "actions": actions, "network": network}
-    return with_overrides(few(), {**own, "train.decisions": 250, **more})
+    own = {"agent": agent, "actions": actions, "network": network}
+    return few(**{**own, "train.decisions": 250, **more})
 
 
-def train(config: TrainConfig, folder: Path, stop: int | None = None) -> Sb3Trainer:
+def train(config: TrainConfig, folder: Path, stop: int | None = None) -> Trainer:
     (folder / checkpoint.BEST.parent).mkdir(parents=True, exist_ok=True)
-    made = Sb3Trainer(config, folder)
+    made = Trainer(config, folder)
     made.run(stop=lambda: stop is not None and made.progress.decision >= stop)
     return made
+
+
+def learning_of(made: Trainer) -> Sb3Learning:
+    assert isinstance(made.learning, Sb3Learning)
+    return made.learning
 
 
 def observations(count: int) -> Any:
@@ -61,7 +68,7 @@ def test_the_checkpoint_acts_as_the_library_does(
     trained = train(config_of(algorithm, actions), tmp_path)
     saved = checkpoint.read(tmp_path / checkpoint.LAST)
     module, seen = policy_module(saved), observations(200)
-    theirs, _ = trained.model.predict(seen, deterministic=True)
+    theirs, _ = learning_of(trained).model.predict(seen, deterministic=True)
     with torch.inference_mode():
         outputs = module(torch.from_numpy(seen)).numpy()
     if actions == "rates":
@@ -80,13 +87,14 @@ def test_a_stopped_run_goes_on_with_weights_moments_and_replay(
     stopped = train(config, tmp_path, stop=120)
     saved = checkpoint.read(tmp_path / checkpoint.LAST)
     assert not any(name.endswith(".pkl") for name in map(str, tmp_path.rglob("*")))
-    resumed = Sb3Trainer(config, tmp_path)
+    resumed = Trainer(config, tmp_path)
     resumed.restore(saved)
     assert resumed.progress.decision == stopped.progress.decision < 250
-    before, after = stopped._held(), resumed._held()
+    first, second = learning_of(stopped), learning_of(resumed)
+    before, after = first._held(), second._held()
     assert before.keys() == after.keys()
     assert all(torch.equal(before[name], after[name]) for name in before)
-    kept, found = stopped._replay(), resumed._replay()
+    kept, found = first._replay(), second._replay()
     assert kept is not None
     assert found is not None
     assert len(found["reward"]) == min(
@@ -96,7 +104,7 @@ def test_a_stopped_run_goes_on_with_weights_moments_and_replay(
     assert resumed.run()["decisions"] == 250
     more = with_overrides(config, {"network.hidden": [16, 16]})
     with pytest.raises(CheckpointError, match="its state is not valid"):
-        Sb3Trainer(more, tmp_path).restore(saved)
+        Trainer(more, tmp_path).restore(saved)
 
 
 def test_an_exported_file_of_rates_drives_the_same_episode(tmp_path: Path) -> None:
@@ -136,12 +144,12 @@ class Notes:
         return lambda *given: None
 
 
-def learnt(algorithm: str, folder: Path, **settings: object) -> tuple[Sb3Trainer, list[str]]:
+def learnt(algorithm: str, folder: Path, **settings: object) -> tuple[Trainer, list[str]]:
     """Train, or resume the run in ``folder``; return its trainer and notes."""
     config = config_of(algorithm, "turns", **settings)
     (folder / checkpoint.BEST.parent).mkdir(parents=True, exist_ok=True)
     notes = Notes()
-    trainer = Sb3Trainer(config, folder, [notes])
+    trainer = Trainer(config, folder, [notes])
     if (folder / checkpoint.LAST).is_file():
         trainer.restore(checkpoint.read(folder / checkpoint.LAST))
     trainer.run()
@@ -160,8 +168,8 @@ def test_the_rest_of_a_rollout_is_learnt_from(tmp_path: Path) -> None:
         trainer, notes = learnt("ppo", tmp_path, **{"train.decisions": budget})
         assert trainer.progress.decision == budget
         assert [words in note for note in notes] == [True] * bool(words)
-        weights.append(trainer.policy_arrays())
-        updates.append(trainer.model._n_updates // 2)
+        weights.append(weights_of(trainer.learning.policy))
+        updates.append(learning_of(trainer).model._n_updates // 2)
     assert updates == [1, 2, 1, 0]  # 104 decisions are a rollout of 64 and a rest of 40
     same = [
         all((a == b).all() for a, b in zip(one.values(), other.values(), strict=True))
@@ -173,11 +181,11 @@ def test_the_rest_of_a_rollout_is_learnt_from(tmp_path: Path) -> None:
 def test_a_single_decision_joins_the_rollout_before(tmp_path: Path) -> None:
     trainer, notes = learnt("ppo", tmp_path, **{"train.decisions": 129})
     assert not notes
-    assert trainer.model.rollout_buffer.buffer_size == 65
+    assert learning_of(trainer).model.rollout_buffer.buffer_size == 65
 
 
 def test_an_off_policy_budget_is_stated_until_it_learns(tmp_path: Path) -> None:
     for budget, count in ((30, 1), (45, 1), (80, 0)):
         _, notes = learnt("dqn", tmp_path, **{"train.decisions": budget})
         assert len(notes) == count
-        assert all("method.settings.learning_starts=50" in note for note in notes)
+        assert all("agent.settings.learning_starts=50" in note for note in notes)

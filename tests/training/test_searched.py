@@ -20,6 +20,7 @@ from flipperctl.cli.hydra import compose
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import TrainConfig
 from flipperctl.errors import CheckpointError, ConfigError, PluginFailedError
+from flipperctl.learners.d3qn_run import DoubleQLearning
 from flipperctl.lookahead.value_iteration import SIZE
 from tests.short import short_config, trainer
 from tests.training.conftest import require_resumes
@@ -66,12 +67,13 @@ def test_the_experiment_resumes_bit_for_bit_with_its_groups(tmp_path: Path) -> N
     require_resumes(config, tmp_path / "whole", tmp_path / "parts", 10)
     whole = checkpoint.read(tmp_path / "whole" / checkpoint.LAST)
     assert whole.document.state is not None
-    assert whole.document.state.groups_added >= 12  # of two whole episodes; ten are kept
+    assert whole.document.state.learner["groups"] >= 12  # of two whole episodes; ten are kept
     kept = whole.part("groups")
     assert kept["observations"].shape == (10, SIZE, config.perception.layout.size)
     assert kept["values"].shape == (10, SIZE, 9)
     assert float(kept["values"].std()) > 0.1
-    run.valued.memory._arrays["values"][0, 0, 0] = np.inf
+    assert isinstance(run.learning, DoubleQLearning)
+    run.learning._valued.memory._arrays["values"][0, 0, 0] = np.inf
     run.save()
     damaged = checkpoint.read(tmp_path / "whole" / checkpoint.LAST)
     with pytest.raises(CheckpointError, match="part groups is not valid: a number is not finite"):

@@ -74,10 +74,11 @@ def network(change: Change) -> api.Network:
 
 def run(change: Change, folder: Path, learner: str) -> nn.Module:
     """Train 40 decisions and return the trained policy as its file holds it."""
-    short = {"train.decisions": 40, "train.validation_episodes": 1, "agent.learning_starts": 8}
-    few = {"agent.batch_size": 8, "agent.policy_gradient.decisions": 2}
-    few |= {"agent.policy_gradient.warm_up": 0, "agent.learner": learner, "agent.n_step": 1}
-    config = short_config(**short, **few, network=network(change), terrain="flat")
+    own = {"d3qn": {"learning_starts": 8, "n_step": 1}, "policy_gradient": {"decisions": 2}}
+    agent = {"name": learner, "batch_size": 8, **own[learner]}
+    agent |= {"warm_up": 0} if learner == "policy_gradient" else {}
+    short = {"train.decisions": 40, "train.validation_episodes": 1}
+    config = short_config(**short, agent=agent, network=network(change), terrain="flat")
     made = trainer(config, folder)
     made.run()
     assert made.progress.updates

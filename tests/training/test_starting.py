@@ -9,10 +9,10 @@ import pytest
 import torch
 
 from flipperctl import checkpoint
-from flipperctl.agent.policy_gradient import PolicyGradient
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.config import Teacher, TrainConfig, to_dict
 from flipperctl.errors import CheckpointError, ConfigError, RequestError
+from flipperctl.learners.clipped import GradientLearning
 from flipperctl.policies.trained import policy_module
 from flipperctl.training import run as training_run
 from flipperctl.training.trainer import Trainer
@@ -22,7 +22,7 @@ from tests.training.conftest import GRADIENT, require_same_end
 
 pytestmark = pytest.mark.slow
 
-VALUES = "agent.policy_gradient.start_values"
+VALUES = "agent.start_values"
 
 
 def begun(folder: Path, **settings: object) -> Trainer:
@@ -39,16 +39,16 @@ def test_the_networks_start_with_the_weights_of_the_run(
     new = begun(tmp_path, network={"name": "stacked"}, **start)  # its dropout may differ
     best = checkpoint.read(runs("stacked") / checkpoint.BEST)
     theirs = list(policy_module(best).state_dict().values())
-    for network in (new.agent.online, new.agent.target):
+    for network in (new.learning.driving, new.learning.policy):
         ours = list(network.state_dict().values())
         assert all(torch.equal(a, b) for a, b in zip(ours, theirs, strict=True))
 
 
 def test_the_values_of_a_policy_gradient_go_on_if_asked_for(tmp_path: Path) -> None:
     def values(folder: str, **settings: object) -> list[torch.Tensor]:
-        agent = begun(tmp_path / folder, **{**GRADIENT, **settings}).agent
-        assert isinstance(agent, PolicyGradient)
-        return list(agent.values.state_dict().values())
+        learning = begun(tmp_path / folder, **{**GRADIENT, **settings}).learning
+        assert isinstance(learning, GradientLearning)
+        return list(learning.agent.values.state_dict().values())
 
     first = values("first")
     later = {"agent.start_from": str(tmp_path / "first"), "seed": 8}
@@ -166,10 +166,12 @@ def test_a_stop_in_it_changes_nothing_and_it_begins_with_the_weights_of_the_star
 def test_without_labels_it_keeps_what_was_learnt(tmp_path: Path) -> None:
     new = trainer(config(3), tmp_path)
     new.listeners.append(notes := Notes())
-    before = {name: tensor.clone() for name, tensor in new.agent.online.state_dict().items()}
-    assert new._final_fit.run(new.agent, lambda: False)
+    new.run(stop=lambda: True)
+    driving = new.learning.driving
+    before = {name: tensor.clone() for name, tensor in driving.state_dict().items()}
+    assert new.learning.finish(lambda: False)
     assert notes.notes == ["keeps what it has learnt: there are no labels to learn anew"]
-    assert all(torch.equal(t, before[n]) for n, t in new.agent.online.state_dict().items())
+    assert all(torch.equal(t, before[n]) for n, t in driving.state_dict().items())
 
 
 @pytest.mark.parametrize("more", [{}, {"td_weight": 0, "loss": "values"}])

@@ -11,7 +11,7 @@ import contextlib
 from collections.abc import Iterator, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar, get_origin
 
 from hydra import compose, initialize_config_dir
 from hydra.core.config_search_path import ConfigSearchPath
@@ -22,7 +22,7 @@ from hydra.errors import ConfigCompositionException, MissingConfigException
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 from omegaconf import DictConfig, OmegaConf
 
-from flipperctl.api import ObservationLayout, Plugin, Robot, registry
+from flipperctl.api import Learner, ObservationLayout, Plugin, Robot, registry
 from flipperctl.cli.hydra import errors
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import (
@@ -65,10 +65,14 @@ def register_defaults() -> None:
     for group, name, node in entries():
         # Several entries of a list may be chosen; an entry without settings adds nothing.
         package = f"{group}.{name}" if group in LISTS and node else None
-        if group == "method":  # which also chooses the network
-            package = "_global_"
-            if "method" in node:  # whose settings take new keys without a +
-                node["method"]["settings"] = OmegaConf.create({}, flags={"struct": False})
+        if group == Learner.kind:
+            fields = node.get(group, node)
+            if fields is not node:  # it chooses its network, too
+                package = "_global_"
+            for key, info in registry[group, name].model_fields.items():
+                if get_origin(info.annotation) is dict:  # it takes new keys without a +
+                    own = info.get_default(call_default_factory=True)
+                    fields[key] = OmegaConf.create(own, flags={"struct": False})
         store.store(group=group, name=name, node=node, package=package)
     store.store(name="flipperctl_train", node=_with_paths(sections(TrainConfig)))
     store.store(name="flipperctl_eval", node=_with_paths(sections(EvalConfig)))

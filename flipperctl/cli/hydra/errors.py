@@ -24,6 +24,7 @@ from hydra.errors import (
 from omegaconf import OmegaConf
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
+from flipperctl.api import Learner
 from flipperctl.api.plugin import registered_names
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import TrainConfig
@@ -33,6 +34,8 @@ from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError, R
 from flipperctl.messages import explain_unknown_key
 
 _MISSING = "<missing>"
+_FORMER_LEARNERS = ("method", "agent.learner", "agent.policy_gradient")
+"""Keys by which learners were chosen before they were plugins."""
 _OWN_CONDITIONS = (
     "conditions of your own are overrides, as in sim.friction=0.6, which a suite file can hold "
     "(suite=FILE.yaml)"
@@ -129,8 +132,12 @@ def _fault(override: Override, node: Mapping[str, Any]) -> str:
         return f"{key} exists already; write {str(override.input_line).removeprefix('+')}"
     if override.is_add() or exists:
         return ""
-    if section == "method" and "network" in node and section not in node:
-        return f"{key}: the method of a training is chosen first; add method=sb3"
+    if key.startswith(_FORMER_LEARNERS) and "network" in node:
+        names = ", ".join(registered_names(Learner.kind))
+        return (
+            f"{key}: a learner is chosen by its name, agent=NAME ({names}), and its settings "
+            "follow as agent.SETTING"
+        )
     if section not in node and section in TrainConfig.model_fields.keys() - {"seed"}:
         return f"{key}: it belongs to a training, and has no meaning here"
     return explain_unknown_key(key, node)

@@ -18,7 +18,7 @@ import yaml
 
 from flipperctl import checkpoint as checkpoints
 from flipperctl.checkpoint import Checkpoint
-from flipperctl.config import TrainConfig, strict_yaml
+from flipperctl.config import DEFAULT_LEARNER, TrainConfig, strict_yaml
 from flipperctl.config.describe import settings
 from flipperctl.config.identity import content_digest
 from flipperctl.errors import ConfigError, RequestError
@@ -281,8 +281,12 @@ def _changed(config: TrainConfig) -> dict[str, Any]:
     changed = {}
     for setting in settings(config):
         chosen = setting.path.partition(".")[0] in _SECTIONS and "[" not in setting.path
-        plugin = setting.path == setting.section and setting.path != "teacher.controller"
-        if chosen and not plugin and setting.value not in (setting.field.default, {}):
+        plugin = setting.path == setting.section and setting.path not in (
+            "agent",
+            "teacher.controller",
+        )
+        default = DEFAULT_LEARNER if setting.path == "agent" else setting.field.default
+        if chosen and not plugin and setting.value not in (default, {}):
             changed[setting.path] = json.dumps(setting.value)
     return changed
 

@@ -10,9 +10,9 @@ from flipperctl.cli.hydra import compose
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.reward import controller_fields
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, to_dict, with_overrides
-from flipperctl.config.agent import Agent
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.plan import policies
+from flipperctl.learners import D3qn
 from flipperctl.lookahead import Mpc
 from flipperctl.sim.planar import PlanarSensor
 from tests.cli.call import EXACT, call
@@ -119,7 +119,7 @@ def test_the_papers_method_is_an_experiment_and_its_rewards_judge() -> None:
     (train,), (plain,) = compose_train(["experiment=paper"]), compose_train([])
     assert train.rewards == compose.compose_environment(Overrides()).rewards == paper
     assert (train.perception.layout.size, plain.perception.layout.size) == (18, 33)
-    assert train.agent == Agent() != plain.agent
+    assert train.agent == D3qn() != plain.agent
 
 
 def test_a_presets_terms_are_changed_added_and_dropped() -> None:

@@ -1,4 +1,4 @@
-"""What all learners share: an online and a target network, their optimiser, and the risk.
+"""What both learners share: an online and a target network, their optimiser, replay, and the risk.
 
 In: a network plugin and its layout. Out: a policy, and gradient steps on losses that a subclass
 computes.
@@ -7,47 +7,33 @@ computes.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
+from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.losses import Adam, descend, flatten_parameters
 from flipperctl.agent.networks import Noise, build_network, record_plugin
+from flipperctl.agent.replay import Replay
 from flipperctl.agent.risk import RiskLearner
-from flipperctl.api import ACTIONS, Network, ObservationLayout
-from flipperctl.config import Agent, Teacher
+from flipperctl.api import ACTIONS, Learning, Network, ObservationLayout, Outcome, Step, Training
+from flipperctl.checkpoint.document import require_equal_layout
+from flipperctl.config import Teacher
 from flipperctl.errors import ConfigError
 from flipperctl.guard import naming, refusal
+from flipperctl.learners.settings import PairSettings
 
 
-def arrays(module: torch.nn.Module) -> dict[str, NDArray[np.generic]]:
-    """Return a copy of a network's weights, for policies in other processes."""
-    state = module.state_dict()
-    return {name: tensor.cpu().numpy().copy() for name, tensor in state.items()}
-
-
-def join(parts: Mapping[str, Mapping[str, torch.Tensor]]) -> dict[str, torch.Tensor]:
-    """Return the tensors of all parts, their names after those of the parts."""
-    return {f"{part}.{name}": t for part, state in parts.items() for name, t in state.items()}
-
-
-def part(tensors: Mapping[str, torch.Tensor], name: str) -> dict[str, torch.Tensor]:
-    """Return the tensors whose names begin with a part's name, without it."""
-    start = f"{name}."
-    return {key.removeprefix(start): t for key, t in tensors.items() if key.startswith(start)}
-
-
-class Learner:
+class NetworkPair:
     """Online and target network, their optimiser, and the learner of the risk."""
 
     def __init__(
         self,
         network: Network,
         layout: ObservationLayout,
-        settings: Agent,
+        settings: PairSettings,
         *,
         seed: int,
         device: str = "cpu",
@@ -112,10 +98,6 @@ class Learner:
         """The network that is validated and exported."""
         return self.target
 
-    def policy_arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Return a copy of the policy's weights, and of those of its risk, for other processes."""
-        return arrays(self.policy) | ({} if self.risk is None else self.risk.arrays())
-
     @property
     def starting(self) -> tuple[torch.nn.Module, ...]:
         """The networks that begin with the weights of the training's start."""
@@ -133,13 +115,90 @@ class Learner:
                 else:
                     target.copy_(online)
 
-    def tensors(self) -> dict[str, torch.Tensor]:
-        """Return the learner's state: its networks and the optimisers' moments."""
-        return join({name: made.state_dict() for name, made in self._parts.items()})
+    def tensors(self) -> dict[str, Mapping[str, torch.Tensor]]:
+        """Return the state by part: the networks and the optimisers' moments."""
+        return {name: module.state_dict() for name, module in self._parts.items()}
 
-    def restore(self, tensors: Mapping[str, torch.Tensor], steps: int) -> None:
+    def restore(self, tensors: Mapping[str, Mapping[str, torch.Tensor]], steps: int) -> None:
         """Restore the tensors that ``tensors`` returned after ``steps`` gradient steps."""
-        for name, made in self._parts.items():
-            made.load_state_dict(part(tensors, name))
-            if isinstance(made, Adam):
-                made.steps = steps
+        require_equal_parts(tensors, self.tensors())
+        for name, module in self._parts.items():
+            module.load_state_dict(tensors[name])
+            if isinstance(module, Adam):
+                module.steps = steps
+
+
+def require_equal_parts(
+    tensors: Mapping[str, Mapping[str, torch.Tensor]],
+    expected: Mapping[str, Mapping[str, torch.Tensor]],
+) -> None:
+    """Check that parts of a checkpoint have the expected tensors.
+
+    Raises:
+        ValueError: one has not; the text names it.
+    """
+    for name, wanted in expected.items():
+        try:
+            require_equal_layout(tensors.get(name, {}), wanted)
+        except ValueError as error:
+            raise ValueError(f"its part {name} is not valid: {error}") from error
+
+
+class PairLearning(Learning):
+    """A pair of networks, and a replay of all decisions."""
+
+    def __init__(
+        self,
+        training: Training,
+        agent: NetworkPair,
+        replay: Replay,
+        bootstrapped: Collection[Outcome] = (),
+    ) -> None:
+        """``bootstrapped``: outcomes after which the target still includes the next value."""
+        self.training, self.agent, self.replay = training, agent, replay
+        self.policy, self.driving = agent.policy, agent.online
+        self.risk = None if agent.risk is None else agent.risk.network
+        self._bootstrapped = bootstrapped
+        self._sample_rng = training.generators["sample"]
+        training.generators["noise"] = agent.noise_rng
+
+    def add(self, step: Step, decision: int) -> None:
+        """Put a decision into the replay."""
+        ending = step.ending
+        assert isinstance(step.action, int)  # these learners choose among turns
+        self.replay.add(
+            step.observation,
+            step.action,
+            step.reward,
+            step.next_observation,
+            over=ending is not None,
+            bootstrap=ending is not None and ending["outcome"] in self._bootstrapped,
+            explored=step.explored,
+            failed=ending is not None and ending["outcome"] != Outcome.REACHED,
+            label=step.label,
+            privileged=step.privileged,
+            next_privileged=step.next_privileged,
+        )
+
+    def drop_episode(self) -> None:
+        """Forget the decisions that still lack later rewards."""
+        self.replay.drop_pending()
+
+    def tensors(self) -> dict[str, Mapping[str, torch.Tensor]]:
+        """Return networks, optimisers and replay."""
+        return {**self.agent.tensors(), "replay": self.replay.tensors()}
+
+    def counters(self) -> dict[str, Any]:
+        """Return how many transitions were added and are kept."""
+        return {"added": self.replay.added, "kept": self.replay.kept}
+
+    def restore(
+        self, tensors: Mapping[str, Mapping[str, torch.Tensor]], counters: Mapping[str, Any]
+    ) -> None:
+        """Restore networks, optimisers and replay."""
+        self.agent.restore(tensors, self.updates)
+        try:
+            replay = tensors.get("replay", {})
+            self.replay.restore_tensors(replay, counters["added"], counters["kept"])
+        except ValueError as error:
+            raise ValueError(f"its part replay is not valid: {error}") from error

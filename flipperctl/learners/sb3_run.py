@@ -1,4 +1,4 @@
-"""Training by a learner of Stable-Baselines3 (``method=sb3``); only this module imports it.
+"""Training by a learner of Stable-Baselines3 (``agent=sb3``); only this module imports it.
 
 In: a configuration. Out: a run as our own learners have them: episodes with seeds of their own,
 validations, metrics, checkpoints without pickles. The policy's weights are those of ``network=mlp``
@@ -11,31 +11,21 @@ import inspect
 import random
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
-from pathlib import Path
-from typing import Any, cast
+from contextlib import contextmanager
+from typing import Any, NamedTuple, cast
 
 import gymnasium
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import nn
 
-from flipperctl import checkpoint
-from flipperctl.agent.learner import join
-from flipperctl.agent.networks import build_policy
-from flipperctl.api import Listener
-from flipperctl.checkpoint import Checkpoint
-from flipperctl.checkpoint.document import Generators, State, require_equal_layout
+from flipperctl.api import Learning, Loop, Step, Training
+from flipperctl.checkpoint.document import require_equal_layout
 from flipperctl.config import TrainConfig
 from flipperctl.config.describe import Field
-from flipperctl.config.method import DEFAULTS
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.errors import CheckpointError, ConfigError, MissingExtraError
+from flipperctl.errors import ConfigError, MissingExtraError
 from flipperctl.messages import close_match
-from flipperctl.rollout.collect import InProcessCollector
-from flipperctl.rollout.episode import training_seed
-from flipperctl.training.base import BaseTrainer, Stop
 
 try:
     import stable_baselines3
@@ -51,7 +41,7 @@ try:
     import flipperctl.figures  # noqa: F401  # the library imports matplotlib under any MPLBACKEND
 except ImportError as error:
     raise MissingExtraError(
-        "method=sb3 needs the package stable-baselines3; install flipperctl[sb3]"
+        "agent=sb3 needs the package stable-baselines3; install flipperctl[sb3]"
     ) from error
 
 _OURS = {
@@ -77,6 +67,14 @@ _WITHIN: Mapping[str, Callable[[float], bool]] = {
 _ARCHITECTURE = ("net_arch", "activation_fn", "features_extractor_class")
 
 
+class Request(NamedTuple):
+    """An algorithm with the arguments of its class."""
+
+    algorithm: str
+    settings: Mapping[str, Any]
+    gamma: float
+
+
 class Scaled(BaseFeaturesExtractor):
     """Divide observations by ``ObservationLayout.scale``, as our networks do."""
 
@@ -94,22 +92,21 @@ class Scaled(BaseFeaturesExtractor):
 class _Episodes(gymnasium.Wrapper[Any, Any, Any, Any]):
     """Gives each episode the seed and the difficulty that the run has for it."""
 
-    def __init__(self, trainer: BaseTrainer) -> None:
-        super().__init__(_environment(trainer.config))
-        self._trainer = trainer
+    def __init__(self, env: FlipperEnv) -> None:
+        super().__init__(env)
+        self.loop: Loop | None = None
+        """The run, once it trains."""
         self.seed, self.difficulty = 0, 1.0
 
     def reset(self, **ignored: Any) -> Any:
         """Begin the next training episode."""
-        progress = self._trainer.progress
-        self.seed = training_seed(self._trainer.config.seed, progress.started)
-        self.difficulty = progress.difficulty
-        progress.started += 1
+        assert self.loop is not None  # the algorithm resets when it begins to learn
+        self.seed, self.difficulty = self.loop.begin_episode()
         return self.env.reset(seed=self.seed, options={"difficulty": self.difficulty})
 
 
-def arguments(algorithm: str) -> Iterator[Field]:
-    """Yield the arguments that ``method.settings`` takes, as the library describes them.
+def arguments(algorithm: str, ours: Mapping[str, Any]) -> Iterator[Field]:
+    """Yield the arguments that ``agent.settings`` takes, as the library describes them.
 
     Its signature tells counts, and its text which of them may be -1 and what is a share.
     """
@@ -123,19 +120,17 @@ def arguments(algorithm: str) -> Iterator[Field]:
             bounds = "≥ 0, ≤ 1"
         elif parameter.annotation is int:
             bounds = f"a whole number ≥ {'-1' if '-1' in text else '0'}"
-        default = DEFAULTS[algorithm].get(name, parameter.default)
+        default = ours.get(name, parameter.default)
         yield Field(name, str(parameter.annotation), default, bounds, "", text)
 
 
-def check_settings(config: TrainConfig) -> None:
+def check_settings(method: Request, config: TrainConfig) -> None:
     """Refuse arguments that the algorithm does not take, or that settings of the run replace."""
-    method = config.method
-    assert method is not None  # else our own learner trains
     cls = _class_of(method.algorithm)
     parameters = inspect.signature(cls).parameters
-    known = {one.name: one for one in arguments(method.algorithm)}
+    known = {one.name: one for one in arguments(method.algorithm, {})}
     for name, value in method.settings.items():
-        where = f"method.settings.{name}"
+        where = f"agent.settings.{name}"
         if name in _OURS:
             raise ConfigError(f"{where}: it is the run's; {_OURS[name]}")
         if name not in known:
@@ -153,15 +148,11 @@ def check_settings(config: TrainConfig) -> None:
     for name in own if isinstance(own, dict) else ():
         if name in _ARCHITECTURE:
             raise ConfigError(
-                f"method.settings.policy_kwargs.{name}: the network is network=mlp; "
+                f"agent.settings.policy_kwargs.{name}: the network is network=mlp; "
                 "network.hidden sets its widths"
             )
     with _own_generators(config.seed):
-        _model(config, _environment(config))
-
-
-def _environment(config: TrainConfig) -> FlipperEnv:
-    return FlipperEnv(config=config.environment(), actions=config.actions)
+        _model(method, config, FlipperEnv(config=config.environment(), actions=config.actions))
 
 
 def _class_of(algorithm: str) -> type[BaseAlgorithm]:
@@ -169,10 +160,8 @@ def _class_of(algorithm: str) -> type[BaseAlgorithm]:
     return found
 
 
-def _model(config: TrainConfig, env: gymnasium.Env[Any, Any]) -> BaseAlgorithm:
+def _model(method: Request, config: TrainConfig, env: gymnasium.Env[Any, Any]) -> BaseAlgorithm:
     """Return the algorithm with an untrained policy."""
-    method = config.method
-    assert method is not None
     arguments: dict[str, Any] = dict(method.settings)
     rate = arguments.get("learning_rate")
     if isinstance(rate, list):
@@ -189,12 +178,12 @@ def _model(config: TrainConfig, env: gymnasium.Env[Any, Any]) -> BaseAlgorithm:
         "features_extractor_class": Scaled,
         "features_extractor_kwargs": {"scale": tuple(config.perception.scale.tolist())},
     }
-    cls, gamma = _class_of(method.algorithm), config.agent.gamma
+    cls, gamma = _class_of(method.algorithm), method.gamma
     arguments |= {"policy_kwargs": policy, "gamma": gamma, "device": config.device}
     try:
         made = cls("MlpPolicy", env, **arguments)
     except (TypeError, ValueError, AssertionError, IndexError, MemoryError) as error:
-        raise ConfigError(f"method.settings: {cls.__name__} refuses them: {error}") from error
+        raise ConfigError(f"agent.settings: {cls.__name__} refuses them: {error}") from error
     made.set_logger(Logger(None, []))
     if config.actions == "rates" and isinstance(
         head := getattr(made.policy, "action_net", None), nn.Linear
@@ -228,109 +217,86 @@ def _own_generators(seed: int) -> Iterator[None]:
             random.setstate(python)
 
 
-class Sb3Trainer(BaseTrainer):
+class Sb3Learning(Learning):
     """A run by a learner of Stable-Baselines3."""
 
-    def __init__(
-        self, config: TrainConfig, directory: Path, listeners: Sequence[Listener] = ()
-    ) -> None:
-        super().__init__(config, directory, listeners)
-        (word,) = np.random.SeedSequence(config.seed).generate_state(1).tolist()
-        self._seed = word
-        self._network = build_policy(config.network, self.env.layout, config.actions)
-        self._episodes = _Episodes(self)
+    def __init__(self, method: Request, training: Training) -> None:
+        (word,) = np.random.SeedSequence(training.config.seed).generate_state(1).tolist()
+        self._seed, self._training = word, training
+        self.budget = training.decisions
+        """Decisions of the run."""
+        self._report = training.report
+        self._network = self.driving = training.policy_network()
+        self._episodes = _Episodes(training.environment())
         with _own_generators(word):
-            self.model = _model(config, self._episodes)
-        self._validating(self)
+            self.model = _model(method, training.config, self._episodes)
 
-    def _exploring(self) -> tuple[float | None, int]:
-        return getattr(self.model, "exploration_rate", None), 0
-
-    def _first_update(self) -> tuple[int, str] | None:
-        """Return when an off-policy algorithm learns; another one says what a rollout lacks."""
-        if not isinstance(self.model, OffPolicyAlgorithm):
-            return None
-        starts = self.model.learning_starts
-        return starts + 1, (
-            f"learning starts after method.settings.learning_starts={starts} decisions"
-        )
-
+    @property
     @torch.no_grad()
-    def _trained(self) -> nn.Module:
-        """Return our network with the weights of the policy."""
+    def policy(self) -> nn.Module:  # type: ignore[override]  # made anew from the library's
+        """Our network with the weights of the library's."""
         own = [m for m in self._network.modules() if isinstance(m, nn.Linear)]
         for ours, theirs in zip(own, _layers(self.model), strict=True):
             ours.load_state_dict({name: t.cpu() for name, t in theirs.state_dict().items()})
         return self._network
 
-    def policy_arrays(self) -> dict[str, NDArray[np.generic]]:
-        """Return the weights of our network."""
-        return {name: t.numpy().copy() for name, t in self._trained().state_dict().items()}
+    def exploration(self, decision: int) -> float | None:
+        """Return ε of DQN."""
+        return getattr(self.model, "exploration_rate", None)
 
-    def _policy(self) -> Mapping[str, Mapping[str, torch.Tensor]]:
-        return {"policy": self._trained().state_dict()}
+    def add(self, step: Step, decision: int) -> None:
+        """Do nothing: the algorithm plays the episodes itself."""
 
-    def _run(self, stop: Stop, opened: ExitStack) -> bool:
-        self._save_all()
-        collector = InProcessCollector(lambda: iter(()), stop)
-        done, budget = self.progress.decision, self.config.train.decisions
-        self.model.num_timesteps = done
-        following = _Following(self, collector, stop)
-        if isinstance(self.model, OnPolicyAlgorithm) and 0 < budget - done < self.model.n_steps:
+    def train(self, loop: Loop) -> bool:
+        """Let the algorithm learn; return False if the run is to stop before the budget's end."""
+        budget, done = self.budget, loop.decision
+        self._episodes.loop, self.model.num_timesteps = loop, done
+        following = _Following(self, loop)
+        model: Any = self.model
+        if isinstance(model, OnPolicyAlgorithm) and 0 < budget - done < model.n_steps:
             end = "learns once, from these alone" if budget - done > 1 else "stays as it is"
             self._report(
                 f"train.decisions={budget} leaves less than a rollout of "
-                f"method.settings.n_steps={self.model.n_steps} decisions, {budget - done}: the "
-                f"policy {end}"
+                f"agent.settings.n_steps={model.n_steps} decisions, {budget - done}: the policy "
+                f"{end}"
             )
-        if done < budget:
-            with _own_generators((self._seed + done) % 2**32):
-                self.model.learn(
-                    budget - done,
-                    callback=following,
-                    log_interval=budget,
-                    reset_num_timesteps=False,
-                )
-            following.count()
-        finished = not following.stopped
-        if finished and self._validation_due():
-            finished = self._validate(collector)
-        self._save_all()
-        return finished
+        seed = (self._seed + done) % 2**32
+        self.model.action_space.seed(seed)  # draws the first actions of an off-policy algorithm
+        with _own_generators(seed):
+            self.model.learn(
+                budget - done,
+                callback=following,
+                log_interval=budget,
+                reset_num_timesteps=False,
+            )
+        following.count()
+        return not following.stopped
 
-    def end_episode(self, info: Mapping[str, Any]) -> None:
-        """Take in an episode that has ended."""
+    def ending(self, info: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the row of an episode that has ended."""
         own = {"seed": self._episodes.seed, "difficulty": self._episodes.difficulty}
-        self._end_episode({**own, "outcome": str(info["outcome"]), **info["metrics"]})
+        return {**own, "outcome": str(info["outcome"]), **info["metrics"]}
 
-    def validate_or_save(self, collector: InProcessCollector, before: int) -> bool:
-        """Do what is due between two episodes; return False if the run is to stop.
-
-        ``before``: decisions of the run after the episode before.
-        """
-        every = self.config.train.checkpoint_every
-        due = self._validation_due()
-        if due and not self._validate(collector):
-            return False
-        if due or self.progress.decision // every > before // every:
-            self._save_all()
-        return True
-
-    def _save_all(self) -> None:
-        tensors = {"target": self._trained().state_dict(), "sb3": self._held()}
+    def tensors(self) -> dict[str, Mapping[str, torch.Tensor]]:
+        """Return weights, moments and replay."""
         replay = self._replay()
-        tensors |= {} if replay is None else {"replay": replay}
-        blank = np.random.default_rng(0).bit_generator.state
-        state = self._state(
-            orders=(),
-            replay_added=0 if replay is None else len(replay["reward"]),
-            replay_kept=0,
-            groups_added=0,
-            generators=Generators.model_validate(dict.fromkeys(Generators.model_fields, blank)),
-        )
-        document = checkpoint.describe(self.config, "last", state=state)
-        self._write_last(document, join(tensors))
-        self._save_best()
+        return {"sb3": self._held(), **({} if replay is None else {"replay": replay})}
+
+    def counters(self) -> dict[str, Any]:
+        """Return the number of transitions in the replay."""
+        replay = self._replay()
+        return {"rows": 0 if replay is None else len(replay["reward"])}
+
+    def restore(
+        self, tensors: Mapping[str, Mapping[str, torch.Tensor]], counters: Mapping[str, Any]
+    ) -> None:
+        """Restore weights, moments and replay."""
+        self._load(tensors["sb3"])
+        if (own := self._replay()) is not None:
+            replay, rows = tensors.get("replay", {}), counters["rows"]
+            expected = {n: t.new_zeros((rows, *t.shape[1:])) for n, t in own.items()}
+            require_equal_layout(replay, expected)
+            self._refill(replay, rows)
 
     def _held(self) -> dict[str, torch.Tensor]:
         """Return the weights and the moments of the optimisers, by names without dots in them."""
@@ -357,19 +323,6 @@ class Sb3Trainer(BaseTrainer):
             name: torch.from_numpy(getattr(buffer, column)[order, 0])
             for name, column in _COLUMNS.items()
         }
-
-    def _restore(self, saved: Checkpoint, state: State) -> None:
-        held, replay = saved.part("sb3"), saved.part("replay")
-        try:
-            self._load(held)
-            if (own := self._replay()) is not None:
-                rows = state.replay_added
-                require_equal_layout(
-                    replay, {n: t.new_zeros((rows, *t.shape[1:])) for n, t in own.items()}
-                )
-                self._refill(replay, rows)
-        except (ValueError, KeyError, RuntimeError) as error:
-            raise CheckpointError(f"{saved.path}: its state is not valid: {error}") from error
 
     def _load(self, held: Mapping[str, torch.Tensor]) -> None:
         """Load what ``_held`` returned."""
@@ -422,15 +375,12 @@ _LOSSES = "loss", "critic_loss", "value_loss"
 class _Following(BaseCallback):
     """Counts decisions and does what is due between episodes."""
 
-    def __init__(
-        self, trainer: Sb3Trainer, collector: InProcessCollector, stop: Callable[[], bool]
-    ) -> None:
+    def __init__(self, learning: Sb3Learning, loop: Loop) -> None:
         super().__init__()
-        self._trainer, self._collector, self._stop = trainer, collector, stop
-        self.stopped = False
-        self._before = trainer.progress.decision
-        self._between = False
-        self._budget, self._ends = trainer.config.train.decisions, 0
+        self._learning, self._loop = learning, loop
+        self.stopped = self._between = False
+        self._ends = 0
+        """Decision at which the rollout of an on-policy algorithm ends."""
 
     def _on_step(self) -> bool:
         """Return False once the budget is spent, or the run is to stop after an episode.
@@ -441,25 +391,25 @@ class _Following(BaseCallback):
         in the first call of the next one, whose first decision then counts as none if the run
         stops.
         """
-        progress = self._trainer.progress
+        loop, learning = self._loop, self._learning
         if self._between:
-            going = self._trainer.validate_or_save(self._collector, self._before)
-            self._before, self._between = progress.decision, False
-            self.stopped = not going or self._stop()
-            if self.stopped:
+            self._between = False
+            if not loop.between_episodes():
+                self.stopped = True
                 return False
-        progress.decision += 1
         self.count()
+        loop.count_decision()
         if self.locals["dones"][0]:
-            self._trainer.end_episode(self.locals["infos"][0])
+            loop.end_episode(learning.ending(self.locals["infos"][0]))
             self._between = True
-        return progress.decision < self._budget or progress.decision == self._ends
+        return loop.decision < learning.budget or loop.decision == self._ends
 
     def count(self) -> None:
         """Take over the algorithm's number of updates and its loss."""
-        logged, progress = self.model.logger.name_to_value, self._trainer.progress
-        progress.updates = int(getattr(self.model, "_n_updates", 0))
-        progress.loss = next((logged[f"train/{n}"] for n in _LOSSES if f"train/{n}" in logged), 0.0)
+        learning, logged = self._learning, self.model.logger.name_to_value
+        learning.updates = int(getattr(self.model, "_n_updates", 0))
+        losses = (logged[key] for name in _LOSSES if (key := f"train/{name}") in logged)
+        learning.loss = next(losses, 0.0)
 
     def _on_training_start(self) -> None:
         self._fit_rollout()
@@ -472,14 +422,14 @@ class _Following(BaseCallback):
 
         A single decision, whose advantage cannot be scaled, belongs to the rollout before it.
         """
-        left = self._budget - self._trainer.progress.decision
+        left = self._learning.budget - self._loop.decision
         if isinstance(self.model, OnPolicyAlgorithm) and 1 < left <= self.model.n_steps + 1:
             self.model.n_steps = left
 
     def _on_rollout_start(self) -> None:
         if isinstance(self.model, OnPolicyAlgorithm):
             buffer, steps = self.model.rollout_buffer, self.model.n_steps
-            self._ends = self._trainer.progress.decision + steps
+            self._ends = self._loop.decision + steps
             if buffer.buffer_size != steps:
                 buffer.buffer_size = steps
                 buffer.reset()

@@ -20,6 +20,7 @@ from flipperctl.checkpoint.recording import PartialEnvironment, Recording
 from flipperctl.config import TrainConfig, to_dict
 from flipperctl.config.identity import ABSENT, differences
 from flipperctl.errors import ConfigError
+from flipperctl.learners.settings import D3qnSettings
 
 _SECTIONS = ("sim", "perception", "episode", "randomise")
 """Sections of an environment that may differ: the student can learn from other conditions."""
@@ -61,7 +62,7 @@ def notes(config: TrainConfig, found: Recording) -> Iterator[str]:
     """Yield what the user of a training should know about its recorded episodes, a line each."""
     if text := differing_conditions(config, found):
         yield text
-    agent = config.agent
+    agent = _settings(config)
     if agent.cut_at_random and agent.n_step > 1 and config.teacher.td_weight:
         yield (
             f"teacher.episodes: {found.path} does not say which actions were random: sums of "
@@ -128,6 +129,11 @@ def _differing(section: str, ours: Mapping[str, Any], theirs: Mapping[str, Any])
             yield f"{path}={text(there)} (here {text(here)})"
 
 
+def _settings(config: TrainConfig) -> D3qnSettings:
+    assert isinstance(config.agent, D3qnSettings)  # the learner that takes recorded episodes
+    return config.agent
+
+
 def read_teacher(config: TrainConfig) -> Recording | None:
     """Return the recorded episodes that a training learns from, or None without any."""
     name = config.teacher.episodes
@@ -135,9 +141,10 @@ def read_teacher(config: TrainConfig) -> Recording | None:
         return None
     found = recording.read(Path(name))
     check_fit(config, found)
-    if found.decisions >= config.agent.replay_size:
+    size = _settings(config).replay_size
+    if found.decisions >= size:
         raise ConfigError(
-            f"agent.replay_size: {config.agent.replay_size:,} transitions leave no room besides "
+            f"agent.replay_size: {size:,} transitions leave no room besides "
             f"the {found.decisions:,} recorded ones of teacher.episodes={name}; raise it"
         )
     return found
@@ -153,7 +160,7 @@ def add_recorded(replay: Replay, config: TrainConfig, report: Callable[[str], No
 
 def fill(replay: Replay, found: Recording, config: TrainConfig) -> None:
     """Put all recorded decisions into an empty replay, which never overwrites them."""
-    frames, bootstrapped = config.network.frames, config.agent.bootstrap_outcomes
+    frames, bootstrapped = config.network.frames, _settings(config).bootstrap_outcomes
     for episode in found.episodes:
         seen = list(episode.observations)
         rows = [stacked(seen[: t + 1][-MAX_HISTORY:], frames) for t in range(len(seen))]

@@ -19,8 +19,8 @@ from typing import Final
 
 import torch
 
+from flipperctl.agent.contract import check_demand
 from flipperctl.agent.curiosity import Curiosity
-from flipperctl.agent.learner import Learner
 from flipperctl.agent.losses import (
     mean_value_penalty,
     searched_values,
@@ -35,8 +35,12 @@ from flipperctl.agent.networks import (
     seeded,
 )
 from flipperctl.agent.replay import Batch, GroupBatch
-from flipperctl.config.agent import linear
+from flipperctl.api import ACTIONS
+from flipperctl.config import TrainConfig
+from flipperctl.env.privileged import SIZE
 from flipperctl.errors import NonFiniteError
+from flipperctl.learners.pair import NetworkPair
+from flipperctl.learners.settings import D3qnSettings, linear
 
 _PRIORITY: Final = 0.6
 """Exponent of an error in the probability that an update learns from it [-] (α of Schaul et al.
@@ -101,8 +105,10 @@ def _as_column(value: torch.Tensor, targets: torch.Tensor) -> torch.Tensor:
     return value if targets.ndim == 1 else value.unsqueeze(1)
 
 
-class D3qn(Learner):
-    """A learner with the update from a batch of the replay."""
+class DoubleQ(NetworkPair):
+    """A pair with the update from a batch of the replay."""
+
+    settings: D3qnSettings
 
     baselines: Baselines | None = None
     curiosity: Curiosity | None = None
@@ -223,3 +229,19 @@ class D3qn(Learner):
         if not s.td_weight:
             return loss + mean_value_penalty(values)
         return s.td_weight * self._difference_loss(batch, target) + loss
+
+
+def check_memory(settings: D3qnSettings, config: TrainConfig, decisions: int) -> None:
+    """Check that the network, the replay of ``decisions`` and the batches fit into memory."""
+    drawn = settings.candidates * settings.updates_together * settings.batch_size
+    check_demand(
+        config.network,
+        config.perception,
+        len(ACTIONS),
+        rows=min(settings.replay_size, decisions),
+        drawn=drawn,
+        batch=settings.batch_size,
+        labels=len(ACTIONS) if config.teacher.teaches else 0,
+        privileged=SIZE if settings.privileged(config) else 0,
+        risk=settings.risk,
+    )

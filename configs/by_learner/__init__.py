@@ -1,0 +1,1 @@
+"""Suites of scenes: ``suite=<name>`` of ``flipperctl eval``."""

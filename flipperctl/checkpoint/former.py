@@ -1,0 +1,38 @@
+"""Checkpoints from before learners were plugins, as those of today, for their policies."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from flipperctl.api import registry
+
+_STATE = ("replay_added", "replay_kept", "groups_added")
+
+
+def current(config: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the plain configuration of a training with its learner as a plugin.
+
+    Before, ``agent`` had the settings of two learners, which ``learner`` chose, and those of
+    Stable-Baselines3 stood in ``method``. Engines had a setting whose value is fixed now.
+    """
+    agent, method = config.get("agent"), config.get("method")
+    if not isinstance(agent, Mapping) or "name" in agent:
+        return config
+    name = "sb3" if method else agent.get("learner", "d3qn")
+    settings = {**agent, **agent.get("policy_gradient", {}), **(method or {})}
+    known = registry["agent", name].model_fields
+    fields = {key: value for key, value in settings.items() if key in known}
+    sim = {k: v for k, v in config.get("sim", {}).items() if (k, v) != ("engine", "compiled")}
+    rest = {key: value for key, value in config.items() if key != "method"}
+    return {**rest, "sim": sim, "agent": {**fields, "name": name}}
+
+
+def document(raw: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the plain document of a checkpoint, whose state names no parts of a learner."""
+    state = raw.get("state")
+    if not isinstance(state, dict) or not state.keys() >= {*_STATE}:
+        return raw
+    orders = [{k: v for k, v in order.items() if k != "epsilon"} for order in state["orders"]]
+    rest = {name: value for name, value in state.items() if name not in _STATE}
+    return {**raw, "state": {**rest, "orders": orders, "parts": [], "learner": {}}}

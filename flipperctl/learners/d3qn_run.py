@@ -1,0 +1,154 @@
+"""What the double DQN has in a run: networks, replay, values of a teacher, the fit at the end."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import torch
+
+from flipperctl.agent.frames import input_size
+from flipperctl.agent.replay import GroupBatch, GroupMemory, Replay
+from flipperctl.api import ACTIONS, Step, Training
+from flipperctl.config import Teacher, TrainConfig
+from flipperctl.env.privileged import SIZE
+from flipperctl.errors import ConfigError
+from flipperctl.guard import refusal
+from flipperctl.learners.double_q import DoubleQ, check_memory
+from flipperctl.learners.final_fit import FinalFit
+from flipperctl.learners.pair import PairLearning
+from flipperctl.learners.recorded import add_recorded
+from flipperctl.learners.settings import D3qnSettings
+from flipperctl.learners.starting import load_start
+from flipperctl.policies.source import controller_notes
+
+
+class ValueTargets:
+    """Groups of states with values, if the teacher's loss learns from them."""
+
+    def __init__(self, teacher: Teacher) -> None:
+        self._teacher = teacher
+        self.memory = GroupMemory(teacher.kept_groups)
+
+    def add(self, step: Step) -> None:
+        """Store what the last step of an episode brings."""
+        controller = self._teacher.controller
+        if self._teacher.loss != "values" or step.ending is None or controller is None:
+            return
+        if step.groups is None:
+            raise ConfigError(
+                f"teacher.loss=values: the controller {controller.plugin_name} values no states; "
+                "teacher=searched does"
+            )
+        states, numbers = step.groups.observations.shape[1:]
+        if numbers != len(step.observation) or states != (self.memory.states or states):
+            raise refusal(
+                controller,
+                "groups",
+                f"returned groups of {states} observations of {numbers} numbers; observations of "
+                f"{len(step.observation)} numbers are allowed, equally many in each group and "
+                "episode",
+            )
+        self.memory.add(step.groups)
+
+    def batches(self, count: int, rng: np.random.Generator) -> list[GroupBatch]:
+        """Return a batch for each of ``count`` gradient steps; none without stored states."""
+        if not len(self.memory):
+            return []
+        return [self.memory.sample(self._teacher.batch_groups, rng) for _ in range(count)]
+
+
+class DoubleQLearning(PairLearning):
+    """Learns from random transitions every few decisions, and from what a teacher brings."""
+
+    agent: DoubleQ
+
+    def __init__(self, settings: D3qnSettings, training: Training) -> None:
+        config: TrainConfig = training.config
+        teacher, privileged = config.teacher, SIZE if settings.privileged(config) else 0
+        check_memory(settings, config, config.train.decisions)
+        agent = DoubleQ(
+            training.network,
+            training.layout,
+            settings,
+            seed=training.seed,
+            device=training.device,
+            teacher=teacher if teacher.teaches else None,
+            privileged=privileged,
+        )
+        replay = Replay(
+            settings.replay_size,
+            input_size(training.network, training.layout),
+            settings.n_step,
+            settings.gamma,
+            labels=len(ACTIONS) if teacher.teaches else 0,
+            privileged=privileged,
+            risk_horizon=settings.risk_horizon if settings.risk else 0,
+            newest=training.layout.size,
+            cut_at_random=settings.cut_at_random,
+        )
+        super().__init__(training, agent, replay, settings.bootstrap_outcomes)
+        self._settings, self._valued = settings, ValueTargets(teacher)
+        self._final_fit = FinalFit(settings, training, replay)
+        if teacher.controller is not None:
+            for note in controller_notes(teacher.controller, config, "teacher.controller"):
+                training.report(note)
+
+    def begin(self) -> None:
+        """Take the weights that the training starts with, and the recorded episodes."""
+        self._final_fit.begin(load_start(self.training.config, self.agent))
+        add_recorded(self.replay, self.training.config, self.training.report)
+        self._share_recorded()
+
+    def _share_recorded(self) -> None:
+        """Tell the workers how many decisions precede the student's first."""
+        self.training.shared["recorded"] = self.replay.kept
+
+    def add(self, step: Step, decision: int) -> None:
+        """Store a decision, and update from random transitions every few.
+
+        No update is due before the first transition, complete after ``n_step`` decisions.
+        """
+        super().add(step, decision)
+        self._valued.add(step)
+        settings, together, rng = self._settings, self._settings.updates_together, self._sample_rng
+        due = decision % (settings.update_every * together) == 0
+        begun = decision + self.replay.kept >= settings.learning_starts
+        if due and begun and len(self.replay):
+            batch = self.replay.sample(self.agent.candidates * together * settings.batch_size, rng)
+            valued = self._valued.batches(together, rng)
+            self.loss = self.agent.update(batch, decision / self.training.decisions, valued)
+            self.updates += together
+
+    def finish(self, stop: Callable[[], bool]) -> bool:
+        """Learn all labels anew, if that is configured."""
+        return self._final_fit.run(self.agent, stop)
+
+    def exploration(self, decision: int) -> float:
+        """Return ε."""
+        return self._settings.epsilon(decision)
+
+    def tensors(self) -> dict[str, Mapping[str, torch.Tensor]]:
+        """Return networks, optimisers, replay, valued states and the weights of the start."""
+        groups = self._valued.memory.filled()
+        held = {"groups": {name: torch.from_numpy(a) for name, a in groups.items()}}
+        return {**super().tensors(), **self._final_fit.tensors(), **(held if groups else {})}
+
+    def counters(self) -> dict[str, Any]:
+        """Return the numbers of transitions and of groups."""
+        return {**super().counters(), "groups": self._valued.memory.added}
+
+    def restore(
+        self, tensors: Mapping[str, Mapping[str, torch.Tensor]], counters: Mapping[str, Any]
+    ) -> None:
+        """Restore all that was saved."""
+        super().restore(tensors, counters)
+        self._share_recorded()
+        groups = {name: tensor.numpy() for name, tensor in tensors.get("groups", {}).items()}
+        try:
+            size = self.replay.arrays["observation"].shape[1]
+            self._valued.memory.restore(groups, counters["groups"], size)
+        except ValueError as error:
+            raise ValueError(f"its part groups is not valid: {error}") from error
+        self._final_fit.restore(tensors)

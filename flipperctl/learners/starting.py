@@ -1,0 +1,91 @@
+"""The weights that a training starts with in place of random ones.
+
+In: a run, a checkpoint or a shipped policy (``agent.start_from``). Out: its networks' weights in
+those of the training.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+
+from flipperctl.agent.frames import input_size
+from flipperctl.agent.networks import build_network
+from flipperctl.api import ACTIONS
+from flipperctl.checkpoint import read
+from flipperctl.checkpoint.document import require_equal_layout
+from flipperctl.config import TrainConfig
+from flipperctl.errors import ConfigError
+from flipperctl.learners.pair import NetworkPair
+from flipperctl.policies.source import check_layout, load_policy
+from flipperctl.policies.trained import naming, policy_module, policy_risk
+
+SETTING = "agent.start_from"
+_ROWS = 64
+"""Random inputs on which the two networks must agree [-]."""
+
+
+Start = tuple[torch.nn.Module, torch.nn.Module | None]
+"""The networks of a policy and of its risk, if a training takes that."""
+
+
+def read_start(config: TrainConfig) -> Start | None:
+    """Return the networks that a training starts with; None: random ones."""
+    settings: Any = config.agent  # of a learner that has the setting
+    name: str | None = settings.start_from
+    if name is None:
+        return None
+    file = load_policy(name, SETTING, "checkpoint").file
+    with naming(SETTING):
+        checkpoint = read(file)
+        module = policy_module(checkpoint)
+        theirs = checkpoint.policy_config().perception.layout
+        check_layout(file, theirs, config.environment())
+        risk = policy_risk(checkpoint) if config.agent.failure_risk else None
+    return _same_network(config, name, module), None if risk is None else risk.network
+
+
+def load_start(config: TrainConfig, agent: NetworkPair) -> Start | None:
+    """Give the networks of a new training the weights that it starts with, if any; return them."""
+    found = read_start(config)
+    if found is not None:
+        load_start_weights(found, agent)
+    return found
+
+
+def load_start_weights(start: Start, agent: NetworkPair) -> None:
+    """Give the networks of ``agent`` the weights that ``read_start`` returned."""
+    module, risk = start
+    for network in agent.starting:
+        network.load_state_dict(module.state_dict())
+    if risk is not None and agent.risk is not None:
+        agent.risk.network.load_state_dict(risk.state_dict())
+
+
+def _same_network(config: TrainConfig, name: str, module: torch.nn.Module) -> torch.nn.Module:
+    """Return the training's network with the weights of ``module``, if both are one function.
+
+    Settings that only change how it learns, such as a dropout, and names of weights may differ.
+    """
+    layout, network = config.perception.layout, config.network
+    built = build_network(network, layout, len(ACTIONS)).eval()
+    inputs = torch.randn(
+        (_ROWS, input_size(network, layout)), generator=torch.Generator().manual_seed(0)
+    )
+    text = (
+        f"{SETTING}: {name} has another network than this training; give it the same network and "
+        "settings of the network"
+    )
+    try:
+        weights, own = module.state_dict(), built.state_dict()
+        if [w.shape for w in weights.values()] != [w.shape for w in own.values()]:
+            require_equal_layout(weights, own)  # names what differs
+        built.load_state_dict(dict(zip(own, weights.values(), strict=True)))
+        with torch.inference_mode():
+            equal = torch.allclose(built(inputs), module(inputs), rtol=1e-4, atol=1e-4)
+    except (ValueError, RuntimeError) as error:
+        raise ConfigError(f"{text} ({str(error).splitlines()[0]})") from error
+    if not equal:
+        raise ConfigError(text)
+    return built
