@@ -254,7 +254,7 @@ def test_the_environment_is_that_of_a_training() -> None:
 
 
 OF_A_TRAINING = {
-    **{"network": "mlp", "method": "sb3", "agent": {"gamma": 0.9}, "train": {"decisions": 5}},
+    **{"network": "mlp", "agent": "sb3", "train": {"decisions": 5}},
     **{"collector": "local", "teacher": {"controller": "okada"}, "eval": {"episodes": 3}},
     **{"logger": "csv", "device": "cuda"},
 }
