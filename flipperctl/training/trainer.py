@@ -152,6 +152,7 @@ class Trainer:
         finished = self.progress.decision >= self.config.train.decisions or self.learning.train(
             OwnLoop(self, collector, stop)
         )
+        self.follow()  # an update after the last decision counts
         return finished and (not self._validation_due() or self._validate(collector))
 
     def _train_episode(self, collector: Collector) -> None:
