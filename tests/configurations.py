@@ -55,6 +55,7 @@ NOT_DRAWN = {
     "device": "what this machine has",
     "collector": "mode exact plays episodes in the learner's process",
     "agent.start_from": "a file",
+    "agent.settings": "arguments of an algorithm of Stable-Baselines3",
     "teacher.episodes": "a file",
     "terrain.path": "a file",
     "eval.ray": "the address of a cluster",
@@ -118,7 +119,7 @@ class Setting:
 
 
 def plugin_names(section: str) -> st.SearchStrategy[str]:
-    default = {"terrain": "flat", "network": "at_d3qn"}.get(section, "planar")
+    default = {"terrain": "flat", "network": "at_d3qn", "agent": "d3qn"}.get(section, "planar")
     others = [name for name in registered_names(GROUPS[section]) if name != "mujoco"]
     names = [default] * len(others) + others
     if section == "sim":

@@ -217,11 +217,13 @@ def environment(
     for key in every.typed:
         if (section := key.split(".")[0]) in _OF_TRAINING:
             raise ConfigError(f"{key}: {section} belongs to a training, and has no meaning here")
-    (config,) = compose_train(every)
-    own: dict[str, Any] = {"config": config.environment(), "actions": config.actions}
+    # Whoever trains here brings a learner, so that the default one restricts no actions.
+    actions = every.where(lambda key: key == "actions").values()
+    (config,) = compose_train(every.where(lambda key: key != "actions"))
+    options = {"config": config.environment(), "actions": config.actions, **actions}
     if "seed" in every.typed:
-        own["seed"] = config.seed
-    return gymnasium.make(FLIPPER, **own, render_mode=render_mode)
+        options["seed"] = config.seed
+    return gymnasium.make(FLIPPER, **options, render_mode=render_mode)
 
 
 def _composed(

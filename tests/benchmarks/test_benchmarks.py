@@ -27,7 +27,7 @@ from benchmarks import (
     tables,
 )
 from benchmarks.settings import MEASURES, Benchmark, BenchmarkSettings, ratio, sizes
-from flipperctl.agent.d3qn import D3qn
+from flipperctl.learners.double_q import DoubleQ
 from flipperctl.agent.risk import RiskNetwork
 from flipperctl.api import Robot
 from flipperctl.bench import measure_in_turn, quantity
@@ -93,7 +93,7 @@ def test_the_learner_s_updates_are_the_gradient_steps_that_it_takes(candidates: 
     agent = {"candidates": candidates, "updates_together": 3, "privileged_value": True}
     config = TrainConfig(terrain="flat", network="at_d3qn", agent=agent)
     contestant = learner.contestant(config, learner.fill(config, 20, 0), 8, 0)
-    with patch.object(D3qn, "_descend", autospec=True, side_effect=D3qn._descend) as steps:
+    with patch.object(DoubleQ, "_descend", autospec=True, side_effect=DoubleQ._descend) as steps:
         contestant.update()
     assert contestant.together == steps.call_count == 3
     assert steps.call_args.args[0].baselines is not None

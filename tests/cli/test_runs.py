@@ -238,7 +238,7 @@ def test_what_is_refused_before_its_first_decision_leaves_nothing_of_its_own(
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "notes.txt").write_text("mine")
     with monkeypatch.context() as context:
-        context.setattr("flipperctl.training.trainer.add_recorded", vanished)
+        context.setattr("flipperctl.learners.d3qn_run.add_recorded", vanished)
         assert call(*RUN, cwd=tmp_path).code == 2
     assert [path.name for path in (tmp_path / "run").iterdir()] == ["notes.txt"]
     done = call(*RUN, cwd=tmp_path)

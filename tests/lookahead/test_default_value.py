@@ -131,7 +131,7 @@ def test_one_line_says_that_the_value_is_not_used(
         loaded.reset(env)
     said: list[str] = []
     run = trainer(short_config(**{"teacher.controller": "mpc", **SMALLER}), tmp_path)
-    monkeypatch.setattr(run.episodes, "_report", said.append)
+    monkeypatch.setattr(run._training, "report", said.append)
     run.episodes.start_collector((), lambda: False).close()
     of_eval_and_python = " ".join(capsys.readouterr().err.split())
     (of_teacher,) = said

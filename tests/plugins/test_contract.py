@@ -11,7 +11,8 @@ from flipperctl.testing import Check, checks
 
 pytestmark = pytest.mark.slow
 
-KINDS = ("terrain", "reward", "network", "controller", "sim", "perception", "measure", "logger")
+FAMILIES = "terrain reward network agent controller sim perception measure logger"
+KINDS = FAMILIES.split()
 
 
 AT_NIGHT = re.compile(

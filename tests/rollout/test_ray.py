@@ -86,7 +86,7 @@ def test_searched_values_come_with_the_episodes(cluster: Any, tmp_path: Path) ->
     collector = {"name": "ray", "address": cluster.address, "workers": 2}
     run = trainer(with_overrides(tiny(12, "fast"), {"collector": collector}), tmp_path)
     assert run.run()["finished"] is True
-    assert run.valued.memory.added == 6 * run.progress.episode > 0
+    assert run.learning._valued.memory.added == 6 * run.progress.episode > 0
 
 
 @pytest.mark.long

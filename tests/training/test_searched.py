@@ -135,7 +135,8 @@ def test_a_plugin_s_groups_are_learned_from(registry: dict[Any, Any], tmp_path: 
     registry["controller", "rater"] = Rater
     run = trainer(taught({"name": "rater"}), tmp_path)
     run.run()
-    assert (run.valued.memory.added, run.valued.memory.states) == (5 * run.progress.episode, 3)
+    memory = run.learning._valued.memory
+    assert (memory.added, memory.states) == (5 * run.progress.episode, 3)
     text = r"^teacher\.loss=values: the controller okada values no states; teacher=searched does$"
     with pytest.raises(ConfigError, match=text):
         trainer(taught({"name": "okada"}), tmp_path / "okada").run()
