@@ -243,12 +243,6 @@ class TrainConfig(EnvConfig):
     def _faults(self) -> Iterator[str]:
         """Yield what the learner does not go with, by what it says of itself."""
         agent, name = self.agent, f"agent={self.agent.plugin_name}"
-        if self.actions not in agent.drives:
-            yield (
-                f"actions: {self.actions} does not go with {name}; "
-                f"actions={' or '.join(agent.drives)} is allowed; flipperctl list learners shows "
-                "others"
-            )
         if self.teacher.teaches and not agent.takes_teacher:
             yield f"teacher: {name} learns from rewards alone; set teacher=none"
         if self.train.record and (agent.own_loop or self.actions == "rates"):

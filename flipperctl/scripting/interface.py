@@ -217,10 +217,8 @@ def environment(
     for key in every.typed:
         if (section := key.split(".")[0]) in _OF_TRAINING:
             raise ConfigError(f"{key}: {section} belongs to a training, and has no meaning here")
-    # Whoever trains here brings a learner, so that the default one restricts no actions.
-    actions = every.where(lambda key: key == "actions").values()
-    (config,) = compose_train(every.where(lambda key: key != "actions"))
-    options = {"config": config.environment(), "actions": config.actions, **actions}
+    (config,) = compose_train(every)
+    options: dict[str, Any] = {"config": config.environment(), "actions": config.actions}
     if "seed" in every.typed:
         options["seed"] = config.seed
     return gymnasium.make(FLIPPER, **options, render_mode=render_mode)

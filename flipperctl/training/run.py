@@ -62,7 +62,14 @@ _JUDGING = ("best_by", "validation_episodes", "validation_seed")
 
 
 def check(config: TrainConfig) -> None:
-    """Refuse a training whose terrain, device, teacher, network or start cannot be used."""
+    """Refuse a training whose actions, terrain, device, teacher, network or start do not fit."""
+    # A file of somebody else's network has actions of its own, and the default learner.
+    if config.actions not in config.agent.drives:
+        raise ConfigError(
+            f"actions: {config.actions} does not go with agent={config.agent.plugin_name}; "
+            f"actions={' or '.join(config.agent.drives)} is allowed; flipperctl list learners "
+            "shows others"
+        )
     check_device(config)
     env = FlipperEnv(config=config.environment())
     env.reset(seed=0)

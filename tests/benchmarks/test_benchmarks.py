@@ -27,7 +27,6 @@ from benchmarks import (
     tables,
 )
 from benchmarks.settings import MEASURES, Benchmark, BenchmarkSettings, ratio, sizes
-from flipperctl.learners.double_q import DoubleQ
 from flipperctl.agent.risk import RiskNetwork
 from flipperctl.api import Robot
 from flipperctl.bench import measure_in_turn, quantity
@@ -36,6 +35,7 @@ from flipperctl.cli.main import run_app
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig
 from flipperctl.core.risk import RiskCalibration, RiskSign
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.learners.double_q import DoubleQ
 from flipperctl.policies.source import load_policy
 from flipperctl.policies.trained import policy_risk
 from flipperctl.sim.planar.sensing import correlated

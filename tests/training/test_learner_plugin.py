@@ -13,6 +13,7 @@ from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.export.policy import export
 from flipperctl.policies.trained import policy_module
 from flipperctl.runtime import OnnxPolicy
+from flipperctl.training.run import check
 from tests.short import few, trainer
 from tests.training.conftest import require_resumes
 
@@ -62,7 +63,7 @@ def test_workers_drive_for_it(tmp_path: Path) -> None:
 
 def test_what_it_does_not_go_with_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"^actions: turns does not go with agent=sac; actions=r"):
-        config(actions="turns")
+        check(config(actions="turns"))
     with pytest.raises(ConfigError, match=r"^teacher: agent=sac learns from rewards alone"):
         config(**{"teacher.controller": {"name": "okada"}})
     with pytest.raises(ConfigError, match=r"^train\.record: it does not go with agent=sac"):
