@@ -12,7 +12,9 @@ import importlib.util
 import os
 import sys
 from collections.abc import Callable, Collection, Iterable, Sequence
+from contextlib import suppress
 from importlib.metadata import EntryPoint, entry_points
+from importlib.util import cache_from_source
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -252,8 +254,11 @@ def _unload(modules: Collection[str]) -> None:
             del registry[key]
     for module in modules:
         _loaded.discard(module)
-        del _contents[module]
+        file, _ = _contents.pop(module)
         _forget(module)
+        # Python takes compiled code for that of a file of the same size and second.
+        with suppress(OSError, NotImplementedError):
+            Path(cache_from_source(file)).unlink(missing_ok=True)
 
 
 def _content(file: Path) -> str:

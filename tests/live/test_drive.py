@@ -228,6 +228,7 @@ def test_a_browser_drives_by_keys(session: Session) -> None:
     own = http, http.replace("http", "ws"), "data:", "blob:"
     with browser.chromium() as opened:
         tab = opened.new_page(viewport={"width": 1280, "height": 800})
+        tab.set_default_timeout(120_000)  # without a graphics card, drawing takes a core
         tab.on("request", lambda r: None if r.url.startswith(own) else problems.append(r.url))
         tab.on("pageerror", lambda error: problems.append(str(error)))
         tab.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)
@@ -261,6 +262,7 @@ def test_a_closed_browser_holds_the_robot(
     monkeypatch.setattr(session.page, "received", note)
     with browser.chromium() as opened:
         tab = opened.new_page(viewport={"width": 1280, "height": 800})
+        tab.set_default_timeout(120_000)  # without a graphics card, drawing takes a core
         tab.goto(session.address)
         tab.locator("#phase[data-value=ready]").wait_for(timeout=60_000)
         tab.keyboard.press("Enter")

@@ -143,6 +143,7 @@ def test_the_page_is_driven_by_keys_and_buttons(served: tuple[Gate, page.WatchPa
     with sync_playwright() as play:
         browser = play.chromium.launch(executable_path=CHROMIUM, args=arguments)
         tab = browser.new_page(viewport={"width": 1200, "height": 800})
+        tab.set_default_timeout(120_000)  # without a graphics card, drawing takes a core
         tab.on("request", check)
         tab.on("pageerror", lambda error: problems.append(str(error)))
         tab.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)
