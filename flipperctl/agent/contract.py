@@ -104,19 +104,19 @@ def check_contract(network: Network, layout: ObservationLayout) -> None:
     with torch.random.fork_rng(devices=[]):
         module = build_network(network, layout, len(ACTIONS))
     rows = observations(network, layout, 4)
-    one, others = rows[:1], [rows[at : at + 1] for at in range(1, len(rows))]
+    first, others = rows[:1], [rows[at : at + 1] for at in range(1, len(rows))]
     trial, noise = _Trial(network, module), Noise(module)
     modes: list[tuple[str, Callable[[], object]]] = [("in eval mode", module.eval)]
     if noise.parts:
-        trial.require_noise_from_rng(noise, one)
+        trial.require_noise_from_rng(noise, first)
         modes.append(("in decisions with noise", noise.acts))
     for use, begin in modes:
         begin()
         for other in others:  # of one alone, a mean over the batch may be equal by chance
-            trial.require_nothing_kept(use, one, other)
+            trial.require_nothing_kept(use, first, other)
     module.train()
     with torch.enable_grad():  # as the loss does
-        trial.require_seeded(torch.cat([one, others[0]]), torch.cat(others))
+        trial.require_seeded(torch.cat([first, others[0]]), torch.cat(others))
 
 
 class _Trial:
@@ -128,29 +128,29 @@ class _Trial:
     def _call(self, rows: torch.Tensor) -> Values:
         given = rows.clone()
         with naming(self._network, "forward", ConfigError):
-            found = [self._module(given)]
+            outputs = [self._module(given)]
             if isinstance(self._module, Distributional):
-                found.append(self._module.quantiles(given))
+                outputs.append(self._module.quantiles(given))
         if not torch.equal(given, rows):
             raise self._refusal("changes its input in place; a copy of it may be changed")
-        return tuple(tensor.detach().clone() for tensor in found)
+        return tuple(tensor.detach().clone() for tensor in outputs)
 
-    def require_noise_from_rng(self, noise: Noise, one: torch.Tensor) -> None:
+    def require_noise_from_rng(self, noise: Noise, first: torch.Tensor) -> None:
         """Refuse noise that is drawn from another generator than the one that is given."""
-        before, found = global_states(), []
+        before, changes = global_states(), []
         self._module.train()
         for seed in (0, 1, 0):
             noise.draw(np.random.default_rng(seed))
             with torch.enable_grad(), seeded(_CPU, 0):
-                found.append(self._call(one))
-        if (moved := moved_since(before)) or not _equal(found[0], found[2]):
+                changes.append(self._call(first))
+        if (moved := moved_since(before)) or not _equal(changes[0], changes[2]):
             text = f"uses {moved}" if moved else "draws unequal noise from equal generators"
             raise self._refusal(f"{text}; only rng is allowed", "draw_noise")
 
-    def require_nothing_kept(self, use: str, one: torch.Tensor, other: torch.Tensor) -> None:
+    def require_nothing_kept(self, use: str, row: torch.Tensor, other: torch.Tensor) -> None:
         """Refuse decisions that depend on chance, on earlier ones or on others of the batch."""
         before, kept = global_states(), _clones(self._module)
-        first, second, again = self._call(one), self._call(other), self._call(one)
+        first, second, again = self._call(row), self._call(other), self._call(row)
         if moved := moved_since(before):
             raise self._refusal(
                 f"uses {moved} {use}, so that equal observations give unequal Q-values; random "
@@ -164,7 +164,7 @@ class _Trial:
                 f"gives unequal Q-values for equal observations {use}; it must remember nothing of "
                 "earlier calls, and draw no random numbers"
             )
-        together = self._call(torch.cat([one, other]))
+        together = self._call(torch.cat([row, other]))
         alone = tuple(torch.cat(pair) for pair in zip(first, second, strict=True))
         if not all(map(partial(torch.allclose, rtol=_ALONE, atol=_ALONE), together, alone)):
             raise self._refusal(
@@ -175,15 +175,15 @@ class _Trial:
     def require_seeded(self, batch: torch.Tensor, other: torch.Tensor) -> None:
         """Refuse a loss that depends on more than the batch and torch's own generator."""
         kept, before = _clones(self._module), global_states()
-        found = []
+        outputs = []
         for rows in (batch, other, batch):
             with torch.no_grad():
                 self._module.load_state_dict(kept)  # statistics may follow the batches
             with seeded(_CPU, 0):
-                found.append(self._call(rows))
+                outputs.append(self._call(rows))
         if moved := moved_since(before):
             raise self._refusal(f"uses {moved} in train() mode; only torch's generator is allowed")
-        if not _equal(found[0], found[2]):
+        if not _equal(outputs[0], outputs[2]):
             raise self._refusal(
                 "gives unequal Q-values for equal observations in train() mode, though torch's "
                 "generator is in equal states; other random numbers, and memory of earlier calls, "

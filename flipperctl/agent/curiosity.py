@@ -66,8 +66,8 @@ class Curiosity:
     def reward(self, batch: Batch) -> torch.Tensor:
         """Return the curiosity about each transition, (B,) [-]."""
         with torch.no_grad():
-            found: torch.Tensor = self.network(batch)[1]
-        return found
+            error: torch.Tensor = self.network(batch)[1]
+        return error
 
     def step(self, batch: Batch, rate: float) -> float:
         """Take a gradient step with the learning rate ``rate``; return the loss [-]."""

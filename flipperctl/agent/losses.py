@@ -152,8 +152,8 @@ def divergence(p: torch.Tensor, log_q: torch.Tensor) -> torch.Tensor:
 
     ``p``: probabilities, (B, A); ``log_q``: logarithms of probabilities, (B, A).
     """
-    found: torch.Tensor = (torch.special.xlogy(p, p) - p * log_q).sum(dim=1).mean()
-    return found
+    divergence: torch.Tensor = (torch.special.xlogy(p, p) - p * log_q).sum(dim=1).mean()
+    return divergence
 
 
 def clipped_gain(

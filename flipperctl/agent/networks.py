@@ -70,8 +70,8 @@ def difference_errors(online: torch.nn.Module, batch: Batch, targets: torch.Tens
 
 
 def _of_actions(online: torch.nn.Module, batch: Batch) -> torch.Tensor:
-    found: torch.Tensor = online(batch.observation)
-    return found.gather(1, batch.action.unsqueeze(1)).squeeze(1)
+    values: torch.Tensor = online(batch.observation)
+    return values.gather(1, batch.action.unsqueeze(1)).squeeze(1)
 
 
 _plugins: WeakKeyDictionary[torch.nn.Module, Network] = WeakKeyDictionary()
@@ -198,9 +198,9 @@ def _try(network: Network, module: torch.nn.Module, probe: torch.Tensor, n_actio
     """Raise ConfigError unless the module returns Q-values in every mode that is used later."""
     shape = tuple(probe.shape)
     output = _call(network, module, probe, f" fails on observations of shape {shape}")
-    found = tuple(output.shape) if isinstance(output, torch.Tensor) else type(output).__name__
-    if found != (2, n_actions):
-        text = f"observations {shape} must give Q-values (2, {n_actions}); the output is {found}"
+    returned = tuple(output.shape) if isinstance(output, torch.Tensor) else type(output).__name__
+    if returned != (2, n_actions):
+        text = f"observations {shape} must give Q-values (2, {n_actions}); the output is {returned}"
         raise _unfit(network, text)
     if output.dtype != torch.float32 or not bool(output.isfinite().all()):
         text = (
@@ -210,9 +210,11 @@ def _try(network: Network, module: torch.nn.Module, probe: torch.Tensor, n_actio
         raise _unfit(network, text)
     if isinstance(module, Distributional):
         quantiles = _call(network, module, probe, "", "quantiles")
-        found = tuple(getattr(quantiles, "shape", ())) or type(quantiles).__name__
-        if len(found) != 3 or found[:2] != (2, n_actions) or not found[2]:
-            text = f"observations {shape} must give quantiles (2, {n_actions}, K); they are {found}"
+        returned = tuple(getattr(quantiles, "shape", ())) or type(quantiles).__name__
+        if len(returned) != 3 or returned[:2] != (2, n_actions) or not returned[2]:
+            text = (
+                f"observations {shape} must give quantiles (2, {n_actions}, K); they are {returned}"
+            )
             raise _unfit(network, text)
     uses = (
         ("train", 1, "in train() mode, which training episodes use"),
@@ -223,9 +225,13 @@ def _try(network: Network, module: torch.nn.Module, probe: torch.Tensor, n_actio
         module.train(mode == "train")
         number = "one observation" if rows == 1 else "a batch"
         output = _call(network, module, probe[:rows], f" fails on {number} {use}")
-        found = tuple(output.shape) if isinstance(output, torch.Tensor) else type(output).__name__
-        if found != (rows, n_actions):
-            text = f"{number} {use} must give Q-values ({rows}, {n_actions}); the output is {found}"
+        returned = (
+            tuple(output.shape) if isinstance(output, torch.Tensor) else type(output).__name__
+        )
+        if returned != (rows, n_actions):
+            text = (
+                f"{number} {use} must give Q-values ({rows}, {n_actions}); the output is {returned}"
+            )
             raise _unfit(network, text)
 
 
@@ -313,8 +319,8 @@ def q_values(
                 module, "forward", f"returned Q-values that are not finite: their sum is {total}"
             )
         )
-    found: list[float] = values
-    return found
+    result: list[float] = values
+    return result
 
 
 @runtime_checkable

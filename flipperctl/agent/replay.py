@@ -63,17 +63,17 @@ def _columns(
 ) -> dict[str, tuple[tuple[int, ...], type[np.generic]]]:
     """Return the shape and the type of a transition's row in each array of a replay."""
     row, number = ((size,), np.float32), ((), np.float32)
-    found: dict[str, tuple[tuple[int, ...], type[np.generic]]] = {
+    layout: dict[str, tuple[tuple[int, ...], type[np.generic]]] = {
         **{"observation": row, "action": ((), np.int64), "reward": number},
         **{"next_observation": row, "discount": number},
     }
     if labels:
-        found["label"] = ((labels,), np.float32)
+        layout["label"] = ((labels,), np.float32)
     if privileged:
-        found["privileged"] = found["next_privileged"] = ((privileged,), np.float32)
+        layout["privileged"] = layout["next_privileged"] = ((privileged,), np.float32)
     if risk:
-        found |= {"failing": number, "resembles": ((len(LAGS),), np.float32)}
-    return found
+        layout |= {"failing": number, "resembles": ((len(LAGS),), np.float32)}
+    return layout
 
 
 _LIMITS: Final[dict[str, tuple[float, float]]] = {
@@ -134,8 +134,8 @@ class Batch:
         return Batch(**{name: tensor.to(device) for name, tensor in self._tensors().items()})
 
     def _tensors(self) -> dict[str, torch.Tensor]:
-        found = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {name: tensor for name, tensor in found.items() if tensor is not None}
+        tensors = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: tensor for name, tensor in tensors.items() if tensor is not None}
 
 
 class Replay:

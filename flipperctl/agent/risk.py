@@ -54,14 +54,14 @@ class RiskNetwork(torch.nn.Module):
 
         ``observation``: input rows, (B, frames · n) in SI units.
         """
-        found: torch.Tensor = self.layers(observation)
-        return found[:, :1], found[:, 1:]
+        outputs: torch.Tensor = self.layers(observation)
+        return outputs[:, :1], outputs[:, 1:]
 
     def log_odds(self, observation: torch.Tensor, resembles: torch.Tensor) -> torch.Tensor:
         """Return the log-odds of rows with their resemblances (B, lags), (B,)."""
         alone, coefficients = self(observation)
-        found: torch.Tensor = alone.squeeze(1) + (coefficients * resembles).sum(dim=1)
-        return found
+        logits: torch.Tensor = alone.squeeze(1) + (coefficients * resembles).sum(dim=1)
+        return logits
 
 
 class Risk(torch.nn.Module):
@@ -96,10 +96,10 @@ class Risk(torch.nn.Module):
         row = torch.from_numpy(observation).to(device).unsqueeze(0)
         with one_thread():
             alone, coefficients = self(row)
-        found = episode.update(float(alone), coefficients[0].cpu().numpy(), observation, place)
-        if not math.isfinite(found):
-            raise NonFiniteError(f"the risk of an observation is {found}")
-        return found
+        risk = episode.update(float(alone), coefficients[0].cpu().numpy(), observation, place)
+        if not math.isfinite(risk):
+            raise NonFiniteError(f"the risk of an observation is {risk}")
+        return risk
 
 
 def uncalibrated(horizon: int) -> RiskCalibration:
@@ -166,10 +166,10 @@ def policy_arrays(
     policy: torch.nn.Module, risk: torch.nn.Module | None
 ) -> dict[str, NDArray[np.generic]]:
     """Return a copy of the weights of a policy and of its risk, named for other processes."""
-    found = weights_of(policy)
+    weights = weights_of(policy)
     if risk is not None:
-        found |= {f"{WEIGHTS}{name}": array for name, array in weights_of(risk).items()}
-    return found
+        weights |= {f"{WEIGHTS}{name}": array for name, array in weights_of(risk).items()}
+    return weights
 
 
 def weights_of(module: torch.nn.Module) -> dict[str, NDArray[np.generic]]:

@@ -134,10 +134,10 @@ class Profile:
         i, j = np.maximum(right - 1, 0), np.minimum(right, len(at) - 1)
         between = (right > 0) & (right < len(at))
         rise, zero = (up[j] - up[i]) * (x - at[i]), np.zeros(len(x))
-        found: FloatArray = up[i] + np.divide(rise, at[j] - at[i], out=zero, where=between)
+        heights: FloatArray = up[i] + np.divide(rise, at[j] - at[i], out=zero, where=between)
         for index in np.flatnonzero(np.searchsorted(at, x) < right):  # on a vertex, perhaps a face
-            found[index] = self.height(float(x[index]))
-        return found
+            heights[index] = self.height(float(x[index]))
+        return heights
 
     def extended(self, before: float, after: float) -> FloatArray:
         """Return the polyline with level ground of these lengths added, (V + 2, 2) [m].

@@ -99,8 +99,8 @@ class Shaping(RewardTerm):
         """Return the potentials Φ of M states, (M,) [-]."""
         of: Any = self.potential
         if self.elementwise:
-            found: FloatArray = of(states, profile, robot)
-            return found
+            rewards: FloatArray = of(states, profile, robot)
+            return rewards
         return np.array([of(s, profile, robot) for s in states], np.float64)
 
     def array(self, ts: Transitions) -> FloatArray:
@@ -135,8 +135,8 @@ def _check_forms(cls: type[RewardTerm], where: str) -> None:
 def limited(value: Any, low: float, high: float) -> float:
     """Return a number within ``low`` and ``high``, or an array (M,) likewise; NaN is kept."""
     is_one = isinstance(value, float)
-    found: float = min(max(value, low), high) if is_one else np.clip(value, low, high)
-    return found
+    clipped: float = min(max(value, low), high) if is_one else np.clip(value, low, high)
+    return clipped
 
 
 def writes(cls: type[RewardTerm], base: type[RewardTerm], form: str) -> bool:

@@ -147,16 +147,16 @@ def candidate_angles(
     ``x`` and ``z`` are the points of each pose in its frame L, (M, P) [m]; NaN stands for no point.
     Of a single pose, ``pitch`` is a float, the points are (P,), and the angle is a float.
     """
-    one = isinstance(pitch, float)
+    is_number = isinstance(pitch, float)
     # numpy's cosine may differ in the last bit, which would decide whether a point counts.
-    turns = [(math.cos(a), math.sin(a)) for a in ((pitch,) if one else pitch.tolist())]
-    cos, sin = turns[0] if one else np.array(turns).reshape(-1, 2).T[:, :, None]
+    turns = [(math.cos(a), math.sin(a)) for a in ((pitch,) if is_number else pitch.tolist())]
+    cos, sin = turns[0] if is_number else np.array(turns).reshape(-1, 2).T[:, :, None]
     along, up = cos * x + sin * z, cos * z - sin * x
     u = (-along if rear else along) - robot.hinge_offset
     chosen = (u >= near) & (u <= far)
     u, up = u[chosen], up[chosen]
     angles = np.arctan2(up, u) + np.arcsin(np.minimum(1.0, robot.track_radius / np.hypot(u, up)))
-    if one:
+    if is_number:
         return robot.clip(float(np.maximum.reduce(angles))) if angles.size else 0.0
     largest = np.full(len(x), -math.inf)
     np.maximum.at(largest, chosen.nonzero()[0], angles)

@@ -63,8 +63,8 @@ class Terrain(Plugin, ABC):
         """
         profile = self.generate(rng)
         if not isinstance(profile, Profile):
-            found = type(profile).__name__
-            raise ValueError(f"generate must return a Profile; it returned a {found}")
+            kind = type(profile).__name__
+            raise ValueError(f"generate must return a Profile; it returned a {kind}")
         if profile.label:
             return profile
         return replace(profile, label=self.plugin_name)

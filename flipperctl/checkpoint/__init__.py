@@ -222,12 +222,12 @@ def read_policy(path: Path) -> Checkpoint:
     An evaluation asks for one file several times for each scene. The tensors must not be changed.
     """
     try:
-        found = path.stat()
+        status = path.stat()
     except OSError:
         return read(path)  # which says why
-    if found.st_size > _SMALL:
+    if status.st_size > _SMALL:
         return read(path)
-    return _read_once(path.absolute(), path, found.st_ino, found.st_mtime_ns, found.st_size)
+    return _read_once(path.absolute(), path, status.st_ino, status.st_mtime_ns, status.st_size)
 
 
 @lru_cache(maxsize=4)
@@ -303,7 +303,7 @@ def _run_beside(missing: Path) -> str:
     with contextlib.suppress(OSError):  # no suggestion from an unreadable folder
         runs = [run.name for run in runs_in(missing.parent)]
         near = difflib.get_close_matches(missing.name, runs, n=1)
-        return suggestion(*(str(missing.parent / found) for found in near))
+        return suggestion(*(str(missing.parent / name) for name in near))
     return ""
 
 

@@ -260,9 +260,9 @@ RecordT = TypeVar("RecordT", bound=Record)
 
 def validated(model: type[RecordT], raw: Mapping[str, Any], number: int) -> RecordT:
     """Return a document of the format ``number`` as its model."""
-    found = raw.get("format")
-    if type(found) is not int or found != number:
-        raise ValueError(other_format(found, number))
+    version = raw.get("format")
+    if type(version) is not int or version != number:
+        raise ValueError(other_format(version, number))
     try:
         return model.model_validate_json(json.dumps(raw))
     except ValidationError as error:
@@ -300,12 +300,12 @@ def decode(text: str) -> dict[str, Any]:
 
 
 def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
+    mapping: dict[str, Any] = {}
     for name, value in pairs:
-        if name in found:
+        if name in mapping:
             raise ValueError(f"it holds the key {name!r:.40} twice")
-        found[name] = value
-    return found
+        mapping[name] = value
+    return mapping
 
 
 def _finite(number: str) -> float:
@@ -425,10 +425,10 @@ def digest(text: str, tensors: Mapping[str, torch.Tensor]) -> str:
     """Return the SHA-256 of a text and of the names, types, shapes and values of tensors."""
     import torch
 
-    found = hashlib.sha256(text.encode())
+    digest = hashlib.sha256(text.encode())
     for name in sorted(tensors):
         tensor = tensors[name].contiguous()
-        found.update(f"{name}:{tensor.dtype}:{tuple(tensor.shape)}".encode())
+        digest.update(f"{name}:{tensor.dtype}:{tuple(tensor.shape)}".encode())
         if tensor.numel():  # torch refuses to view an empty tensor as bytes
-            found.update(tensor.reshape(-1).view(torch.uint8).numpy().tobytes())
-    return found.hexdigest()
+            digest.update(tensor.reshape(-1).view(torch.uint8).numpy().tobytes())
+    return digest.hexdigest()

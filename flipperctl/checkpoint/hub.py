@@ -38,7 +38,7 @@ def download(word: str) -> Path:
     api = hub.HfApi()
     try:
         info = api.model_info(repository, revision=asked, files_metadata=True)
-        sizes = {one.rfilename: one.size or 0 for one in info.siblings or ()}
+        sizes = {sibling.rfilename: sibling.size or 0 for sibling in info.siblings or ()}
         name = _chosen(word, sizes)
         return Path(api.hf_hub_download(repository, name, revision=asked))
     except RequestError:
@@ -53,10 +53,10 @@ def download(word: str) -> Path:
 
 def _chosen(word: str, sizes: dict[str, int]) -> str:
     """Return the name of the policy among a repository's files, name → bytes."""
-    found = [name for name in sizes if name.endswith(".safetensors")]
-    name = FILE if FILE in found else found[0] if len(found) == 1 else ""
+    policies = [name for name in sizes if name.endswith(".safetensors")]
+    name = FILE if FILE in policies else policies[0] if len(policies) == 1 else ""
     if not name:
-        held = ", ".join(sorted(found)) or "none"
+        held = ", ".join(sorted(policies)) or "none"
         raise CheckpointError(
             f"{word}: the repository needs {FILE} or a single .safetensors file; it has {held}"
         )

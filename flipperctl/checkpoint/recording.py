@@ -176,11 +176,11 @@ def write(
 
 def require_one_layout(path: Path, configs: Sequence[EnvConfig]) -> None:
     """Check that episodes in these environments fit into one file."""
-    found = {config.perception.layout.words for config in configs}
-    if len(found) > 1:
+    layouts = {config.perception.layout.words for config in configs}
+    if len(layouts) > 1:
         raise ConfigError(
-            f"{path}: a {NOUN} has one observation layout; the environments have {len(found)}: "
-            f"{'; '.join(sorted(found))}"
+            f"{path}: a {NOUN} has one observation layout; the environments have {len(layouts)}: "
+            f"{'; '.join(sorted(layouts))}"
         )
 
 
@@ -221,21 +221,23 @@ def read(path: Path) -> Recording:
     return Recording(path, document, tuple(_episodes(document, arrays)))
 
 
-def _together(path: Path, found: Sequence[Recording]) -> Recording:
+def _together(path: Path, recordings: Sequence[Recording]) -> Recording:
     """Return several recordings as one."""
     environments: list[PartialEnvironment] = []
     entries: list[EpisodeEntry] = []
-    for one in found:
-        for entry in one.document.episodes:
+    for recording in recordings:
+        for entry in recording.document.episodes:
             place = {"environment": len(environments) + entry.environment}
             entries.append(entry.model_copy(update=place))
-        environments += one.document.environments
+        environments += recording.document.environments
     update = {"environments": tuple(environments), "episodes": tuple(entries)}
     with naming_document(path):
         document = RecordingDocument.model_validate(
-            found[0].document.model_copy(update=update).model_dump()
+            recordings[0].document.model_copy(update=update).model_dump()
         )
-    return Recording(path, document, tuple(e for one in found for e in one.episodes))
+    return Recording(
+        path, document, tuple(e for recording in recordings for e in recording.episodes)
+    )
 
 
 def _parse(text: str) -> RecordingDocument:

@@ -35,5 +35,5 @@ def read_whole(path: Path, parse: Callable[[bytes], T], refusal: type[Exception]
 
 
 def _stamp(path: Path) -> tuple[int, ...]:
-    found = path.stat()
-    return found.st_ino, found.st_size, found.st_mtime_ns
+    status = path.stat()
+    return status.st_ino, status.st_size, status.st_mtime_ns

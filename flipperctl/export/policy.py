@@ -333,8 +333,8 @@ def export_pt2(
 
     def outputs(observations: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
         with torch.inference_mode():
-            found = exported(torch.from_numpy(observations))
-        tensors = found if isinstance(found, tuple) else (found,)
+            outputs = exported(torch.from_numpy(observations))
+        tensors = outputs if isinstance(outputs, tuple) else (outputs,)
         return tuple(tensor.numpy() for tensor in tensors)
 
     return buffer.getvalue(), outputs
@@ -417,7 +417,7 @@ def _difference(
 def _compared_risks(
     expected: list[NDArray[np.float32]], actual: list[NDArray[np.float32]]
 ) -> dict[str, float]:
-    shapes, wanted = ([array.shape for array in found] for found in (actual, expected))
+    shapes, wanted = ([array.shape for array in arrays] for arrays in (actual, expected))
     if shapes != wanted:
         raise ExportError(f"the exported risk has the shapes {shapes}, torch {wanted}")
     difference, _, limit = _difference(expected, actual)

@@ -55,11 +55,11 @@ def advantages(
     ``differences``: temporal differences r + γ·V(s') - V(s), (T,); ``discounts``: γ, or 0 at the
     end of an episode, (T,); ``trace``: λ.
     """
-    found, later = np.zeros_like(differences), 0.0
+    sums, later = np.zeros_like(differences), 0.0
     for t in range(len(differences) - 1, -1, -1):
         later = float(differences[t]) + float(discounts[t]) * trace * later
-        found[t] = later
-    return found
+        sums[t] = later
+    return sums
 
 
 def limited(advantage: torch.Tensor, clip: float | None) -> torch.Tensor:
@@ -151,14 +151,14 @@ class ClippedGradient(NetworkPair):
             after = self.values(batch.next_observation, batch.next_privileged)
             reward = batch.reward * self.settings.reward_scale
             difference = reward + batch.discount * after - value
-        found = torch.from_numpy(
+        advantage = torch.from_numpy(
             advantages(
                 difference.cpu().numpy(),
                 batch.discount.cpu().numpy(),
                 self.settings.trace,
             )
         ).to(self.device)
-        return limited(found, self.settings.advantage_clip), found + value
+        return limited(advantage, self.settings.advantage_clip), advantage + value
 
     def _value_step(self, batch: Batch, goal: torch.Tensor) -> float:
         assert batch.privileged is not None
@@ -222,8 +222,8 @@ def read_values(config: TrainConfig) -> dict[str, torch.Tensor] | None:
         return None
     with naming(SETTING):
         policy, checkpoint = read(find(Path(name))), read(find(Path(name), prefer=LAST))
-        found, theirs = checkpoint.part("values"), checkpoint.config()
-    if not found:
+        values, theirs = checkpoint.part("values"), checkpoint.config()
+    if not values:
         raise ConfigError(
             f"{_VALUES}: {name} has no values; name in {SETTING} the run of a training with "
             "agent=policy_gradient, or leave it at false"
@@ -243,10 +243,10 @@ def read_values(config: TrainConfig) -> dict[str, torch.Tensor] | None:
         )
     built = build_values(input_size(config.network, config.perception.layout), SIZE)
     try:
-        require_equal_layout(found, built.state_dict())
+        require_equal_layout(values, built.state_dict())
     except ValueError as error:
         raise ConfigError(f"{_VALUES}: the values of {name} do not fit: {error}") from error
-    return found
+    return values
 
 
 def _returns(config: TrainConfig) -> dict[str, object]:

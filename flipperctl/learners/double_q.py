@@ -72,8 +72,8 @@ class Baseline(torch.nn.Module):
 
     def forward(self, observation: torch.Tensor, privileged: torch.Tensor) -> torch.Tensor:
         """Return the values, (B,), of rows (B, …)."""
-        found: torch.Tensor = self.layers(torch.cat([observation, privileged], dim=1))
-        return found.squeeze(1)
+        values: torch.Tensor = self.layers(torch.cat([observation, privileged], dim=1))
+        return values.squeeze(1)
 
 
 class Baselines(torch.nn.Module):
@@ -192,8 +192,8 @@ class DoubleQ(NetworkPair):
         left = targets
         if self.baselines is not None:
             left, _ = self.baselines.without_present(targets, batch)
-        found = difference_errors(self.online, batch, left).nan_to_num(_LARGEST, posinf=_LARGEST)
-        chances = (found + _SMALLEST) ** _PRIORITY
+        errors = difference_errors(self.online, batch, left).nan_to_num(_LARGEST, posinf=_LARGEST)
+        chances = (errors + _SMALLEST) ** _PRIORITY
         chosen = torch.multinomial(chances, len(targets) // self.candidates)
         weight = (chances.mean() / chances[chosen]) ** _CORRECTION
         return replace(batch.rows(chosen), weight=weight / weight.mean()), targets[chosen]

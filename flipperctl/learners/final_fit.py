@@ -43,9 +43,9 @@ class FinalFit:
         self._on = bool(config.teacher.final_updates and config.teacher.teaches)
         self._start: Start | None = None
 
-    def begin(self, found: Start | None) -> None:
+    def begin(self, start: Start | None) -> None:
         """Remember the weights that a new training starts with; their file may change later."""
-        self._start = found if self._on else None
+        self._start = start if self._on else None
 
     def tensors(self) -> dict[str, Mapping[str, torch.Tensor]]:
         """Return the weights to begin with, for the checkpoint of the run."""

@@ -26,7 +26,7 @@ _SECTIONS = ("sim", "perception", "episode", "randomise")
 """Sections of an environment that may differ: the student can learn from other conditions."""
 
 
-def check_fit(config: TrainConfig, found: Recording) -> None:
+def check_fit(config: TrainConfig, episodes: Recording) -> None:
     """Check that recorded episodes mean the same in a training.
 
     The observation layout and the robot must be the training's: the robot determines the turn of
@@ -34,43 +34,43 @@ def check_fit(config: TrainConfig, found: Recording) -> None:
     """
     ours, teacher = config.perception, config.teacher
     if not (teacher.td_weight or teacher.controller is not None) and not any(
-        episode.labels.any() for episode in found.episodes
+        episode.labels.any() for episode in episodes.episodes
     ):
         raise ConfigError(
-            f"teacher.episodes: {found.path} holds no labels, so that nothing is learnt with "
+            f"teacher.episodes: {episodes.path} holds no labels, so that nothing is learnt with "
             "teacher.td_weight=0; record it in a training with a teacher, or set teacher.td_weight "
             "to learn from its rewards"
         )
-    for environment in found.document.environments:
+    for environment in episodes.document.environments:
         theirs = environment.perception
         if ours.layout != theirs.layout:
             raise ConfigError(
-                f"teacher.episodes: {found.path} holds observations of {theirs.layout.words}; "
+                f"teacher.episodes: {episodes.path} holds observations of {theirs.layout.words}; "
                 f"perception asks for {ours.layout.words}"
             )
-        _check_robot(config.robot, found.path, environment)
+        _check_robot(config.robot, episodes.path, environment)
         rewards = {name: term.model_dump(mode="json") for name, term in environment.rewards.items()}
         if teacher.td_weight and rewards != to_dict(config.environment())["rewards"]:
             raise ConfigError(
-                f"teacher.episodes: {found.path} was recorded with other rewards "
+                f"teacher.episodes: {episodes.path} was recorded with other rewards "
                 f"({', '.join(rewards) or 'none'}); record it with those of the training, or learn "
                 "from its labels alone with teacher.td_weight=0"
             )
 
 
-def notes(config: TrainConfig, found: Recording) -> Iterator[str]:
+def notes(config: TrainConfig, episodes: Recording) -> Iterator[str]:
     """Yield what the user of a training should know about its recorded episodes, a line each."""
-    if text := differing_conditions(config, found):
+    if text := differing_conditions(config, episodes):
         yield text
     agent = _settings(config)
     if agent.cut_at_random and agent.n_step > 1 and config.teacher.td_weight:
         yield (
-            f"teacher.episodes: {found.path} does not say which actions were random: sums of "
+            f"teacher.episodes: {episodes.path} does not say which actions were random: sums of "
             "rewards over its decisions are not cut, whatever agent.cut_at_random"
         )
 
 
-def differing_conditions(config: TrainConfig, found: Recording) -> str:
+def differing_conditions(config: TrainConfig, episodes: Recording) -> str:
     """Return a sentence with the differing settings of simulation, sensing and episodes.
 
     It is empty if none differ.
@@ -82,7 +82,7 @@ def differing_conditions(config: TrainConfig, found: Recording) -> str:
     }
     texts = dict.fromkeys(
         text
-        for environment in found.document.environments
+        for environment in episodes.document.environments
         for section in _SECTIONS
         for text in _differing(
             section,
@@ -92,7 +92,9 @@ def differing_conditions(config: TrainConfig, found: Recording) -> str:
     )
     if not texts:
         return ""
-    return f"teacher.episodes: {found.path} was recorded under other conditions: {', '.join(texts)}"
+    return (
+        f"teacher.episodes: {episodes.path} was recorded under other conditions: {', '.join(texts)}"
+    )
 
 
 def _check_robot(robot: Robot, path: Path, environment: PartialEnvironment) -> None:
@@ -139,29 +141,29 @@ def read_teacher(config: TrainConfig) -> Recording | None:
     name = config.teacher.episodes
     if name is None:
         return None
-    found = recording.read(Path(name))
-    check_fit(config, found)
+    episodes = recording.read(Path(name))
+    check_fit(config, episodes)
     size = _settings(config).replay_size
-    if found.decisions >= size:
+    if episodes.decisions >= size:
         raise ConfigError(
             f"agent.replay_size: {size:,} transitions leave no room besides "
-            f"the {found.decisions:,} recorded ones of teacher.episodes={name}; raise it"
+            f"the {episodes.decisions:,} recorded ones of teacher.episodes={name}; raise it"
         )
-    return found
+    return episodes
 
 
 def add_recorded(replay: Replay, config: TrainConfig, report: Callable[[str], None]) -> None:
     """Put the recorded episodes of the teacher, if there are any, into the replay of a new run."""
-    if (found := read_teacher(config)) is not None:
-        for text in notes(config, found):
+    if (episodes := read_teacher(config)) is not None:
+        for text in notes(config, episodes):
             report(text)
-        fill(replay, found, config)
+        fill(replay, episodes, config)
 
 
-def fill(replay: Replay, found: Recording, config: TrainConfig) -> None:
+def fill(replay: Replay, episodes: Recording, config: TrainConfig) -> None:
     """Put all recorded decisions into an empty replay, which never overwrites them."""
     frames, bootstrapped = config.network.frames, _settings(config).bootstrap_outcomes
-    for episode in found.episodes:
+    for episode in episodes.episodes:
         seen = list(episode.observations)
         rows = [stacked(seen[: t + 1][-MAX_HISTORY:], frames) for t in range(len(seen))]
         last = len(episode.actions) - 1

@@ -128,7 +128,7 @@ def check_settings(method: Request, config: TrainConfig) -> None:
     """Refuse arguments that the algorithm does not take, or that settings of the run replace."""
     cls = _class_of(method.algorithm)
     parameters = inspect.signature(cls).parameters
-    known = {one.name: one for one in arguments(method.algorithm, {})}
+    known = {argument.name: argument for argument in arguments(method.algorithm, {})}
     for name, value in method.settings.items():
         where = f"agent.settings.{name}"
         if name in _OURS:
@@ -156,8 +156,8 @@ def check_settings(method: Request, config: TrainConfig) -> None:
 
 
 def _class_of(algorithm: str) -> type[BaseAlgorithm]:
-    found: type[BaseAlgorithm] = getattr(stable_baselines3, algorithm.upper())
-    return found
+    cls: type[BaseAlgorithm] = getattr(stable_baselines3, algorithm.upper())
+    return cls
 
 
 def _model(method: Request, config: TrainConfig, env: gymnasium.Env[Any, Any]) -> BaseAlgorithm:
@@ -300,17 +300,17 @@ class Sb3Learning(Learning):
 
     def _held(self) -> dict[str, torch.Tensor]:
         """Return the weights and the moments of the optimisers, by names without dots in them."""
-        found: dict[str, torch.Tensor] = {}
+        tensors: dict[str, torch.Tensor] = {}
         for part, state in self.model.get_parameters().items():
             if "param_groups" not in state:
-                found |= {f"{part}/{name}": tensor for name, tensor in state.items()}
+                tensors |= {f"{part}/{name}": tensor for name, tensor in state.items()}
                 continue
             for at, moments in state["state"].items():
                 named = {n: torch.as_tensor(m) for n, m in moments.items()}
-                found |= {f"{part}/{at}/{name}": tensor for name, tensor in named.items()}
+                tensors |= {f"{part}/{at}/{name}": tensor for name, tensor in named.items()}
         _, variables = self.model._get_torch_save_params()
-        found |= {f"variable/{name}": getattr(self.model, name).detach() for name in variables}
-        return {name: tensor.detach().clone() for name, tensor in found.items()}
+        tensors |= {f"variable/{name}": getattr(self.model, name).detach() for name in variables}
+        return {name: tensor.detach().clone() for name, tensor in tensors.items()}
 
     def _replay(self) -> dict[str, torch.Tensor] | None:
         """Return the transitions of an off-policy learner, oldest first; None of another."""

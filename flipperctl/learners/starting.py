@@ -48,10 +48,10 @@ def read_start(config: TrainConfig) -> Start | None:
 
 def load_start(config: TrainConfig, agent: NetworkPair) -> Start | None:
     """Give the networks of a new training the weights that it starts with, if any; return them."""
-    found = read_start(config)
-    if found is not None:
-        load_start_weights(found, agent)
-    return found
+    start = read_start(config)
+    if start is not None:
+        load_start_weights(start, agent)
+    return start
 
 
 def load_start_weights(start: Start, agent: NetworkPair) -> None:

@@ -271,7 +271,9 @@ class RolloutWorkers:
         except WorkerDiedError:
             return request, None
         finally:
-            for version in self._shared.keys() - {one.version for one in self.outstanding()}:
+            for version in self._shared.keys() - {
+                rollout.version for rollout in self.outstanding()
+            }:
                 self._forget(self._shared.pop(version))
 
     def _awaited(self) -> Iterable[Future[Rollout]]:
@@ -293,7 +295,9 @@ class RolloutWorkers:
     def idle_share(self) -> float | None:
         """Return the part of their time in which the workers waited; None before any episode."""
         elapsed = sum(rollout.elapsed for rollout in self._newest.values())
-        return sum(one.waited for one in self._newest.values()) / elapsed if elapsed else None
+        return (
+            sum(rollout.waited for rollout in self._newest.values()) / elapsed if elapsed else None
+        )
 
     def outstanding(self) -> list[RolloutRequest]:
         """Return the requests that were sent but not yet taken, oldest first."""

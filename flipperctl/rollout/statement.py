@@ -66,7 +66,11 @@ class Statement:
         """Return the statement on the code of this process: libraries, packages and plugins."""
         installed = {entry.module.partition(".")[0] for entry in entry_points(group=plugins.GROUP)}
         packages = dict.fromkeys([*_PACKAGES, *sorted(installed)])
-        names = [_PYTHON, *_LIBRARIES, *(file for one in packages for file in package_files(one))]
+        names = [
+            _PYTHON,
+            *_LIBRARIES,
+            *(file for package in packages for file in package_files(package)),
+        ]
         loaded = {str(file): digest for file, digest in plugins.loaded_contents().items()}
         return cls(_states(names) | loaded, tuple(plugins.configured_paths()))
 
@@ -77,9 +81,9 @@ class Statement:
         These are the libraries of the engine, and the files that plugins and policies read.
         """
         plugged = [config.terrain, config.sim, config.perception, *config.rewards.values()]
-        plugged += [*measures().values(), *(one for one in others if isinstance(one, Plugin))]
-        files = [*all_files_read(plugged), *(one for one in others if isinstance(one, Path))]
-        for controller in (one for one in others if isinstance(one, Controller)):
+        plugged += [*measures().values(), *(value for value in others if isinstance(value, Plugin))]
+        files = [*all_files_read(plugged), *(value for value in others if isinstance(value, Path))]
+        for controller in (value for value in others if isinstance(value, Controller)):
             files += [find(Path(named)) for _, named in named_files(controller)]
         return cls(_states([*engine_versions(config.sim), *(str(f.absolute()) for f in files)]))
 

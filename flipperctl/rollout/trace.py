@@ -218,25 +218,25 @@ def read(path: Path) -> list[Trace]:
 def _trace(file: Mapping[str, FloatArray], at: int, header: Mapping[str, Any]) -> Trace:
     arrays: dict[str, Any] = {name: file[f"{at}.{name}"] for name in _ARRAYS}
     ends = np.cumsum(header["map_points"], dtype=np.int64)
-    found = Trace(
+    trace = Trace(
         **{name: header[name] for name in _WORDS},
         **arrays,
         robot=RobotGeometry(**header["robot"]),
         maps=tuple(np.split(file[f"{at}.maps"], ends)[:-1]),
     )
-    count, decisions, bins = len(found.time), len(found.decided), arrays["heights"].shape[-1]
+    count, decisions, bins = len(trace.time), len(trace.decided), arrays["heights"].shape[-1]
     shapes: dict[str, tuple[int, ...]] = {
-        "ground": (len(found.ground), 2),
+        "ground": (len(trace.ground), 2),
         "position": (count, 2),
         "actions": (decisions, 2),
         "heights": (decisions, bins),
-        "risk": (len(found.risk),),
+        "risk": (len(trace.risk),),
         **dict.fromkeys(("time", "pitch", "front", "rear"), (count,)),
         "decided": (decisions,),
     }
     for name, array in arrays.items():
         if array.shape != shapes[name] or not (name == "heights" or np.isfinite(array).all()):
             raise ValueError(f"{name} of trace {at} is not finite, or has the shape {array.shape}")
-    if not (count and decisions and len(found.ground) and len(found.risk) in (0, decisions)):
+    if not (count and decisions and len(trace.ground) and len(trace.risk) in (0, decisions)):
         raise ValueError(f"trace {at} has {count} poses and {decisions} decisions")
-    return found
+    return trace

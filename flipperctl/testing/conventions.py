@@ -69,7 +69,7 @@ def probe(config: EnvConfig, source: PolicySource) -> list[Probe]:
 
 def require_conventions(probes: Sequence[Probe]) -> None:
     """Raise ``ConformanceError`` for the first of the probes that differs from the contract."""
-    if wrong := [one for one in probes if not one.holds]:
+    if wrong := [probe for probe in probes if not probe.holds]:
         first = wrong[0]
         raise ConformanceError(
             f"{len(wrong)} of {len(probes)} conventions do not hold, first {first.of}: "

@@ -95,8 +95,8 @@ def samples(engine: Engine) -> None:
 def repeats(engine: Engine) -> None:
     """Check that equal worlds advance bit for bit equally, without other randomness."""
     before = global_states()
-    one, other = (_run(_place(engine, GROUND)) for _ in range(2))
-    require(bool(np.array_equal(one, other)), "two equal worlds end up in unequal poses")
+    first, other = (_run(_place(engine, GROUND)) for _ in range(2))
+    require(bool(np.array_equal(first, other)), "two equal worlds end up in unequal poses")
     moved = moved_since(before)
     require(not moved, f"draws from {moved}; only rng is allowed")
 
@@ -124,8 +124,8 @@ def returns(engine: Engine) -> None:
     world.command(-_TARGET, -_TARGET)
     world.advance(SAMPLES // 2)
     world.load(saved)
-    found = _numbers(world.state())
-    require(bool(np.allclose(found, state)), f"load leads to {found}; saved was {state}")
+    loaded = _numbers(world.state())
+    require(bool(np.allclose(loaded, state)), f"load leads to {loaded}; saved was {state}")
     again = world.advance(SAMPLES // 2)[-1]
     require(
         bool(np.allclose(again, later, atol=_AGAIN)),
@@ -141,12 +141,12 @@ def rays(engine: Engine) -> None:
         return
     side = world.state().side
     directions = np.array([[0.0, 0.0, -1.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.6, 0.0, -0.8]])
-    found = world.cast_rays(np.array([-1.5, side, 0.06]), directions, 2.0)
+    distances = world.cast_rays(np.array([-1.5, side, 0.06]), directions, 2.0)
     # Down, to the face at x = 0, over level ground, sloping down
     expected = [0.06, 1.5, np.inf, 0.075]
     require(
-        bool(np.allclose(found, expected, atol=0.005)),
-        f"casts rays to {found} m; {expected} m are expected",
+        bool(np.allclose(distances, expected, atol=0.005)),
+        f"casts rays to {distances} m; {expected} m are expected",
     )
 
 
@@ -157,10 +157,10 @@ def conventions(engine: Engine) -> None:
     The pressed flippers of an engine without forces, such as ``examples/kinematic.py``, do not
     pitch the chassis at all; one with a wrong sign pitches it the other way.
     """
-    found = list(probe_world(EnvConfig(terrain="flat", sim=engine)))
-    lifting = [one for one in found if "pressed down" in one.meaning]
-    without_forces = all(one.found == 0 for one in lifting)
-    require_conventions([one for one in found if not (without_forces and one in lifting)])
+    probes = list(probe_world(EnvConfig(terrain="flat", sim=engine)))
+    lifting = [probe for probe in probes if "pressed down" in probe.meaning]
+    without_forces = all(probe.found == 0 for probe in lifting)
+    require_conventions([probe for probe in probes if not (without_forces and probe in lifting)])
 
 
 def _place(engine: Engine, ground: Profile, start: Start = START, robot: Robot = _NUBOT) -> World:

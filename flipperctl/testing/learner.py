@@ -129,9 +129,9 @@ def _resumes(config: TrainConfig, folder: Path, before: int) -> None:
     resumed.restore(saved)
     resumed.run()
     for name in (checkpoint.LAST, checkpoint.BEST):
-        one, other = ((folder / part / name).read_bytes() for part in ("whole", "parts"))
+        first, other = ((folder / part / name).read_bytes() for part in ("whole", "parts"))
         require(
-            one == other,
+            first == other,
             f"{name} differs between a training and one that was stopped and resumed; tensors and "
             "counters hold all that it learns from, and training.generators its random numbers",
         )

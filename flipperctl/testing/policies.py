@@ -115,14 +115,14 @@ def repeats(network: Network) -> None:
     from flipperctl.agent.contract import check_contract
 
     rows = _observations(network)
-    one, other = (_built(network).eval() for _ in range(2))
+    first, other = (_built(network).eval() for _ in range(2))
     try:
         check_contract(network, LAYOUTS[-1])
     except FlipperctlError as error:
         raise ConformanceError(str(error)) from error
     with torch.no_grad():
         require(
-            bool((one(rows) == other(rows)).all()),
+            bool((first(rows) == other(rows)).all()),
             "two networks built after torch.manual_seed(0) differ; "
             "draw the weights from torch's own generator",
         )
@@ -159,7 +159,7 @@ def trains(network: Network) -> None:
                 with torch.no_grad():
                     values.append(policy.eval()(rows))
     require(
-        all(torch.equal(found, values[0]) for found in values),
+        all(torch.equal(array, values[0]) for array in values),
         "Q-values differ between a training and its file, or one that was stopped and resumed",
     )
 
@@ -174,11 +174,13 @@ def onnx(network: Network) -> None:
     from flipperctl.export.policy import compare_onnx
 
     scene = SCENES[0]
-    found = [d.perception.observation for d in decisions(scene.environment(), scene.policy, 0)]
+    observations = [
+        d.perception.observation for d in decisions(scene.environment(), scene.policy, 0)
+    ]
     config = TrainConfig(terrain=Ground(), rewards={"none": NoReward()}, network=network)
     module = _built(network).eval().requires_grad_(False)
     try:
-        compare_onnx(module, config, np.tile(np.stack(found), (1, network.frames)))
+        compare_onnx(module, config, np.tile(np.stack(observations), (1, network.frames)))
     except MissingExtraError as error:
         raise NotChecked(str(error)) from error
     except ExportError as error:
@@ -202,8 +204,8 @@ def untrained_values(network: Network) -> list[list[float]]:
     import torch
 
     with torch.no_grad():
-        found: list[list[float]] = _built(network).eval()(_observations(network)).tolist()
-    return found
+        values: list[list[float]] = _built(network).eval()(_observations(network)).tolist()
+    return values
 
 
 def _observations(network: Network, layout: ObservationLayout = LAYOUTS[-1]) -> torch.Tensor:
@@ -233,11 +235,11 @@ def same_again(controller: Controller) -> None:
     That holds for another policy of the controller, and for one that has played before.
     """
     for index in range(len(_scenes(controller))):
-        one, other = (_Player(controller, index) for _ in range(2))
-        actions, _ = one.play()
+        first, other = (_Player(controller, index) for _ in range(2))
+        actions, _ = first.play()
         for player, text in (
             (other, "they may depend only on what it perceives and on random numbers from p.rng"),
-            (one, "the second one by the same policy, whose reset must forget the first"),
+            (first, "the second one by the same policy, whose reset must forget the first"),
         ):
             again, _ = player.play()
             require(

@@ -126,14 +126,14 @@ SHORT = Scene(
 @cache
 def transitions() -> tuple[Transition, ...]:
     """Return all transitions of an episode on each scene; together they have all four outcomes."""
-    found: list[Transition] = []
+    result: list[Transition] = []
     for index, scene in enumerate(SCENES):
-        found += [d.transition for d in decisions(scene.environment(), scene.policy, index)]
-        if found[-1].outcome is not scene.outcome:
+        result += [d.transition for d in decisions(scene.environment(), scene.policy, index)]
+        if result[-1].outcome is not scene.outcome:
             raise RuntimeError(
-                f"recorded scene {index} ended as {found[-1].outcome}, not {scene.outcome}"
+                f"recorded scene {index} ended as {result[-1].outcome}, not {scene.outcome}"
             )
-    return tuple(found)
+    return tuple(result)
 
 
 @cache
@@ -175,10 +175,10 @@ def pure(reward: RewardTerm) -> None:
     """Check that the reward depends only on the transition."""
     first = [reward(t) for t in transitions()]
     again = [reward(t) for t in reversed(transitions())][::-1]
-    for t, one, other in zip(transitions(), first, again, strict=True):
+    for t, value, other in zip(transitions(), first, again, strict=True):
         require(
-            one == other,
-            f"{_at(t)} it returns {one!r} and, called again, {other!r}; "
+            value == other,
+            f"{_at(t)} it returns {value!r} and, called again, {other!r}; "
             "it may depend only on the transition",
         )
 
@@ -188,11 +188,11 @@ def arrays(reward: RewardTerm) -> None:
     """Check that ``array`` returns what ``__call__`` returns, and does not change its input."""
     for ts in transitions_in_arrays():
         before = [array.tobytes() for array in _arrays(ts)]
-        found: object = reward.array(ts)
-        shape, kind = getattr(found, "shape", None), getattr(found, "dtype", np.dtype("O"))
-        shown = type(found).__name__ if shape is None else f"one of {kind} and shape {shape}"
+        result: object = reward.array(ts)
+        shape, kind = getattr(result, "shape", None), getattr(result, "dtype", np.dtype("O"))
+        shown = type(result).__name__ if shape is None else f"one of {kind} and shape {shape}"
         require(
-            isinstance(found, np.ndarray) and kind.kind in "fiu" and shape == (len(ts),),
+            isinstance(result, np.ndarray) and kind.kind in "fiu" and shape == (len(ts),),
             f"array of {len(ts)} transitions returns {shown}; an array of floats of "
             f"shape ({len(ts)},) is allowed",
         )
@@ -200,7 +200,7 @@ def arrays(reward: RewardTerm) -> None:
             [array.tobytes() for array in _arrays(ts)] == before,
             "array changes the transitions that it is given",
         )
-        for t, value in zip(ts, np.asarray(found).tolist(), strict=True):
+        for t, value in zip(ts, np.asarray(result).tolist(), strict=True):
             expected = reward(t)
             require(
                 abs(value - expected) <= _ROUNDING * max(1.0, abs(expected)),

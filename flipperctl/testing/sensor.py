@@ -61,7 +61,7 @@ def episodes(sensor: Sensor) -> None:
     They measure at the start and at multiples of their period.
     """
     before = global_states()
-    (one, taken), (other, _) = _episode(sensor), _episode(sensor)
+    (first, taken), (other, _) = _episode(sensor), _episode(sensor)
     moved = moved_since(before)
     require(not moved, f"draws from {moved}; only rng is allowed")
     for name, instrument in (sensor.instruments(_mounting(_drive(sensor))) or {}).items():
@@ -79,8 +79,8 @@ def episodes(sensor: Sensor) -> None:
             f"instrument {name!r} measured {len(times)} times in {2 * _PERIOD:g} s; "
             f"{len(due)} are expected at a period of {period:g} s",
         )
-    require(_equal(one, other), "equal generators give unequal perceptions")
-    for p in one:
+    require(_equal(first, other), "equal generators give unequal perceptions")
+    for p in first:
         require(bool((np.diff(p.points[:, 0]) >= 0).all()), "the points' x decreases")
 
 
@@ -106,10 +106,10 @@ def portable(sensor: Sensor) -> None:
     if sensor.instruments(_mounting(_drive(sensor))) is None:
         return
     estimator = sensor.estimator(Robot())
-    found = sorted(foreign_names(type(estimator)))
+    foreign = sorted(foreign_names(type(estimator)))
     require(
-        not found,
-        f"its estimator {type(estimator).__name__} uses {', '.join(found)}; it runs on a robot, "
+        not foreign,
+        f"its estimator {type(estimator).__name__} uses {', '.join(foreign)}; it runs on a robot, "
         "where Python, numpy and flipperctl.core are allowed",
     )
 
@@ -168,7 +168,7 @@ def _function(part: object) -> object:
     if isinstance(part, FunctionType | ModuleType | type):
         return part
     inner = (getattr(part, name, None) for name in ("fget", "__func__", "__wrapped__", "func"))
-    return next((_function(one) for one in inner if callable(one)), part)
+    return next((_function(function) for function in inner if callable(function)), part)
 
 
 def _drive(sensor: Sensor) -> Drive:
@@ -196,36 +196,36 @@ def _episode(sensor: Sensor) -> tuple[list[Perception], list[_Taken]]:
         taken.append((m.instrument, m.time, _fault(m.value)))
 
     perceiver.attach(drive, keep)
-    found = [perceiver.perceive(drive.delayed_state)]
+    perceptions = [perceiver.perceive(drive.delayed_state)]
     for _ in range(2):
         drive.decide(_RAISE)
-        found.append(perceiver.perceive(drive.delayed_state))
-    return found, taken
+        perceptions.append(perceiver.perceive(drive.delayed_state))
+    return perceptions, taken
 
 
 @cache
 def _states() -> list[RobotState]:
     """Return states one decision apart."""
     drive = _drive(EnvConfig(terrain="flat").perception)
-    found = [drive.state]
+    states = [drive.state]
     for _ in range(3):
         drive.decide(_RAISE)
-        found.append(drive.state)
-    return found
+        states.append(drive.state)
+    return states
 
 
 def _perceived(perceiver: Perceiver, states: Sequence[RobotState]) -> list[Perception]:
-    found = []
+    result = []
     for state in states:
         perceiver.measure(state)
-        found.append(perceiver.perceive(state))
-    return found
+        result.append(perceiver.perceive(state))
+    return result
 
 
-def _equal(one: Sequence[Perception], other: Sequence[Perception]) -> bool:
+def _equal(first: Sequence[Perception], other: Sequence[Perception]) -> bool:
     return all(
         np.array_equal(getattr(p, name), getattr(q, name))
-        for p, q in zip(one, other, strict=True)
+        for p, q in zip(first, other, strict=True)
         for name in ("observation", "points", "filled")
     )
 

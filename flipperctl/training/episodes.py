@@ -199,8 +199,8 @@ class TrainingRecorder:
 
     def _parts(self) -> list[Path]:
         """Return the files of the checkpoints in the order of their episodes."""
-        found = (self._directory / PARTS).glob("*.safetensors")
-        return sorted((path for path in found if path.stem.isdecimal()), key=lambda p: int(p.stem))
+        paths = (self._directory / PARTS).glob("*.safetensors")
+        return sorted((path for path in paths if path.stem.isdecimal()), key=lambda p: int(p.stem))
 
     def _saved(self) -> Iterator[RecordedEpisode]:
         """Yield each written episode once, in order."""

@@ -129,22 +129,22 @@ def final_regret(
     """
     if not config.train.regret_episodes or not paying_terms(config.rewards):
         return None
-    found = None
+    regret = None
     try:
         with Player(stop=stop) as player:
-            found = measure(regret_scene(config, directory), player)
+            regret = measure(regret_scene(config, directory), player)
     except KeyboardInterrupt:  # a second Ctrl-C; the summary is still to be written
         pass
     except FlipperctlError as error:
         tell(f"the return of the best policy is not measured: {error}")
         return None
-    if found is None:
+    if regret is None:
         raise InterruptedRunError(
             "interrupted while the best policy was compared with simple rules; the training is "
             "finished and saved. "
             f"Compare with: {command('inspect', 'reward', '--regret', '--checkpoint', directory)}"
         )
-    kept = {k: v for k, v in found.items() if k not in ("terrain", "rewards", "conditions")}
+    kept = {k: v for k, v in regret.items() if k not in ("terrain", "rewards", "conditions")}
     return {"seed": SEED, **kept}
 
 

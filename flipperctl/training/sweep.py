@@ -292,8 +292,8 @@ class Sweep:
                 raise cause from error
             raise
         self.runs += [
-            sweep_run(first + i, self._values(job), found.folder, found.error)
-            for i, (job, found) in enumerate(zip(jobs, results, strict=True))
+            sweep_run(first + i, self._values(job), result.folder, result.error)
+            for i, (job, result) in enumerate(zip(jobs, results, strict=True))
         ]
         return results
 

@@ -222,10 +222,10 @@ class Trainer:
 
     def _validate(self, collector: Collector) -> bool:
         """Validate the policy; return False if the run is to stop before the result is known."""
-        found = self.validator.validate(collector, self.progress.decision)
-        if found is None:
+        validation = self.validator.validate(collector, self.progress.decision)
+        if validation is None:
             return False
-        means = found.model_dump(exclude={"decision"})
+        means = validation.model_dump(exclude={"decision"})
         for listener in self.listeners:
             listener.validation({**self._common_columns(), **means})
         return True
@@ -371,7 +371,10 @@ class Trainer:
             "lost_episodes": progress.lost,
             "seconds": round(self.companion.seconds, 1),
             "success_rate": progress.success_rate,
-            **{name: found and found.model_dump() for name, found in validations.items()},
+            **{
+                name: validation and validation.model_dump()
+                for name, validation in validations.items()
+            },
             **({} if self._idle_share is None else {"workers_idle": round(self._idle_share, 3)}),
         }
 

@@ -43,8 +43,8 @@ def calibrated(
 
     Its metrics come with it. Returns None if the rows have no risks.
     """
-    found = [(EpisodeRisks.pop(row), row["outcome"] != Outcome.REACHED) for row in rows]
-    episodes = [(risks, fails) for risks, fails in found if risks is not None]
+    results = [(EpisodeRisks.pop(row), row["outcome"] != Outcome.REACHED) for row in rows]
+    episodes = [(risks, fails) for risks, fails in results if risks is not None]
     if not episodes or settings is None:
         return None
     told, came = predicted_and_actual(episodes)
@@ -84,22 +84,22 @@ def fit(log_odds: FloatArray, came: FloatArray, horizon: int) -> tuple[float, fl
         likelihood = np.logaddexp(0.0, score) - came * score
         return float(likelihood.sum() / horizon + (weights * (at - start) ** 2).sum() / 2)
 
-    found = start.copy()
+    fitted = start.copy()
     for _ in range(_STEPS):
-        turned = math.exp(found[0]) * log_odds
-        risk = sigmoid(turned + found[1])
+        turned = math.exp(fitted[0]) * log_odds
+        risk = sigmoid(turned + fitted[1])
         rows = np.stack([turned, np.ones_like(turned)])  # derivatives of the score, (2, D)
-        gradient = rows @ (risk - came) / horizon + weights * (found - start)
+        gradient = rows @ (risk - came) / horizon + weights * (fitted - start)
         # The Fisher information, which is positive, in place of the second derivative.
         curvature = (rows * (risk * (1 - risk))) @ rows.T / horizon + np.diag(weights)
         step = np.linalg.solve(curvature, gradient)
-        before = loss(found)
-        while loss(found - step) > before and np.abs(step).max() > 1e-9:
+        before = loss(fitted)
+        while loss(fitted - step) > before and np.abs(step).max() > 1e-9:
             step /= 2
-        found = found - step
+        fitted = fitted - step
         if np.abs(step).max() < 1e-9:
             break
-    return math.exp(found[0]), float(found[1])
+    return math.exp(fitted[0]), float(fitted[1])
 
 
 def _log_odds(probabilities: FloatArray) -> FloatArray:
