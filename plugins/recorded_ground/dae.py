@@ -1,37 +1,22 @@
 """The faces of a Collada file, whatever its materials, textures and effects are.
 
 In: a DAE file. Out: triangles in the file's frame and unit, and both as the file states them. Only
-what says where faces are is handed to pycollada, which leaves out each part that has anything else
-that it cannot read; what it then leaves out is an error.
+what says where faces are is read, and what cannot be read of that is an error.
 """
 
-import io
-import re
 import xml.etree.ElementTree as ET
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from flipperctl.api import FloatArray
 
-_FACES = {"triangles", "tristrips", "trifans", "polylist", "polygons"}
-_KEPT: dict[str, set[str]] = {
-    "COLLADA": {"asset", "library_geometries", "library_nodes", "library_visual_scenes", "scene"},
-    "scene": {"instance_visual_scene"},
-    "visual_scene": {"node"},
-    "node": {
-        *("node", "instance_node", "instance_geometry"),
-        *("matrix", "translate", "rotate", "scale", "lookat", "skew"),
-    },
-    "geometry": {"mesh", "convex_mesh", "spline", "brep"},
-    "mesh": {"source", "vertices", *_FACES},
-    "instance_geometry": set(),
-    "instance_node": set(),
-}
-"""Element → those inside it that say where faces are; of other elements all are kept."""
+_FACES = ("triangles", "tristrips", "trifans", "polylist", "polygons")
 
 
 @dataclass(frozen=True)
@@ -52,150 +37,144 @@ def read_dae(path: Path) -> DaeFile:
     Raises:
         ValueError: it is no Collada file, has no scene, or faces of it cannot be read.
     """
-    import collada
-
     try:
-        root = ET.fromstring(path.read_bytes())  # noqa: S314  # pycollada parses it as well
+        root = ET.fromstring(path.read_bytes())  # noqa: S314  # expat limits what entities expand
     except ET.ParseError as error:
         raise ValueError(f"it is not XML: {error}") from error
-    if not re.fullmatch(r"\{.+\}COLLADA", root.tag):
-        raise ValueError(
-            f"it is no Collada file: its outermost element is {root.tag!r}; COLLADA in the "
-            "namespace (xmlns) of its version is allowed"
-        )
-    reason = "skins (instance_controller) are not read" if _all(root, "instance_controller") else ""
-    _strip(root)
-    faces = {each.get("id"): _count(each) for each in _all(root, "geometry")}
-    try:
-        file = collada.Collada(io.BytesIO(ET.tostring(root)), ignore=[collada.common.DaeError])
-    except (collada.common.DaeError, ValueError) as error:
-        text = getattr(error, "msg", error)
-        raise ValueError(f"none of its {sum(faces.values())} faces can be read: {text}") from error
-    reason = next((error.msg for error in file.errors), reason)
-    if file.scene is None and not reason:
+    for element in root.iter():
+        element.tag = str(element.tag).rpartition("}")[2]  # of all namespaces
+    if root.tag != "COLLADA":
+        raise ValueError(f"it is no Collada file: its outermost element is {root.tag!r}")
+    scene = root.find("scene/instance_visual_scene")
+    if scene is None:
         raise ValueError("it has no scene, which says where its parts are (instance_visual_scene)")
-    nodes = [] if file.scene is None else file.scene.nodes
-    parts = [part for node in nodes for part in _parts(node, np.eye(4))]
-    read = {name: count for name, count, _ in parts}
-    if any(count < faces[name] for name, count in read.items()):
-        reason = reason or "those with holes are not read"
-    if reason:
-        missing = sum(faces.values()) - sum(read.values())
-        raise ValueError(
-            f"{missing} of its {sum(faces.values())} faces cannot be read: {reason}"
-            if missing
-            else f"the places of its parts cannot be read: {reason}"
-        )
-    corners = np.concatenate([np.empty((0, 3, 3)), *(corners for *_, corners in parts)])
-    # pycollada takes 1 m and Y_UP for what it does not understand.
-    stated = {_name(each): each for asset in root if _name(asset) == "asset" for each in asset}
-    unit = stated["unit"].get("meter", "1") if "unit" in stated else "1"
-    up = (stated["up_axis"].text or "").strip() if "up_axis" in stated else "Y_UP"
+    nodes, geometries = list(root.iter("node")), list(root.iter("geometry"))
+
+    @cache  # may be in several places
+    def faces_of(url: str | None) -> FloatArray:
+        return _faces(_find(geometries, url))
+
+    def placed(node: ET.Element, matrix: FloatArray) -> Iterator[FloatArray]:
+        """Yield the triangles, (T, 3, 3), of each geometry below a node, whose frame is (4, 4)."""
+        for child in node:  # transforms come before what they move
+            if child.tag == "node":
+                yield from placed(child, matrix)
+            elif child.tag == "instance_node":
+                yield from placed(_find(nodes, child.get("url")), matrix)
+            elif child.tag == "instance_geometry":
+                yield faces_of(child.get("url")) @ matrix[:3, :3].T + matrix[:3, 3]
+            elif child.tag == "instance_controller":
+                raise ValueError("skins (instance_controller) are not read")
+            else:
+                matrix = matrix @ _transform(child)
+
+    scenes = list(root.iter("visual_scene"))
+    parts = placed(_find(scenes, scene.get("url")), np.eye(4))
+    corners = np.concatenate([np.empty((0, 3, 3)), *parts])
+    unit, up = root.find("asset/unit"), root.findtext("asset/up_axis", "Y_UP")
+    metres = "1" if unit is None else unit.get("meter", "1")
     try:
-        return DaeFile(corners, float(unit), up)
+        return DaeFile(corners, float(metres), up.strip())
     except ValueError:
-        raise ValueError(f"it states a unit of {unit!r}; a number of metres is allowed") from None
+        text = f"it states a unit of {metres!r}; a number of metres is allowed"
+        raise ValueError(text) from None
 
 
-def _parts(node: Any, matrix: FloatArray) -> Iterator[tuple[str, int, FloatArray]]:
-    """Yield name, number of all faces, and triangles (T, 3, 3) of each geometry below a node."""
-    from collada.scene import GeometryNode
-
-    if isinstance(node, GeometryNode):
-        faces = sum(map(len, node.geometry.primitives))
-        for primitive in node.geometry.primitives:
-            if hasattr(primitive, "triangleset"):  # of polygons
-                primitive = primitive.triangleset()
-            indices = primitive.vertex_index if len(primitive) else np.empty((0, 3), np.int64)
-            if indices.min(initial=0) < 0:
-                raise ValueError(f"a corner of {node.geometry.id} has the index {indices.min()}")
-            places = np.asarray(primitive.vertex, dtype=np.float64)[indices]
-            yield node.geometry.id, faces, places @ matrix[:3, :3].T + matrix[:3, 3]
-        return
-    for child in node.children:
-        yield from _parts(child, matrix @ np.asarray(node.matrix, dtype=np.float64))
+def _find(elements: Sequence[ET.Element], url: str | None) -> ET.Element:
+    """Return the element to which a reference such as ``#part`` points."""
+    matches = [element for element in elements if f"#{element.get('id')}" == url]
+    if len(matches) != 1:
+        raise ValueError(f"{len(matches)} of its parts have the id {url}; 1 is needed")
+    return matches[0]
 
 
-def _strip(element: ET.Element) -> None:
-    """Remove what does not say where faces are: looks, normals, lines, lights, remarks."""
-    name, children = _name(element), list(element)
-    if name == "vertices":
-        kept = [child for child in children if child.get("semantic") == "POSITION"]
-    elif name in _FACES:
-        kept = _corners_alone(children)
-    elif name in _KEPT:
-        kept = [child for child in children if _name(child) in _KEPT[name]]
-    else:
-        kept = children
-    element[:] = kept
-    for child in kept:
-        _strip(child)
-    if name == "mesh":
-        used = {each.get("source", "")[1:] for each in _all(element, "input")}
-        if absent := used - {child.get("id") for child in kept}:
-            faces = _count(element)
-            raise ValueError(f"{faces} of its faces cannot be read: {absent} is not in their mesh")
-        element[:] = [
-            child
-            for child in kept
-            if (_name(child) != "source" or child.get("id") in used)
-            and (_name(child) not in _FACES or _count(child))
-        ]
-        _check_finite(element)
+def _transform(element: ET.Element) -> FloatArray:
+    """Return the matrix (4, 4) of a transform, that of no motion for other elements."""
+    matrix = np.eye(4)
+    if element.tag == "matrix":
+        matrix = _numbers(element).reshape(4, 4)
+    elif element.tag == "translate":
+        matrix[:3, 3] = _numbers(element)
+    elif element.tag == "scale":
+        matrix[:3, :3] = np.diag(_numbers(element))
+    elif element.tag == "rotate":
+        x, y, z, degrees = _numbers(element)
+        turn = np.radians(degrees) / np.linalg.norm((x, y, z)) * np.array([x, y, z])
+        matrix[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
+    elif element.tag in ("lookat", "skew"):
+        raise ValueError(f"the places of its parts cannot be read: {element.tag} is not supported")
+    return matrix
 
 
-def _check_finite(mesh: ET.Element) -> None:
-    """Refuse coordinates that are no finite numbers; pycollada takes 0 for NaN."""
-    for each in _all(mesh, "float_array"):
-        try:
-            values = np.array((each.text or "").split(), dtype=np.float64)
-            finite = bool(np.isfinite(values).all())
-        except ValueError:
-            finite = False
-        if not finite:
-            raise ValueError(
-                f"{_count(mesh)} of its faces cannot be read: a coordinate of {each.get('id')} is "
-                "no finite number"
-            )
+def _faces(geometry: ET.Element) -> FloatArray:
+    """Return the triangles of a geometry, (T, 3, 3); an error states its number of faces."""
+    count = sum(int(each.get("count", "0")) for each in geometry.iter() if each.tag in _FACES)
+    mesh = geometry.find("mesh")
+    try:
+        if mesh is None:
+            raise ValueError("it is no mesh")
+        parts = [_triangles(mesh, faces) for faces in mesh if faces.tag in _FACES]
+    except (ValueError, IndexError) as error:
+        name = geometry.get("id")
+        raise ValueError(f"{count} faces of {name} cannot be read: {error}") from error
+    return np.concatenate([np.empty((0, 3, 3)), *parts])
 
 
-def _corners_alone(children: list[ET.Element]) -> list[ET.Element]:
-    """Return the parts of a list of faces whose indices are those of corners alone."""
-    inputs = [child for child in children if _name(child) == "input"]
-    corner = [child for child in inputs if child.get("semantic") == "VERTEX"]
-    if len(corner) != 1 or not all(child.get("offset", "").isdigit() for child in inputs):
-        return children  # which is refused
-    size = max(int(child.get("offset", "")) for child in inputs) + 1
-    at = int(corner[0].get("offset", ""))
-    corner[0].set("offset", "0")
-    rest = [child for child in children if _name(child) in ("vcount", "p", "ph")]
-    for child in rest:
-        for each in child.iter():
-            if _name(each) in ("p", "h"):
-                each.text = " ".join((each.text or "").split()[at::size])
-    return [*corner, *rest]
+def _triangles(mesh: ET.Element, faces: ET.Element) -> FloatArray:
+    """Return the triangles of a list of faces, (T, 3, 3)."""
+    inputs = faces.findall("input")
+    size = 1 + max((int(each.get("offset", "0")) for each in inputs), default=0)
+    corner = next((each for each in inputs if each.get("semantic") == "VERTEX"), None)
+    if faces.find("ph") is not None:
+        raise ValueError("those with holes are not read")
+    if corner is None:
+        raise ValueError("they have no corners (VERTEX)")
+    at = int(corner.get("offset", "0"))
+    lists = [_numbers(each)[at::size].astype(np.int64) for each in faces.findall("p")]
+    corners, counts = (
+        np.concatenate([np.empty(0, np.int64), *lists]),
+        np.array(list(map(len, lists))),
+    )
+    if faces.tag == "triangles":
+        counts = np.full(-(-len(corners) // 3), 3)
+    elif faces.tag == "polylist":
+        counts = np.concatenate([_numbers(each).astype(np.int64) for each in faces.iter("vcount")])
+    if counts.sum() != len(corners):
+        raise ValueError(f"they have {len(corners)} corners, and {counts.sum()} are needed")
+    if corners.min(initial=0) < 0:
+        raise ValueError(f"a corner has the index {corners.min()}")
+    triangles = corners[_cut(counts, is_strip=faces.tag == "tristrips")]
+    return np.asarray(_places(mesh, corner)[triangles])
 
 
-def _count(element: ET.Element) -> int:
-    """Return the number of faces in an element, whose indices are those of corners alone."""
-    total = 0
-    for each in element.iter():
-        indices = [len((p.text or "").split()) for p in each if _name(p) in ("p", "ph")]
-        if _name(each) == "triangles":
-            total += sum(indices) // 3
-        elif _name(each) in ("tristrips", "trifans"):
-            total += sum(max(0, count - 2) for count in indices)
-        elif _name(each) == "polygons":
-            total += len(indices)
-        elif _name(each) == "vcount":
-            total += len((each.text or "").split())
-    return total
+def _cut(counts: NDArray[np.int64], *, is_strip: bool) -> NDArray[np.int64]:
+    """Return the triangles, (T, 3), of polygons in succession, of which each has some corners.
+
+    A polygon is cut from its first corner. In a strip each corner ends a triangle with the two
+    before it, and every other triangle turns the other way.
+    """
+    triangles = np.maximum(counts - 2, 0)
+    first = np.repeat(np.cumsum(counts) - counts, triangles)
+    number = np.arange(triangles.sum()) - np.repeat(np.cumsum(triangles) - triangles, triangles)
+    if not is_strip:
+        return np.column_stack([first, first + number + 1, first + number + 2])
+    first, turned = first + number, number % 2
+    return np.column_stack([first, first + 1 + turned, first + 2 - turned])
 
 
-def _all(root: ET.Element, name: str) -> list[ET.Element]:
-    return [each for each in root.iter() if _name(each) == name]
+def _places(mesh: ET.Element, corner: ET.Element) -> FloatArray:
+    """Return the places, (V, 3), to which the indices of corners point."""
+    vertices = _find(mesh.findall("vertices"), corner.get("source"))
+    inputs = {each.get("semantic"): each.get("source") for each in vertices.findall("input")}
+    source = _find(mesh.findall("source"), inputs.get("POSITION"))
+    accessor, numbers = source.find(".//accessor"), source.find("float_array")
+    if accessor is None or numbers is None:
+        raise ValueError(f"the places {source.get('id')} are no numbers")
+    names = [each.get("name", "").upper() for each in accessor.findall("param")]
+    begin, stride = int(accessor.get("offset", "0")), int(accessor.get("stride", "1"))
+    columns = [names.index(axis) if axis in names else at for at, axis in enumerate("XYZ")]
+    return _numbers(numbers)[begin:].reshape(-1, stride)[:, columns]
 
 
-def _name(element: ET.Element) -> str:
-    """Return the name of an element without its namespace."""
-    return str(element.tag).rpartition("}")[2]
+def _numbers(element: ET.Element) -> FloatArray:
+    return np.array((element.text or "").split(), dtype=np.float64)
