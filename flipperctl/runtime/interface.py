@@ -255,15 +255,13 @@ def interface_of(session: InferenceSession, where: str) -> Interface:
     return interface
 
 
-Check = Callable[[Any], bool]
+@dataclass(frozen=True)
+class _Rule:
+    """What a value of the metadata may be."""
 
-
-def _is_whole(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
-
-
-def _is_count(value: Any) -> bool:
-    return _is_whole(value) and value > 0
+    allowed: str
+    """In words, for errors."""
+    fits: Callable[[Any], bool]
 
 
 def _is_number(value: Any) -> bool:
@@ -272,39 +270,49 @@ def _is_number(value: Any) -> bool:
     return abs(value) <= sys.float_info.max  # false for NaN; integers are unbounded
 
 
-def _is_positive(value: Any) -> bool:
-    return _is_number(value) and bool(value > 0)
+def _is_whole(value: Any) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool)
 
 
-def _has(value: Any, checks: Mapping[str, Check]) -> bool:
-    """Return whether a value is a mapping with these entries."""
-    return isinstance(value, dict) and all(check(value.get(name)) for name, check in checks.items())
+_WHOLE, _NUMBER = _Rule("a whole number", _is_whole), _Rule("a number", _is_number)
+_COUNT = _Rule("a whole number above 0", lambda v: _is_whole(v) and v > 0)
+_POSITIVE = _Rule("a number above 0", lambda v: _is_number(v) and v > 0)
+_SHARE = _Rule("a number above 0 and at most 1", lambda v: _is_number(v) and 0 < v <= 1)
+_FLAG = _Rule("true or false", lambda v: isinstance(v, bool))
+_TEXT = _Rule("text", lambda v: isinstance(v, str))
+_BY_TYPE = {"int": _COUNT, "float": _POSITIVE, "bool": _FLAG, "str": _TEXT}
+"""Annotation of a dataclass's field → its rule."""
 
 
-def _is_list(value: Any, check: Check, length: int | None = None) -> bool:
-    """Return whether a value is a list, of this length, of what passes the check."""
-    return isinstance(value, list) and length in (None, len(value)) and all(check(v) for v in value)
+def _exactly(value: Any) -> _Rule:
+    return _Rule(json.dumps(value), lambda v: v == value)
 
 
-def _are_texts(kind: type[Quantity | PluginFile], length: int | None = None) -> Check:
-    """Return a check for a list of mappings of a dataclass's fields, and no others, to text."""
-    checks = dict.fromkeys((one.name for one in fields(kind)), lambda v: isinstance(v, str))
-    return lambda value: _is_list(
-        value, lambda one: _has(one, checks) and one.keys() == checks.keys(), length
+def _list(item: _Rule, *lengths: int) -> _Rule:
+    """Return the rule of a list of one of these lengths, or of any."""
+    count = f" of {' or '.join(map(str, lengths))}" if lengths else ""
+    return _Rule(
+        f"a list{count}, each {item.allowed}",
+        lambda v: (
+            isinstance(v, list) and (not lengths or len(v) in lengths) and all(map(item.fits, v))
+        ),
     )
 
 
-_RISK = {
-    "horizon": _is_count,
-    "threshold": lambda v: _is_positive(v) and v <= 1,
-    "lags": lambda v: v == list(LAGS),
-    "scale": lambda v: v == SCALE,
-}
-_MAP = {
-    **dict.fromkeys(("cell", "lane", "half_width", "noise"), _is_positive),
-    **dict.fromkeys(("keep", "fewest"), _is_count),
-    "deskew": lambda v: isinstance(v, bool),
-}
+def _mapping(kind: type[Any], **others: _Rule) -> _Rule:
+    """Return the rule of a mapping of a dataclass's fields; ``others`` prevail or are added."""
+    rules = {field.name: _BY_TYPE[str(field.type)] for field in fields(kind)} | others
+    return _Rule(
+        "a mapping with " + ", ".join(f"{name}: {rule.allowed}" for name, rule in rules.items()),
+        lambda v: (
+            isinstance(v, dict) and all(rule.fits(v.get(name)) for name, rule in rules.items())
+        ),
+    )
+
+
+def _built(kind: type[Any], value: Mapping[str, Any]) -> Any:
+    """Return a dataclass of a mapping that may hold more than its fields."""
+    return kind(**{field.name: value[field.name] for field in fields(kind)})
 
 
 def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
@@ -312,107 +320,69 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
 
     ``where``: name of the file, for the errors.
     """
-    version = metadata.get(f"{PREFIX}format_version")
+    version = metadata.get(_FORMAT)
     if version != str(FORMAT_VERSION):
         raise PolicyError(f"{where}: {other_format(version, FORMAT_VERSION)}")
 
-    def entry(name: str, allowed: str, check: Check, absent: str = "") -> Any:
-        """Return an entry's value after ``check``; ``absent`` is the text of a missing one."""
+    def entry(name: str, rule: _Rule, absent: str = "") -> Any:
+        """Return an entry's value; ``absent`` is the text of a missing one."""
         text = metadata.get(f"{PREFIX}{name}", absent)
         try:
             value = json.loads(text)
         except (ValueError, RecursionError):
             value = None
-        if value is None or not check(value):
+        if value is None or not rule.fits(value):
             raise PolicyError(
-                f"{where}: {PREFIX}{name} is {text[:60]!r} in its metadata; {allowed} is allowed"
+                f"{where}: {PREFIX}{name} is {text[:60]!r} in its metadata; {rule.allowed} is "
+                "allowed"
             )
         return value
 
-    def optional(name: str, allowed: str, checks: Mapping[str, Check]) -> dict[str, Any] | None:
-        """Return the named parts of an entry; None if the file does not have it."""
+    def optional(name: str, kind: type[Any], **others: _Rule) -> Any:
+        """Return an entry as a dataclass; None if the file does not have it."""
         if f"{PREFIX}{name}" not in metadata:
             return None
-        value = entry(name, f"a mapping with {allowed}", lambda v: _has(v, checks))
-        return {key: value[key] for key in checks}
+        return _built(kind, entry(name, _mapping(kind, **others)))
 
-    bins = entry("bins", "a whole number above 0", _is_count)
-    highest = entry("highest", "true or false", lambda v: isinstance(v, bool))
+    bins, highest = entry("bins", _COUNT), entry("highest", _FLAG)
     size = layout.heights(bins, highest) + len(ANGLES)
-    observation = entry(
-        "observation",
-        f"a list of {size} mappings of frame, meaning, name, unit to text",
-        _are_texts(Quantity, size),
-    )
-    entry(
-        "joints",
-        f"the list {json.dumps(JOINTS)}, the joints of this version,",
-        lambda v: v == list(JOINTS),
-    )
-    table = entry(
-        "actions",
-        f"a table of {len(ACTIONS)} pairs of angles, or of {len(JOINTS)} for rates,",
-        lambda v: (
-            _is_list(v, lambda row: _is_list(row, _is_number, len(JOINTS)))
-            and len(v) in (len(ACTIONS), len(JOINTS))
-        ),
-    )
-    actions = np.array(table, dtype=np.float64)
+    observation = entry("observation", _list(_mapping(Quantity), size))
+    entry("joints", _exactly(list(JOINTS)))
+    pairs = _list(_list(_NUMBER, len(JOINTS)), len(ACTIONS), len(JOINTS))  # or of rates
+    actions = np.array(entry("actions", pairs), dtype=np.float64)
     actions.setflags(write=False)
-    angles = dict.fromkeys(("window", "limit"), _is_positive)
-    rule = entry(
-        "targets",
-        "a mapping with the angles window and limit, each above 0",
-        lambda v: _has(v, angles),
-    )
-    robot = entry(
-        "robot",
+    numbers = _Rule(
         "a mapping of names to numbers",
         lambda v: isinstance(v, dict) and all(map(_is_number, v.values())),
     )
     terrain = metadata.get(f"{PREFIX}terrain", "")
-    terrain_config = entry(
-        "terrain_config",
+    named = _Rule(
         f"a mapping with the name {terrain!r} and the terrain's fields",
-        lambda v: _has(v, {"name": lambda name: name == terrain}),
+        lambda v: isinstance(v, dict) and v.get("name") == terrain,
     )
-    plugins = entry(
-        "plugins", "a list of mappings of kind, name and file to text", _are_texts(PluginFile), "[]"
-    )
-    sign = optional(
-        "risk",
-        "the whole number horizon, the threshold, above 0 and at most 1, the lags "
-        f"{list(LAGS)} and the scale {SCALE}",
-        _RISK,
-    )
-    warns = sign is not None
-    escape = optional(
-        "escape",
-        f"the temperature, above 0, and the whole number decisions, beside {PREFIX}risk,",
-        {"temperature": lambda v: _is_positive(v) and warns, "decisions": _is_count},
-    )
-    quality = optional(
-        "map",
-        "the lengths cell, lane, half_width, noise, each above 0, the whole numbers keep and "
-        "fewest, each above 0, and deskew, true or false,",
-        _MAP,
-    )
+    lags, scale = _exactly(list(LAGS)), _exactly(SCALE)
+    risk = optional("risk", RiskSign, threshold=_SHARE, lags=lags, scale=scale)
+    escape = optional("escape", EscapeRule)
+    if escape is not None and risk is None:
+        raise PolicyError(f"{where}: {PREFIX}escape is allowed beside {PREFIX}risk alone")
     return Interface(
-        observation=tuple(Quantity(**e) for e in observation),
+        observation=tuple(_built(Quantity, each) for each in observation),
         bins=bins,
-        bin_width=entry("bin_width", "a length above 0", _is_positive),
+        bin_width=entry("bin_width", _POSITIVE),
         highest=highest,
-        frames=entry("frames", "a whole number above 0", _is_count),
+        frames=entry("frames", _COUNT),
         actions=actions,
-        targets=TargetRule(window=rule["window"], limit=rule["limit"]),
-        decision_period=entry("decision_period", "a time above 0", _is_positive),
-        robot=MappingProxyType(robot),
+        targets=_built(TargetRule, entry("targets", _mapping(TargetRule))),
+        decision_period=entry("decision_period", _POSITIVE),
+        robot=MappingProxyType(entry("robot", numbers)),
         terrain=terrain,
-        terrain_config=MappingProxyType(terrain_config),
-        seed=entry("seed", "a whole number", _is_whole),
+        terrain_config=MappingProxyType(entry("terrain_config", named)),
+        seed=entry("seed", _WHOLE),
         package_version=metadata.get(f"{PREFIX}package_version", ""),
-        plugins=tuple(PluginFile(**e) for e in plugins),
-        risk=None if sign is None else RiskSign(sign["horizon"], float(sign["threshold"])),
-        escape=None if escape is None else EscapeRule(**escape),
-        map_quality=None if quality is None else MapQuality(**quality),
+        plugins=tuple(
+            _built(PluginFile, each) for each in entry("plugins", _list(_mapping(PluginFile)), "[]")
+        ),
+        risk=risk,
+        escape=escape,
+        map_quality=optional("map", MapQuality),
     )
