@@ -72,10 +72,10 @@ def measure(bench: Benchmark) -> dict[str, Any]:
             "checkpoint_write": milliseconds(trainer.save),
             "checkpoint_read": milliseconds(lambda: checkpoint.read(last)),
             "weights_read": milliseconds(lambda: checkpoint.read(best)),
-            "onnx_export": milliseconds(lambda: export(saved, "onnx", policy)),
+            "onnx_export": milliseconds(lambda: export(saved, policy)),
         }
         try:
-            export(saved, "onnx", policy)
+            export(saved, policy)
             for done in range(s.repeats):
                 report("decisions of the exported policy", 0.1 + 0.3 * done / s.repeats)
                 rounds.append(clocked(policy, s.calls, s.seed))

@@ -148,7 +148,7 @@ def decision(config: TrainConfig, sizes: Sizes, report: Report) -> dict[str, Any
         report("a short training", 0.0)
         Trainer(short, Path(name)).run()
         try:
-            export(checkpoint.read(best), "onnx", policy := Path(name, "policy.onnx"))
+            export(checkpoint.read(best), policy := Path(name, "policy.onnx"))
             for done in range(sizes.repeats):
                 report("decisions", done / sizes.repeats)
                 rounds.append(clocked(policy, sizes.calls))

@@ -53,7 +53,7 @@ SEARCH = {
 """Smaller searches of the controllers that look ahead."""
 ELSEWHERE = {"robot shadow", "bench"}
 """Subcommands that tests of their own run (tests/ros, tests/cli/test_commands.py)."""
-NIGHTLY = {"robot check", "export onnx", "export pt2"}
+NIGHTLY = {"robot check", "export onnx"}
 """Subcommands that take long, and that other tests run (tests/ros, tests/export); make long."""
 AT_ONCE = {"compare", "inspect config"}
 """Subcommands of which each command runs in ``make test``, as it takes no time."""

@@ -159,7 +159,6 @@ class Kind(StrEnum):
     """File formats of an exported policy, scene or episode."""
 
     onnx = "onnx"
-    pt2 = "pt2"
     mjcf = "mjcf"
     urdf = "urdf"
     mcap = "mcap"
@@ -181,8 +180,8 @@ def export(
     as_json: options.AsJson = False,
     plugins: options.PluginPaths = None,
 ) -> None:
-    """Write a policy for the robot: [bold]onnx[/], or [bold]pt2[/] (torch.export); a scene for
-    other simulators: [bold]mjcf[/], [bold]urdf[/]; an episode as a bag of ROS 2: [bold]mcap[/].
+    """Write a policy for the robot, [bold]onnx[/]; a scene for other simulators, [bold]mjcf[/] or
+    [bold]urdf[/]; an episode as a bag of ROS 2, [bold]mcap[/].
 
     Before a policy is saved, it is compared with torch on at least 1,000 observations of real
     rollouts; a mismatch is an error. OVERRIDES are then the robot, as in robot.angle_limit=0.9, if
@@ -194,8 +193,6 @@ def export(
 
       flipperctl export onnx runs/first --output stair.onnx
 
-      flipperctl export pt2 best.safetensors
-
       flipperctl export onnx generalist robot.flipper_speed=0.5
 
       flipperctl export urdf terrain=stair robot=absolem --output absolem.urdf
@@ -203,14 +200,14 @@ def export(
       flipperctl export mcap okada sim=mujoco perception=lidar
     """  # noqa: D205  # the summary, which help prints, has two lines
     words = list(overrides or [])
-    if kind in (Kind.onnx, Kind.pt2):
+    if kind is Kind.onnx:
         if controller is not None or seed is not None:
             raise RequestError(f"--controller and --seed are for mjcf, urdf and mcap, not {kind}")
         if checkpoint is None and words and "=" not in words[0]:
             checkpoint = Path(words.pop(0))
         if checkpoint is None:
             raise RequestError(f"{kind}: name a policy, as in: flipperctl export {kind} runs/first")
-        _export_policy(kind, checkpoint, words, output, as_json=as_json)
+        _export_policy(checkpoint, words, output, as_json=as_json)
         return
     from flipperctl.cli.plan import one_scene
     from flipperctl.config.words import with_engine, with_flags
@@ -237,11 +234,11 @@ def export(
 
 
 def _export_policy(
-    kind: Kind, checkpoint: Path, words: list[str], output: Path | None, *, as_json: bool
+    checkpoint: Path, words: list[str], output: Path | None, *, as_json: bool
 ) -> None:
     from flipperctl import checkpoint as checkpoints
     from flipperctl.cli.hydra.overrides import Overrides
-    from flipperctl.export.policy import KINDS, export, robot_fields
+    from flipperctl.export.policy import FILE, export, robot_fields
     from flipperctl.files import check_output
     from flipperctl.policies.source import load_policy
     from flipperctl.terminal.tables import print_export
@@ -250,11 +247,11 @@ def _export_policy(
     saved = checkpoints.read(source.file)
     shipped = source.label() in checkpoints.shipped_policies()
     name = source.label() if shipped else saved.config().terrain.plugin_name
-    target = output or Path(f"{name}.{kind.value}")
-    check_output(target, KINDS[kind.value])
+    target = output or Path(f"{name}.onnx")
+    check_output(target, FILE)
     robot = robot_fields(Overrides.parse(words).values())
     print_note(f"exporting {saved.path} and comparing it with torch …")
-    found = export(saved, "onnx" if kind is Kind.onnx else "pt2", target, robot)
+    found = export(saved, target, robot)
     show(found, lambda: print_export(target, saved.path, found), as_json=as_json)
 
 

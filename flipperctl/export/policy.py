@@ -1,6 +1,6 @@
 """Export of a policy: build the file, compare it with torch, and only then write it.
 
-In: a checkpoint and changes to its robot. Out: an ONNX or pt2 file, and the result of the
+In: a checkpoint and changes to its robot. Out: an ONNX file, and the result of the
 comparison on the observations of real rollouts. The network in the file has fewer layers, equal
 results and, if the policy tells its risk, two further outputs; all that a robot needs to run it are
 strings under ``flipperctl.*``.
@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import copy
 import importlib
-import io
 import logging
 import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import torch
@@ -54,13 +53,7 @@ from flipperctl.runtime.interface import (
     add_checksum,
 )
 
-Format = Literal["onnx", "pt2"]
-_MARK = re.compile(rb"flipperctl\.format_version")
-KINDS: dict[str, OutputKind] = {
-    "onnx": OutputKind("an exported policy", (".onnx",), _MARK),
-    "pt2": OutputKind("an exported policy", (".pt2",), _MARK),
-}
-"""The file of each format."""
+FILE = OutputKind("an exported policy", (".onnx",), re.compile(rb"flipperctl\.format_version"))
 OBSERVATIONS = 1000
 """Smallest number of observations in the comparison."""
 TOLERANCE = 1e-4
@@ -73,10 +66,7 @@ network of the risk returns."""
 
 
 def export(
-    checkpoint: Checkpoint,
-    format: Format,
-    output: Path,
-    robot: Mapping[str, Any] | None = None,
+    checkpoint: Checkpoint, output: Path, robot: Mapping[str, Any] | None = None
 ) -> dict[str, Any]:
     """Write the policy to ``output`` and return the result of the comparison.
 
@@ -84,31 +74,28 @@ def export(
 
     Raises:
         ConfigError: there is no such field, or its value is of the wrong type or out of bounds.
-        MissingExtraError: the format is ONNX and a package that it needs is not installed.
+        MissingExtraError: a package that ONNX needs is not installed.
         ExportError: the exported policy disagrees with torch; nothing is written.
         OutputError: the file cannot be written, see ``check_output``.
     """
-    check_output(output, KINDS[format])
+    check_output(output, FILE)
     trained = checkpoint.config()
     changes = {f"robot.{name}": value for name, value in (robot or {}).items()}
     config = with_overrides(trained, changes)
     module, risk = policy_module(checkpoint), policy_risk(checkpoint)
     observations = rollout_observations(config, module, OBSERVATIONS)
     metadata = policy_metadata(config, None if risk is None else risk.sign)
-    # The exporters run the network's code and wrap its errors.
+    # The exporter runs the network's code and wraps its errors.
     with naming(config.network, "forward", ExportError, while_=" (export)"):
         network = folded(module)
         if risk is not None:
             network = PolicyWithRisk(network, risk).eval()
-        if format == "onnx":
-            data, outputs = export_onnx(network, config, {**metadata, CHECKSUM: PLACEHOLDER})
-            data = add_checksum(data)
-        else:
-            data, outputs = export_pt2(network, config, metadata)
+        data, outputs = export_onnx(network, config, {**metadata, CHECKSUM: PLACEHOLDER})
+        data = add_checksum(data)
     found = compare(module, outputs, observations, risk)
     write_bytes(output, data)
     return {
-        "format": format,
+        "format": "onnx",
         "output": str(output),
         "bytes": len(data),
         **found,
@@ -135,7 +122,7 @@ def save_network(
             f"network: a module of torch is allowed, not a {type(network).__name__}; "
             "docs/own_method.md shows which part of a model of Stable-Baselines3 is one"
         )
-    check_output(output, KINDS["onnx"])
+    check_output(output, FILE)
     sections = {name: getattr(env, name) for name in EnvConfig.model_fields if name != "rewards"}
     config = TrainConfig(network={"name": "mlp"}, actions=kind, seed=seed, **sections)
     module = copy.deepcopy(network).cpu().eval()
@@ -315,29 +302,6 @@ def _import_package(name: str) -> Any:
             f"export onnx needs the package {name}, which is missing if flipperctl was installed "
             f"without its dependencies; pip install {name}"
         ) from error
-
-
-def export_pt2(
-    module: nn.Module, config: TrainConfig, metadata: dict[str, str]
-) -> tuple[bytes, Outputs]:
-    """Return the bytes of the archive, and a function that computes its outputs."""
-    example = torch.zeros(2, input_size(config.network, config.perception))
-    program = torch.export.export(
-        module, (example,), dynamic_shapes=({0: torch.export.Dim("batch")},)
-    )
-    buffer = io.BytesIO()
-    torch.export.save(program, buffer, extra_files=dict(metadata))
-    buffer.seek(0)
-    # Read back what the file will hold; the bytes come from this process, so loading is safe.
-    exported = torch.export.load(buffer).module()
-
-    def outputs(observations: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
-        with torch.inference_mode():
-            outputs = exported(torch.from_numpy(observations))
-        tensors = outputs if isinstance(outputs, tuple) else (outputs,)
-        return tuple(tensor.numpy() for tensor in tensors)
-
-    return buffer.getvalue(), outputs
 
 
 class _RecordingPolicy(TrainedPolicy):

@@ -69,7 +69,6 @@ EVAL = ("eval", "--controller", "okada", "terrain=flat", "--episodes", "1")
         ((*EVAL, "--record"), ".safetensors"),
         (("replay", "failure.json", "--film"), ".gif"),
         (("export", "onnx", "--checkpoint", "generalist", "--output"), ".onnx"),
-        (("export", "pt2", "--checkpoint", "generalist", "--output"), ".pt2"),
         (("export", "mjcf", "terrain=flat", "--output"), ".xml"),
         (("export", "urdf", "terrain=flat", "--output"), ".urdf"),
         (("robot", "shadow", "policy.onnx", "bag", "--output"), ".jsonl"),

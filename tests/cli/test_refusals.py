@@ -74,7 +74,7 @@ train +train.validation_episodes=3 -> exists already; write train.validation_epi
 train collector.max_lag=3 -> collector=local has no settings here
 inspect run nope -> nope holds no metrics.csv; there is no such folder
 new -> 'KIND' | see flipperctl new --help
-export -> Choose from: onnx, pt2 | see flipperctl export --help
+export -> Choose from: onnx, mjcf | see flipperctl export --help
 train 'terrain=step seed=3' -> several overrides | out: terrain=step seed=3
 train seed=1,2 -> seed=1,2: several values | add -m
 train gamma=0.9 -> gamma: there is no such key (did you mean | agent.gamma?)

@@ -39,8 +39,8 @@ def saved(short_run: Path) -> checkpoint.Checkpoint:
 @pytest.fixture(scope="module")
 def onnx_file(saved: checkpoint.Checkpoint, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("export") / "step.onnx"
-    found = policy.export(saved, "onnx", path)
-    check_output(path, policy.KINDS["onnx"])  # a file of before is replaced
+    found = policy.export(saved, path)
+    check_output(path, policy.FILE)  # a file of before is replaced
     assert found["observations"] >= 1000
     assert found["largest_difference"] < 1e-4
     assert found["action_agreement"] == 1.0
@@ -112,20 +112,6 @@ def test_the_controller_has_the_map_of_the_training(saved: checkpoint.Checkpoint
         assert on_robot._settings == expected
 
 
-@pytest.mark.long
-def test_pt2_gives_the_same_q_values(saved: checkpoint.Checkpoint, tmp_path: Path) -> None:
-    path = tmp_path / "step.pt2"
-    found = policy.export(saved, "pt2", path)
-    check_output(path, policy.KINDS["pt2"])  # a file of before is replaced
-    assert found["largest_difference"] < 1e-4
-    extra = {"flipperctl.terrain": ""}
-    program = torch.export.load(path, extra_files=extra)
-    assert extra["flipperctl.terrain"] == "step"
-    observation = torch.full((3, SIZE), 0.1)
-    expected = policy_module(saved)(observation)
-    assert torch.allclose(program.module()(observation), expected, atol=1e-5)
-
-
 def test_the_file_for_another_robot_drives_it_as_the_checkpoint_does(
     saved: checkpoint.Checkpoint, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -140,7 +126,7 @@ def test_the_file_for_another_robot_drives_it_as_the_checkpoint_does(
     monkeypatch.setattr(policy, "compare", watched)
     path = tmp_path / "narrow.onnx"
     robot = {"angle_limit": 0.4, "flipper_speed": 0.5}
-    found = policy.export(saved, "onnx", path, robot)
+    found = policy.export(saved, path, robot)
     assert found["robot_changes"] == {
         "angle_limit": {"training": math.pi / 3, "file": 0.4},
         "flipper_speed": {"training": math.radians(25), "file": 0.5},
@@ -163,9 +149,9 @@ def test_a_mismatch_fails_and_writes_nothing(
     def flipped(module: torch.nn.Module, *rest: object) -> object:
         return b"", lambda observations: (module(torch.from_numpy(-observations)).detach().numpy(),)
 
-    monkeypatch.setattr(policy, "export_pt2", flipped)
+    monkeypatch.setattr(policy, "export_onnx", flipped)
     with pytest.raises(ExportError, match=r"disagrees with torch.*nothing was written"):
-        policy.export(saved, "pt2", tmp_path / "bad.pt2")
+        policy.export(saved, tmp_path / "bad.onnx")
     assert list(tmp_path.iterdir()) == []
 
 
@@ -190,4 +176,4 @@ def test_a_missing_package_is_named(
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
     monkeypatch.setattr(policy, "rollout_observations", lambda *_: np.zeros((2, SIZE), np.float32))
     with pytest.raises(MissingExtraError, match=r"needs the package onnxruntime.*pip install"):
-        policy.export(saved, "onnx", tmp_path / "x.onnx")
+        policy.export(saved, tmp_path / "x.onnx")

@@ -57,7 +57,7 @@ COMMANDS = {
         "train fast": ["train", *SHORT, "network=odd"],
         "eval": ["eval", "--checkpoint", "{good}", "--episodes=2"],
         "eval --jobs": ["eval", "--checkpoint", "{good}", "--episodes=2", "--jobs=2"],
-        "export pt2": ["export", "pt2", "--checkpoint", "{good}"],
+        "export onnx": ["export", "onnx", "--checkpoint", "{good}"],
     },
     "controller": {
         "eval": ["eval", "--controller", "odd", *DRIVEN],
@@ -88,7 +88,7 @@ COMMANDS = {
     },
 }  # fmt: skip
 FOR_ALL = {"inspect plugins": ["inspect", "plugins", "odd"]}
-SLOW = ("eval --jobs", "train fast", "export pt2")
+SLOW = ("eval --jobs", "train fast", "export onnx")
 
 
 def main() -> int:

@@ -43,7 +43,7 @@ def files(folder: Path) -> dict[str, bytes]:
     learner.progress.started += 1
     learner.save([request])
     saved = checkpoint.read(run / checkpoint.BEST)
-    export(saved, "onnx", folder / "step.onnx")
+    export(saved, folder / "step.onnx")
     whole = (folder / "step.onnx").read_bytes()
     return {
         "best": (run / checkpoint.BEST).read_bytes(),

@@ -46,7 +46,7 @@ def test_it_trains_on_rates_resumes_bit_for_bit_and_exports_its_policy(tmp_path:
     assert len(checkpoint.read(whole / checkpoint.LAST).part("replay")["reward"]) == 80
     require_resumes(settings, whole, tmp_path / "parts", 30)
     file, saved = tmp_path / "sac.onnx", checkpoint.read(whole / checkpoint.BEST)
-    export(saved, "onnx", file)
+    export(saved, file)
     seen = np.random.default_rng(0).normal(0.0, 0.2, (20, 33)).astype(np.float32)
     with torch.inference_mode():
         rates = policy_module(saved)(torch.from_numpy(seen)).numpy()

@@ -112,7 +112,7 @@ def test_an_exported_file_of_rates_drives_the_same_episode(tmp_path: Path) -> No
     trained = train(config, tmp_path)
     file = tmp_path / "rates.onnx"
     saved = checkpoint.read(tmp_path / checkpoint.BEST)
-    assert export(saved, "onnx", file)["action_agreement"] == 1.0
+    assert export(saved, file)["action_agreement"] == 1.0
     digests = []
     for policy in (TrainedPolicy(policy_module(saved), kind="rates"), ExportedPolicy(file)):
         digest = EpisodeDigest()
