@@ -91,9 +91,8 @@ def export(
         if risk is not None:
             network = PolicyWithRisk(network, risk).eval()
         data, outputs = export_onnx(network, config, {**metadata, CHECKSUM: PLACEHOLDER})
-        data = add_checksum(data)
     found = compare(module, outputs, observations, risk)
-    write_bytes(output, data)
+    write_bytes(output, data := add_checksum(data))
     return {
         "format": "onnx",
         "output": str(output),
