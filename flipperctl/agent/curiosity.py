@@ -57,6 +57,8 @@ class Curiosity:
 
     def __init__(self, inputs: int, *, seed: int, device: torch.device) -> None:
         """``inputs``: length of an input row; ``seed``: of the first weights."""
+        # Weights follow from the seed; the random numbers of the policy stay as they are without
+        # it.
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             self.network = PredictingNetworks(inputs).to(device)
@@ -64,7 +66,7 @@ class Curiosity:
         self.optimiser = Adam(flatten_parameters(list(self.network.parameters())))
 
     def reward(self, batch: Batch) -> torch.Tensor:
-        """Return the curiosity about each transition, (B,) [-]."""
+        """Return the error of the forward model for each transition, (B,) [-]."""
         with torch.no_grad():
             error: torch.Tensor = self.network(batch)[1]
         return error
@@ -73,6 +75,7 @@ class Curiosity:
         """Take a gradient step with the learning rate ``rate``; return the loss [-]."""
         odds, errors = self.network(batch)
         inverse = functional.cross_entropy(odds, batch.action)
+        # ICM's loss: the inverse model shapes the features, the forward model measures surprise.
         loss = (1 - FORWARD) * inverse + FORWARD * errors.mean()
         if not math.isfinite(value := float(loss.detach())):
             raise NonFiniteError(f"the loss of the curiosity is {value}")

@@ -1,8 +1,7 @@
 """Targets and losses of the learners, and the steps of an optimiser on them.
 
-Adam is that of Kingma & Ba 2015, Algorithm 1. torch's own optimiser computes the same, but
-constructing one imports torch's compiler (``torch._dynamo``, as of torch 2.13), which costs a
-second and 80 MB.
+Adam is Algorithm 1 of Kingma & Ba 2015. torch's own optimiser computes the same, but constructing
+one imports torch's compiler (``torch._dynamo``, as of torch 2.13), which costs a second and 80 MB.
 """
 
 from __future__ import annotations
@@ -24,6 +23,7 @@ def double_q_target(
     ``reward`` and ``discount`` are (B,), the discount 0 without bootstrapping;
     ``next_online`` and ``next_target`` are (B, A) at the next observation.
     """
+    # The online network chooses the action, the target network values it.
     best = next_online.argmax(dim=1, keepdim=True)  # (B, 1)
     return reward + discount * next_target.gather(1, best).squeeze(1)
 
@@ -46,6 +46,7 @@ def teacher_cross_entropy(
     ``values`` (B, A) are Q-values, ``labels`` (B, A) distributions over the actions. The mean is
     over the labelled rows; a row of zeros has no label.
     """
+    # The mean is over labelled rows alone: rows of zeros add nothing to the sum.
     logarithms = torch.log_softmax(values / temperature, dim=1)
     labelled = (labels.sum(dim=1) > 0).sum().clamp(min=1)
     return -(labels * logarithms).sum() / labelled
@@ -59,6 +60,7 @@ def teacher_large_margin(values: torch.Tensor, labels: torch.Tensor, margin: flo
     margin. The mean is over the labelled rows; a row of zeros has no label. Hester et al. 2018,
     "Deep Q-learning from demonstrations", loss J_E.
     """
+    # Raise every action but the teacher's by the margin; what still exceeds it is the loss.
     taught = labels.argmax(dim=1, keepdim=True)  # (B, 1)
     raised = (values + margin).scatter(1, taught, values.gather(1, taught))
     excess = raised.amax(dim=1) - values.gather(1, taught).squeeze(1)  # (B,)
@@ -76,26 +78,31 @@ def searched_values(values: torch.Tensor, targets: torch.Tensor, clip: float) ->
     is divided by its mean size in the batch, so that no reward's scale matters. Actions worse than
     the best by more than ``clip`` times the mean difference count as worse by that.
     """
+    # Differences between the actions of a state: gaps to the action that is best by the search.
     best = targets.argmax(dim=2, keepdim=True)  # (B, K, 1)
     value, target = values.gather(2, best), targets.gather(2, best)
     gap, target_gap = value - values, target - targets  # at least 0 for the targets
+    # The mean gap sets the scale; typical gaps limit how much a few huge ones add to it.
     size = target_gap.clamp(max=_typical(target_gap) * clip + 1e-6).mean() + 1e-6
     target_gap = target_gap.clamp(max=clip * size)
     error = gap - target_gap
     error = torch.where(target_gap >= clip * size, error.clamp(max=0), error)  # worse is fine too
     actions = torch.nn.functional.smooth_l1_loss(error / size, torch.zeros_like(error), beta=0.1)
+    # Differences between the states of a group, by the values of their best actions.
     mean, target_mean = value.mean(dim=1, keepdim=True), target.mean(dim=1, keepdim=True)
     spread = (target - target_mean).abs().median() + 1e-6
     difference = ((value - mean) - (target - target_mean)) / spread
     states = torch.nn.functional.smooth_l1_loss(difference, torch.zeros_like(difference), beta=0.3)
+    # The level of a group, which ground beyond the perceived one moves most, counts least.
     level = torch.nn.functional.smooth_l1_loss(mean / spread, target_mean / spread)
     return 3.0 * actions + states + 0.1 * level
 
 
 def _typical(gaps: torch.Tensor) -> float:
-    """Return the median of gaps, each at least 0; if most of them are negligible, of the others.
+    """Return the median of gaps, each at least 0.
 
-    A reward at the end alone makes most actions equal, whose gaps tell nothing about its scale.
+    If most of them are negligible, it is the median of the others: a reward at the end alone makes
+    most actions equal, and their gaps say nothing about its scale.
     """
     median, least = float(gaps.median()), 0.01 * float(gaps.mean())
     if median > least or not least:
@@ -123,6 +130,7 @@ def double_quantile_target(
     The arguments are those of ``double_q_target``, but ``next_target`` holds the quantiles of every
     action, (B, A, K).
     """
+    # Advanced indexing gathers one row of quantiles for each transition.
     rows = torch.arange(len(reward), device=reward.device)
     best = next_target[rows, next_online.argmax(dim=1)]  # (B, K)
     return reward.unsqueeze(1) + discount.unsqueeze(1) * best
@@ -138,9 +146,11 @@ def quantile_huber(
     batch, whose rows are weighted by ``row_weight`` (B,).
     """
     count = prediction.shape[1]
+    # The midpoints τ_i of K equally likely quantiles, and all pairs of estimate and sample.
     tau = (torch.arange(count, device=prediction.device) + 0.5) / count
     error = target.unsqueeze(1) - prediction.unsqueeze(2)  # (B, K, K′)
     size = error.abs()
+    # Huber's loss with threshold 1: s·(|e| - s/2) with s = min(|e|, 1).
     small = size.clamp(max=1.0)
     weight = (tau.view(1, -1, 1) - (error < 0).to(error.dtype)).abs()
     each = (weight * small * (size - 0.5 * small)).sum(dim=1)  # (B, K′)
@@ -168,6 +178,7 @@ def clipped_gain(
     ``log_policy``: logarithms of the policy's probabilities, (B, A); ``action``: the actions, (B,),
     which were drawn with the probabilities ``drawn_with``, (B, A); ``advantage``: (B,).
     """
+    # Ratio of the new to the old probability of each action, from logarithms.
     column = action.unsqueeze(1)
     ratio = (log_policy.gather(1, column) - drawn_with.gather(1, column).log()).squeeze(1).exp()
     return torch.minimum(ratio * advantage, ratio.clamp(1 - clip, 1 + clip) * advantage).mean()
@@ -201,13 +212,15 @@ class Adam:
         first, second = self.moments["first"], self.moments["second"]
         first.lerp_(gradient, 1 - BETA_1)
         second.mul_(BETA_2).addcmul_(gradient, gradient, value=1 - BETA_2)
-        scale = math.sqrt(1 - BETA_2**self.steps)  # this and the next line: bias corrections
+        # Both bias corrections go into the step's size; ε is scaled with the second moment.
+        scale = math.sqrt(1 - BETA_2**self.steps)
         size = rate * scale / (1 - BETA_1**self.steps)
         self.parameters.addcdiv_(first, second.sqrt().add_(EPSILON * scale), value=-size)
 
 
 def flatten_parameters(parameters: Sequence[torch.nn.Parameter]) -> torch.Tensor:
     """Move parameters into one vector, (P,); they become views of it."""
+    # Parameters become views of one vector, so that one operation changes all of them.
     vector = torch.cat([p.detach().reshape(-1) for p in parameters])
     parts = torch.split(vector, [p.numel() for p in parameters])
     for parameter, part in zip(parameters, parts, strict=True):
@@ -228,6 +241,7 @@ def descend(
     """
     gradients = torch.autograd.grad(loss, parameters, allow_unused=True, materialize_grads=True)
     with torch.no_grad():
+        # Clipping acts on all parameters together, by the norm of the whole gradient.
         gradient = torch.cat([g.reshape(-1) for g in gradients])
         length = float(torch.linalg.vector_norm(gradient))
         if length > norm:

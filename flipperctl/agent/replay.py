@@ -62,10 +62,14 @@ def _columns(
     size: int, labels: int, privileged: int, risk: bool
 ) -> dict[str, tuple[tuple[int, ...], type[np.generic]]]:
     """Return the shape and the type of a transition's row in each array of a replay."""
+    # Columns by need: a run without a teacher, privileged states or a risk pays nothing for them.
     row, number = ((size,), np.float32), ((), np.float32)
     layout: dict[str, tuple[tuple[int, ...], type[np.generic]]] = {
-        **{"observation": row, "action": ((), np.int64), "reward": number},
-        **{"next_observation": row, "discount": number},
+        "observation": row,
+        "action": ((), np.int64),
+        "reward": number,
+        "next_observation": row,
+        "discount": number,
     }
     if labels:
         layout["label"] = ((labels,), np.float32)
@@ -162,6 +166,7 @@ class Replay:
         rewards ends before the next random action.
         """
         self.capacity, risk = capacity, risk_horizon > 0
+        # Linux grants arrays of zeros without backing them; only absurd sizes fail here.
         try:
             self.arrays: dict[str, NDArray[Any]] = {
                 name: np.zeros((capacity, *shape), kind)
@@ -210,12 +215,16 @@ class Replay:
         distribution over actions, if any; ``privileged`` and ``next_privileged``: the privileged
         states at both observations, if the training has them.
         """
+        # A random action ends the sums before it, which then bootstrap from the state where it
+        # fell.
         while self._cut_at_random and explored and self._pending:
             self._flush(observation, privileged, 1.0)
         self._pending.append((observation, action, reward, label, privileged))
+        # The oldest decision is complete once it has n rewards.
         continues = 1.0 if bootstrap or not over else 0.0
         if len(self._pending) == self._n_step:
             self._flush(next_observation, next_privileged, continues)
+        # At the end of an episode all others are complete too, with shorter sums.
         while over and self._pending:
             self._flush(next_observation, next_privileged, continues)
         if over:
@@ -224,6 +233,7 @@ class Replay:
     def _flush(
         self, next_observation: NDArray[np.float32], next_privileged: _Row, continues: float
     ) -> None:
+        # R = r_0 + γ·r_1 + … backwards, which multiplies once per reward.
         total = 0.0
         for _, _, reward, _, _ in reversed(self._pending):
             total = reward + self._gamma * total
@@ -240,6 +250,7 @@ class Replay:
             "next_privileged": next_privileged,
             "failing": UNKNOWN,
         }
+        # Arrays that the run does not need take nothing; resemblances come with the episode's end.
         row = self._row_of(self.added)
         for name, array in self.arrays.items():
             if name in values:
@@ -249,6 +260,7 @@ class Replay:
 
     def _row_of(self, number: int) -> int:
         """Return the row of a transition, counted from 0."""
+        # Below the capacity rows fill up; later ones cycle past the protected ones at the front.
         if number < self.capacity:
             return number
         return self.kept + (number - self.kept) % (self.capacity - self.kept)
@@ -256,6 +268,7 @@ class Replay:
     def _mark_episode(self, failed: bool | None) -> None:
         """Mark each transition of the episode that has ended, unless it is overwritten already."""
         if "failing" in self.arrays and failed is not None:
+            # A long episode may have overwritten its own first transitions.
             first = max(self.added - self._episode, self.added - (self.capacity - self.kept))
             rows = [self._row_of(number) for number in range(first, self.added)]
             newest = self.arrays["observation"][rows, -self._newest :]
@@ -296,6 +309,7 @@ class Replay:
     def take_back(self) -> None:
         """Remove the transitions of the running episode."""
         self.added -= self._episode
+        # Decisions without their n-th reward belong to the same episode.
         self.drop_pending()
 
     def drop_pending(self) -> None:
@@ -329,6 +343,8 @@ class Replay:
         """
         if not 0 <= kept <= added or kept >= self.capacity:
             raise ValueError(f"{added} transitions with {kept} kept do not fit {self.capacity}")
+        # Each array: its presence, its layout, then its numbers, since a bad index fails far from
+        # here.
         if wrong := arrays.keys() ^ self.arrays.keys():
             raise ValueError(f"{min(wrong)} is missing or unknown")
         for name, array in self.arrays.items():
@@ -421,6 +437,7 @@ class GroupMemory:
         if set(arrays) != {"observations", "values"}:
             raise ValueError(f"there are {sorted(arrays)}; observations and values are allowed")
         seen, values = arrays["observations"], arrays["values"]
+        # Groups of all episodes have one number of states, which the file tells.
         states = seen.shape[1:2]
         shapes = seen.shape, values.shape
         if shapes != ((count, *states, size), (count, *states, len(ACTIONS))) or any(
@@ -429,5 +446,6 @@ class GroupMemory:
             raise ValueError(f"shapes are {seen.shape} and {values.shape} for {count} groups")
         if not (np.isfinite(seen).all() and np.isfinite(values).all()):
             raise ValueError("a number is not finite")
+        # Rows lie as they did: the number of all groups added says which is overwritten next.
         self.add(StateGroups(np.asarray(seen, np.float32), np.asarray(values, np.float32)))
         self.added = added

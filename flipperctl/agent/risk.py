@@ -44,8 +44,10 @@ class RiskNetwork(torch.nn.Module):
         """``inputs``: length of an input row, frames · n."""
         super().__init__()
         self.layers = torch.nn.Sequential(
-            *(torch.nn.Linear(inputs, _WIDTH), torch.nn.ReLU()),
-            *(torch.nn.Linear(_WIDTH, _WIDTH), torch.nn.ReLU()),
+            torch.nn.Linear(inputs, _WIDTH),
+            torch.nn.ReLU(),
+            torch.nn.Linear(_WIDTH, _WIDTH),
+            torch.nn.ReLU(),
             torch.nn.Linear(_WIDTH, 1 + len(LAGS)),
         )
 
@@ -59,6 +61,7 @@ class RiskNetwork(torch.nn.Module):
 
     def log_odds(self, observation: torch.Tensor, resembles: torch.Tensor) -> torch.Tensor:
         """Return the log-odds of rows with their resemblances (B, lags), (B,)."""
+        # Log-odds are linear in the resemblances to earlier observations of the episode.
         alone, coefficients = self(observation)
         logits: torch.Tensor = alone.squeeze(1) + (coefficients * resembles).sum(dim=1)
         return logits
@@ -92,6 +95,7 @@ class Risk(torch.nn.Module):
 
         ``place``: where the robot is by odometry, see ``EpisodeRisk.update``.
         """
+        # One row on one thread; the memory of the episode turns log-odds into its risk.
         device = next(self.network.parameters()).device
         row = torch.from_numpy(observation).to(device).unsqueeze(0)
         with one_thread():
@@ -130,6 +134,7 @@ def risk_loss(output: torch.Tensor, label: torch.Tensor) -> torch.Tensor:
 
     A label is 1 shortly before a failure, else 0, or ``UNKNOWN``.
     """
+    # A label that is not known weighs nothing; the rare positives weigh more.
     known = (label != UNKNOWN).to(output.dtype)
     weights = known * (1 + (POSITIVES - 1) * (label > 0).to(output.dtype))
     losses = torch.nn.functional.binary_cross_entropy_with_logits(
@@ -143,6 +148,8 @@ class RiskLearner:
 
     def __init__(self, inputs: int, *, seed: int, device: torch.device) -> None:
         """``inputs``: length of an input row; ``seed``: of the first weights."""
+        # Weights follow from the seed; the random numbers of the policy stay as they are without
+        # it.
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             self.network = RiskNetwork(inputs).to(device)

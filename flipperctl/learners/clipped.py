@@ -1,4 +1,4 @@
-"""The policy gradient: it makes more probable what earned more than was expected.
+"""The policy gradient: actions that returned more than expected become more probable.
 
 In: whole episodes whose actions were drawn with known probabilities. Out: a better policy. The
 policy is softmax(Q / temperature) of the same networks as those of the double DQN, so that its
@@ -55,6 +55,7 @@ def advantages(
     ``differences``: temporal differences r + γ·V(s') - V(s), (T,); ``discounts``: γ, or 0 at the
     end of an episode, (T,); ``trace``: λ.
     """
+    # A_t = δ_t + γ·λ·A_(t+1) from the end backwards; the sum itself is a float64.
     sums, later = np.zeros_like(differences), 0.0
     for t in range(len(differences) - 1, -1, -1):
         later = float(differences[t]) + float(discounts[t]) * trace * later
@@ -65,8 +66,8 @@ def advantages(
 def limited(advantage: torch.Tensor, clip: float | None) -> torch.Tensor:
     """Return advantages (T,) scaled to mean 0 and variance 1.
 
-    None of those that are scaled a first time exceeds ``clip`` (None: unlimited) when they are
-    scaled again: the few decisions before a failure have most of the variance else.
+    They are clipped to ±``clip`` (None: unlimited) and scaled once more: otherwise the few
+    decisions before a failure have most of the variance.
     """
     scaled = _scaled(advantage)
     return scaled if clip is None else _scaled(scaled.clamp(-clip, clip))
@@ -95,6 +96,7 @@ class ClippedGradient(NetworkPair):
     ) -> None:
         """See ``NetworkPair``; only the values see the privileged states."""
         super().__init__(network, layout, settings, **further)
+        # Seeded weights of their own; torch's global generator is restored afterwards.
         with torch.random.fork_rng():
             torch.manual_seed(self._seed)
             values = build_values(input_size(network, layout), further["privileged"])
@@ -117,6 +119,7 @@ class ClippedGradient(NetworkPair):
         completed part of the run, 0 to 1, which sets the learning rate and the temperature;
         ``rng`` shuffles. Returns the mean squared error of the values in the last step [-].
         """
+        # Forward passes draw by the number of the round alone: a resumed run repeats them.
         random = seeded(self.device, self._seed, self.rounds)
         with naming_network(self.online, "forward"), random:  # only its own code can fail here
             self.online.eval()
@@ -126,16 +129,20 @@ class ClippedGradient(NetworkPair):
         s = self.settings
         rate = linear(s.learning_rate, s.learning_rate_end, fraction)
         temperature = s.temperature_at(fraction)
+        # All advantages are computed with the values as they are before the round's first step.
         advantage, goal = self._advantages(batch)
+        # In the first rounds the values alone learn: untrained, they would mislead the policy.
         warm, moves = self.rounds < s.warm_up, True
         error = 0.0
         for _ in range(_VALUE_PASSES if warm else s.passes):
+            # Each pass meets every decision once, in a new order.
             order = torch.from_numpy(rng.permutation(len(goal))).to(self.device)
             for rows in torch.split(order, s.batch_size):
                 step = batch.rows(rows)
                 error = self._value_step(step, goal[rows])
                 if self.risk is not None:
                     self.risk.step(step, rate)
+                # A policy too far from the one that drove rests until the next round.
                 if moves and not warm:
                     moved = self._policy_step(step, advantage[rows], temperature, rate)
                     moves = moved <= s.divergence
@@ -146,11 +153,13 @@ class ClippedGradient(NetworkPair):
         """Return the advantages, scaled and limited, and the values to learn, (T,)."""
         assert batch.privileged is not None  # as in every batch of such a training
         assert batch.next_privileged is not None
+        # Temporal differences in scaled rewards; no gradient passes into the goals.
         with torch.no_grad():
             value = self.values(batch.observation, batch.privileged)
             after = self.values(batch.next_observation, batch.next_privileged)
             reward = batch.reward * self.settings.reward_scale
             difference = reward + batch.discount * after - value
+        # The recursion runs over time on the CPU, for whole episodes in their order.
         advantage = torch.from_numpy(
             advantages(
                 difference.cpu().numpy(),
@@ -158,6 +167,7 @@ class ClippedGradient(NetworkPair):
                 self.settings.trace,
             )
         ).to(self.device)
+        # A_t + V(s_t) is the λ-return, which the values learn unscaled.
         return limited(advantage, self.settings.advantage_clip), advantage + value
 
     def _value_step(self, batch: Batch, goal: torch.Tensor) -> float:
@@ -178,15 +188,18 @@ class ClippedGradient(NetworkPair):
         """Take a step of the policy; return its divergence from what drove, before the step."""
         g = self.settings
         assert batch.label is not None  # the probabilities of the draws
+        # The clipped objective compares the policy with the probabilities that drew the actions.
         logits = torch.log_softmax(self.online(batch.observation) / temperature, dim=1)
         gain = clipped_gain(logits, batch.action, batch.label, advantage, g.clip)
         loss = -gain
+        # The anchor holds back what the advantages do not clearly change.
         if g.anchor:
             with torch.no_grad():
-                kept = torch.softmax(self.anchor.eval()(batch.observation) / temperature, dim=1)
-            loss = loss + g.anchor * divergence(kept, logits)
+                anchored = torch.softmax(self.anchor.eval()(batch.observation) / temperature, dim=1)
+            loss = loss + g.anchor * divergence(anchored, logits)
         if not math.isfinite(value := float(loss.detach())):
             raise NonFiniteError(f"the loss of the policy is {value}")
+        # KL(drove | now) before the step: the caller stops the policy by it.
         moved = float(divergence(batch.label, logits.detach()))
         self._descend(loss, rate)
         return moved
@@ -220,9 +233,10 @@ def read_values(config: TrainConfig) -> dict[str, torch.Tensor] | None:
     name = settings.start_from
     if not settings.start_values or name is None:
         return None
+    # A policy may be the best of its run; values lie in the run's last checkpoint alone.
     with naming(SETTING):
         policy, checkpoint = read(find(Path(name))), read(find(Path(name), prefer=LAST))
-        values, theirs = checkpoint.part("values"), checkpoint.config()
+        values, source = checkpoint.part("values"), checkpoint.config()
     if not values:
         raise ConfigError(
             f"{_VALUES}: {name} has no values; name in {SETTING} the run of a training with "
@@ -230,17 +244,20 @@ def read_values(config: TrainConfig) -> dict[str, torch.Tensor] | None:
         )
     state = checkpoint.document.state
     assert state is not None  # of a checkpoint with values
+    # Values rate the policy beside which they were saved, not an older best one.
     if policy.document.kind == "best" and policy.document.decision != state.decision:
         raise ConfigError(
             f"{_VALUES}: the best policy of {name} is that of decision {policy.document.decision}, "
             f"its values are those of decision {state.decision}; give {checkpoint.path} in "
             f"{SETTING}, or leave it at false"
         )
-    if differing := [path for path, *_ in differences(_returns(theirs), _returns(config))]:
+    # Values predict discounted sums of scaled rewards, which must be the same sums here.
+    if differing := [path for path, *_ in differences(_returns(source), _returns(config))]:
         raise ConfigError(
             f"{_VALUES}: the values of {name} are of other returns, by {', '.join(differing)}; "
             "train with the settings of that run, or leave it at false"
         )
+    # Shapes follow from the length of an observation and the network's frames.
     built = build_values(input_size(config.network, config.perception.layout), SIZE)
     try:
         require_equal_layout(values, built.state_dict())
@@ -278,6 +295,7 @@ class GradientLearning(PairLearning):
 
     def __init__(self, settings: GradientSettings, training: Training) -> None:
         config: TrainConfig = training.config
+        # Refuse what does not fit into memory before anything is allocated.
         check_memory(settings, config)
         agent = ClippedGradient(
             training.network,
@@ -287,6 +305,7 @@ class GradientLearning(PairLearning):
             device=training.device,
             privileged=SIZE,
         )
+        # Single transitions, since the advantages sum the rewards; labels are draw probabilities.
         replay = Replay(
             settings.replay_size,
             input_size(training.network, training.layout),
@@ -308,6 +327,7 @@ class GradientLearning(PairLearning):
 
     def end_episode(self, decision: int) -> None:
         """Update from the newest whole episodes if enough decisions are new."""
+        # Decisions of whole episodes that no round has learnt from yet.
         new = self.replay.added - self.agent.learnt
         if new > self.replay.capacity:  # one episode is longer than a whole round
             raise ConfigError(

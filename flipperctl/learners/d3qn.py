@@ -21,6 +21,7 @@ class D3qn(D3qnSettings):
 
     def check(self, config: TrainConfig) -> None:
         """Refuse a teacher, rewards or a network that do not go with the settings."""
+        # A recording holds observations and labels, but nothing of the simulator's state.
         teacher = config.teacher
         if teacher.episodes is not None and self.privileged(config):
             raise ValueError(
@@ -29,6 +30,7 @@ class D3qn(D3qnSettings):
             )
         if teacher.loss == "values":
             self._check_values(config, teacher)
+        # A potential ends at 0 with the episode; a value after the end would undo it.
         for name, term in config.rewards.items():
             if isinstance(term, Shaping) and self.bootstrap_outcomes:
                 raise ValueError(
@@ -90,6 +92,7 @@ class D3qn(D3qnSettings):
         from flipperctl.policies.source import controller_policy
         from flipperctl.policies.trained import ExploringPolicy
 
+        # ε follows the decisions of the whole run; in a worker one generator draws ε and noise.
         student = ExploringPolicy(
             module,
             training.network.frames,
@@ -98,6 +101,7 @@ class D3qn(D3qnSettings):
             training.generators.get("noise", rng),
             share=self.exploring_share,
         )
+        # Without a teacher that acts, the student drives alone.
         teacher = training.config.teacher
         if teacher.controller is None:
             return student

@@ -34,6 +34,7 @@ class ValueTargets:
     def add(self, step: Step) -> None:
         """Store what the last step of an episode brings."""
         controller = self._teacher.controller
+        # Groups belong to a whole episode, and come with its last step.
         if self._teacher.loss != "values" or step.ending is None or controller is None:
             return
         if step.groups is None:
@@ -41,6 +42,7 @@ class ValueTargets:
                 f"teacher.loss=values: the controller {controller.plugin_name} values no states; "
                 "teacher=searched does"
             )
+        # The memory stacks all groups in one array: their shapes must be equal.
         states, numbers = step.groups.observations.shape[1:]
         if numbers != len(step.observation) or states != (self.memory.states or states):
             raise refusal(
@@ -67,6 +69,7 @@ class DoubleQLearning(PairLearning):
     def __init__(self, settings: D3qnSettings, training: Training) -> None:
         config: TrainConfig = training.config
         teacher, privileged = config.teacher, SIZE if settings.privileged(config) else 0
+        # Refuse what does not fit into memory before anything is allocated.
         check_memory(settings, config, config.train.decisions)
         agent = DoubleQ(
             training.network,
@@ -77,6 +80,7 @@ class DoubleQLearning(PairLearning):
             teacher=teacher if teacher.teaches else None,
             privileged=privileged,
         )
+        # Labels and privileged states take columns only where something learns from them.
         replay = Replay(
             settings.replay_size,
             input_size(training.network, training.layout),
@@ -91,6 +95,7 @@ class DoubleQLearning(PairLearning):
         super().__init__(training, agent, replay, settings.bootstrap_outcomes)
         self._settings, self._valued = settings, ValueTargets(teacher)
         self._final_fit = FinalFit(settings, training, replay)
+        # Say before the run which values of the teacher do not fit it, or who drove.
         if teacher.controller is not None:
             for note in controller_notes(teacher.controller, config, "teacher.controller"):
                 training.report(note)
@@ -112,8 +117,10 @@ class DoubleQLearning(PairLearning):
         """
         super().add(step, decision)
         self._valued.add(step)
+        # Several updates fall due at once, so that one forward pass computes the targets of all.
         settings, together, rng = self._settings, self._settings.updates_together, self._sample_rng
         due = decision % (settings.update_every * together) == 0
+        # Recorded decisions fill the replay already, and count as driven.
         begun = decision + self.replay.kept >= settings.learning_starts
         if due and begun and len(self.replay):
             batch = self.replay.sample(self.agent.candidates * together * settings.batch_size, rng)
@@ -132,8 +139,8 @@ class DoubleQLearning(PairLearning):
     def tensors(self) -> dict[str, Mapping[str, torch.Tensor]]:
         """Return networks, optimisers, replay, valued states and the weights of the start."""
         groups = self._valued.memory.filled()
-        held = {"groups": {name: torch.from_numpy(a) for name, a in groups.items()}}
-        return {**super().tensors(), **self._final_fit.tensors(), **(held if groups else {})}
+        stored = {"groups": {name: torch.from_numpy(a) for name, a in groups.items()}}
+        return {**super().tensors(), **self._final_fit.tensors(), **(stored if groups else {})}
 
     def counters(self) -> dict[str, Any]:
         """Return the numbers of transitions and of groups."""
@@ -145,6 +152,7 @@ class DoubleQLearning(PairLearning):
         """Restore all that was saved."""
         super().restore(tensors, counters)
         self._share_recorded()
+        # The memory compares the groups with the number that was added.
         groups = {name: tensor.numpy() for name, tensor in tensors.get("groups", {}).items()}
         try:
             size = self.replay.arrays["observation"].shape[1]

@@ -1,12 +1,11 @@
 """The double dueling DQN: it learns from batches, whatever the environment.
 
-A part of all actions' values can only be told by the simulation: how much an episode still returns
-depends mostly on ground that the robot does not perceive yet. For the network that acts this is
-noise, larger than the differences between its actions. A baseline therefore sees the privileged
-state during the training, and adds one number to the values of all actions; the greedy action does
-not depend on it, and policies do not contain it. (Actors and critics with different inputs: Pinto
-et al. 2018, "Asymmetric actor critic"; baselines that depend on the input of a process: Mao et al.
-2019.)
+How much an episode still returns depends mostly on ground that the robot does not perceive yet. For
+the network that acts this is noise, larger than the differences between its actions. A baseline
+therefore sees the privileged state during the training and learns that part, which is subtracted
+from the targets of all actions alike. The greedy action does not depend on it, and policies do not
+contain it. (Actors and critics with different inputs: Pinto et al. 2018, "Asymmetric actor critic";
+baselines that depend on the input of a process: Mao et al. 2019.)
 """
 
 from __future__ import annotations
@@ -65,8 +64,10 @@ class Baseline(torch.nn.Module):
         """``observation``, ``privileged``: lengths of the rows; ``width`` of the hidden layers."""
         super().__init__()
         self.layers = torch.nn.Sequential(
-            *(torch.nn.Linear(observation + privileged, width), torch.nn.ReLU()),
-            *(torch.nn.Linear(width, width), torch.nn.ReLU()),
+            torch.nn.Linear(observation + privileged, width),
+            torch.nn.ReLU(),
+            torch.nn.Linear(width, width),
+            torch.nn.ReLU(),
             torch.nn.Linear(width, 1),
         )
 
@@ -94,7 +95,7 @@ class Baselines(torch.nn.Module):
     def without_present(
         self, targets: torch.Tensor, batch: Batch
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return what of the targets (B, …) is left to the acting network, and the pull to 0."""
+        """Return the targets (B, …) without the baseline's part, and the loss of its pull to 0."""
         assert batch.privileged is not None  # as every batch of such a training
         value = self.online(batch.observation, batch.privileged)
         return targets - _as_column(value, targets), PULL * value.square().mean()
@@ -113,14 +114,19 @@ class DoubleQ(NetworkPair):
     baselines: Baselines | None = None
     curiosity: Curiosity | None = None
 
-    def _build_beside(
+    def _build_auxiliary(
         self, inputs: int, privileged: int
     ) -> list[tuple[torch.nn.Module, torch.nn.Module]]:
+        # Curiosity is saved with the pair, but has a loss and an optimiser of its own.
         if self.settings.curiosity:
-            self.curiosity = own = Curiosity(inputs, seed=self._seed, device=self.device)
-            self._parts |= {"curiosity": own.network, "curiosity_optimiser": own.optimiser}
+            self.curiosity = curiosity = Curiosity(inputs, seed=self._seed, device=self.device)
+            self._parts |= {
+                "curiosity": curiosity.network,
+                "curiosity_optimiser": curiosity.optimiser,
+            }
         if not privileged:
             return []
+        # The baseline shares the pair's loss, so that its weights join those of the online network.
         self._parts["baselines"] = self.baselines = Baselines(inputs, privileged).to(self.device)
         return [(self.baselines.online, self.baselines.target)]
 
@@ -145,12 +151,15 @@ class DoubleQ(NetworkPair):
         s, teacher = self.settings, self._teacher
         rate = linear(s.learning_rate, s.learning_rate_end, fraction)
         batch = batch.to(self.device)
+        # New noise in both networks for the targets; each step below draws new noise for its loss.
         self._noise.draw(self.noise_rng)
         self._target_noise.draw(self.noise_rng)
+        # The targets of all steps come from one pass, before the first step changes a weight.
         with torch.no_grad():
             reward = batch.reward * s.reward_scale
             if self.curiosity is not None:
                 reward = reward + s.curiosity * self.curiosity.reward(batch)
+            # With a teacher's labels alone (td_weight 0) nothing uses the value of the next state.
             chooser = self.online if s.double else self.target
             targets = (
                 difference_targets(reward, batch, chooser, self.target)
@@ -159,9 +168,11 @@ class DoubleQ(NetworkPair):
             )
             if self.baselines is not None:
                 targets = self.baselines.with_next(targets, batch)
+            # The risk and the curiosity learn from the uniform draw, whose frequencies are true.
             uniform = batch
             if self.candidates > 1:
                 batch, targets = self._prioritised(batch, targets)
+        # Dropout and batch statistics act in the loss, and nowhere else.
         self.online.train()
         value = 0.0
         for start in range(0, len(targets), s.batch_size):
@@ -170,16 +181,19 @@ class DoubleQ(NetworkPair):
             step = batch.rows(part)
             self._noise.draw(self.noise_rng)
             loss = self._loss(step, targets[part], fraction, valued)
+            # A loss that is not finite must not reach the weights.
             if not math.isfinite(value := float(loss.detach())):
                 raise NonFiniteError(
                     f"the learner's loss is {value}; the largest reward of the batch "
                     f"is {float(batch.reward.abs().max()):g}"
                 )
             self._descend(loss, rate)
+            # The risk and the curiosity have losses and optimisers of their own.
             if self.risk is not None:
                 self.risk.step(uniform.rows(part), rate)
             if self.curiosity is not None:
                 self.curiosity.step(uniform.rows(part), rate)
+        # Back to the mode in which the policy drives and computes targets.
         self._noise.acts()
         return value
 
@@ -189,14 +203,17 @@ class DoubleQ(NetworkPair):
         Prioritised replay (Schaul et al. 2016, "Prioritized experience replay") remembers each
         transition's last error. Here those of a random part of the replay are computed anew.
         """
+        # Priorities follow the error of the acting network, without the baseline's part.
         left = targets
         if self.baselines is not None:
             left, _ = self.baselines.without_present(targets, batch)
         errors = difference_errors(self.online, batch, left).nan_to_num(_LARGEST, posinf=_LARGEST)
+        # Drawn without replacement, with probabilities proportional to (|δ| + ε)^α.
         chances = (errors + _SMALLEST) ** _PRIORITY
-        chosen = torch.multinomial(chances, len(targets) // self.candidates)
-        weight = (chances.mean() / chances[chosen]) ** _CORRECTION
-        return replace(batch.rows(chosen), weight=weight / weight.mean()), targets[chosen]
+        rows = torch.multinomial(chances, len(targets) // self.candidates)
+        # Importance weights (N·p)^-β, of mean 1 so that the size of a step stays.
+        weight = (chances.mean() / chances[rows]) ** _CORRECTION
+        return replace(batch.rows(rows), weight=weight / weight.mean()), targets[rows]
 
     def _difference_loss(self, batch: Batch, target: torch.Tensor) -> torch.Tensor:
         if self.baselines is None:
@@ -208,31 +225,37 @@ class DoubleQ(NetworkPair):
         self, batch: Batch, target: torch.Tensor, fraction: float, groups: GroupBatch | None
     ) -> torch.Tensor:
         """Return the temporal-difference loss, plus the loss of what a teacher says."""
-        s = self._teacher
-        if s is None:
+        teacher = self._teacher
+        if teacher is None:
             return self._difference_loss(batch, target)
-        if s.loss == "values":
+        weight = linear(teacher.weight, teacher.weight_end, fraction)
+        # Searched values: states of a group are compared with each other, in scaled rewards.
+        if teacher.loss == "values":
             td = self._difference_loss(batch, target)
             if groups is None:
-                return s.td_weight * td
+                return teacher.td_weight * td
             values = self.online(groups.observation.flatten(0, 1))
             values = values.unflatten(0, groups.observation.shape[:2])
-            searched = searched_values(values, groups.values * self.settings.reward_scale, s.clip)
-            return s.td_weight * td + linear(s.weight, s.weight_end, fraction) * searched
+            scaled = groups.values * self.settings.reward_scale
+            searched = searched_values(values, scaled, teacher.clip)
+            return teacher.td_weight * td + weight * searched
+        # Labels of actions: a margin (DQfD), or the cross-entropy of softmax(Q / temperature).
         assert batch.label is not None  # the replay of a run with a teacher has labels
         values = self.online(batch.observation)
-        if s.loss == "margin":
-            imitation = teacher_large_margin(values, batch.label, s.margin)
+        if teacher.loss == "margin":
+            imitation = teacher_large_margin(values, batch.label, teacher.margin)
         else:
-            imitation = teacher_cross_entropy(values, batch.label, s.q_temperature)
-        loss = linear(s.weight, s.weight_end, fraction) * imitation
-        if not s.td_weight:
+            imitation = teacher_cross_entropy(values, batch.label, teacher.q_temperature)
+        loss = weight * imitation
+        # Labels fix differences between actions alone; the penalty fixes the mean of the values.
+        if not teacher.td_weight:
             return loss + mean_value_penalty(values)
-        return s.td_weight * self._difference_loss(batch, target) + loss
+        return teacher.td_weight * self._difference_loss(batch, target) + loss
 
 
 def check_memory(settings: D3qnSettings, config: TrainConfig, decisions: int) -> None:
     """Check that the network, the replay of ``decisions`` and the batches fit into memory."""
+    # Targets of all updates in a row, and candidates of which one is kept, are drawn at a time.
     drawn = settings.candidates * settings.updates_together * settings.batch_size
     check_demand(
         config.network,

@@ -53,6 +53,7 @@ class FinalFit:
 
     def restore(self, tensors: Mapping[str, Mapping[str, torch.Tensor]]) -> None:
         """Restore the weights to begin with."""
+        # Random weights come from the seed again; those of start_from were saved with the run.
         if not (self._on and self._settings.start_from):
             return
         module = build_network(self._config.network, self._layout, len(ACTIONS))
@@ -69,14 +70,18 @@ class FinalFit:
         config, count = self._config, self._config.teacher.final_updates
         if not self._on:
             return True
+        # A run without labels, such as one that stopped early, keeps its policy.
         rows = self._replay.labelled()
         if not len(rows):
             self._report("keeps what it has learnt: there are no labels to learn anew")
             return True
         self._report(f"learns the {len(rows):,} labels anew in {count:,} updates")
+        # A new learner from the start of the training; the risk keeps what it has learnt.
         without_risk = self._settings.model_copy(update={"risk": False})
         learner = DoubleQ(
-            *(config.network, self._layout, without_risk),
+            config.network,
+            self._layout,
+            without_risk,
             seed=self._seed,
             device=config.device,
             teacher=config.teacher,
@@ -84,17 +89,20 @@ class FinalFit:
         if self._start is not None:
             load_start_weights(self._start, learner)
         together, size = learner.settings.updates_together, learner.settings.batch_size
+        # The fourth stream of the seed serves this fit alone: a repeated call draws the same.
         *_, again = np.random.SeedSequence(config.seed).spawn(4)
-        rng, begun, told = np.random.default_rng(again), time.monotonic(), 1
+        rng, begun, reports = np.random.default_rng(again), time.monotonic(), 1
         for done in range(0, count, together):
             if stop():
                 return False
-            if done * _REPORTS >= told * count:
+            # A few messages, spread evenly over the updates.
+            if done * _REPORTS >= reports * count:
                 left = (time.monotonic() - begun) * (count - done) / done
                 self._report(f"{done:,} of {count:,} updates, {left:.0f} s left")
-                told += 1
+                reports += 1
             batch = self._replay.sample(min(together, count - done) * size, rng, rows)
             learner.update(batch, done / count)
+        # Only a fit that was completed replaces the policy.
         agent.online.load_state_dict(learner.online.state_dict())
         agent.target.load_state_dict(learner.target.state_dict())
         return True

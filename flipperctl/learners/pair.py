@@ -49,16 +49,18 @@ class NetworkPair:
         self._parts: dict[str, torch.nn.Module | Adam] = {}
         """The learner's state, by its names in a checkpoint."""
         inputs = input_size(network, layout)
+        # The weights follow from the seed alone; torch's global generator is restored afterwards.
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             built = build_network(network, layout, len(ACTIONS))
-            beside = self._build_beside(inputs, privileged)
+            auxiliary = self._build_auxiliary(inputs, privileged)
         self.risk = RiskLearner(inputs, seed=seed, device=self.device) if settings.risk else None
         """The learner of the risk, if there is one."""
         if not any(p.requires_grad for p in built.parameters()):
             raise refusal(
                 network, "build", "built a network without trainable parameters", ConfigError
             )
+        # Moving and copying call the plugin's code, whose errors name it.
         with naming(network, "build", ConfigError):
             self.online = built.to(self.device)
             self.target = copy.deepcopy(self.online).requires_grad_(False)
@@ -66,7 +68,7 @@ class NetworkPair:
             # the clipping and the soft update are one operation each instead of one per layer.
             pairs = [
                 (learns, follows)
-                for learner, follower in [(self.online, self.target), *beside]
+                for learner, follower in [(self.online, self.target), *auxiliary]
                 for learns, follows in zip(learner.parameters(), follower.parameters(), strict=True)
                 if learns.requires_grad
             ]
@@ -76,21 +78,23 @@ class NetworkPair:
             self._buffers = [name for name, _ in self.online.named_buffers() if name in saved]
         for module in (self.online, self.target):
             record_plugin(module, network)
+        # Online and target drive and value with noise, if they have any, but without dropout.
         self.optimiser = Adam(self._online)
         self._noise, self._target_noise = Noise(self.online), Noise(self.target)
         self._noise.acts()
         self._target_noise.acts()
         self.noise_rng = np.random.default_rng(seed)
         """Generator of the networks' exploration noise, if they have any."""
-        own, self._parts = self._parts, {"online": self.online, "target": self.target}
+        # The pair's parts stand first in a checkpoint, though the subclass built its own before.
+        further, self._parts = self._parts, {"online": self.online, "target": self.target}
         if self.risk is not None:
             self._parts |= {"risk": self.risk.network, "risk_optimiser": self.risk.optimiser}
-        self._parts |= {"optimiser": self.optimiser, **own}
+        self._parts |= {"optimiser": self.optimiser, **further}
 
-    def _build_beside(
+    def _build_auxiliary(
         self, inputs: int, privileged: int
     ) -> list[tuple[torch.nn.Module, torch.nn.Module]]:
-        """Build networks that learn from the same loss, each with one that follows it slowly."""
+        """Build auxiliary networks of the same loss, each with one that follows it slowly."""
         return []
 
     @property

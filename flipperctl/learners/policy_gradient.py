@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 @learner("policy_gradient")
 class PolicyGradient(GradientSettings):
-    """Draw actions, and make more probable what earned more than expected (PPO).
+    """Draw actions, and make those more probable that returned more than expected (PPO).
 
     It is best from the weights of a trained policy, ``agent.start_from``.
     """

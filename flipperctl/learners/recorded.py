@@ -32,7 +32,8 @@ def check_fit(config: TrainConfig, episodes: Recording) -> None:
     The observation layout and the robot must be the training's: the robot determines the turn of
     each action and the duration of a decision. So must the rewards, if the training uses them.
     """
-    ours, teacher = config.perception, config.teacher
+    perception, teacher = config.perception, config.teacher
+    # Without weight on temporal differences a recording teaches by its labels alone.
     if not (teacher.td_weight or teacher.controller is not None) and not any(
         episode.labels.any() for episode in episodes.episodes
     ):
@@ -41,14 +42,16 @@ def check_fit(config: TrainConfig, episodes: Recording) -> None:
             "teacher.td_weight=0; record it in a training with a teacher, or set teacher.td_weight "
             "to learn from its rewards"
         )
+    # Every environment of the recording must give the numbers the meaning that they have here.
     for environment in episodes.document.environments:
-        theirs = environment.perception
-        if ours.layout != theirs.layout:
+        recorded = environment.perception
+        if perception.layout != recorded.layout:
             raise ConfigError(
-                f"teacher.episodes: {episodes.path} holds observations of {theirs.layout.words}; "
-                f"perception asks for {ours.layout.words}"
+                f"teacher.episodes: {episodes.path} holds observations of {recorded.layout.words}; "
+                f"perception asks for {perception.layout.words}"
             )
         _check_robot(config.robot, episodes.path, environment)
+        # Rewards matter only where temporal differences learn from them.
         rewards = {name: term.model_dump(mode="json") for name, term in environment.rewards.items()}
         if teacher.td_weight and rewards != to_dict(config.environment())["rewards"]:
             raise ConfigError(
@@ -75,18 +78,20 @@ def differing_conditions(config: TrainConfig, episodes: Recording) -> str:
 
     It is empty if none differ.
     """
-    ours = to_dict(config.environment())
+    conditions = to_dict(config.environment())
+    # Settings without effect are no news; the layout is an error of its own (check_fit).
     left_out: dict[str, Collection[str]] = {
         "sim": config.sim.without_effect,
         "perception": ObservationLayout.model_fields.keys(),
     }
+    # Several environments may differ alike; a dict keeps each text once, in order.
     texts = dict.fromkeys(
         text
         for environment in episodes.document.environments
         for section in _SECTIONS
         for text in _differing(
             section,
-            {k: v for k, v in ours[section].items() if k not in left_out.get(section, ())},
+            {k: v for k, v in conditions[section].items() if k not in left_out.get(section, ())},
             environment.model_dump(mode="json").get(section, {}),
         )
     )
@@ -98,22 +103,25 @@ def differing_conditions(config: TrainConfig, episodes: Recording) -> str:
 
 
 def _check_robot(robot: Robot, path: Path, environment: PartialEnvironment) -> None:
-    ours = to_dict(robot)
-    theirs: Mapping[str, Any] = environment.robot
-    texts = list(_differing("robot", ours, theirs))
+    configured = to_dict(robot)
+    recorded: Mapping[str, Any] = environment.robot
+    texts = list(_differing("robot", configured, recorded))
     if not texts:
         return
-    period = theirs["control_period"] or theirs["angle_step"] / theirs["flipper_speed"]
-    if period != (own := robot.decision_period):
-        texts.append(f"a decision period of {period:.6g} s (here {own:.6g})")
-    settings = [f"{path}={there}" for path, _, there in differences(ours, theirs, "robot")]
+    # The duration of a decision follows from several settings: say it as well.
+    period = recorded["control_period"] or recorded["angle_step"] / recorded["flipper_speed"]
+    if period != (expected := robot.decision_period):
+        texts.append(f"a decision period of {period:.6g} s (here {expected:.6g})")
+    settings = [f"{path}={there}" for path, _, there in differences(configured, recorded, "robot")]
     raise ConfigError(
         f"teacher.episodes: {path} was recorded with another robot: {', '.join(texts)}; record it "
         f"again with the robot of the training, or train with {' '.join(settings)}"
     )
 
 
-def _differing(section: str, ours: Mapping[str, Any], theirs: Mapping[str, Any]) -> Iterator[str]:
+def _differing(
+    section: str, settings: Mapping[str, Any], recorded: Mapping[str, Any]
+) -> Iterator[str]:
     """Yield each setting of a section whose value differs, with both values.
 
     Another engine or sensor is named without its own settings.
@@ -123,10 +131,11 @@ def _differing(section: str, ours: Mapping[str, Any], theirs: Mapping[str, Any])
         plain = None if value is ABSENT else value
         return plain if isinstance(plain, str) else json.dumps(plain, separators=(",", ":"))
 
-    if theirs.get("name") != ours.get("name"):
-        yield f"{section}={theirs.get('name')} (here {ours.get('name')})"
+    # Settings of different engines have no counterparts: the two names say enough.
+    if recorded.get("name") != settings.get("name"):
+        yield f"{section}={recorded.get('name')} (here {settings.get('name')})"
         return
-    for path, here, there in differences(ours, theirs, section):
+    for path, here, there in differences(settings, recorded, section):
         if section == "randomise" or ABSENT not in (here, there):  # it omits what it does not do
             yield f"{path}={text(there)} (here {text(here)})"
 
@@ -143,6 +152,7 @@ def read_teacher(config: TrainConfig) -> Recording | None:
         return None
     episodes = recording.read(Path(name))
     check_fit(config, episodes)
+    # At least one row must stay free for what the training adds.
     size = _settings(config).replay_size
     if episodes.decisions >= size:
         raise ConfigError(
@@ -163,8 +173,10 @@ def add_recorded(replay: Replay, config: TrainConfig, report: Callable[[str], No
 def fill(replay: Replay, episodes: Recording, config: TrainConfig) -> None:
     """Put all recorded decisions into an empty replay, which never overwrites them."""
     frames, bootstrapped = config.network.frames, _settings(config).bootstrap_outcomes
+    # An episode has one observation more than it has actions.
     for episode in episodes.episodes:
         seen = list(episode.observations)
+        # Input rows reach back within the episode only, as they do while it is driven.
         rows = [stacked(seen[: t + 1][-MAX_HISTORY:], frames) for t in range(len(seen))]
         last = len(episode.actions) - 1
         for t, action in enumerate(episode.actions):

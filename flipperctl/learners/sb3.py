@@ -66,10 +66,11 @@ class Sb3(Learner):
     @classmethod
     def _with_defaults(cls, values: Any) -> Any:
         """Add our own defaults, so that a run's configuration has them."""
+        # Values of another type are pydantic's to refuse.
         if not isinstance(values, dict) or not isinstance(values.get("settings", {}), dict):
             return values
-        ours = DEFAULTS.get(str(values.get("algorithm", "dqn")), {})
-        return {**values, "settings": {**ours, **values.get("settings", {})}}
+        defaults = DEFAULTS.get(str(values.get("algorithm", "dqn")), {})
+        return {**values, "settings": {**defaults, **values.get("settings", {})}}
 
     @property
     def drives(self) -> tuple[ActionKind, ...]:
@@ -104,6 +105,7 @@ class Sb3(Learner):
 
     def first_update(self, config: TrainConfig) -> tuple[int, str] | None:
         """Return the decisions before an off-policy algorithm learns."""
+        # On-policy algorithms have no such argument; their rollouts count from the first decision.
         starts = self.settings.get("learning_starts", 0)
         if not isinstance(starts, int):
             return None

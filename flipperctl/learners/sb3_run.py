@@ -1,8 +1,8 @@
 """Training by a learner of Stable-Baselines3 (``agent=sb3``); only this module imports it.
 
-In: a configuration. Out: a run as our own learners have them: episodes with seeds of their own,
-validations, metrics, checkpoints without pickles. The policy's weights are those of ``network=mlp``
-of the same widths, so that evaluation, export and robots need nothing of Stable-Baselines3.
+In: a configuration. Out: a run like that of our own learners: seeded episodes, validations,
+metrics, checkpoints without pickles. The policy is a ``network=mlp`` of the same widths, so that
+evaluation, export and robots need no Stable-Baselines3.
 """
 
 from __future__ import annotations
@@ -105,11 +105,12 @@ class _Episodes(gymnasium.Wrapper[Any, Any, Any, Any]):
         return self.env.reset(seed=self.seed, options={"difficulty": self.difficulty})
 
 
-def arguments(algorithm: str, ours: Mapping[str, Any]) -> Iterator[Field]:
+def arguments(algorithm: str, defaults: Mapping[str, Any]) -> Iterator[Field]:
     """Yield the arguments that ``agent.settings`` takes, as the library describes them.
 
-    Its signature tells counts, and its text which of them may be -1 and what is a share.
+    The signature of its class gives the types, its docstring the bounds.
     """
+    # Types alone say little: bounds are read from the docstring, a text for each parameter.
     cls = _class_of(algorithm)
     texts = dict(re.findall(r":param (\w+):(.*?)(?=\n:param|\Z)", inspect.getdoc(cls) or "", re.S))
     for name, parameter in inspect.signature(cls).parameters.items():
@@ -120,7 +121,7 @@ def arguments(algorithm: str, ours: Mapping[str, Any]) -> Iterator[Field]:
             bounds = "≥ 0, ≤ 1"
         elif parameter.annotation is int:
             bounds = f"a whole number ≥ {'-1' if '-1' in text else '0'}"
-        default = ours.get(name, parameter.default)
+        default = defaults.get(name, parameter.default)
         yield Field(name, str(parameter.annotation), default, bounds, "", text)
 
 
@@ -129,6 +130,7 @@ def check_settings(method: Request, config: TrainConfig) -> None:
     cls = _class_of(method.algorithm)
     parameters = inspect.signature(cls).parameters
     known = {argument.name: argument for argument in arguments(method.algorithm, {})}
+    # Each argument by itself: whose it is, whether it exists, its type and its bounds.
     for name, value in method.settings.items():
         where = f"agent.settings.{name}"
         if name in _OURS:
@@ -144,13 +146,15 @@ def check_settings(method: Request, config: TrainConfig) -> None:
         bounds = known[name].bounds
         if isinstance(value, int | float) and not _WITHIN[bounds](value):
             raise ConfigError(f"{where}: {bounds} is allowed; the value is {value}")
-    own = method.settings.get("policy_kwargs") or {}
-    for name in own if isinstance(own, dict) else ():
+    # Evaluation and export rebuild network=mlp, so that no other architecture can be trained.
+    policy = method.settings.get("policy_kwargs") or {}
+    for name in policy if isinstance(policy, dict) else ():
         if name in _ARCHITECTURE:
             raise ConfigError(
                 f"agent.settings.policy_kwargs.{name}: the network is network=mlp; "
                 "network.hidden sets its widths"
             )
+    # What is left to the library's own checks appears when it builds the algorithm.
     with _own_generators(config.seed):
         _model(method, config, FlipperEnv(config=config.environment(), actions=config.actions))
 
@@ -163,6 +167,7 @@ def _class_of(algorithm: str) -> type[BaseAlgorithm]:
 def _model(method: Request, config: TrainConfig, env: gymnasium.Env[Any, Any]) -> BaseAlgorithm:
     """Return the algorithm with an untrained policy."""
     arguments: dict[str, Any] = dict(method.settings)
+    # JSON has neither schedules, tuples nor noise: translate them.
     rate = arguments.get("learning_rate")
     if isinstance(rate, list):
         arguments["learning_rate"] = LinearSchedule(rate[0], rate[1], 1.0)
@@ -170,6 +175,7 @@ def _model(method: Request, config: TrainConfig, env: gymnasium.Env[Any, Any]) -
         arguments["train_freq"] = tuple(arguments["train_freq"])
     if (noise := arguments.get("action_noise")) is not None:
         arguments["action_noise"] = NormalActionNoise(np.zeros(2), np.full(2, float(noise)))
+    # The layers of network=mlp, so that its module takes over their weights one by one.
     hidden: Sequence[int] = cast("Any", config.network).hidden
     policy = {
         **(arguments.pop("policy_kwargs", None) or {}),
@@ -180,21 +186,24 @@ def _model(method: Request, config: TrainConfig, env: gymnasium.Env[Any, Any]) -
     }
     cls, gamma = _class_of(method.algorithm), method.gamma
     arguments |= {"policy_kwargs": policy, "gamma": gamma, "device": config.device}
+    # Its constructors check by many exceptions; each becomes an error of the setting.
     try:
-        made = cls("MlpPolicy", env, **arguments)
+        model = cls("MlpPolicy", env, **arguments)
     except (TypeError, ValueError, AssertionError, IndexError, MemoryError) as error:
         raise ConfigError(f"agent.settings: {cls.__name__} refuses them: {error}") from error
-    made.set_logger(Logger(None, []))
+    # The run reports; the library's own printing is off.
+    model.set_logger(Logger(None, []))
     if config.actions == "rates" and isinstance(
-        head := getattr(made.policy, "action_net", None), nn.Linear
+        head := getattr(model.policy, "action_net", None), nn.Linear
     ):
-        made.policy.action_net = nn.Sequential(head, nn.Tanh())  # the mean of PPO and A2C
-    return made
+        model.policy.action_net = nn.Sequential(head, nn.Tanh())  # the mean of PPO and A2C
+    return model
 
 
 def _layers(model: BaseAlgorithm) -> list[nn.Linear]:
     """Return the linear layers from an observation to Q-values, logits or rates."""
     policy: Any = model.policy
+    # DQN, then PPO and A2C, then SAC, TD3 and DDPG, which name their layers differently.
     if hasattr(policy, "q_net"):
         parts = [policy.q_net.q_net]
     elif hasattr(policy, "action_net"):
@@ -221,6 +230,7 @@ class Sb3Learning(Learning):
     """A run by a learner of Stable-Baselines3."""
 
     def __init__(self, method: Request, training: Training) -> None:
+        # The library takes one whole number of 32 bits as its seed.
         (word,) = np.random.SeedSequence(training.config.seed).generate_state(1).tolist()
         self._seed, self._training = word, training
         self.budget = training.decisions
@@ -235,9 +245,9 @@ class Sb3Learning(Learning):
     @torch.no_grad()
     def policy(self) -> nn.Module:  # type: ignore[override]  # made anew from the library's
         """Our network with the weights of the library's."""
-        own = [m for m in self._network.modules() if isinstance(m, nn.Linear)]
-        for ours, theirs in zip(own, _layers(self.model), strict=True):
-            ours.load_state_dict({name: t.cpu() for name, t in theirs.state_dict().items()})
+        layers = [m for m in self._network.modules() if isinstance(m, nn.Linear)]
+        for layer, source in zip(layers, _layers(self.model), strict=True):
+            layer.load_state_dict({name: t.cpu() for name, t in source.state_dict().items()})
         return self._network
 
     def exploration(self, decision: int) -> float | None:
@@ -250,9 +260,11 @@ class Sb3Learning(Learning):
     def train(self, loop: Loop) -> bool:
         """Let the algorithm learn; return False if the run is to stop before the budget's end."""
         budget, done = self.budget, loop.decision
+        # The library counts decisions by itself; a resumed run goes on from its number.
         self._episodes.loop, self.model.num_timesteps = loop, done
         following = _Following(self, loop)
         model: Any = self.model
+        # The last rollout is shortened to the budget: say what the policy learns from it.
         if isinstance(model, OnPolicyAlgorithm) and 0 < budget - done < model.n_steps:
             end = "learns once, from these alone" if budget - done > 1 else "stays as it is"
             self._report(
@@ -260,6 +272,7 @@ class Sb3Learning(Learning):
                 f"agent.settings.n_steps={model.n_steps} decisions, {budget - done}: the policy "
                 f"{end}"
             )
+        # Its generators are not saved: a resumed part begins with draws of its own.
         seed = (self._seed + done) % 2**32
         self.model.action_space.seed(seed)  # draws the first actions of an off-policy algorithm
         with _own_generators(seed):
@@ -269,13 +282,14 @@ class Sb3Learning(Learning):
                 log_interval=budget,
                 reset_num_timesteps=False,
             )
+        # The last update comes after the last callback.
         following.count()
         return not following.stopped
 
     def ending(self, info: Mapping[str, Any]) -> dict[str, Any]:
         """Return the row of an episode that has ended."""
-        own = {"seed": self._episodes.seed, "difficulty": self._episodes.difficulty}
-        return {**own, "outcome": str(info["outcome"]), **info["metrics"]}
+        episode = {"seed": self._episodes.seed, "difficulty": self._episodes.difficulty}
+        return {**episode, "outcome": str(info["outcome"]), **info["metrics"]}
 
     def tensors(self) -> dict[str, Mapping[str, torch.Tensor]]:
         """Return weights, moments and replay."""
@@ -291,16 +305,18 @@ class Sb3Learning(Learning):
         self, tensors: Mapping[str, Mapping[str, torch.Tensor]], counters: Mapping[str, Any]
     ) -> None:
         """Restore weights, moments and replay."""
+        # Weights first: a replay that does not fit then says so by itself.
         self._load(tensors["sb3"])
-        if (own := self._replay()) is not None:
+        if (current := self._replay()) is not None:
             replay, rows = tensors.get("replay", {}), counters["rows"]
-            expected = {n: t.new_zeros((rows, *t.shape[1:])) for n, t in own.items()}
+            expected = {n: t.new_zeros((rows, *t.shape[1:])) for n, t in current.items()}
             require_equal_layout(replay, expected)
             self._refill(replay, rows)
 
     def _held(self) -> dict[str, torch.Tensor]:
         """Return the weights and the moments of the optimisers, by names without dots in them."""
         tensors: dict[str, torch.Tensor] = {}
+        # Networks have named tensors; an optimiser has moments by the index of a parameter.
         for part, state in self.model.get_parameters().items():
             if "param_groups" not in state:
                 tensors |= {f"{part}/{name}": tensor for name, tensor in state.items()}
@@ -308,6 +324,7 @@ class Sb3Learning(Learning):
             for at, moments in state["state"].items():
                 named = {n: torch.as_tensor(m) for n, m in moments.items()}
                 tensors |= {f"{part}/{at}/{name}": tensor for name, tensor in named.items()}
+        # Tensors outside of networks, such as the logarithm of SAC's entropy coefficient.
         _, variables = self.model._get_torch_save_params()
         tensors |= {f"variable/{name}": getattr(self.model, name).detach() for name in variables}
         return {name: tensor.detach().clone() for name, tensor in tensors.items()}
@@ -317,6 +334,7 @@ class Sb3Learning(Learning):
         buffer = getattr(self.model, "replay_buffer", None)
         if not isinstance(self.model, OffPolicyAlgorithm) or buffer is None:
             return None
+        # A full buffer is a ring whose oldest transition lies at its position.
         begin = buffer.pos if buffer.full else 0
         order = (np.arange(buffer.size()) + begin) % buffer.buffer_size
         return {
@@ -324,25 +342,33 @@ class Sb3Learning(Learning):
             for name, column in _COLUMNS.items()
         }
 
-    def _load(self, held: Mapping[str, torch.Tensor]) -> None:
+    def _load(self, saved: Mapping[str, torch.Tensor]) -> None:
         """Load what ``_held`` returned."""
+        # Undo the names of _held: moments by optimiser, parameter and name; all else is weights.
         parameters: dict[str, Any] = dict(self.model.get_parameters())
         optimisers = {n for n, state in parameters.items() if "param_groups" in state}
         moments: dict[str, dict[int, dict[str, torch.Tensor]]] = {n: {} for n in optimisers}
         weights = {}
-        for name, tensor in held.items():
+        for name, tensor in saved.items():
             part, _, rest = name.partition("/")
             if part in optimisers:
                 at, _, moment = rest.partition("/")
                 moments[part].setdefault(int(at), {})[moment] = tensor
             else:
                 weights[name] = tensor
+        # The moments exist only after a first update, so that only weights are compared.
         expected = {n: t for n, t in self._held().items() if n.partition("/")[0] not in optimisers}
         require_equal_layout(weights, expected)
+        # set_parameters takes whole states; groups and rates of the optimisers stay as built.
         for part, state in parameters.items():
-            own = {n.partition("/")[2]: t for n, t in weights.items() if n.startswith(f"{part}/")}
-            parameters[part] = {**state, "state": moments[part]} if part in optimisers else own
+            part_weights = {
+                n.partition("/")[2]: t for n, t in weights.items() if n.startswith(f"{part}/")
+            }
+            parameters[part] = (
+                {**state, "state": moments[part]} if part in optimisers else part_weights
+            )
         self.model.set_parameters(parameters, exact_match=True)
+        # Variables are no part of set_parameters.
         for name, tensor in weights.items():
             part, _, variable = name.partition("/")
             if part == "variable":
@@ -406,6 +432,7 @@ class _Following(BaseCallback):
 
     def count(self) -> None:
         """Take over the algorithm's number of updates and its loss."""
+        # The library's losses have names by algorithm, and none before the first update.
         learning, logged = self._learning, self.model.logger.name_to_value
         learning.updates = int(getattr(self.model, "_n_updates", 0))
         losses = (logged[key] for name in _LOSSES if (key := f"train/{name}") in logged)
@@ -430,6 +457,7 @@ class _Following(BaseCallback):
         if isinstance(self.model, OnPolicyAlgorithm):
             buffer, steps = self.model.rollout_buffer, self.model.n_steps
             self._ends = self._loop.decision + steps
+            # The buffer was built for the length of full rollouts.
             if buffer.buffer_size != steps:
                 buffer.buffer_size = steps
                 buffer.reset()

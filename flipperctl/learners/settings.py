@@ -19,7 +19,7 @@ def linear(start: float, end: float, fraction: float) -> float:
 
 
 class PairSettings(Learner):
-    """Those of a learner with an online and a target network, a replay and, on request, a risk."""
+    """Settings of a learner with an online and a target network, a replay and perhaps a risk."""
 
     start_from: str | None = Field(
         None,
@@ -81,7 +81,7 @@ class PairSettings(Learner):
 
     @property
     def failure_risk(self) -> FailureRisk | None:
-        """How the risk counts; None if none is learnt."""
+        """Horizon, false alarms and escape of the risk; None if none is learnt."""
         if not self.risk:
             return None
         drawn = EscapeRule(self.escape_temperature, self.escape_decisions)
@@ -99,7 +99,7 @@ class PairSettings(Learner):
 
 
 class D3qnSettings(PairSettings):
-    """Those of the double dueling DQN. The paper gives none of these numbers."""
+    """Settings of the double dueling DQN. The paper gives none of these numbers."""
 
     takes_teacher: ClassVar[bool] = True
 
@@ -184,13 +184,13 @@ class D3qnSettings(PairSettings):
         return self
 
     def privileged(self, config: TrainConfig) -> bool:
-        """Return whether a baseline learns from them: no learner of labels alone has one."""
+        """Return whether the training needs privileged states; labels alone need no baseline."""
         teacher = config.teacher
         return self.privileged_value and not (teacher.teaches and not teacher.td_weight)
 
 
 class GradientSettings(PairSettings):
-    """Those of the policy gradient. The paper has none."""
+    """Settings of the policy gradient. The paper has none."""
 
     decisions: int = Field(
         8192,

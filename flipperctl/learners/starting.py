@@ -37,11 +37,12 @@ def read_start(config: TrainConfig) -> Start | None:
     if name is None:
         return None
     file = load_policy(name, SETTING, "checkpoint").file
+    # Whatever fails while the file is read, the error names the setting.
     with naming(SETTING):
         checkpoint = read(file)
         module = policy_module(checkpoint)
-        theirs = checkpoint.policy_config().perception.layout
-        check_layout(file, theirs, config.environment())
+        layout = checkpoint.policy_config().perception.layout
+        check_layout(file, layout, config.environment())
         risk = policy_risk(checkpoint) if config.agent.failure_risk else None
     return _same_network(config, name, module), None if risk is None else risk.network
 
@@ -69,6 +70,7 @@ def _same_network(config: TrainConfig, name: str, module: torch.nn.Module) -> to
     Settings that only change how it learns, such as a dropout, and names of weights may differ.
     """
     layout, network = config.perception.layout, config.network
+    # Equal shapes do not make equal functions: values of random inputs are compared as well.
     built = build_network(network, layout, len(ACTIONS)).eval()
     inputs = torch.randn(
         (_ROWS, input_size(network, layout)), generator=torch.Generator().manual_seed(0)
@@ -77,11 +79,12 @@ def _same_network(config: TrainConfig, name: str, module: torch.nn.Module) -> to
         f"{SETTING}: {name} has another network than this training; give it the same network and "
         "settings of the network"
     )
+    # Weights are matched in their order, since a version may have renamed them.
     try:
-        weights, own = module.state_dict(), built.state_dict()
-        if [w.shape for w in weights.values()] != [w.shape for w in own.values()]:
-            require_equal_layout(weights, own)  # names what differs
-        built.load_state_dict(dict(zip(own, weights.values(), strict=True)))
+        weights, initial = module.state_dict(), built.state_dict()
+        if [w.shape for w in weights.values()] != [w.shape for w in initial.values()]:
+            require_equal_layout(weights, initial)  # names what differs
+        built.load_state_dict(dict(zip(initial, weights.values(), strict=True)))
         with torch.inference_mode():
             equal = torch.allclose(built(inputs), module(inputs), rtol=1e-4, atol=1e-4)
     except (ValueError, RuntimeError) as error:
