@@ -57,8 +57,7 @@ class Curiosity:
 
     def __init__(self, inputs: int, *, seed: int, device: torch.device) -> None:
         """``inputs``: length of an input row; ``seed``: of the first weights."""
-        # Weights follow from the seed; the random numbers of the policy stay as they are without
-        # it.
+        # Weights follow from the seed; torch's global generator is restored afterwards.
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             self.network = PredictingNetworks(inputs).to(device)

@@ -73,10 +73,10 @@ def searched_values(values: torch.Tensor, targets: torch.Tensor, clip: float) ->
 
     Both are (B, K, A), for B groups of K states. What follows beyond the perceived ground moves all
     values of a group alike, by far more than the choice among its states and actions does. The loss
-    therefore is that of the differences between the actions of a state, of the differences between
-    the best values of a group's states, and, with a small weight, of the groups' means. Each kind
-    is divided by its mean size in the batch, so that no reward's scale matters. Actions worse than
-    the best by more than ``clip`` times the mean difference count as worse by that.
+    therefore compares three things: the actions of a state, the best values of a group's states,
+    and, with a small weight, the means of the groups. Each is divided by its mean size in the
+    batch, so that no reward's scale matters. Actions worse than the best by more than ``clip``
+    times the mean difference count as worse by that.
     """
     # Differences between the actions of a state: gaps to the action that is best by the search.
     best = targets.argmax(dim=2, keepdim=True)  # (B, K, 1)

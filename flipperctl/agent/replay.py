@@ -209,14 +209,13 @@ class Replay:
     ) -> None:
         """Add one decision.
 
-        ``over``: whether it ended the episode; ``bootstrap``: whether the target still includes the
-        value after that end; ``explored``: whether the action was random; ``failed``: at the end,
-        whether the episode failed, None if its risk shall not be learnt; ``label``: the teacher's
-        distribution over actions, if any; ``privileged`` and ``next_privileged``: the privileged
+        ``over``: whether it ended the episode. ``bootstrap``: whether the target still includes the
+        value after that end. ``explored``: whether the action was random. ``failed``: at the end,
+        whether the episode failed, None if its risk shall not be learnt. ``label``: the teacher's
+        distribution over actions, if any. ``privileged`` and ``next_privileged``: the privileged
         states at both observations, if the training has them.
         """
-        # A random action ends the sums before it, which then bootstrap from the state where it
-        # fell.
+        # A random action ends the sums before it, which bootstrap from the state before it.
         while self._cut_at_random and explored and self._pending:
             self._flush(observation, privileged, 1.0)
         self._pending.append((observation, action, reward, label, privileged))
@@ -339,12 +338,11 @@ class Replay:
         ``kept`` of them are never overwritten.
 
         Raises:
-            ValueError: they are not those of such a replay.
+            ValueError: names, shapes, types or numbers do not fit this replay.
         """
         if not 0 <= kept <= added or kept >= self.capacity:
             raise ValueError(f"{added} transitions with {kept} kept do not fit {self.capacity}")
-        # Each array: its presence, its layout, then its numbers, since a bad index fails far from
-        # here.
+        # Presence, layout, then numbers: an action out of range would fail far from here.
         if wrong := arrays.keys() ^ self.arrays.keys():
             raise ValueError(f"{min(wrong)} is missing or unknown")
         for name, array in self.arrays.items():

@@ -32,8 +32,8 @@ POSITIVES: Final = 5.0
 """Weight in the loss of a transition shortly before a failure [-], which is rare once the policy is
 good. It multiplies the odds that the network learns, which the calibration's shift takes back."""
 WEIGHTS: Final = ".risk."
-"""Prefix of the risk network's weights among those of the policy, which no module's name can have:
-the names of submodules are never empty."""
+"""Prefix of the risk network's weights beside the policy's. No weight of a policy begins with it,
+since the name of a submodule is never empty."""
 _WIDTH: Final = 64
 
 
@@ -119,7 +119,7 @@ def plain_risk(network: RiskNetwork, horizon: int) -> Risk:
 def split_weights(
     weights: Mapping[str, NDArray[np.generic]],
 ) -> tuple[dict[str, torch.Tensor], dict[str, NDArray[np.generic]]]:
-    """Return the weights of the risk network, if there are any, and those of the policy."""
+    """Return the weights of the risk network, if there are any, and the policy's weights."""
     risk, policy = dict[str, torch.Tensor](), dict[str, NDArray[np.generic]]()
     for name, array in weights.items():
         if name.startswith(WEIGHTS):
@@ -148,8 +148,7 @@ class RiskLearner:
 
     def __init__(self, inputs: int, *, seed: int, device: torch.device) -> None:
         """``inputs``: length of an input row; ``seed``: of the first weights."""
-        # Weights follow from the seed; the random numbers of the policy stay as they are without
-        # it.
+        # Weights follow from the seed; torch's global generator is restored afterwards.
         with torch.random.fork_rng():
             torch.manual_seed(seed)
             self.network = RiskNetwork(inputs).to(device)

@@ -50,7 +50,7 @@ class Checkpoint:
     _configs: dict[Collection[object], TrainConfig] = field(
         default_factory=dict, compare=False, repr=False
     )
-    """What ``policy_config`` found with the plugins of that time."""
+    """Results of ``policy_config``, by the plugins that were registered then."""
 
     def config(self) -> TrainConfig:
         """Return the full training configuration."""
@@ -65,6 +65,7 @@ class Checkpoint:
         and loggers whose plugins are missing are left out.
         """
         self._load_trusted()
+        # Plugins that were loaded in between change the result: remember it by what is registered.
         known = frozenset(registry.items())
         if known not in self._configs:
             self._require_plugins(optional=("terrain", "reward", "controller", "logger", "agent"))
@@ -74,7 +75,7 @@ class Checkpoint:
         return self._configs[known]
 
     def _require_plugins(self, optional: Collection[str] = ()) -> None:
-        """Check that all plugins are available, except those of the ``optional`` kinds."""
+        """Check that all plugins are available, except for the ``optional`` kinds."""
         for plugin in self.document.plugins:
             if plugin.kind not in optional and (plugin.kind, plugin.name) not in registry:
                 file = self._file(plugin.file) if plugin.file else None
@@ -91,6 +92,7 @@ class Checkpoint:
         trusted = filter(None, at_home(os.environ.get(TRUST, "")).split(os.pathsep))
         if not any(self.path.resolve().is_relative_to(Path(f).resolve()) for f in trusted):
             return
+        # Only what is missing is loaded; a plugin that is registered already stays.
         missing = [p.file for p in self.document.plugins if (p.kind, p.name) not in registry]
         copies = {file for name in missing if name and isinstance(file := self._file(name), Path)}
         if copies:
@@ -118,8 +120,8 @@ class Checkpoint:
         """
         plain = self.document.plain()
         plain["config"] = {k: v for k, v in plain["config"].items() if k != "logger"}
-        kept = {k: v for k, v in plain.items() if k not in ("format", "versions", "plugins")}
-        return documents.digest(json.dumps(kept, sort_keys=True), self.tensors)
+        content = {k: v for k, v in plain.items() if k not in ("format", "versions", "plugins")}
+        return documents.digest(json.dumps(content, sort_keys=True), self.tensors)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the contents as plain data, with the run's state but without its generators."""
@@ -172,15 +174,18 @@ def describe(
 
 
 def plugged(config: TrainConfig) -> list[Plugin]:
-    """Return the plugins of a configuration, without those in their settings."""
-    chosen = [config.terrain, config.network, config.agent, config.sim, config.perception]
+    """Return the plugins of a configuration, without plugins nested in their settings."""
+    parts = [config.terrain, config.network, config.agent, config.sim, config.perception]
     named = [*config.rewards.values(), *config.logger.values()]
     teacher = config.teacher.controller
-    return [*chosen, *named, *([] if teacher is None else [teacher])]
+    return [*parts, *named, *([] if teacher is None else [teacher])]
 
 
 def plugin_references(config: TrainConfig) -> tuple[PluginReference, ...]:
-    """Return the plugins that a configuration uses, with the files of those not installed."""
+    """Return references to the plugins that a configuration uses, nested ones included.
+
+    Each has the name of its file, unless the plugin is installed.
+    """
     return tuple(
         PluginReference(
             kind=part.kind,
@@ -194,7 +199,7 @@ def plugin_references(config: TrainConfig) -> tuple[PluginReference, ...]:
 
 
 def join(parts: Mapping[str, Mapping[str, torch.Tensor]]) -> dict[str, torch.Tensor]:
-    """Return the tensors of all parts, their names after those of the parts."""
+    """Return the tensors of all parts, named ``part.name``."""
     return {f"{part}.{name}": t for part, state in parts.items() for name, t in state.items()}
 
 
@@ -227,6 +232,7 @@ def read_policy(path: Path) -> Checkpoint:
         return read(path)  # which says why
     if status.st_size > _SMALL:
         return read(path)
+    # Inode, time and size tell a replaced file from the one that was read.
     return _read_once(path.absolute(), path, status.st_ino, status.st_mtime_ns, status.st_size)
 
 
@@ -242,6 +248,7 @@ def _check_names(document: Document, tensors: Mapping[str, torch.Tensor]) -> Non
     if state := document.state:
         if not state.parts:  # of a run before learners were plugins
             return
+        # Outstanding requests hold the weights with which their episodes are played.
         parts = {*state.parts, *(f"weights{request.version}" for request in state.orders)}
     for name in tensors:
         part = name.partition(".")[0]
@@ -257,6 +264,7 @@ def find(run_or_file: Path, prefer: Path = BEST, controllers: Sequence[str] = ()
     ``prefer``: the file of a run directory that is returned if it exists. ``controllers``: further
     names that are allowed where the path comes from, for the error.
     """
+    # In this order: the Hub, a file, a shipped policy, the folder of a run.
     if str(run_or_file).startswith(hub.PREFIX):
         return hub.download(str(run_or_file))
     if os.path.isfile(run_or_file):  # noqa: PTH113  # false for any text, however long
@@ -264,6 +272,7 @@ def find(run_or_file: Path, prefer: Path = BEST, controllers: Sequence[str] = ()
     if not os.path.exists(run_or_file):  # noqa: PTH110  # as above
         if file := shipped_policies().get(str(run_or_file)):
             return file
+        # Nothing has that name: suggest what comes close.
         known = sorted([*shipped_policies(), *controllers])
         also = ", shipped policy or controller" if controllers else " or shipped policy"
         hint = _run_beside(run_or_file) or (
@@ -274,6 +283,7 @@ def find(run_or_file: Path, prefer: Path = BEST, controllers: Sequence[str] = ()
         raise CheckpointError(
             f"{run_or_file}: there is no such run, file{also}{hint}; names: {', '.join(known)}"
         )
+    # In the folder of a run the preferred file comes first, then its best, then its last.
     for name in dict.fromkeys((prefer, BEST, LAST)):
         if (run_or_file / name).is_file():
             return run_or_file / name

@@ -1,4 +1,4 @@
-"""Checkpoints from before learners were plugins, as those of today, for their policies."""
+"""Conversion of checkpoints from before learners were plugins, for their policies."""
 
 from __future__ import annotations
 
@@ -13,12 +13,14 @@ _STATE = ("replay_added", "replay_kept", "groups_added")
 def current(config: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the plain configuration of a training with its learner as a plugin.
 
-    Before, ``agent`` had the settings of two learners, which ``learner`` chose, and those of
-    Stable-Baselines3 stood in ``method``. Engines had a setting whose value is fixed now.
+    Before, ``agent`` had the settings of two learners and ``learner`` chose one; ``method`` had
+    the settings of Stable-Baselines3. Engines had a setting whose value is fixed now.
     """
     agent, method = config.get("agent"), config.get("method")
+    # A learner with a name is a plugin already.
     if not isinstance(agent, Mapping) or "name" in agent:
         return config
+    # The learner keeps the settings that it still has; engines lose the one that is fixed.
     name = "sb3" if method else agent.get("learner", "d3qn")
     settings = {**agent, **agent.get("policy_gradient", {}), **(method or {})}
     known = registry["agent", name].model_fields

@@ -34,31 +34,33 @@ def download(word: str) -> Path:
     repository, at, revision = word.removeprefix(PREFIX).partition("@")
     if not _REPOSITORY.fullmatch(repository) or (at and not revision):
         raise CheckpointError(f"{word}: write hf:user/name or hf:user/name@revision")
-    hub, asked = _hub(word), revision or "main"
+    hub, reference = _hub(word), revision or "main"
     api = hub.HfApi()
+    # The list of files names the policy and its size before anything is downloaded.
     try:
-        info = api.model_info(repository, revision=asked, files_metadata=True)
+        info = api.model_info(repository, revision=reference, files_metadata=True)
         sizes = {sibling.rfilename: sibling.size or 0 for sibling in info.siblings or ()}
-        name = _chosen(word, sizes)
-        return Path(api.hf_hub_download(repository, name, revision=asked))
+        name = _policy_name(word, sizes)
+        return Path(api.hf_hub_download(repository, name, revision=reference))
     except RequestError:
         raise
     except Exception as error:  # of whichever HTTP client huggingface_hub has
+        # Without a network an earlier download will do; a refusal by the Hub is final.
         if not isinstance(error, hub.errors.HfHubHTTPError):
-            kept = hub.try_to_load_from_cache(repository, FILE, revision=asked)
-            if isinstance(kept, str):
-                return Path(kept)
+            cached = hub.try_to_load_from_cache(repository, FILE, revision=reference)
+            if isinstance(cached, str):
+                return Path(cached)
         raise CheckpointError(f"{word}: {_reason(hub, error)}") from error
 
 
-def _chosen(word: str, sizes: dict[str, int]) -> str:
+def _policy_name(word: str, sizes: dict[str, int]) -> str:
     """Return the name of the policy among a repository's files, name → bytes."""
     policies = [name for name in sizes if name.endswith(".safetensors")]
     name = FILE if FILE in policies else policies[0] if len(policies) == 1 else ""
     if not name:
-        held = ", ".join(sorted(policies)) or "none"
+        names = ", ".join(sorted(policies)) or "none"
         raise CheckpointError(
-            f"{word}: the repository needs {FILE} or a single .safetensors file; it has {held}"
+            f"{word}: the repository needs {FILE} or a single .safetensors file; it has {names}"
         )
     _check_size(f"{word}: {name}", sizes[name])
     return name
@@ -73,6 +75,7 @@ def _check_size(name: str, size: int) -> None:
 
 def label(file: Path) -> str | None:
     """Return ``hf:user/name`` for a file in the Hub's cache, with ``@revision`` if not main's."""
+    # The cache has models--USER--NAME/snapshots/COMMIT/FILE, and a file for each branch in refs.
     if len(file.parts) < 4 or file.parts[-3] != "snapshots":
         return None
     home, commit = file.parents[2], file.parts[-2]
@@ -100,6 +103,7 @@ def push(repository: str, file: Path, card: str) -> str:
     hub = _hub(where)
     if hub.get_token() is None:
         raise RequestError(f"{where}: no token of the Hub is known; hf auth login, or set HF_TOKEN")
+    # What can be refused here is refused before a repository is created.
     _check_size(str(file), file.stat().st_size)
     added = {FILE: str(file), "README.md": card.encode()}
     operations = [hub.CommitOperationAdd(name, content) for name, content in added.items()]

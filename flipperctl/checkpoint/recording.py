@@ -142,6 +142,7 @@ def write(
 ) -> None:
     """Write episodes with their environments, completely or not at all."""
     require_one_layout(path, [config for config, _ in parts])
+    # The document lists the episodes, and refers to each environment by its index.
     placed = [(at, episode) for at, (_, episodes) in enumerate(parts) for episode in episodes]
     versions = {"flipperctl": __version__}
     for config, _ in parts:
@@ -165,6 +166,7 @@ def write(
             for at, episode in placed
         ),
     )
+    # The tensors hold all episodes one after the other; the document has their lengths.
     size = parts[0][0].perception.layout.size if parts else 0
     tensors = {
         name: _joined([getattr(episode, f"{name}s") for _, episode in placed], shape, kind)
@@ -227,10 +229,12 @@ def _together(path: Path, recordings: Sequence[Recording]) -> Recording:
     entries: list[EpisodeEntry] = []
     for recording in recordings:
         for entry in recording.document.episodes:
+            # Indices of environments go on after those of the recordings before.
             place = {"environment": len(environments) + entry.environment}
             entries.append(entry.model_copy(update=place))
         environments += recording.document.environments
     update = {"environments": tuple(environments), "episodes": tuple(entries)}
+    # Recordings that are valid alone may not fit together.
     with naming_document(path):
         document = RecordingDocument.model_validate(
             recordings[0].document.model_copy(update=update).model_dump()
@@ -251,6 +255,7 @@ def _check(document: RecordingDocument, tensors: Mapping[str, torch.Tensor]) -> 
     """Check the tensors against the document, and their values."""
     import torch
 
+    # An episode has one observation more than it has decisions.
     count = sum(episode.decisions for episode in document.episodes)
     counts = {
         "observation": count + len(document.episodes),
@@ -263,6 +268,7 @@ def _check(document: RecordingDocument, tensors: Mapping[str, torch.Tensor]) -> 
         for name, (shape, kind) in _rows(size, document.command_period is not None).items()
     }
     require_equal_layout(tensors, expected)
+    # Numbers: indices within the actions, labels that are distributions or zeros.
     action, label = tensors["action"], tensors["label"]
     if bool(((action < 0) | (action >= len(ACTIONS))).any()):
         raise ValueError(f"action lies outside of 0 to {len(ACTIONS) - 1}")
@@ -277,15 +283,16 @@ def _check(document: RecordingDocument, tensors: Mapping[str, torch.Tensor]) -> 
 def _episodes(
     document: RecordingDocument, arrays: Mapping[str, NDArray[Any]]
 ) -> Iterator[RecordedEpisode]:
-    end = told = 0
+    end = command_end = 0
     for at, entry in enumerate(document.episodes):
+        # Each episode before this one has had one more observation, ``at`` in all.
         begin, end = end, end + entry.decisions
-        first, told = told, told + entry.commands
+        first, command_end = command_end, command_end + entry.commands
         yield RecordedEpisode(
             **{name: getattr(entry, name) for name in _ENTERED},
             observations=arrays["observation"][begin + at : end + at + 1],
             actions=arrays["action"][begin:end],
             rewards=arrays["reward"][begin:end],
             labels=arrays["label"][begin:end],
-            commands=arrays["command"][first:told] if "command" in arrays else None,
+            commands=arrays["command"][first:command_end] if "command" in arrays else None,
         )

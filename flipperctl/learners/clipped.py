@@ -1,8 +1,8 @@
 """The policy gradient: actions that returned more than expected become more probable.
 
-In: whole episodes whose actions were drawn with known probabilities. Out: a better policy. The
-policy is softmax(Q / temperature) of the same networks as those of the double DQN, so that its
-greedy form is validated, exported and driven alike.
+In: whole episodes whose actions were drawn with known probabilities. Out: a better policy. It is
+softmax(Q / temperature) of the networks that the double DQN has, too, so that its greedy form is
+validated, exported and driven alike.
 
 Clipped updates: Schulman et al. 2017, "Proximal policy optimization algorithms"; advantages:
 Schulman et al. 2016, "Generalized advantage estimation"; values that see the true state: Pinto et
@@ -289,7 +289,7 @@ def check_memory(settings: GradientSettings, config: TrainConfig) -> None:
 
 
 class GradientLearning(PairLearning):
-    """Learns from whole episodes, each of which counts in one round."""
+    """Learns from whole episodes, each in one round."""
 
     agent: ClippedGradient
 
@@ -320,7 +320,7 @@ class GradientLearning(PairLearning):
         self._settings = settings
 
     def begin(self) -> None:
-        """Take the weights that the training starts with, those of the values included."""
+        """Take the weights that the training starts with, of networks and values."""
         load_start(self.training.config, self.agent)
         if (values := read_values(self.training.config)) is not None:
             self.agent.values.load_state_dict(values)

@@ -52,8 +52,8 @@ _SMALLEST: Final = 0.02
 _LARGEST: Final = 1e9
 """In place of an error that is not finite: it is chosen, and then refused by its loss."""
 PULL: Final = 0.01
-"""Weight of the mean squared output in the loss [-]: what the acting network can tell from its
-observation then becomes part of its own values, whose mean would otherwise be arbitrary."""
+"""Weight of the baseline's mean squared output in the loss [-]. What the observation tells then
+becomes part of the acting network's values, whose mean would otherwise be arbitrary."""
 _WIDTH: Final = 128
 
 
@@ -132,7 +132,7 @@ class DoubleQ(NetworkPair):
 
     @property
     def candidates(self) -> int:
-        """Transitions of which an update chooses one [-]; 1 with a teacher: labels count alike."""
+        """Transitions drawn for each one that an update learns from [-]; 1 with a teacher."""
         return self.settings.candidates if self._teacher is None else 1
 
     def update(self, batch: Batch, fraction: float, groups: Sequence[GroupBatch] = ()) -> float:
@@ -201,7 +201,7 @@ class DoubleQ(NetworkPair):
         """Choose the transitions to learn from, larger errors more often, and weight their losses.
 
         Prioritised replay (Schaul et al. 2016, "Prioritized experience replay") remembers each
-        transition's last error. Here those of a random part of the replay are computed anew.
+        transition's last error. Here the errors of a random part of the replay are computed anew.
         """
         # Priorities follow the error of the acting network, without the baseline's part.
         left = targets

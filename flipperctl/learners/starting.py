@@ -1,7 +1,7 @@
 """The weights that a training starts with in place of random ones.
 
-In: a run, a checkpoint or a shipped policy (``agent.start_from``). Out: its networks' weights in
-those of the training.
+In: a run, a checkpoint or a shipped policy (``agent.start_from``). Out: the networks of the
+training with its weights.
 """
 
 from __future__ import annotations

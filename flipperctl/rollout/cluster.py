@@ -41,6 +41,7 @@ def import_ray() -> Any:
     """Return the module ``ray``, which prints no log of a node that is lost."""
     if "ray" in sys.modules:
         return sys.modules["ray"]
+    # The pattern joins one that the user has set, for the time of the import only.
     before = os.environ.get(_SKIPPED)
     os.environ[_SKIPPED] = f"{before}|{_NODE_LOGS}" if before else _NODE_LOGS
     try:  # Ray reads the variable while it is imported
@@ -88,6 +89,7 @@ def join(address: str | None, key: str, **settings: Any) -> None:
         job = JobConfig(_client_job=True, _py_driver_sys_path=import_path()[::-1])
         settings = {"job_config": job, **settings}
     try:
+        # Ray would try an address without an answer for minutes: ask its port first.
         _check_reachable(address)
         before = signal.getsignal(signal.SIGTERM)  # ``ray.init`` replaces it by an exit
         try:
@@ -101,6 +103,7 @@ def join(address: str | None, key: str, **settings: Any) -> None:
                 f"{key}: the Ray cluster at {address!r} asks for its token; set RAY_AUTH_MODE=token"
                 " and give the token in RAY_AUTH_TOKEN, or its file in RAY_AUTH_TOKEN_PATH"
             ) from error
+        # Ray's texts may fill a page: the error has one line of them.
         reason = " ".join(str(error).split())[:200]
         if isinstance(error, ValueError):  # raised before connecting, about the settings
             raise ConfigError(f"{key}: Ray cannot use {address!r}: {reason}") from error
@@ -204,6 +207,7 @@ class Hosts:
 
     def wait(self, since: float, host: RayHost) -> None:
         """Raise an error if the patience with a host's call that began at ``since`` is over."""
+        # Any worker's answer renews the patience, since all calls wait in one queue.
         now, patience = time.monotonic(), f"{self._patience:g} s (collector.patience)"
         over = now - max(since, self._answered_at) > self._patience
         if over and host.started:
@@ -214,6 +218,7 @@ class Hosts:
                 f"no Ray worker got a CPU and started within {patience}: {free} of the cluster's "
                 f"{total} CPUs are free; wait for other jobs to end, or add machines"
             )
+        # Say only what has changed, and give new workers time to start before that.
         with self._lock:
             if host.started or now <= self._changed_at + _REPORT_AFTER:
                 return
@@ -264,12 +269,14 @@ class RayHost:
         """Return ``function(*arguments)`` of the actor, or raise what it raised there."""
         ray, hosts = import_ray(), self._hosts
         errors = ray.exceptions
+        # A call waits for a CPU, possibly for ever; polling lets the hosts' patience end it.
         reference = self._handle.call.remote(function, *arguments)
         begun = time.monotonic()
         try:
             while not ray.wait([reference], timeout=POLL)[0]:
                 hosts.wait(begun, self)
             value = ray.get(reference)
+        # Ray wraps what the function raised in its own text: raise the original.
         except errors.RayTaskError as error:
             if isinstance(error.cause, FlipperctlError):  # without the text of Ray
                 raise error.cause from None
@@ -282,6 +289,7 @@ class RayHost:
 
     def end(self) -> str:
         """End the actor, even within a call; return in words how it ended."""
+        # Without its handle a second call of this method kills nothing.
         if self._handle is not None:
             handle, self._handle = self._handle, None
             import_ray().kill(handle)

@@ -4,9 +4,9 @@ Out: one ``Step`` for each decision, episode after episode. ``InProcessCollector
 newest weights (``train.mode=exact``). ``AsyncCollector`` keeps workers busy with requests for whole
 episodes, so that acting and learning run in parallel (``train.mode=fast``).
 
-The greedy episodes of a policy that is trained are equal, whichever process plays them: their
-network is one of its own on the CPU, since another device, or the learner's arrangement of its
-parameters, rounds otherwise.
+The greedy episodes of a policy that is trained are equal, whichever process plays them. They use a
+separate network on the CPU, since another device, or the learner's arrangement of its parameters,
+rounds differently.
 """
 
 from __future__ import annotations
@@ -76,6 +76,7 @@ class Stopwatch:
     def call(self) -> Iterator[None]:
         """Measure the wait before a call."""
         now = time.perf_counter()
+        # Before the first call the worker was starting up, not waiting.
         if self.elapsed:
             self.waited += now - self._ended
         else:
@@ -92,11 +93,13 @@ class Actor:
 
         ``shared``: what the learner's process shares, see ``flipperctl.api.Training``.
         """
+        # Workers fill the cores by their number; more threads each would only compete.
         torch.set_num_threads(1)
         parsed = parse(TrainConfig, config)
         self._training, self._seed = ConfiguredTraining(parsed, shared or {}), parsed.seed
         self._env = self._training.environment()
         self._greedy = GreedyPlayer(parsed, self._env)
+        # Weights, generator and decision come with each request, and are set in place.
         self._module = parsed.agent.driving_network(self._training).requires_grad_(False)
         self._rng, self._decision = np.random.default_rng(), 0
         self._policy = parsed.agent.drive(
@@ -111,6 +114,7 @@ class Actor:
     def play(self, request: RolloutRequest, weights: Weights) -> list[Step]:
         """Play one episode to its end; equal requests with equal weights give equal episodes."""
         load_weights(self._module, weights)
+        # Exploration follows from the episode's number, whichever worker plays it.
         rng = exploration_rng(self._seed, request.episode)
         self._rng.bit_generator.state = rng.bit_generator.state
         self._decision = request.decision
@@ -230,6 +234,7 @@ class RolloutWorkers:
         self._newest: dict[str, Rollout] = {}
         self._shared: dict[int, Any] = {}
         """Weights as they are given to calls, by their versions."""
+        # A worker with other code or files would play other episodes: each compares this first.
         inputs = Statement.of_inputs(config, config.network, config.teacher.controller)
         statements = Statement.of_code(), inputs
         self._pool = self._open(count, (to_dict(config), dict(shared or {}), *statements))
@@ -249,6 +254,7 @@ class RolloutWorkers:
     def send(self, request: RolloutRequest) -> None:
         """Send a request without waiting."""
         version = request.version
+        # Requests of one version share their weights, which travel once.
         if version not in self._shared:
             self._shared[version] = self._share(f"request{version}", request.weights)
         light = replace(request, weights={})
@@ -259,6 +265,7 @@ class RolloutWorkers:
 
         Returns None alone, and keeps the request, if the run is to stop before one arrives.
         """
+        # Poll, so that the wait can be stopped.
         while not (done := wait(self._awaited(), POLL, FIRST_COMPLETED).done):
             if stop():
                 return None
@@ -271,6 +278,7 @@ class RolloutWorkers:
         except WorkerDiedError:
             return request, None
         finally:
+            # Weights that no outstanding request refers to are given up.
             for version in self._shared.keys() - {
                 rollout.version for rollout in self.outstanding()
             }:
@@ -370,12 +378,14 @@ class AsyncCollector:
         """Yield the steps of the next episode that the workers return; none if the run stops."""
         workers = self._workers
         while True:
+            # Keep the workers busy before waiting for the next rollout.
             while len(workers.outstanding()) < workers.capacity:
                 workers.send(self._next_request())
             taken = workers.take(self._stop)
             if taken is None:
                 return
             request, rollout = taken
+            # The episode of a lost request is dropped, as is one too old to learn from.
             if rollout is None:
                 self._on_lost(request)
             elif self._accept(request):
@@ -391,6 +401,7 @@ class AsyncCollector:
         """
         futures = self._workers.evaluate(weights, seeds)
         rows: list[Row] = []
+        # Workers begin with the first seed, this process with the last, until they meet.
         for future, seed in zip(reversed(futures), reversed(seeds), strict=True):
             row = self._row(future, seed, play_here)
             if row is None:
@@ -404,6 +415,7 @@ class AsyncCollector:
         """Return the row of an episode, played here if no worker has begun it; None to stop."""
         if self._stop():
             return None
+        # A call that can still be cancelled was begun by nobody.
         if future.cancel():
             return play_here(seed)
         while not wait([future], POLL).done:

@@ -1,8 +1,8 @@
 """The one episode loop, what is learnt and recorded of an episode, and the seeds of episodes.
 
 In: an environment, a policy, a seed. Out: one ``Decision``, or one ``Step`` of a learner, after the
-other, each made on request of the iterator, so that the caller can learn, display, wait or stop in
-between; a ``RecordedEpisode`` for a file.
+other; a ``RecordedEpisode`` for a file. Each is made on request of the iterator, so that the caller
+can learn, display, wait or stop in between.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class EpisodeRecorder:
     ) -> None:
         """Add a decision; the observations are of single instants, (n,) in SI units.
 
-        ``commands``: those of an operator, (K, 5).
+        ``commands``: an operator's commands, (K, 5).
         """
         if not self._decisions:
             self._observations.append(observation)
@@ -77,6 +77,7 @@ class EpisodeRecorder:
 
         ``number`` counts episodes from 0; ``ending`` has the seed, outcome and terrain.
         """
+        # The recorder is emptied before the episode is built, so that an error leaves no remains.
         actions, rewards, labels = zip(*self._decisions, strict=True)
         observations = np.array(self._observations, np.float32)
         commands = np.concatenate(self._commands) if self._commands else None
@@ -95,8 +96,8 @@ class EpisodeRecorder:
 
 
 AHEAD = 3
-"""Decisions between a warning and the failing one from which on it is in time [-]."""
-_TOLD, _HORIZON, _THRESHOLD = "risks", "risk_horizon", "risk_threshold"
+"""Decisions from a warning to the failure, at least, for the warning to be in time [-]."""
+_RISKS, _HORIZON, _THRESHOLD = "risks", "risk_horizon", "risk_threshold"
 
 
 @dataclass(frozen=True)
@@ -124,22 +125,22 @@ class EpisodeRisks:
         return any(self.warnings[max(0, count - self.sign.horizon) : max(0, count - AHEAD)])
 
     @classmethod
-    def of(cls, sign: RiskSign, told: Sequence[float]) -> Self:
+    def of(cls, sign: RiskSign, risks: Sequence[float]) -> Self:
         """Return the risks with the six digits that rows keep."""
-        return cls(sign, tuple(float(f"{risk:.6g}") for risk in told))
+        return cls(sign, tuple(float(f"{risk:.6g}") for risk in risks))
 
     def to_row(self) -> dict[str, Any]:
         """Return the entries of a flat row of an episode."""
-        told = " ".join(map(repr, self.told))
-        return {_HORIZON: self.sign.horizon, _THRESHOLD: self.sign.threshold, _TOLD: told}
+        risks = " ".join(map(repr, self.told))
+        return {_HORIZON: self.sign.horizon, _THRESHOLD: self.sign.threshold, _RISKS: risks}
 
     @classmethod
     def pop(cls, row: dict[str, Any]) -> Self | None:
         """Take the entries out of a flat row; None if it has none."""
-        if _TOLD not in row:
+        if _RISKS not in row:
             return None
-        told = tuple(map(float, row.pop(_TOLD).split()))
-        return cls(RiskSign(row.pop(_HORIZON), row.pop(_THRESHOLD)), told)
+        risks = tuple(map(float, row.pop(_RISKS).split()))
+        return cls(RiskSign(row.pop(_HORIZON), row.pop(_THRESHOLD)), risks)
 
 
 Row = dict[str, Any]
@@ -189,16 +190,18 @@ def decisions(
     the completed fraction of the search by a policy that searches before it acts. ``observers`` see
     the episode's samples, measurements and decisions.
     """
+    # Observers are set before the reset, so that they see the start.
     env.observers = tuple(observers)
     env.reset(seed=seed, options={"difficulty": difficulty})
     simulator = env.simulator(report_progress)
     policy.reset(simulator)
+    # An operator commands between decisions as well, with the period of its own.
     if (period := getattr(policy, "command_period", None)) is not None:
         operator: Any = policy
         env.drive.operate(samples_in(period), operator.command)
     ending: Row | None = None
     sign: RiskSign | None = getattr(policy, "risk_sign", None)
-    told: list[float] = []
+    risks: list[float] = []
     while ending is None:
         if pace is not None:
             pace(env.state.time)
@@ -206,14 +209,16 @@ def decisions(
         action = policy.act(perception)
         if as_action(action) is None:
             raise FlipperctlError(f"{type(policy).__name__}.act returned {action!r}; {ALLOWED}")
+        # A policy computes its risk as part of acting.
         if sign is not None and (risk := getattr(policy, "risk", None)) is not None:
-            told.append(risk)
+            risks.append(risk)
         _, reward, terminated, truncated, info = env.step(action)
+        # The last decision brings the row of the whole episode.
         if terminated or truncated:
             ending = {"seed": seed, "outcome": str(info["outcome"]), **info["metrics"]}
             ending |= {f"{SEARCH}{name}": value for name, value in simulator.results.items()}
             if sign is not None:
-                ending |= EpisodeRisks.of(sign, told).to_row()
+                ending |= EpisodeRisks.of(sign, risks).to_row()
         yield Decision(
             perception=perception,
             action=env.drive.action,
@@ -285,6 +290,7 @@ def steps(
     states = PrivilegedStates(env) if privileged else None
     before: NDArray[np.float32] | None = None
     for d in decisions(env, policy, seed, difficulty=difficulty):
+        # The next observation of this step is the observation of the one that follows.
         after = stacked(d.next_perception.recent, frames)
         if states is not None:
             states.add(d.transition)
@@ -337,6 +343,7 @@ class EvaluationSeeds:
     @classmethod
     def of(cls, seed: int, terrain: Terrain) -> EvaluationSeeds:
         """Return the seeds of an evaluation on a terrain."""
+        # Sorted keys and little-endian words: equal digests on every machine.
         text = json.dumps(identity(terrain), sort_keys=True, separators=(",", ":"))
         digest = hashlib.sha256(text.encode()).digest()
         return cls(seed, tuple(np.frombuffer(digest[:16], "<u4").tolist()))

@@ -2,8 +2,8 @@
 
 In: functions and their arguments. Out: futures of their results. Calls wait in one queue; each free
 worker takes the next one, so that a long call delays no other. Workers are actors on a Ray cluster
-(``cluster``) or processes of this machine: a ``ProcessPoolExecutor`` for each, since one with
-several processes loses the calls of all when one of them dies.
+(``cluster``) or processes of this machine. Each process has a ``ProcessPoolExecutor``, since an
+executor of several loses the calls of all when one of them dies.
 """
 
 from __future__ import annotations
@@ -118,6 +118,7 @@ class WorkerPool:
         deaths = 0
         problem: BaseException | None = None
 
+        # What a step raises is raised again where the call's future is awaited.
         def attempt(step: Callable[..., Any], *arguments: Any) -> Any:
             nonlocal deaths, problem
             try:
@@ -135,9 +136,11 @@ class WorkerPool:
             if (call := self._calls.get()) is None:
                 return
             future, *work = call
+            # A call that was cancelled while it waited is skipped.
             if not future.set_running_or_notify_cancel():
                 continue
             value = None
+            # A worker that only died can be replaced; one that cannot start fails the call.
             if problem is None or isinstance(problem, WorkerDiedError):
                 value = attempt(self._call, *work)
                 deaths = deaths if problem else 0
@@ -153,6 +156,7 @@ class WorkerPool:
 
     def _ready(self, number: int) -> Host:
         """Return the host of a worker; a new one if there is none or it has died in between."""
+        # Reuse the host that lives; only its own thread replaces it.
         with self._lock:
             host = self._hosts.get(number)
             if self._closed:
@@ -161,6 +165,7 @@ class WorkerPool:
             return host
         if host is not None:
             self._discard(number)
+        # Resources such as processes or memory may be short on this machine.
         try:
             host = self._begin()
         except OSError as error:
@@ -168,11 +173,13 @@ class WorkerPool:
                 f"a worker process cannot start: {os.strerror(error.errno or 0)}; without any, "
                 "--jobs 1 evaluates and train.mode=exact trains"
             ) from error
+        # The pool may have been closed while the host was starting: then it ends here.
         with self._lock:
             self._hosts[number] = host
             closed = self._closed
         if closed:
             raise DiedError(self._discard(number))
+        # The first call initialises the worker: its failures are not those of the user's call.
         try:
             host.call(*self._first)
         except DiedError:
@@ -205,6 +212,7 @@ class WorkerPool:
 
     def close(self) -> None:
         """Stop all processes at once; calls that have not ended are lost."""
+        # Waiting calls are cancelled, running ones end with their processes.
         with contextlib.suppress(Empty):
             while True:
                 if (call := self._calls.get_nowait()) is not None:
@@ -213,6 +221,7 @@ class WorkerPool:
             self._closed, hosts = True, list(self._hosts.values())
         for host in hosts:
             host.end()
+        # A None for each thread ends its loop.
         for _ in self._threads:
             self._calls.put(None)
         for thread in self._threads:
@@ -253,6 +262,7 @@ class ProcessHost:
         self._lock, self._ending = threading.Lock(), ""
         self._context = _Context(method)
         self._executor = ProcessPoolExecutor(1, cast("Any", self._context), _begin_worker)
+        # An executor starts its process with its first call, which therefore is made here.
         with _starting():
             self._executor.submit(int)
 
@@ -269,6 +279,7 @@ class ProcessHost:
     def call(self, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:
         """Return ``function(*arguments)`` of the process, or raise what it raised there."""
         packed = _pack((function, arguments), self._folder.name)  # an error in it is the caller's
+        # A broken executor means that the process died; what the call raised comes as an answer.
         try:
             answer = self._executor.submit(_answer, packed, self._folder.name).result()
         except RuntimeError as error:  # broken, or shut down
@@ -297,9 +308,11 @@ _start_lock = threading.Lock()
 def _starting() -> Iterator[None]:
     """Start processes that import nothing from the working directory, and no signal interrupts."""
     with _start_lock:
+        # Workers inherit this environment; the parent's own is restored at the end.
         before = os.environ.get("PYTHONSAFEPATH")
         os.environ["PYTHONSAFEPATH"] = "1"
         resource_tracker.ensure_running()  # which unblocks signals
+        # A child inherits the blocked signals until it ignores them itself (``_begin_worker``).
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
         try:
             yield
@@ -320,6 +333,7 @@ def _begin_worker() -> None:
 def _exit_with_parent() -> None:
     parent = multiprocessing.parent_process()
     assert parent is not None
+    # A worker whose parent was killed would wait for calls for ever.
     parent.join()
     os._exit(1)
 
@@ -331,6 +345,7 @@ def _answer(call: bytes | Path, folder: str) -> bytes | Path:
         return _pack((True, function(*arguments), ""), folder)
     except BaseException as error:  # noqa: BLE001 - raised in the main process
         text = traceback.format_exc()
+        # An exception that does not survive pickling is replaced, since the parent must get one.
         try:
             pickle.loads(pickle.dumps(error))  # noqa: S301 - its own constructor may refuse
         except Exception:  # noqa: BLE001 - of the exception's class
@@ -379,5 +394,5 @@ def import_path() -> list[str]:
 
 def python_environment() -> dict[str, str]:
     """Return the environment of a Python program that imports from where this process does."""
-    own = {"PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join(import_path())}
-    return {**os.environ, **own, plugins.VARIABLE: os.pathsep.join(plugins.configured_paths())}
+    imports = {"PYTHONSAFEPATH": "1", "PYTHONPATH": os.pathsep.join(import_path())}
+    return {**os.environ, **imports, plugins.VARIABLE: os.pathsep.join(plugins.configured_paths())}

@@ -1,8 +1,8 @@
-"""What a process computes with; each worker compares itself with the process that it works for.
+"""Statements of code and files; each worker compares itself with the process that it works for.
 
-In: the loaded plugins, and those of a configuration, whose files count. Out: a ``Statement`` of
-versions and SHA-256. A worker enters it before it computes anything, since the results of other
-code or other files would pass for right ones.
+In: the loaded plugins, a configuration's plugins and their files. Out: a ``Statement`` of versions
+and SHA-256. A worker enters it before it computes anything, since the results of other code or
+other files would pass for right ones.
 """
 
 from __future__ import annotations
@@ -64,6 +64,7 @@ class Statement:
     @classmethod
     def of_code(cls) -> Statement:
         """Return the statement on the code of this process: libraries, packages and plugins."""
+        # Installed packages with plugins belong to the code as well.
         installed = {entry.module.partition(".")[0] for entry in entry_points(group=plugins.GROUP)}
         packages = dict.fromkeys([*_PACKAGES, *sorted(installed)])
         names = [
@@ -76,10 +77,11 @@ class Statement:
 
     @classmethod
     def of_inputs(cls, config: EnvConfig, *others: Plugin | Path | None) -> Statement:
-        """Return the statement on what episodes need beyond code, of an environment and ``others``.
+        """Return the statement on what episodes of an environment need beyond code.
 
-        These are the libraries of the engine, and the files that plugins and policies read.
+        These are the libraries of the engine, and the files that its plugins and ``others`` read.
         """
+        # Whatever episodes read: plugins of the environment, of the policy, and their files.
         plugged = [config.terrain, config.sim, config.perception, *config.rewards.values()]
         plugged += [*measures().values(), *(value for value in others if isinstance(value, Plugin))]
         files = [*all_files_read(plugged), *(value for value in others if isinstance(value, Path))]
@@ -103,6 +105,7 @@ class Statement:
             self._require(Statement.of_code().entries)
 
     def _require(self, here: Mapping[str, str]) -> None:
+        # All that is stated must be equal in the worker; what it has besides counts if it may run.
         names = [name for name in self.entries if here.get(name) != self.entries[name]]
         places = {Path(path).resolve() for path in self.plugins or ()}
         alone = [Path(name) for name in sorted(here.keys() - self.entries.keys())]

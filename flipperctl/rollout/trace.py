@@ -86,24 +86,26 @@ class Trace:
         object.__setattr__(self, "maps", tuple(map(_single, self.maps)))
 
     @classmethod
-    def of(cls, made: Sequence[Transition], profile: Profile, **more: Any) -> Trace:
+    def of(cls, transitions: Sequence[Transition], profile: Profile, **more: Any) -> Trace:
         """Return the trace of an episode; ``more``: further fields, by name."""
-        states = list(instants(made, PERIOD))
-        known = [t.perception for t in made if t.perception is not None]
-        whole = len(known) == len(made)
-        heights = np.array(list(map(_heights, known))) if whole else np.empty((len(made), 0))
+        # Heights are those of all decisions, or of none.
+        states = list(instants(transitions, PERIOD))
+        known = [t.perception for t in transitions if t.perception is not None]
+        whole = len(known) == len(transitions)
+        heights = np.array(list(map(_heights, known))) if whole else np.empty((len(transitions), 0))
         poses: dict[str, Any] = {n: np.array([getattr(s, n) for s in states]) for n in _POSE}
         return cls(
             **poses,
-            outcome=str(made[-1].outcome or ""),
-            robot=made[0].robot,
+            outcome=str(transitions[-1].outcome or ""),
+            robot=transitions[0].robot,
             ground=profile.points,
-            decided=np.array([t.before.time for t in made]),
-            actions=np.array([t.action for t in made], np.float64),
+            decided=np.array([t.before.time for t in transitions]),
+            actions=np.array([t.action for t in transitions], np.float64),
             heights=heights,
             bin_width=known[0].layout.bin_width if known else 0.0,
             maps=tuple(
-                map_points(p, t.before.position) for p, t in zip(mapped(made), made, strict=False)
+                map_points(p, t.before.position)
+                for p, t in zip(mapped(transitions), transitions, strict=False)
             ),
             **more,
         )
@@ -136,16 +138,18 @@ def _single(array: FloatArray) -> FloatArray:
 def instants(transitions: Sequence[Transition], period: float) -> Iterator[RobotState]:
     """Yield the robot's state at the start, every ``period`` [s], and at the end.
 
-    Velocities are those at the start of the decision, since poses have none. Of a decision without
-    poses, only its start is known.
+    Velocities are taken from the start of the decision, since poses have none. A decision without
+    poses gives its start alone.
     """
     due = transitions[0].before.time
     for t in transitions:
+        # Poses between decisions exist only where the physics was sampled.
         if not len(t.path):
             yield t.before
             due = t.after.time
         for index, (x, z, pitch) in enumerate(t.path[:-1].tolist()):
             time = t.before.time + index * t.sample_period
+            # Half a sample of tolerance, so that rounding skips no pose that is due.
             if time < due - t.sample_period / 2:
                 continue
             front, rear = t.flippers[index].tolist()
@@ -183,12 +187,14 @@ def write(path: Path, traces: Sequence[Trace]) -> None:
     for at, trace in enumerate(traces):
         for name in _ARRAYS:
             arrays[f"{at}.{name}"] = np.asarray(getattr(trace, name), np.float32)
+        # Maps differ in length: their points lie in one array, the counts in the header.
         arrays[f"{at}.maps"] = np.concatenate([*trace.maps, np.empty((0, 2))]).astype(np.float32)
         headers.append(
             {name: getattr(trace, name) for name in _WORDS}
             | {"robot": {name: getattr(trace.robot, name) for name in _GEOMETRY}}
             | {"map_points": list(map(len, trace.maps))}
         )
+    # A .npz holds arrays alone: the header is one of bytes.
     document = json.dumps({"format": FORMAT, "traces": headers}).encode()
     buffer = io.BytesIO()
     np.savez_compressed(buffer, header=np.frombuffer(document, np.uint8), **arrays)
@@ -224,6 +230,7 @@ def _trace(file: Mapping[str, FloatArray], at: int, header: Mapping[str, Any]) -
         robot=RobotGeometry(**header["robot"]),
         maps=tuple(np.split(file[f"{at}.maps"], ends)[:-1]),
     )
+    # The file may be of any origin: check shapes, then numbers; heights may be NaN.
     count, decisions, bins = len(trace.time), len(trace.decided), arrays["heights"].shape[-1]
     shapes: dict[str, tuple[int, ...]] = {
         "ground": (len(trace.ground), 2),

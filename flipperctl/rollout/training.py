@@ -24,14 +24,16 @@ class ConfiguredTraining:
         shared: Mapping[str, Any] | None = None,
         report: Callable[[str], None] = lambda text: None,
     ) -> None:
-        """``shared``: what the learner's process has shared, in that of a worker."""
+        """``shared``: in a worker's process, what the learner's process shares."""
         self.config, self.network, self.actions = config, config.network, config.actions
         self.layout, self.decisions = config.perception.layout, config.train.decisions
         self.device, self.report = config.device, report
+        # Streams of the seed: first weights, exploration, samples of the replay, a fit at the end.
         init, explore, sample, _ = np.random.SeedSequence(config.seed).spawn(4)
         self.seed = int(init.generate_state(1)[0])
         self.shared: dict[str, Any] = dict(shared or {})
         self.generators: dict[str, np.random.Generator] = {}
+        # A worker's exploration follows from the episode instead (``exploration_rng``).
         if shared is None:
             self.generators["explore"] = np.random.default_rng(explore)
             self.generators["sample"] = np.random.default_rng(sample)

@@ -1,8 +1,8 @@
 """The episodes of a training: where they come from, and the files that keep them.
 
-Out of the collector come steps; they go to the learner and, if asked for (``train.record``), into
-files from which others can learn: one with each checkpoint, of the episodes that have ended since
-the previous one, and one of all when the run ends or is stopped.
+The collector yields steps, which go to the learner and, with ``train.record``, into files from
+which others can learn. Each checkpoint adds a file of the episodes that have ended since the
+previous one; at the end of the run, or when it is stopped, they are joined into one.
 """
 
 from __future__ import annotations
@@ -74,6 +74,7 @@ class EpisodeSource:
         ``stop`` can end waits and evaluations.
         """
         config, training = self._config, self._training
+        # A learner with a loop of its own needs a collector for its validations alone.
         if config.agent.own_loop:
             return InProcessCollector(lambda: iter(()), stop)
         if config.train.mode == "exact":
@@ -84,6 +85,7 @@ class EpisodeSource:
             if ray.name == "ray"
             else RolloutWorkers(config.train.workers, config, training.shared)
         )
+        # The requests of a stopped run come first, with the weights that they had.
         for request in outstanding:
             workers.send(request)
         return AsyncCollector(workers, self._next_request, self._on_lost, self._accept, stop)
@@ -103,6 +105,7 @@ class EpisodeSource:
 
     def _next_request(self) -> RolloutRequest:
         progress = self._progress
+        # All requests between two updates share one copy of the weights.
         if self._weights is None or self._weights[0] != progress.updates:
             self._weights = (progress.updates, weights_of(self._learning.driving))
         version, weights = self._weights
@@ -137,8 +140,8 @@ class TrainingRecorder:
     """Writes the episodes of a training, if ``train.record`` is set, each once until the run ends.
 
     A file in the folder ``episodes`` is named after the number of its first episode, counted from
-    0. It is written before the checkpoint that counts its episodes. Those that no checkpoint counts
-    are played and written again when the run is resumed.
+    0. It is written before the checkpoint that counts its episodes. Episodes that no checkpoint
+    counts are played and written again when the run is resumed.
     """
 
     def __init__(self, config: TrainConfig, directory: Path) -> None:
@@ -188,6 +191,7 @@ class TrainingRecorder:
         if not self._on:
             return
         whole = self._directory / EPISODES
+        # Whole files of later episodes go; the joined file may hold some as well.
         self._remove([path for path in self._parts() if int(path.stem) >= episodes])
         if episodes == 0:
             whole.unlink(missing_ok=True)

@@ -1,8 +1,8 @@
 """The files of a run directory, and the state from which a stopped run is resumed.
 
-Every file is written completely or not at all, so a killed process leaves one of three states: no
-``config.yaml`` (there is no run), ``config.yaml`` without ``last.safetensors`` (no decision was
-made; the run begins again), or both (the run continues from the checkpoint).
+Every file is written completely or not at all. A killed process therefore leaves one of three
+states: no ``config.yaml`` (there is no run), ``config.yaml`` without ``last.safetensors`` (no
+decision was made; the run begins again), or both (the run continues from the checkpoint).
 """
 
 from __future__ import annotations
@@ -51,6 +51,7 @@ def find(run: Path) -> Path:
             "again"
         )
         raise CheckpointError(f"{run} holds neither {CONFIG} nor a checkpoint; {hint}")
+    # A file stands for its run only as that run's last checkpoint.
     file = checkpoint.find(run)
     if checkpoint.read(file).document.kind != "last":
         raise CheckpointError(
@@ -81,6 +82,7 @@ def read(directory: Path) -> tuple[checkpoint.Checkpoint | None, TrainConfig]:
         config = saved.config()
         _check_unedited(directory, config)
         return saved, config
+    # No decision was made yet: the settings say what begins again.
     document, fault = read_config(directory / CONFIG)
     if document:
         return None, _parsed(directory / CONFIG, document)
@@ -116,6 +118,7 @@ def _check_unedited(directory: Path, config: TrainConfig) -> None:
     document, fault = read_config(file)
     if document is None:
         raise CheckpointError(f"{file} was edited: {fault}; {advice}")
+    # Comments and order may differ; the settings may not.
     edited = to_dict(_parsed(file, document))
     changes = [
         f"{path}: {there} in the file, {here} in the checkpoint"
@@ -140,9 +143,11 @@ def keep_plugins(directory: Path) -> None:
     """
     if not (files := list(plugins.loaded_contents())):
         return
+    # Where files of two folders have one name, each folder gets a number.
     folders = list(dict.fromkeys(file.parent for file in files))
     apart = len({file.name for file in files}) < len(files)
     place, listed = directory / checkpoint.PLUGINS, directory / checkpoint.PLUGINS / _SUMS
+    # Without its sums the folder is somebody else's.
     if place.exists() and not listed.exists():
         raise OutputError(f"{place} is not of a run; move it, or choose another folder")
     sums = []
@@ -162,10 +167,13 @@ def write_hydra(directory: Path, documents: Mapping[str, Any]) -> None:
 
 
 def differing_settings(there: TrainConfig, here: TrainConfig) -> list[str]:
-    """Return each setting in which two configurations differ, but for loggers, with both values."""
-    ours, theirs = (to_dict(config.model_copy(update={"logger": {}})) for config in (there, here))
+    """Return each setting that differs, with both values; loggers may differ."""
+    saved, requested = (
+        to_dict(config.model_copy(update={"logger": {}})) for config in (there, here)
+    )
     return [
-        f"{path}: {first} there, {second} here" for path, first, second in differences(ours, theirs)
+        f"{path}: {first} there, {second} here"
+        for path, first, second in differences(saved, requested)
     ]
 
 

@@ -36,9 +36,24 @@ def columns() -> tuple[str, ...]:
     """Return the columns that every ``metrics.csv`` has."""
     named = [name for name in logged() if name != "decisions"]
     return (
-        *("kind", "decision", "episode", "seed", "terrain", "difficulty", "outcome"),
-        *("success_rate", "decisions", "return", *named),
-        *("start_shift", "start_front", "start_rear", "epsilon", "loss", "lag", "seconds"),
+        "kind",
+        "decision",
+        "episode",
+        "seed",
+        "terrain",
+        "difficulty",
+        "outcome",
+        "success_rate",
+        "decisions",
+        "return",
+        *named,
+        "start_shift",
+        "start_front",
+        "start_rear",
+        "epsilon",
+        "loss",
+        "lag",
+        "seconds",
         "mean_return",
     )
 
@@ -75,6 +90,7 @@ class MetricsCsv:
         """
         names = [*columns(), *randomised, *(f"reward_{term}" for term in terms)]
         begun = _line(names)
+        # A resumed run cuts the file at its checkpoint, and goes on with the columns that it has.
         if path.exists() and (rows or mark):
             begun = _verified(path, begun, rows, mark, tell)
             names_there = next(csv.reader([begun.partition(b"\n")[0].decode()]))
@@ -90,6 +106,7 @@ class MetricsCsv:
         if not path.exists():
             write_bytes(path, begun)
         self._path, self._columns = path, names
+        # The marks of checkpoints need the length and the digest of all rows so far.
         self._length, self._digest = len(begun), hashlib.sha256(begun)
         self._file = path.open("ab")
 
@@ -148,25 +165,26 @@ def _verified(
     rows of the run and no others.
     """
     content = _content(path)
-    kept = content if mark is None else content[: mark.length]
+    counted = content if mark is None else content[: mark.length]
     if mark is None:
         rows_there = content.count(b"\n") - 1
         whole = content.startswith(header) and content.endswith(b"\n") and rows_there == rows
         fault = f"has other columns or rows than the {rows} rows of the run up to its checkpoint"
-    elif len(kept) < mark.length:
-        whole, fault = False, f"has {len(kept):,} of the {mark.length:,} bytes of the run's rows"
+    elif len(counted) < mark.length:
+        whole, fault = False, f"has {len(counted):,} of the {mark.length:,} bytes of the run's rows"
     else:
-        whole = hashlib.sha256(kept).hexdigest() == mark.sha256
+        whole = hashlib.sha256(counted).hexdigest() == mark.sha256
         fault = f"was changed within the {mark.length:,} bytes of the run's rows"
     if not whole:
         raise CheckpointError(
             f"{path} {fault}, and is kept; restore it, or move it away: the run then goes on with "
             "a new one"
         )
-    if cut := content[len(kept) :].count(b"\n"):
+    # What was written after the checkpoint is played and written again.
+    if cut := content[len(counted) :].count(b"\n"):
         tell(f"{path}: {cut} lines after the checkpoint are cut; the run repeats their episodes")
-    os.truncate(path, len(kept))
-    return kept
+    os.truncate(path, len(counted))
+    return counted
 
 
 def openers(
@@ -224,6 +242,7 @@ class GuardedLogger:
         """Warn and drop the listener; an interrupt is raised again."""
         if isinstance(error, KeyboardInterrupt):
             raise error
+        # Forget the listener first: closing it may fail as well.
         listener, self._listener = self._listener, None
         if listener is not None and method != "close":
             with contextlib.suppress(Exception):
@@ -287,7 +306,8 @@ class Companion:
         return self._stated.config == hashlib.sha256(config).hexdigest()
 
     def write(self, rows: int) -> None:
-        """Write what a checkpoint states at which the run has written so many rows."""
+        """Write the time and the mark of a checkpoint, when the run has written ``rows`` rows."""
+        # Marks of this checkpoint and of the one before: a kill leaves one of the two.
         marks = {number: mark for number, mark in self._stated.metrics.items() if number < rows}
         if mark := self.mark():
             marks[rows] = mark

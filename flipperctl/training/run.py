@@ -58,7 +58,7 @@ from flipperctl.training.trainer import Trainer, closer
 _RESUMABLE = ("train.", "device", "collector", "logger")
 """What the overrides of a resumed run begin with."""
 _JUDGING = ("best_by", "validation_episodes", "validation_seed")
-"""Settings of ``train`` that hold from the first validation on, of which all choose the best."""
+"""Settings of ``train`` that hold from the first validation on, since all compete for the best."""
 
 
 def check(config: TrainConfig) -> None:
@@ -71,6 +71,7 @@ def check(config: TrainConfig) -> None:
             "shows others"
         )
     check_device(config)
+    # The terrain must build, and give the same episode again for the same seed.
     env = FlipperEnv(config=config.environment())
     env.reset(seed=0)
     require_repeatable(env, 0)
@@ -93,14 +94,17 @@ def check_resumable(words: Iterable[str]) -> None:
 
 def require_kept(before: Train, after: Train, state: State) -> None:
     """Refuse changes of a run in this state that would mix ways of judging or collecting."""
+    # Judging is fixed by the first validation, recording by the first episode.
     fixed = [*(_JUDGING if state.validations else ()), *(["record"] * (state.episode > 0))]
     fixed += ["mode"] * bool(state.orders)  # workers have begun episodes
     for name in fixed:
-        kept, given = getattr(before, name), getattr(after, name)
-        if given != kept:
-            kept, given = (str(v).lower() if isinstance(v, bool) else v for v in (kept, given))
+        previous, requested = getattr(before, name), getattr(after, name)
+        if requested != previous:
+            previous, requested = (
+                str(v).lower() if isinstance(v, bool) else v for v in (previous, requested)
+            )
             raise ConfigError(
-                f"train.{name}={given}: the run goes on with train.{name}={kept}, "
+                f"train.{name}={requested}: the run goes on with train.{name}={previous}, "
                 "which holds for all of it; leave it out, or begin a new run"
             )
 
@@ -115,8 +119,8 @@ def check_device(config: TrainConfig) -> None:
 
 
 SEED = 2_718_281_828
-"""Seed of the evaluation, unlike the default one of ``eval``, so that who chooses among runs by
-this measure can still evaluate the chosen one on episodes that had no part in it."""
+"""Seed of the evaluation, unlike the default one of ``eval``: a run that is chosen by this measure
+can then be evaluated on other episodes."""
 
 
 def final_regret(
@@ -144,8 +148,9 @@ def final_regret(
             "finished and saved. "
             f"Compare with: {command('inspect', 'reward', '--regret', '--checkpoint', directory)}"
         )
-    kept = {k: v for k, v in regret.items() if k not in ("terrain", "rewards", "conditions")}
-    return {"seed": SEED, **kept}
+    # The terrain, the rewards and the conditions are those of the training.
+    results = {k: v for k, v in regret.items() if k not in ("terrain", "rewards", "conditions")}
+    return {"seed": SEED, **results}
 
 
 def regret_scene(config: TrainConfig, directory: Path) -> RegretScene:
@@ -157,6 +162,7 @@ def regret_scene(config: TrainConfig, directory: Path) -> RegretScene:
     sections = {name: getattr(config, name) for name in EnvConfig.model_fields}
     settings = Eval(episodes=config.train.regret_episodes, seed=SEED)
     evaluation = EvalConfig(**sections, conditions=TRAINED, eval=settings)
+    # The references: rules that need no training.
     references = {name: load_policy(name, "controller") for name in (LEVEL, "okada")}
     teacher = config.teacher.controller
     if teacher is not None and is_rule(teacher):
@@ -171,7 +177,7 @@ class Reports:
     """Callbacks of the caller of a training; none by default."""
 
     listeners: Sequence[Callable[[int, int], Listener]] = ()
-    """Each returns a listener, given the total number of decisions and of those already made."""
+    """Functions of the total number of decisions and the number already made → listener."""
     tell: Callable[[str], None] = lambda text: None
     """Called with a line about where the run begins, or that there is nothing to train."""
 
@@ -203,13 +209,14 @@ def start(
     """
     for place in names(directory, numbered=numbered):
         make_folder(place)
-        with contextlib.ExitStack() as held:
+        with contextlib.ExitStack() as stack:
             try:
-                held.enter_context(_held(place))
+                stack.enter_context(_held(place))
             except RunHeldError:
                 if not numbered:
                     raise
                 continue
+            # Only under its lock is it certain that the folder has no run.
             if not holds_run(place):
                 return _begin(config, place, reports, partial(keep_more, place))
     raise OutputError(
@@ -236,6 +243,7 @@ def start_or_continue(
         if not holds_run(directory):
             return _begin(config, directory, reports, keep_more, stop)
         saved, earlier = run_folder.read(directory)
+        # The folder must hold this run and no other before anything is said about its end.
         if differing := run_folder.differing_settings(earlier, config):
             raise OutputError(
                 f"{directory} already holds a run with other settings "
@@ -307,6 +315,7 @@ def _continue(
     saved: Checkpoint | None,
     stop: Callable[[], bool] = lambda: False,
 ) -> Finished:
+    # A new start would replace the policy of a run that has lost its last checkpoint.
     if saved is None and (directory / checkpoint.BEST).is_file():
         raise CheckpointError(
             f"{directory} lacks {checkpoint.LAST}, from which it would be resumed; its policy can "
@@ -353,6 +362,7 @@ def _train(
         trainer.companion.mark = opened.mark
         return opened
 
+    # Listeners are opened one after the other; if one fails, those before it are closed.
     makers: list[Callable[[], Listener]] = [
         metrics,
         *openers(config, directory, resume_at),
@@ -367,6 +377,7 @@ def _train(
         opened.pop_all()
     if resume_at is not None:  # once the files of a resumed run are read
         run_folder.write_config(directory, config, trainer.companion)
+    # The summary is written even if the comparison after the training is interrupted.
     stopped_late: list[InterruptedRunError] = []
     try:
         with interrupts("finishing the episode and saving …") as interrupted:

@@ -71,10 +71,10 @@ class SearchSettings(Settings):
 def objective(best: dict[str, Any] | None, episodes: int, best_by: str = "success") -> float | None:
     """Return the objective that a sweeper maximises, from a run's best validation.
 
-    It is the mean return if ``best_by``, as in ``train.best_by``, is ``return``. Else it is the
-    success rate minus a penalty of at most one episode that grows with θ̂_R at 100 Hz [rad]:
-    ``success − θ̂_R / (1 + θ̂_R) / episodes``. It orders runs as validations are ordered: by success,
-    then by θ̂_R. Return None if there was no validation.
+    It is the mean return if ``best_by``, as in ``train.best_by``, is ``return``. Otherwise it is
+    ``success − θ̂_R / (1 + θ̂_R) / episodes``, with θ̂_R at 100 Hz [rad]: the penalty is at most one
+    episode. It orders runs as validations are ordered: by success, then by θ̂_R. Return None if
+    there was no validation.
     """
     if best is None:
         return None
@@ -85,7 +85,7 @@ def objective(best: dict[str, Any] | None, episodes: int, best_by: str = "succes
     return float(best["success_rate"]) - penalty / episodes
 
 
-def check_settings(given: Mapping[str, Any]) -> SearchSettings:
+def check_settings(values: Mapping[str, Any]) -> SearchSettings:
     """Return the settings of a search."""
     try:
         import optuna
@@ -94,7 +94,7 @@ def check_settings(given: Mapping[str, Any]) -> SearchSettings:
             "hydra/sweeper=optuna needs the package optuna; install flipperctl[optuna]"
         ) from error
     try:
-        settings = SearchSettings(**given)
+        settings = SearchSettings(**values)
     except ValidationError as error:
         raise ConfigError(explain(error, "hydra.sweeper", SearchSettings)) from error
     optuna.logging.set_verbosity(optuna.logging.WARNING)
@@ -181,6 +181,7 @@ def _open_study(settings: SearchSettings, overrides: list[str]) -> Study:
     """Return the study of ``settings``, new or as earlier starts of the same search left it."""
     import optuna
 
+    # A study belongs to one search, which it notes by its overrides and its measure.
     name, url = settings.study_name, settings.storage
     searched = {"overrides": overrides, "measure": _AT_100_HZ}
     with _usable(url, ImportError, ValueError):  # of its driver and of its URL
@@ -210,6 +211,7 @@ def _usable(storage: str | None, *more: type[Exception]) -> Iterator[None]:
     try:
         yield
     except errors as error:
+        # The cause lies behind Optuna's error; SQLAlchemy adds a link to its text.
         cause = error.__cause__ if isinstance(error, StorageInternalError) else None
         reason = " ".join(str(cause or error).split("\n(Background")[0].split())
         raise ConfigError(
@@ -235,6 +237,7 @@ class _Search:
 
     def run(self) -> None:
         """Train trial after trial."""
+        # Runs of earlier starts appear in the comparison as well.
         if known := len(self._finished()):
             self.tell(f"the study {self.study.study_name!r} has {known} finished trials already")
             self.jobs.runs += self._finished_runs()
@@ -252,9 +255,10 @@ class _Search:
         return [trial for trial in self._sampled() if trial.state.is_finished()]
 
     def _next(self, size: int) -> list[FrozenTrial | Trial]:
-        """Return trials to be trained: those that were interrupted, then new ones."""
+        """Return trials to be trained: interrupted ones, then new ones."""
         from optuna.samplers import RandomSampler, TPESampler
 
+        # Interrupted trials go on in their runs before new ones are proposed.
         trials: list[FrozenTrial | Trial] = []
         trials += [trial for trial in self._sampled() if not trial.state.is_finished()][:size]
         sampler = TPESampler if self.settings.sampler == "tpe" else RandomSampler
@@ -269,12 +273,14 @@ class _Search:
     def _train(self, trials: Sequence[FrozenTrial | Trial]) -> None:
         """Train trials at once, and record their results."""
         problems: list[Exception | None] = []
+        # A launcher numbers its jobs in sequence: only successive trials go together.
         for _, group in itertools.groupby(enumerate(trials), lambda item: item[1].number - item[0]):
             batch = [trial for _, trial in group]  # a launcher numbers its jobs in sequence
             jobs = [[*self.fixed, *(f"{k}={v}" for k, v in t.params.items())] for t in batch]
             results = self.jobs.launch(jobs, batch[0].number)
             for trial, result in zip(batch, results, strict=False):  # fewer after an interrupt
                 problems.append(self._record(trial.number, result))
+        # Errors are raised once the results of all are recorded.
         for problem in filter(None, problems):
             if isinstance(problem, InterruptedRunError):
                 raise self._interrupted() from problem

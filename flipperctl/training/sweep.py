@@ -72,7 +72,7 @@ REACHED = ("pitch_variation_100hz", "pitch_variation", "t_cost")
 
 
 def of_reached(validation: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the measures of a validation; None for those of the way to a finish never reached.
+    """Return the measures of a validation, with None in ``REACHED`` if no episode finished.
 
     The files have the means over all episodes there, by which validations are ranked.
     """
@@ -106,7 +106,7 @@ class SweepRun:
         return "interrupted" if holds_run(self.folder) else "not begun"
 
     def row(self) -> dict[str, Any]:
-        """Return the row of ``sweep.csv``; the measures are those of the best validation."""
+        """Return the row of ``sweep.csv``, with the measures of the best validation."""
         best = of_reached(self.summary.get("best") or {})
         measures = ("success_rate", "pitch_variation_100hz", "pitch_variation", "t_cost")
         return {
@@ -158,7 +158,7 @@ def _job_number(row: Mapping[str, Any]) -> int:
 def _not_replaced(
     rows: Iterable[Mapping[str, Any]], folder: Path, runs: Sequence[SweepRun]
 ) -> Iterator[Mapping[str, Any]]:
-    """Yield the rows of an earlier sweep in the folder, without those that ``runs`` replace.
+    """Yield the rows of an earlier sweep in the folder that ``runs`` do not replace.
 
     The folder may have been moved since, so that rows are known by the places of their runs in it.
     """
@@ -230,6 +230,7 @@ class Sweep:
     def held(self) -> Iterator[None]:
         """Lock the sweep's folder, stop jobs after Ctrl-C, and compare the runs at the end."""
         with contextlib.ExitStack() as stack:
+            # Where another process works in the folder, the next free name is taken, if allowed.
             for place in names(self.folder, numbered=self._numbered):
                 try:
                     stack.enter_context(hold(make_folder(place), "sweep", "in use"))
@@ -257,11 +258,13 @@ class Sweep:
         self.jobs += len(jobs)
         for start in range(0, len(jobs), size):
             number = first + start
+            # After an interrupt no job begins; the rest appear as not begun.
             stopped = self.runs and isinstance(self.runs[-1].error, InterruptedRunError)
             if stopped or self.stop():
                 error = InterruptedRunError("interrupted")
                 self._leave_out(jobs[start:], self._names(jobs[start:], number), number, error)
                 break
+            # The time left follows from jobs that were trained in this start.
             if self._serial and len(jobs) > 1:
                 left = sum(times) / len(times) * (len(jobs) - start) if times else None
                 rest = "" if left is None else f"; about {left:.0f} s left for all"
@@ -291,6 +294,7 @@ class Sweep:
             if stopped and isinstance(error, Exception):
                 raise cause from error
             raise
+        # Each job's run is read back from its folder, since a launcher may use other processes.
         self.runs += [
             sweep_run(first + i, self._values(job), result.folder, result.error)
             for i, (job, result) in enumerate(zip(jobs, results, strict=True))
@@ -304,6 +308,7 @@ class Sweep:
         for i, (job, name) in enumerate(zip(jobs, names, strict=False)):
             folder = self.folder.absolute() / name
             run = sweep_run(first + i, self._values(job), folder, error)
+            # A run that an earlier start has finished has no error.
             self.runs.append(replace(run, error=None) if run.summary.get("finished") else run)
 
     def _names(self, jobs: Sequence[Job], first: int) -> list[str]:

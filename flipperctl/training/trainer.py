@@ -66,6 +66,7 @@ class Trainer:
         self.config, self.directory = config, directory
         self.listeners = list(listeners)
         self.progress = Progress(ground.first_difficulty(config.terrain))
+        # Files that plugins read, such as recorded ground, must stay as they are (``restore``).
         plugged = checkpoint.plugged(config)
         self._files = all_files_read(p for p in plugged if p.kind != Logger.kind)
         self._digests = tuple(map(content_digest, self._files))
@@ -74,6 +75,7 @@ class Trainer:
         self._early_notes: list[str] | None = []
         self._outstanding: list[RolloutRequest] = []
         self._recorder = TrainingRecorder(config, directory)
+        # Environment and learner may report something before there are listeners.
         self._training = ConfiguredTraining(config, report=self._report)
         self.env = self._training.environment()
         self.learning = config.agent.build(self._training)
@@ -96,6 +98,7 @@ class Trainer:
             for listener in self.listeners:
                 opened.push(closer(listener))
             self.companion.start()
+            # Listeners are ready for what was noted while the run was built.
             early, self._early_notes = self._early_notes or [], None
             budget, first = self.config.train.decisions, self.config.agent.first_update(self.config)
             if first is not None and budget < first[0] and not self.progress.updates:
@@ -113,6 +116,7 @@ class Trainer:
         if not self._restored:  # else the checkpoint has what follows
             self._recorder.restore(0)
             self.learning.begin()
+        # A first checkpoint before the first decision: a killed run can always be resumed.
         self._save_all(self._outstanding)
         collector = self.episodes.start_collector(self._outstanding, stop)
         opened.push(closer(collector))
@@ -132,6 +136,7 @@ class Trainer:
         settings, progress = self.config.train, self.progress
         while True:
             over = progress.decision >= settings.decisions
+            # At the end of the budget the learner completes its work, then it is validated.
             if self._validation_due():
                 if over and not self.learning.finish(stop):
                     return False
@@ -144,11 +149,12 @@ class Trainer:
                 return False
             before = progress.decision
             self._train_episode(collector)
+            # A validation that is due saves as well.
             if self._checkpoint_due(before) and not self._validation_due():
                 self._save_all(collector.outstanding())
 
     def _train_itself(self, collector: Collector, stop: Stop) -> bool:
-        """Let a learner with a loop of its own train; see ``_train``."""
+        """Let a learner train by its own loop; see ``_train``."""
         finished = self.progress.decision >= self.config.train.decisions or self.learning.train(
             OwnLoop(self, collector, stop)
         )
@@ -162,6 +168,7 @@ class Trainer:
         """
         learning, progress = self.learning, self.progress
         ending: Row | None = None
+        # Each decision is stored and counted before the learner may update from it.
         for step in collector.episode():
             ending = None if step.ending is None else dict(step.ending)
             self._recorder.add(step, progress.episode)
@@ -197,8 +204,8 @@ class Trainer:
 
     def _checkpoint_due(self, before: int) -> bool:
         """Return whether a checkpoint is due since the decision ``before``."""
-        every = self.config.train.checkpoint_every
-        return self.progress.decision // every > before // every
+        interval = self.config.train.checkpoint_every
+        return self.progress.decision // interval > before // interval
 
     def _validation_due(self) -> bool:
         """Return whether a validation is due since the last one, or at the end of the budget."""
@@ -210,15 +217,16 @@ class Trainer:
 
     def end_episode(self, ending: Row) -> None:
         """Count an episode that has ended, and show its row."""
+        # The difficulty of the next episode may follow from the outcome of this one.
         reached = ending["outcome"] == Outcome.REACHED
         progress, terrain = self.progress, self.config.terrain
         progress.episode += 1
         progress.recent.append(reached)
         progress.difficulty = ground.next_difficulty(terrain, progress.difficulty, reached)
         row = {**self._common_columns(), "success_rate": progress.success_rate}
-        own = {name: value for name, value in ending.items() if not name.startswith(DRAWN)}
+        columns = {name: value for name, value in ending.items() if not name.startswith(DRAWN)}
         for listener in self.listeners:
-            listener.episode({**row, "lag": self.episodes.lag, **own})
+            listener.episode({**row, "lag": self.episodes.lag, **columns})
 
     def _validate(self, collector: Collector) -> bool:
         """Validate the policy; return False if the run is to stop before the result is known."""
@@ -255,6 +263,7 @@ class Trainer:
         """
         self._recorder.save()
         learnt = {"target": self.learning.policy.state_dict(), **self.learning.tensors()}
+        # Outstanding requests keep the weights with which they were sent.
         weights = {
             f"weights{request.version}": {
                 name: torch.from_numpy(array) for name, array in request.weights.items()
@@ -265,6 +274,7 @@ class Trainer:
             RequestState(**{name: getattr(request, name) for name in RequestState.model_fields})
             for request in outstanding
         ]
+        # Generators go by name, in the learner's process alone.
         states = {n: g.bit_generator.state for n, g in self._training.generators.items()}
         state = State(
             **{name: getattr(self.progress, name) for name in COUNTERS},
@@ -298,6 +308,7 @@ class Trainer:
         checkpoint; a resumed run writes a best policy that was not written before.
         """
         self.save(outstanding)
+        # Only the policy that was validated just now can have become the best.
         best, learning = self.validator.best, self.learning
         if best is None or best.decision != self.progress.decision:
             return
@@ -314,6 +325,7 @@ class Trainer:
         state = saved.document.state
         if state is None:
             raise CheckpointError(f"{saved.path} holds a policy alone, not a run")
+        # With changed files the rest of the run would be another training.
         for file, now, then in zip(self._files, self._digests, state.files, strict=False):
             if None not in (now, then) and now != then:
                 raise CheckpointError(
@@ -341,6 +353,7 @@ class Trainer:
                 generator.bit_generator.state = state.generators[name].model_dump()
         except (ValueError, TypeError, LookupError, RuntimeError) as error:
             raise CheckpointError(f"{saved.path}: its state is not valid: {error}") from error
+        # Weights of outstanding requests must fit the network that drives.
         expected = learning.driving.state_dict()
         weights = {}
         for version in {request.version for request in state.orders}:
@@ -360,6 +373,7 @@ class Trainer:
     def summary(self, finished: bool) -> dict[str, Any]:
         """Return the results of the run, as JSON types."""
         config, progress = self.config, self.progress
+        # The best validation is that of the saved policy; the last one is where the run stands.
         validations = {"best": self.validator.best, "last": self.validator.last}
         return {
             "finished": finished,

@@ -1,7 +1,8 @@
 """Validation: evaluates the policy on the same episodes each time and finds the best policy.
 
-Its episodes also calibrate the policy's risk, since no update has learnt from them: two numbers
-that make probabilities of its outputs, the threshold of a warning, and how well both do.
+Its episodes also calibrate the policy's risk, since no update has learnt from them. The calibration
+has two numbers that make probabilities of the outputs, and the threshold of a warning; metrics say
+how well both do.
 """
 
 from __future__ import annotations
@@ -43,19 +44,23 @@ def calibrated(
 
     Its metrics come with it. Returns None if the rows have no risks.
     """
+    # Rows lose their risks here, which belong to no table of a validation.
     results = [(EpisodeRisks.pop(row), row["outcome"] != Outcome.REACHED) for row in rows]
     episodes = [(risks, fails) for risks, fails in results if risks is not None]
     if not episodes or settings is None:
         return None
-    told, came = predicted_and_actual(episodes)
-    slope, shift = fit(_log_odds(told), came, settings.horizon)
+    # Two numbers make probabilities of the log-odds, fitted on all decisions together.
+    predicted, came = predicted_and_actual(episodes)
+    slope, shift = fit(_log_odds(predicted), came, settings.horizon)
     sign = RiskSign(settings.horizon, 1.0)
+    # The threshold is chosen by probabilities with the digits that rows keep.
     probabilities = []
     for risks, fails in episodes:
         odds = slope * _log_odds(np.array(risks.told)) + shift
         probabilities.append((EpisodeRisks.of(sign, sigmoid(odds).tolist()), fails))
     threshold = threshold_for(probabilities, settings.false_alarms, _LEAST)
     calibration = RiskCalibration(RiskSign(settings.horizon, threshold), slope, shift)
+    # The metrics say how well the calibrated risk does with that threshold.
     final = [(EpisodeRisks(calibration.sign, risks.told), fails) for risks, fails in probabilities]
     summary = summarise(final)
     assert summary is not None  # there are episodes
@@ -69,13 +74,14 @@ def calibrated(
 def fit(log_odds: FloatArray, came: FloatArray, horizon: int) -> tuple[float, float]:
     """Return the slope and the shift of the log-odds that fit ``came`` best (Platt 1999).
 
-    ``log_odds`` (D,) are those of the bare network, ``came`` (D,) is 1 shortly before a failure,
-    else 0. The decisions before one failure are no independent evidence: ``horizon`` of them
-    count as one. The start, a slope of 1 and the shift that takes the network's weight back,
-    counts as evidence too, so that a validation without failures or with failures alone moves the
-    numbers a little. The slope is the exponential of what is fitted, so that it stays positive.
-    Newton's method, with half steps where a whole one does not improve.
+    ``log_odds`` (D,) come from the bare network; ``came`` (D,) is 1 shortly before a failure, else
+    0. The decisions before one failure are no independent evidence: ``horizon`` of them count as
+    one. The start is a slope of 1 and the shift that takes the network's weight back. It counts as
+    evidence too: a validation without failures, or with failures alone, moves the numbers a little.
+    The slope is the exponential of what is fitted, so that it stays positive. The method is
+    Newton's, with half steps where a whole one does not improve.
     """
+    # Before any episode: a slope of 1, and the shift that takes the network's weight back.
     start = np.array([0.0, -math.log(POSITIVES)])
     weights = np.array([1 / _SLOPES**2, 1 / _SHIFTS**2])
 
@@ -84,6 +90,7 @@ def fit(log_odds: FloatArray, came: FloatArray, horizon: int) -> tuple[float, fl
         likelihood = np.logaddexp(0.0, score) - came * score
         return float(likelihood.sum() / horizon + (weights * (at - start) ** 2).sum() / 2)
 
+    # Newton's method on (log slope, shift), from that start.
     fitted = start.copy()
     for _ in range(_STEPS):
         turned = math.exp(fitted[0]) * log_odds
@@ -109,6 +116,7 @@ def _log_odds(probabilities: FloatArray) -> FloatArray:
 
 def sigmoid(values: FloatArray) -> FloatArray:
     """Return the probabilities of log-odds of any shape."""
+    # Computed by logaddexp, which neither overflows nor loses small probabilities.
     return np.exp(-np.logaddexp(0.0, -values))
 
 
@@ -165,6 +173,7 @@ class Validator:
         averaged = reached_rows or rows
         means = {name: float(np.mean([row[name] for row in averaged])) for name in names}
         success = len(reached_rows) / len(rows)
+        # Shaping ranks no policy: the returns sum the paying terms alone.
         returns = [sum(float(row[name]) for name in self._paying) for row in rows]
         self.history.append(
             Validation(
