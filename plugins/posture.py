@@ -18,7 +18,7 @@ def with_masses(robot: RobotGeometry) -> Robot:
 
 
 def load_share(robot: RobotGeometry) -> float:
-    """Return the load's mass as a fraction of the robot's with the load [-]."""
+    """Return the load's mass as a fraction of the loaded robot's [-]."""
     masses = with_masses(robot)
     return (masses.payload or 0.0) / masses.mass
 
@@ -47,9 +47,9 @@ def centre_of_mass(
 def tipping_rise(across: FloatArray, above: FloatArray) -> FloatArray:
     """Return the rise of a centre of mass until the robot tips over a contact [m].
 
-    The centre is ``across`` from the contact, at least 0, and ``above`` it [m]:
-    √(across² + above²) − above, the energy that tips the robot over its weight (Hirose, Tsukagoshi
-    and Yoneda 1998), in the side plane.
+    The centre is ``across`` from the contact, at least 0, and ``above`` it [m]. The rise is
+    √(across² + above²) − above. It is the energy that tips the robot, divided by its weight, in the
+    side plane (Hirose, Tsukagoshi and Yoneda 1998).
     """
     rise: FloatArray = np.hypot(across, above) - above
     return rise
@@ -90,6 +90,7 @@ def contacts(
     reach = robot.reach + touch
     x, z = profile.around_each(position[:, 0], reach, far=True)
     x, z = x - position[:, :1], z - position[:, 1:]
+    # The axes of the three capsules
     axles = ((-ahead, ahead), (ahead, front), (rear, -ahead))
     gap = reduce(np.minimum, (_distances(a, b, x, z) for a, b in axles)) - robot.track_radius
     return Contacts(front, rear, x, z, gap <= touch)  # never for NaN
@@ -99,6 +100,7 @@ def _distances(begin: FloatArray, end: FloatArray, x: FloatArray, z: FloatArray)
     """Return the distances (M, P) [m] of points from the segment of each row, ends (M, 2)."""
     along = end - begin
     x, z = x - begin[:, :1], z - begin[:, 1:]
+    # The nearest point of the segment, as a fraction of its length
     unit = along / (along * along).sum(axis=1, keepdims=True)
     fraction = np.clip(x * unit[:, :1] + z * unit[:, 1:], 0.0, 1.0)
     x, z = x - fraction * along[:, :1], z - fraction * along[:, 1:]

@@ -53,23 +53,25 @@ def rest(
     of the flippers and a load are left out.
     """
     reach = robot.hinge_offset + robot.flipper_axle + robot.track_radius
+    # Parts on each side of the centre hold it up, and it cannot be lower than either allows.
     ground = _inflated(points, robot.track_radius, places[0] - reach, places[-1] + reach)
     ahead = _contacts(ground, robot, places, front, 1.0)
     behind = _contacts(ground, robot, places, rear, -1.0)
     above = ahead.height[..., :, None] - behind.height[..., None, :]  # (K, T, A, B)
     lowest = np.maximum(above, 0.0) + behind.height[..., None, :]
-    found = lowest.argmin(axis=1, keepdims=True)  # (K, 1, A, B)
+    index = lowest.argmin(axis=1, keepdims=True)  # of the pitch, (K, 1, A, B)
     # The pitch of equal heights lies between the lowest one and the next on the side that is free.
-    here = np.take_along_axis(above, found, axis=1)
+    here = np.take_along_axis(above, index, axis=1)
     toward = np.where(here > 0, 1, -1)
-    beside = np.clip(found + toward, 0, len(_PITCHES) - 1)
-    there = np.take_along_axis(above, beside, axis=1)
+    neighbour = np.clip(index + toward, 0, len(_PITCHES) - 1)
+    there = np.take_along_axis(above, neighbour, axis=1)
     between = np.divide(here, here - there, out=np.zeros_like(here), where=here * there < 0)
-    pitch = _PITCHES[found] + between * (_PITCHES[beside] - _PITCHES[found])
+    pitch = _PITCHES[index] + between * (_PITCHES[neighbour] - _PITCHES[index])
 
     def at_rest(values: FloatArray) -> FloatArray:
-        return np.take_along_axis(values, found, axis=1)[:, 0]
+        return np.take_along_axis(values, index, axis=1)[:, 0]
 
+    # The robot tips over the lower barrier, and hooks at the steeper slope.
     barriers = at_rest(ahead.barrier[..., :, None]), at_rest(behind.barrier[..., None, :])
     slopes = at_rest(ahead.slope[..., :, None]), at_rest(behind.slope[..., None, :])
     return Rest(pitch[:, 0], at_rest(lowest), np.minimum(*barriers), np.maximum(*slopes))
@@ -94,15 +96,18 @@ def _contacts(
     def axis(length: float, angle: FloatArray, along: FloatArray) -> FloatArray:
         return sign * length * np.stack([np.cos(angle), np.sin(angle)])[..., None] * along
 
+    # Points on the axes of chassis and flipper, for each pitch and each angle
     pitch = np.broadcast_to(_PITCHES[:, None], (len(_PITCHES), len(angles)))
     chassis = axis(robot.hinge_offset, pitch, _CHASSIS)  # (2, T, A, S)
     flipper = axis(robot.flipper_axle, pitch + sign * angles, _FLIPPER) + chassis[..., -1:]
     x, z = np.concatenate([chassis, flipper], axis=-1)  # (T, A, S), from the chassis centre
     at = places[:, None, None, None] + x  # (K, T, A, S)
     heights = np.interp(at, ground[0], ground[1]) - z
+    # The part that needs the highest centre touches first.
     first = heights.argmax(axis=-1)[..., None]
     height = np.take_along_axis(heights, first, axis=-1)
     slope = np.interp(np.take_along_axis(at, first, axis=-1), ground[0], ground[2])
+    # The robot would tip over the outermost part that touches.
     outward = np.where(heights >= height - _TOUCH, sign * x, -np.inf)
     outermost = outward.argmax(axis=-1)[..., None]
     across = np.maximum(0.0, np.take_along_axis(outward, outermost, axis=-1))
@@ -120,6 +125,7 @@ def _inflated(points: FloatArray, radius: float, low: float, high: float) -> Flo
     across = _CELL * np.arange(-n, n + 1)
     wide = np.concatenate([x[0] + across[:n], x, x[-1] + across[n + 1 :]])
     z = np.interp(wide, *points.T) if len(points) else np.full(len(wide), -radius)
+    # The circle's centre is as high as the highest ground below it demands.
     windows = np.lib.stride_tricks.sliding_window_view(z, 2 * n + 1)
     z = (windows + np.sqrt(radius**2 - across**2)).max(axis=-1)
     return np.stack([x, z, np.arctan(np.gradient(z, _CELL))])

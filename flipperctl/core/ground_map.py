@@ -21,10 +21,9 @@ def kept_points(
 ) -> NDArray[np.bool_]:
     """Return which of the (V, 2) points [m] to keep, (V,); ``fixed`` points are always kept.
 
-    After each kept point, the next kept point is the farthest for which the omitted points
-    between both either lie within ``tolerance`` [m] of the straight line between them (the cone
-    test of Imai and Iri 1988), or all lie below that line, which is then at most ``span`` [m]
-    long.
+    The next kept point is the farthest to which a straight line may replace the points between.
+    They must lie within ``tolerance`` [m] of the line (the cone test of Imai and Iri 1988), or all
+    lie below a line of at most ``span`` [m].
     """
     count = len(points)
     keep = np.zeros(count, dtype=np.bool_)
@@ -37,18 +36,22 @@ def kept_points(
         for j in range(start + 1, count):
             dx, dz = points[j, 0] - points[start, 0], points[j, 1] - points[start, 1]
             distance, direction = math.hypot(dx, dz), math.atan2(dz, dx)
+            # Cone test: the line to this point passes all points before it within the tolerance.
             if low <= direction <= high and distance >= longest:
                 best = j
+            # No point before this one lies above the line to it, which bridges a hollow.
             if direction > steepest or (direction == steepest and distance >= height):
                 steepest, height = direction, distance
                 if distance <= span:
                     best = j
             if fixed[j]:
                 break
+            # Each point narrows the cone of directions that pass it closely enough.
             if distance > tolerance:
                 half = math.asin(tolerance / distance)
                 low, high = max(low, direction - half), min(high, direction + half)
             longest = max(longest, distance)
+            # Neither test can succeed any farther on.
             if low > high and dx > span:
                 break
         start = best
@@ -107,6 +110,7 @@ class GroundMap:
         """Return the ground as a polyline in frame L, x never decreasing, (V, 2) [m]."""
         if not self._scans:
             return np.zeros((0, 2))
+        # Without noise the latest scan is exact, and averages would only round off its edges.
         if self.noise < _EXACT or (len(self._scans) == 1 and self.noise < 2 * _EXACT):
             points, tolerance = self._scans[-1], _TOLERANCE
         else:
@@ -127,6 +131,7 @@ class GroundMap:
         )
         x, z = points.T
         best = (np.inf, *guess)
+        # The median of the residuals aligns z for each correction along x, whatever edges do.
         for correction in _SEARCH:
             dx = guess[0] + correction
             at = x + dx  # x of the points in the map's frame [m]
@@ -159,6 +164,8 @@ def _averaged(points: FloatArray, noise: float) -> FloatArray:
     groups = list(zip(np.split(x, starts[1:]), np.split(z, starts[1:]), strict=True))
     middle = np.array([np.median(heights) for _, heights in groups])
     line: list[tuple[float, float]] = []
+    # Where heights spread by more than noise and slope explain, a face stands, whose ends both
+    # count.
     for i, (at, heights) in enumerate(groups):
         where = float(at.mean())
         low, high = np.quantile(heights, (0.15, 0.85))

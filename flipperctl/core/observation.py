@@ -1,12 +1,12 @@
 """Layout of the numbers of an observation (paper Eqs. 1 and 2), and the heights of its bins.
 
-They are the mean heights of the ground in N bins of frame L [m], from rear to front, then, unless
-the layout is the paper's, the heights of each bin's highest point, then front and rear flipper
-angle in frame R and pitch [rad]. A mean hides what is thinner than its bin: of a plate 2 cm thick
-and 0.25 m high it shows a seventh. Frame L is level with its origin at the chassis centre,
-frame R is fixed to the chassis. Unseen ground is filled with points on straight lines between the
-seen points. ``sim.planar.rays`` compiles ``add_heights`` and the filling; they call no other
-function, so that they can be compiled as they are.
+First come the mean heights of the ground in N bins of frame L [m], from rear to front. Unless the
+layout is the paper's, the heights of each bin's highest point follow. The angles of the front and
+the rear flippers in frame R and the pitch are the last numbers [rad]. A mean hides what is thinner
+than its bin: it shows a seventh of a plate 2 cm thick and 0.25 m high. Frame L is level with its
+origin at the chassis centre, frame R is fixed to the chassis. Unseen ground is filled with points
+on straight lines between the seen points. ``sim.planar.rays`` compiles ``add_heights`` and the
+filling; they call no other function, so that they can be compiled as they are.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def assemble(
 ) -> NDArray[np.float32]:
     """Return an observation, (n,) in SI units.
 
-    ``heights``: those of ``bin_heights``; ``front``, ``rear``: angles of the
+    ``heights``: the result of ``bin_heights``; ``front``, ``rear``: angles of the
     flippers in frame R, above the chassis positive [rad]; ``pitch``: nose up positive [rad].
     """
     observation = np.empty(len(heights) + len(ANGLES), dtype=np.float32)
@@ -80,6 +80,7 @@ def add_heights(
     """
     seen = 0
     for i in range(len(points)):
+        # A point on the front border may round into a bin past the last one.
         index = min(int((points[i, 0] + behind) / width), len(total) - 1)
         if count[index] == 0:
             seen += 1
@@ -101,9 +102,9 @@ def bin_heights(
     highest: bool,
     add_heights: Add = add_heights,
 ) -> FloatArray:
-    """Return the mean height of each bin's points, rear to front, then those ``highest``, too.
+    """Return the mean height of each bin's points, rear to front, in frame L, (N,) [m].
 
-    The heights are (N,), or (2 N,) with the highest points, in frame L [m].
+    With ``highest``, the heights of each bin's highest point follow, (2 N,).
     ``points``: (P, 2) in frame L within ``reach`` [m], in any order. Heights of an
     empty bin are interpolated linearly between its neighbours; beyond the outermost bins with
     points they equal theirs. Without any points, every height is 0. ``add_heights``
@@ -116,9 +117,9 @@ def bin_heights(
     if seen == bins:
         mean = total / count
     else:
-        where, every = np.flatnonzero(count), np.arange(bins)
-        mean = np.interp(every, where, total[where] / count[where])
-        top = np.interp(every, where, top[where])
+        where, numbers = np.flatnonzero(count), np.arange(bins)
+        mean = np.interp(numbers, where, total[where] / count[where])
+        top = np.interp(numbers, where, top[where])
     return np.concatenate([mean, top]) if highest else mean
 
 
@@ -141,23 +142,26 @@ def fill_gaps(
 
     ``points`` (P, 2) are the seen points in order along the ground; ``index`` (P,) are their
     numbers along it, with gaps where the ground is unseen. A gap is filled with points at most
-    ``spacing`` [m] apart on the straight line between both neighbours, or at the height of the
-    first or last point beyond it, within the ``limits`` of x [m]. ``offered`` (P,): whether a seen
-    point is returned.
+    ``spacing`` [m] apart on the straight line between both neighbours. Before the first and past
+    the last point, the ground is level up to the ``limits`` of x [m]. ``offered`` (P,): whether a
+    seen point is returned.
     """
     low, high = limits
     if len(points) == 0:
         return np.empty((0, 2)), np.empty(0, dtype=np.bool_)
+    # Level ground leads from the first and the last point to the limits.
     ends = np.empty((len(points) + 2, 2))
     ends[1:-1] = points
     ends[0, 0], ends[0, 1] = min(low, points[0, 0]), points[0, 1]
     ends[-1, 0], ends[-1, 1] = max(high, points[-1, 0]), points[-1, 1]
+    # A gap takes as many points as keep its neighbours within the spacing.
     counts = np.zeros(len(points) + 1, dtype=np.int64)  # filled points before each seen one
     for i in range(len(counts)):
         if 0 < i < len(points) and index[i] == index[i - 1] + 1:
             continue
         length = math.hypot(ends[i + 1, 0] - ends[i, 0], ends[i + 1, 1] - ends[i, 1])
         counts[i] = max(0, math.ceil(length / spacing - 1e-9) - 1)
+    # Gaps and offered points alternate, in order along the ground.
     most = counts.sum() + len(points)
     result, filled = np.empty((most, 2)), np.zeros(most, dtype=np.bool_)
     n = 0

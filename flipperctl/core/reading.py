@@ -28,6 +28,7 @@ def read_whole(path: Path, parse: Callable[[bytes], T], refusal: type[Exception]
             return parse(data)
         except refusal as error:
             refused = error
+            # If the file has changed meanwhile, only half of it may have been refused.
             if _stamp(path) == before:
                 raise
             time.sleep(_PAUSE)

@@ -1,14 +1,14 @@
 """The sign that an episode is about to fail, and how a policy that warns gets away.
 
 In: the observations of an episode, where the robot was by its odometry, and what a policy's network
-tells of the newest observation. Out: the risk, whether it is a warning, and the action. Simulator
+says about the newest observation. Out: the risk, whether it is a warning, and the action. Simulator
 and robot share this definition.
 
-One observation does not tell whether the robot still moves. Two things do: how much the newest
-observation resembles earlier ones, since those of a robot that is stuck repeat; and odometry, since
-on a level floor they repeat while the robot drives, too. A deterministic policy that is stuck
-repeats what it did. Drawn actions end the repetition, and are likely to be good ones, since the
-probabilities follow the Q-values. It presumes that the belts drive, as they do in training.
+A single observation does not show whether the robot still moves. Observations of a stuck robot
+repeat, so that the newest one resembles earlier ones. On a level floor they also repeat while the
+robot drives; there, odometry shows the motion. A deterministic policy that is stuck repeats its
+actions. Drawn actions end the repetition, and are likely to be good ones, since the probabilities
+follow the Q-values. The sign presumes that the belts drive, as they do in training.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ _FAR = 50.0
 
 
 def resemblances(observations: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return how much each observation of an episode resembles those before it, (T, lags) [-].
+    """Return how much each observation of an episode resembles earlier ones, (T, lags) [-].
 
     ``observations``: (T, n) in SI units, oldest first. A resemblance is 1 for equal ones, and 0
     for an observation from before the episode.
@@ -68,12 +68,13 @@ def with_recurrence(
 ) -> float:
     """Return the risk of an observation with its episode's past; NaN if a number is not finite.
 
-    ``risk``: that of the observation alone, 0 to 1; ``coefficients``: what each resemblance adds to
+    ``risk``: risk of the observation alone, 0 to 1; ``coefficients``: what each resemblance adds to
     its log-odds, (lags,); ``resembles``: the resemblances, (lags,).
     """
     added = float(coefficients.dot(resembles))
     if not math.isfinite(risk + added):
         return math.nan
+    # Log-odds add up; the cuts keep them finite.
     cut = min(_MOST, max(_LEAST, risk))
     score = math.log(cut / (1 - cut)) + added
     return 1 / (1 + math.exp(-min(_FAR, max(-_FAR, score))))
@@ -127,13 +128,14 @@ class EpisodeRisk:
         """Add a decision; return its risk, NaN if a number is not finite; call it once a decision.
 
         ``risk`` and ``coefficients``: see ``with_recurrence``; ``observations``: the network's
-        input, of which the last n numbers are the newest observation; ``place``: where the
-        robot is; None: it has no odometry. The risk of a robot that stands is half way from a
-        warning to certainty, or more: as a fit to the policy ``generalist``, whose episodes fail
-        within the horizon in 0.4 to 0.9 of such decisions, the more the harder the ground is.
+        input, whose last n numbers are the newest observation; ``place``: where the robot is;
+        None: it has no odometry. The risk of a robot that stands is half way from a warning to
+        certainty, or more. This fits the policy ``generalist``: after 0.4 to 0.9 of such
+        decisions, more on harder ground, its episode failed within the horizon.
         """
-        told = with_recurrence(risk, coefficients, self.resemblances(observations[-self._size :]))
-        return max(told, self._standing_risk) if self._stands(place) else told  # NaN stays
+        newest = observations[-self._size :]
+        moving = with_recurrence(risk, coefficients, self.resemblances(newest))
+        return max(moving, self._standing_risk) if self._stands(place) else moving  # NaN stays
 
     def _stands(self, place: Place | None) -> bool:
         places = self._places
@@ -154,6 +156,7 @@ class EpisodeRisk:
         np.abs(difference, out=difference)
         nearness: NDArray[np.float32] = difference.dot(self._mean)
         np.exp(nearness, out=nearness)
+        # Before the episode there was nothing to resemble.
         if count < length - 1:
             nearness *= self._known[count]
         self._count = count + 1

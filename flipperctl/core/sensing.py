@@ -19,7 +19,7 @@ class SensedGround:
     """(P, 2) sensed and ``filled`` points, x never decreasing [m]."""
     heights: FloatArray | None = None
     """(N,) mean height of each bin (paper Eq. 1), or (2 N,) with the highest ones, as the layout
-    says [m]; None: those of ``points``."""
+    says [m]; None: they follow from ``points``."""
     filled: NDArray[np.bool_] | None = None
     """(P,) whether a point fills unseen ground; None: every point was seen."""
     seen: NDArray[np.bool_] | None = None
@@ -64,7 +64,7 @@ class Estimator(Protocol):
     """
 
     def update(self, measured: Measured) -> None:
-        """Receive a measurement; those of one instrument arrive in order of time."""
+        """Receive a measurement; each instrument's measurements arrive in order of time."""
 
     def estimate(self, time: float) -> tuple[SensedGround, SensedAngles]:
         """Return the estimate for ``time`` [s], which is not before the last measurement."""

@@ -2,8 +2,8 @@
 
 In: an action; the last targets and the measured angles. Out: steps per joint, or turns [rad]; the
 new targets. The environment and a robot that runs an exported policy share these definitions. An
-action is an index, or the rates of both pairs, of which the nine actions are the corners, the
-middles of the edges and the middle.
+action is an index, or the rates of both pairs. In the square of all rates, the nine indexed actions
+are the corners, the middles of the edges and the middle.
 """
 
 from __future__ import annotations
@@ -46,6 +46,7 @@ def as_action(value: Any) -> Action | None:
     numbers and booleans are none, as for Gymnasium's Discrete. Rates are a pair or an array (2,) of
     finite numbers.
     """
+    # In Python a boolean is an integer, too.
     if isinstance(value, bool):
         return None
     try:
@@ -78,6 +79,7 @@ def rates_of(outputs: Sequence[float]) -> Rates:
 
 def closest(rates: Rates) -> int:
     """Return the index of the action that comes closest to rates."""
+    # Halves are rounded up; ``round`` would round them to the even number.
     front, rear = (math.floor(rate + 0.5) for rate in rates)
     return action_index(front, rear)
 
@@ -85,7 +87,8 @@ def closest(rates: Rates) -> int:
 def turns(step: float, kind: ActionKind = "turns") -> FloatArray:
     """Return the turn of each pair by each action, (9, 2) [rad]; ``step``: one step [rad].
 
-    For rates, it is that by a rate of 1 of each pair, (2, 2), so that rates · turns is the turn.
+    For rates, each row is the turn by a rate of 1 of a pair, (2, 2), so that rates · turns is the
+    turn.
     """
     return np.array(ACTIONS) * step if kind == "turns" else np.eye(len(JOINTS)) * step
 
@@ -116,8 +119,8 @@ class TargetRule:
 
     While a flipper follows its targets, they stay on an exact grid of angles, free of measurement
     error. The target of a blocked flipper stays within ``window`` of the measured angle, and an
-    action turns it from there; without that bound, the target would run ahead of the flipper,
-    which would jump to it once it is free.
+    action turns it from there. Without that bound, the target would run ahead of a blocked flipper,
+    which would jump to it once free.
     """
 
     window: float
@@ -137,5 +140,6 @@ class TargetRule:
         return front, rear
 
     def _next(self, target: float, angle: float, turn: float) -> float:
+        # The bound comes before the turn, so that a blocked flipper can turn the other way at once.
         near = min(angle + self.window, max(angle - self.window, target))
         return min(self.limit, max(-self.limit, near + turn))

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Iterator
 from typing import Any
 
+# A backend that matplotlib does not know would stop its import, though nothing here uses it.
 if "matplotlib" not in sys.modules:
     _backend = os.environ.pop("MPLBACKEND", None)  # matplotlib refuses unknown names at its import
     import matplotlib
@@ -25,10 +26,10 @@ else:
 
 
 @contextlib.contextmanager
-def settings(**ours: Any) -> Iterator[None]:
-    """Draw and save with matplotlib's own defaults, and ``ours``; put the user's back."""
+def settings(**overrides: Any) -> Iterator[None]:
+    """Draw and save with matplotlib's own defaults and ``overrides``, then restore the user's."""
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         values: Any = matplotlib.rcParams  # whose stubs list every name
-        values.update(ours)
+        values.update(overrides)
         yield

@@ -34,7 +34,7 @@ FILM = OutputKind("a film", (".gif", _MP4), re.compile(_MARK))
 _COLOURS = 63
 """Number of colours of a GIF, without the one that marks unchanged pixels [-]."""
 _LOOKED_AT = 9
-"""Number of frames of which the colours are taken [-]."""
+"""Number of frames that the colours are taken from [-]."""
 
 
 def check_film(path: Path) -> None:
@@ -60,27 +60,29 @@ def write_film(path: Path, frames: Iterable[Frame]) -> None:
 
 
 def _gif(frames: Iterable[Frame]) -> bytes:
-    """Return a GIF that repeats, of the colours that some of its frames have."""
+    """Return a GIF that repeats, in the colours that some of its frames have."""
     from PIL import Image
 
+    # Frames wait in compressed form, since the palette is needed before the first is written.
     packed, durations, shape = list[bytes](), list[int](), (0, 0, 0)
     for picture, shown in frames:
         shape = picture.shape
         packed.append(zlib.compress(picture.tobytes(), 1))
         durations.append(round(1000 * shown))  # [ms]
 
-    def pictures(chosen: Sequence[int]) -> Iterator[Image.Image]:
-        for index in chosen:
+    def pictures(indices: Sequence[int]) -> Iterator[Image.Image]:
+        for index in indices:
             pixels = np.frombuffer(zlib.decompress(packed[index]), np.uint8)
             yield Image.fromarray(pixels.reshape(shape))
 
+    # One palette for all frames, taken from some of them, so that still ground does not flicker
     count = len(packed)
     some = sorted({round(at) for at in np.linspace(0, count - 1, min(count, _LOOKED_AT))})
     sheet = np.concatenate([np.asarray(picture)[::2, ::2] for picture in pictures(some)])
     palette = Image.fromarray(sheet).quantize(_COLOURS, dither=Image.Dither.NONE)
 
-    def quantized(chosen: Sequence[int]) -> Iterator[Image.Image]:
-        for picture in pictures(chosen):
+    def quantized(indices: Sequence[int]) -> Iterator[Image.Image]:
+        for picture in pictures(indices):
             yield picture.quantize(palette=palette, dither=Image.Dither.NONE)
 
     (first,), buffer = quantized([0]), io.BytesIO()
@@ -106,6 +108,7 @@ def _mp4(frames: Iterable[Frame]) -> bytes:
                         macro_block_size=1, output_params=options, ffmpeg_log_level="error",
                     )  # fmt: skip
                     writer.send(None)
+                # The rate is constant, so that a longer pause repeats its frame.
                 due += shown
                 pixels = picture[:tall, :wide].tobytes()
                 while due > SHOWN / 2:

@@ -65,7 +65,7 @@ class Curve:
 
 
 def known_metrics(runs: Runs) -> list[str]:
-    """Return the columns that can be drawn: those with a number in any row."""
+    """Return the columns that can be drawn, since any row has a number there."""
     rows = [row for seeds in runs.values() for run_rows in seeds for row in run_rows]
     names = dict.fromkeys(name for row in rows for name in row)
     apart = ("decision", "success_rate", "decisions", "mean_return", "seconds", "seed", "episode")
@@ -97,12 +97,13 @@ def curves_figure(
 
     Curves are of validations if every run has three or more, else of training episodes: means over
     the last 10 to 100 of them, a tenth of a run. They end where the shortest seed of the method
-    does. A single run shows both. Pitch variation and time are those of reached episodes; a curve
+    does. A single run shows both. Pitch variation and time come from reached episodes; a curve
     has a gap where a seed has none.
 
     Raises:
         RequestError: a run has no row yet, or no run has a metric.
     """
+    # Refuse what cannot be drawn before any drawing.
     for name, seeds in runs.items():
         if not seeds or not all(seeds):
             raise RequestError(f"{name}: there is no episode in it yet")
@@ -113,6 +114,7 @@ def curves_figure(
                 f"metric {metric!r}: no run has such a column{close_match(metric, known)}; "
                 f"known: {', '.join(known)}"
             )
+    # A panel for each metric: the curves of all methods, or all of a single run
     figure, axes = panels(width, len(metrics), points(1.25))
     alone = len(runs) == 1 and len(next(iter(runs.values()))) == 1
     validated = uses_validations(runs)
@@ -123,6 +125,7 @@ def curves_figure(
             curve = over_seeds(seeds, metric, validated, window(runs), average)
             _draw(panel, curve, at, marked=validated and metric not in _TRAINED)
         _finish(panel, metric)
+    # Decisions are named below the lowest panels, and below those that share no axis with them.
     shared = figure.axes[: len(metrics)]
     for panel in shared:
         last = panel.get_subplotspec()
@@ -138,14 +141,17 @@ def over_seeds(
 ) -> Curve:
     """Return the curve of a method from the rows of its seeds."""
     each = [_series(rows, metric, validated, window) for rows in seeds]
+    # The decisions at which any seed has a value, as far as all of them have begun and none has
+    # ended
     first, last = max(at[0] for at, _ in each), min(at[-1] for at, _ in each)
-    every = np.unique(np.concatenate([at for at, _ in each]))
-    grid = every[(every >= first) & (every <= last)]
+    decisions = np.unique(np.concatenate([at for at, _ in each]))
+    grid = decisions[(decisions >= first) & (decisions <= last)]
     if len(grid) > _GRID:
         grid = np.linspace(first, last, _GRID)
     if not len(grid):  # one seed ended before another began to be measured
         grid = np.array([last])
     table = np.array([np.interp(grid, at, values) for at, values in each])  # (S, T)
+    # A band is missing for a single seed, a range for a few, and a bootstrap interval for more.
     if len(each) == 1:
         return Curve(grid, table[0], table[0], table[0])
     middle = _averaged(table, average)
@@ -159,6 +165,7 @@ def over_seeds(
 def running_mean(values: FloatArray, window: int) -> FloatArray:
     """Return the means, (T,), of each value and the ``window`` - 1 before it, ignoring NaN."""
     known = np.isfinite(values)
+    # Cumulative sums give all windows at once; NaN adds neither to the total nor to the count.
     total = np.concatenate([[0.0], np.cumsum(np.where(known, values, 0.0))])
     count = np.concatenate([[0], np.cumsum(known)])
     end = np.arange(1, len(values) + 1)
@@ -174,7 +181,7 @@ def column(rows: Sequence[CsvRow], key: str) -> FloatArray:
 
 
 def _averaged(table: FloatArray, average: Average) -> FloatArray:
-    """Return the mean, or that of the middle half of (S, T) values, over the seeds, (T,)."""
+    """Return the mean of (S, T) values over the seeds, or the mean of their middle half, (T,)."""
     cut = len(table) // 4 if average == "iqm" else 0
     return np.asarray(np.sort(table, axis=0)[cut : len(table) - cut].mean(axis=0))
 
@@ -197,6 +204,7 @@ def _series(
     rows: Sequence[CsvRow], metric: str, validated: bool, window: int
 ) -> tuple[FloatArray, FloatArray]:
     """Return the decisions and the values of one run's metric, (T,) each."""
+    # A mean over reached episodes does not exist where no episode has reached the finish.
     if validated and metric not in _TRAINED:
         checked = _of(rows, "validation")
         at, rate = column(checked, "decision"), column(checked, "success_rate")
@@ -204,6 +212,7 @@ def _series(
             return at, 100 * rate
         values = column(checked, metric)
         return at, np.where(rate == 0, math.nan, values) if metric in _REACHED_ONLY else values
+    # Training episodes, in running means
     played = _of(rows, "episode")
     at = column(played, "decision")
     reached = np.array([row.get("outcome") == Outcome.REACHED for row in played])
@@ -260,8 +269,8 @@ def _thousands(value: float, at: float) -> str:
 def _handles(runs: Runs, alone: bool, axes: Sequence[Axes], *, marked: bool) -> list[Line2D]:
     """Return the entries of the legend; none for a single method."""
     if alone:
-        every = {str(line.get_label()): line for panel in axes for line in panel.get_lines()}
-        return [line for name, line in every.items() if not name.startswith("_")]
+        lines = {str(line.get_label()): line for panel in axes for line in panel.get_lines()}
+        return [line for name, line in lines.items() if not name.startswith("_")]
     handles = []
     for at, (name, seeds) in enumerate(runs.items()):
         text = f"{name} ({len(seeds)} seeds)" if len(seeds) > 1 else name

@@ -46,16 +46,18 @@ _FADE = 0.75
 def episode_figure(trace: Trace) -> Figure:
     """Draw poses with their times on the terrain, above pitch and flipper angles over time.
 
-    Of a sensor that maps the ground, the map's points are drawn as of each pose, and the perceived
-    heights over time below.
+    If the sensor maps the ground, the map's points at the time of each pose are drawn, and the
+    perceived heights over time below.
     """
     heights = [1.7] if trace.maps else []
+    # Panels for the poses, the angles and, with a map, the perceived heights
     scale, height = _size([trace], WIDTH)
     figure = Figure(figsize=(WIDTH, height + 2.7 + sum(heights)), layout="constrained")
     above, below, *lowest = figure.subplots(
         2 + len(heights), 1, height_ratios=[height, 1.7, *heights]
     )
     shown = _draw_poses(above, trace, scale)
+    # Dotted lines mark the instants of the poses above.
     states = [trace.state(i) for i in range(len(trace.time))]
     for state in shown:
         below.axvline(state.time, color=FAINT, linewidth=0.6, linestyle=":")
@@ -74,7 +76,7 @@ def episode_figure(trace: Trace) -> Figure:
 def poses_figure(traces: Sequence[Trace], names: Sequence[str], *, width: float = WIDTH) -> Figure:
     """Draw each episode's poses along the ground, one below the other; earlier poses fade.
 
-    ``names``: of the policies, above their panels; empty for none.
+    ``names``: names of the policies, above their panels; empty for none.
     """
     scale, height = _size(traces, width)
     each = height + points(0.35 if any(names) else 0.15)
@@ -98,6 +100,7 @@ def series_figure(
     A cross ends the curve of an episode that did not reach the finish.
     """
     figure, axes = panels(width, 4, points(0.85))
+    # A panel for each quantity, with a curve for each policy
     for panel, (label, values) in zip(axes, _SERIES.items(), strict=True):
         style_axes(panel, "", "", label)
         for at, trace in enumerate(traces):
@@ -111,12 +114,13 @@ def series_figure(
                 )  # fmt: skip
         if "°" in label:
             panel.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 1.5, 3, 6, 10]))
+    # Time is named below the lowest panels alone.
     for panel in axes:
         place = panel.get_subplotspec()
         if place is not None and place.is_last_row():
             panel.set_xlabel("Time [s]")
-    every = [Line2D([], [], label=name, **look(at, marked=False)) for at, name in enumerate(names)]
-    legend(figure, every if len(every) > 1 else [])
+    lines = [Line2D([], [], label=name, **look(at, marked=False)) for at, name in enumerate(names)]
+    legend(figure, lines if len(lines) > 1 else [])
     figure.align_ylabels()
     return figure
 
@@ -158,15 +162,18 @@ def _size(traces: Sequence[Trace], width: float) -> tuple[int, float]:
 
 def _draw_poses(axes: Axes, trace: Trace, scale: int) -> list[RobotState]:
     """Draw the ground, the path of the chassis centre, and poses with their times; return these."""
+    # The ground, and the way of the chassis centre over it
     draw_ground(axes, trace.profile)
     path = axes.plot(*trace.position.T, color=INK, linewidth=points(0.6), label="chassis centre")
     shown = _shown(trace)
+    # What the map held at the instants of the poses
     if trace.maps:
         seen = np.concatenate([trace.maps[trace.latest(state.time)] for state in shown])
         path += axes.plot(
             *seen.T, ".", color=HEIGHTS, markersize=points(1.5), zorder=4, label="map"
         )
         legend_above(axes, path)
+    # Earlier poses fade, and later ones lie over them.
     for i, state in enumerate(shown):
         fade = _FADE * (1 - (i + 1) / len(shown))
         RobotArtist(axes, zorder=5.0 + i, fade=fade).show(state, trace.robot)
@@ -191,6 +198,7 @@ def _fit(figure: Figure, panels: Sequence[Axes], scale: int) -> None:
         for axes in panels:
             box = axes.get_window_extent()
             (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+            # Whichever is too small for the scale grows, so that nothing is cut off.
             more = (right - left) * box.height / (box.width * scale) - (high - low)
             axes.set_ylim(low - max(0.0, more) / 2, high + max(0.0, more) / 2)
             wider = max(0.0, -more) * scale * box.width / box.height / 2
@@ -214,7 +222,7 @@ def _draw_heights(figure: Figure, axes: Axes, trace: Trace) -> None:
 
 
 def pose_indices(path: FloatArray, spacing: float) -> list[int]:
-    """Return indices into a path (T, 2) [m]: first, last and those ``spacing`` apart."""
+    """Return indices into a path (T, 2) [m], ``spacing`` apart from the first to the last."""
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(path, axis=0).T))])
     poses = max(1, int(along[-1] / spacing)) + 1
     wanted = np.linspace(0.0, along[-1], poses)

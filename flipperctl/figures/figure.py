@@ -1,6 +1,6 @@
 """The style of every figure, its parts (ground, axes, legends), and writing it to a file.
 
-Sizes are those on paper: a figure as wide as a column of a journal has text of 7 to 8 pt there.
+Sizes hold on paper: a figure as wide as a column of a journal has text of 7 to 8 pt there.
 Figures are made without pyplot and its global state.
 """
 
@@ -101,7 +101,7 @@ P = ParamSpec("P")
 
 
 def in_style(draw: Callable[P, Figure]) -> Callable[P, Figure]:
-    """Make a function draw its figure in the ``styled`` style, else in that of papers."""
+    """Make a function draw its figure in the ``styled`` style, or else in the style of papers."""
 
     @functools.wraps(draw)
     def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
@@ -112,20 +112,20 @@ def in_style(draw: Callable[P, Figure]) -> Callable[P, Figure]:
 
 
 def points(size: float) -> float:
-    """Return a length in pt that grows with the text of the style; ``size`` is that on paper."""
+    """Return a length in pt that grows with the text of the style; on paper it is ``size``."""
     return float(size * _settings["font.size"] / STYLES["paper"]["font.size"])
 
 
 def panels(width: float, count: int, height: float) -> tuple[Figure, list[Axes]]:
     """Return a figure with panels, each ``height`` [in]; side by side if there is room for two."""
-    beside = width >= points(_SIDE_BY_SIDE)
-    columns = min(count, 2 if count in (2, 4) else 3) if beside else 1
+    side_by_side = width >= points(_SIDE_BY_SIDE)
+    columns = min(count, 2 if count in (2, 4) else 3) if side_by_side else 1
     rows = -(-count // columns)
     figure = Figure(figsize=(width, rows * height + points(0.3)), layout="constrained")
-    every = figure.subplots(rows, columns, squeeze=False, sharex=not beside).flat
-    for spare in every[count:]:
+    grid = figure.subplots(rows, columns, squeeze=False, sharex=not side_by_side).flat
+    for spare in grid[count:]:
         spare.set_visible(False)
-    return figure, list(every[:count])
+    return figure, list(grid[:count])
 
 
 def look(index: int, *, marked: bool = True) -> dict[str, Any]:
@@ -145,7 +145,7 @@ def draw_ground(axes: Axes, profile: Profile) -> None:
 
 
 def z_scale(extent: FloatArray) -> int:
-    """Return the scale of z over that of x at which a picture of ground has the smallest height.
+    """Return by how much z is scaled up against x for a picture of ground of the smallest height.
 
     The picture shows ``extent`` (x, z) [m]. A result of 1 means equal scales.
     """
@@ -157,7 +157,7 @@ def scaled(
 ) -> tuple[int, float]:
     """Return the scale of z, and the height [in] of a picture of the box, from 1 to ``most``.
 
-    ``width``: that of the figure, in which axes labels take a part [in].
+    ``width``: width of the figure, in which axes labels take a part [in].
     """
     inner, extent = width - points(0.6), high - low
     scale = z_scale(extent)
@@ -201,6 +201,7 @@ def legend(figure: Figure, handles: Sequence[Artist]) -> None:
     if not handles:
         return
     canvas: Any = FigureCanvasAgg(figure)
+    # As many columns as fit, from a single row on
     for columns in range(len(handles), 0, -1):
         placed = figure.legend(handles=handles, loc="outside upper center", ncols=columns)
         if (
@@ -229,9 +230,9 @@ def render(figure: Figure, suffix: str, about: str = "") -> bytes:
         ".png": {"Software": "flipperctl", "Description": text},
     }
     # Without a salt, ids of SVG are random; publishers refuse Type 3 fonts, which are the default.
-    wanted = {"svg.hashsalt": "flipperctl", "pdf.fonttype": 42}
+    options = {"svg.hashsalt": "flipperctl", "pdf.fonttype": 42}
     buffer = io.BytesIO()
-    with settings(**wanted):
+    with settings(**options):
         figure.savefig(buffer, format=suffix[1:], dpi=200, metadata=described[suffix])
     return buffer.getvalue()
 
@@ -263,6 +264,7 @@ def label(name: str, *, folded: bool = False) -> str:
 
     ``folded``: on two lines if it is long, for the vertical axis of a low panel.
     """
+    # The line breaks before the symbol or the unit.
     if folded:
         words = label(name)
         at = words.find(" $") if " $" in words else words.find(" [")

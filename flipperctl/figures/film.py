@@ -103,8 +103,9 @@ def film(
     ``speed``: real time per time of the film [-]. ``report_progress`` is called with the finished
     fraction.
     """
-    every = samples_per_frame(speed)
+    samples = samples_per_frame(speed)
     check_film(path)
+    # The first world decides how all takes are drawn, since frames need one size.
     envs = [[FlipperEnv(config=part.config) for part in take.parts] for take in takes]
     first, part = envs[0][0], takes[0].parts[0]
     first.reset(seed=part.seed)
@@ -112,26 +113,27 @@ def film(
         coarser = _COARSER if path.suffix.lower() == ".gif" else 1
         height = _STACKED if len(takes[0].parts) > 1 else _ALONE
         clips = [
-            [_drawn(*view, every * coarser, height) for view in zip(row, take.parts, strict=True)]
+            [_drawn(*view, samples * coarser, height) for view in zip(row, take.parts, strict=True)]
             for row, take in zip(envs, takes, strict=True)
         ]
     else:
-        coarser, clips = 1, _from_the_side(envs, takes, every * SAMPLE_PERIOD)
+        coarser, clips = 1, _from_the_side(envs, takes, samples * SAMPLE_PERIOD)
     words = "real time" if speed == 1 else f"{speed:g} × real time"
 
     def frames() -> Iterator[Frame]:
         for number, (take, together) in enumerate(zip(takes, clips, strict=True)):
-            held: Frame | None = None
+            pending: Frame | None = None
+            # A frame waits for the next one, since the last of a take is shown for longer.
             for shots in _together(together):
-                if held is not None:
-                    yield held
+                if pending is not None:
+                    yield pending
                 rows = [_labelled(None, take.title, words, shots[0].picture.shape[1])]
                 for part, shot in zip(take.parts, shots, strict=True):
                     rows.append(_labelled(shot.picture, part.name, _numbers(shot)))
-                held = np.concatenate(rows), SHOWN * coarser
+                pending = np.concatenate(rows), SHOWN * coarser
                 report_progress((number + min(shot.done for shot in shots)) / len(takes))
-            if held is not None:
-                yield held[0], LAST
+            if pending is not None:
+                yield pending[0], LAST
 
     with settings():
         write_film(path, frames())
@@ -143,7 +145,7 @@ def _numbers(shot: Shot) -> str:
 
 
 def _together(clips: Sequence[Iterator[Shot]]) -> Iterator[list[Shot]]:
-    """Yield a shot of each clip at a time; one that is over keeps its last."""
+    """Yield a shot of each clip at a time; a clip that is over keeps its last shot."""
     shots: list[Shot | None] = [next(clip, None) for clip in clips]
     running = [shot is not None for shot in shots]
     while any(running):
@@ -202,6 +204,7 @@ def _drawn(env: FlipperEnv, part: Part, every: int, height: int) -> Iterator[Sho
         begin = decision.transition.before.position[0] if begin is None else begin
         outcome = str(decision.ending["outcome"]) if decision.ending else ""
         if outcome:
+            # The outcome is shown on the picture of the instant at which the episode ends.
             shots.stopped(env.drive.world)
         last = len(shots.taken) - 1
         for at, taken in enumerate(shots.taken):
@@ -214,16 +217,19 @@ def _from_the_side(
     envs: Sequence[Sequence[FlipperEnv]], takes: Sequence[Take], period: float
 ) -> list[list[Iterator[Shot]]]:
     """Play all episodes; return their clips, which show equal parts of the world in each take."""
+    # All episodes are played first, since the pictures of a take share one part of the world.
     views: list[list[tuple[SideView, FloatArray, FloatArray, str]]] = []
     for row, take in zip(envs, takes, strict=True):
         views.append([])
         for env, part in zip(row, take.parts, strict=True):
-            made = [d.transition for d in decisions(env, part.source.build(part.config), part.seed)]
-            view = SideView(made, env.profile, part.config.robot.track_speed, period)
-            times = [t.before.time + t.sample_period * np.arange(len(t.path)) for t in made]
-            pitches = np.concatenate([t.path[:, 2] for t in made])
-            outcome = str(made[-1].outcome)
+            policy = part.source.build(part.config)
+            episode = [d.transition for d in decisions(env, policy, part.seed)]
+            view = SideView(episode, env.profile, part.config.robot.track_speed, period)
+            times = [t.before.time + t.sample_period * np.arange(len(t.path)) for t in episode]
+            pitches = np.concatenate([t.path[:, 2] for t in episode])
+            outcome = str(episode[-1].outcome)
             views[-1].append((view, np.concatenate(times), pitches, outcome))
+    # One box for the parts of a take, and one height for all of the film
     boxes = []
     for row_of_views in views:
         corners = np.array([view.box for view, *_ in row_of_views])  # (P, 2, 2) [m]
@@ -247,7 +253,7 @@ def _seen(view: SideView, times: FloatArray, pitches: FloatArray, outcome: str) 
 
 
 class SideView:
-    """One figure of which each instant redraws only the moving parts.
+    """A figure whose moving parts alone are drawn again at each instant.
 
     The points of a sensor that maps the ground are drawn as of the latest decision.
     """
@@ -255,7 +261,7 @@ class SideView:
     def __init__(
         self, transitions: Sequence[Transition], profile: Profile, speed: float, period: float
     ) -> None:
-        """``speed``: that of the belts [m/s]; ``period``: time between two instants [s]."""
+        """``speed``: speed of the belts [m/s]; ``period``: time between two instants [s]."""
         self._robot, self._speed, self._profile = transitions[0].robot, speed, profile
         self.states: list[RobotState] = list(instants(transitions, period))
         self._maps = _maps(transitions, self.states)
@@ -279,6 +285,7 @@ class SideView:
             self._prepare(box, height, angles)
 
     def _prepare(self, box: FloatArray, height: float, angles: bool) -> None:
+        # The ground above, and below it the angles
         heights = [height, 1.3] if angles else [height]
         size = SCREEN, height + (2.2 if angles else 0.7)
         figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
@@ -299,6 +306,7 @@ class SideView:
             self._lines = [(line, np.array(line.get_data())) for line in lines]
             self._now = [below.axvline(0.0, color=FAINT, linewidth=0.8)]
             self._moving += [*self._now, *lines]
+        # What moves is drawn over a background that is drawn once.
         for artist in self._moving:
             artist.set_animated(True)  # excludes it from the background
         self._canvas = cast("Any", FigureCanvasAgg(figure))

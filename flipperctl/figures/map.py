@@ -41,6 +41,7 @@ def map_figure(mapped: Mapping[str, Any], *, width: float = COLUMN) -> Figure:
     Dots mark the points that were played, if others are interpolated; a line follows a success of
     one half.
     """
+    # The document's cells as grids; a row has one value of the second setting.
     first, second = mapped["axes"]
     shape = len(second["values"]), len(first["values"])
     success, variation = np.full((2, *shape), np.nan)
@@ -53,6 +54,7 @@ def map_figure(mapped: Mapping[str, Any], *, width: float = COLUMN) -> Figure:
             variation[at] = cell["pitch_variation_100hz"]
         if cell["episodes"]:
             played.append((x, y))
+    # Both quantities with their own colours, and dots at what was played
     figure, axes = panels(width, 2, points(1.9))
     finite = variation[np.isfinite(variation)]
     limits = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
@@ -66,6 +68,7 @@ def map_figure(mapped: Mapping[str, Any], *, width: float = COLUMN) -> Figure:
                 *np.transpose(played), "o", color="white", markeredgecolor=INK,
                 markersize=points(1.8), markeredgewidth=points(0.4),
             )  # fmt: skip
+    # The legend names only what the panels show.
     handles: list[Any] = []
     if len(played) < len(mapped["cells"]):
         handles.append(
@@ -101,6 +104,7 @@ def boundary(first: Any, second: Any, success: FloatArray) -> list[FloatArray]:
     """
     if min(success.shape) < 2 or not np.nanmin(success) < BOUNDARY < np.nanmax(success):
         return []
+    # Matplotlib traces the line on a figure that nobody sees.
     scratch = Figure().subplots()
     lines = scratch.contour(first, second, success, levels=[BOUNDARY])
     return [np.asarray(line, np.float64) for line in lines.allsegs[0] if len(line) > 1]

@@ -47,6 +47,7 @@ def intervals_figure(
     """
     looks = _looks(rows)
     figure, axes = _beside(rows, len(metrics), width)
+    # Labels fold where panels are narrow.
     longest = max(len(row["method" if _count(rows) == 1 else "scene"]) for row in rows)
     narrow = (width - points(0.06 * longest)) / len(metrics) < points(1.45)
     for panel, metric in zip(axes, metrics, strict=True):
@@ -75,6 +76,7 @@ def differences_figure(
     looks = _looks(rows)
     rows = [row for row in rows if row["method"] != against]
     figure, (axes,) = _beside(rows, 1, width)
+    # Single episodes as dots around the line of their method
     for height, row in _placed(rows):
         spread = np.asarray(row["episodes"], np.float64)
         # Dots of equal differences stay apart; the same in every picture.
@@ -83,6 +85,7 @@ def differences_figure(
             spread, height + shift / _count(rows), ".", color=looks[row["method"]]["color"],
             alpha=0.35, markersize=points(3.5), markeredgewidth=0,
         )  # fmt: skip
+    # Means with their intervals, and the side of zero that is better
     axes.axvline(0.0, color=INK, linewidth=points(0.7))
     _estimates(axes, rows, looks, metric)
     axes.annotate(
@@ -104,11 +107,13 @@ def heat_figure(rows: Sequence[Row], metric: str, *, width: float = COLUMN) -> F
     A cell also tells the success, under ``success``, where it is below 100 %. Many scenes stand
     below each other.
     """
+    # Where more scenes are compared than fit side by side, they become the lines.
     lines, columns = "method", "scene"
     if len({row["scene"] for row in rows}) > max(_MOST, len({row["method"] for row in rows})):
         lines, columns = columns, lines
     methods = list(dict.fromkeys(row[lines] for row in rows))
     scenes = list(dict.fromkeys(row[columns] for row in rows))
+    # Means, and success where it is partial
     factor = 100.0 if metric == SUCCESS else 1.0
     table = np.full((len(methods), len(scenes)), np.nan)
     partly: dict[tuple[int, int], float] = {}
@@ -118,6 +123,7 @@ def heat_figure(rows: Sequence[Row], metric: str, *, width: float = COLUMN) -> F
             table[at] = factor * row[metric]["mean"]
         if metric != SUCCESS and row[SUCCESS]["mean"] < 1:
             partly[at] = 100 * row[SUCCESS]["mean"]
+    # Cells in the colours of their means
     tall = 0.32 if partly else 0.22
     figure = Figure(figsize=(width, points(tall * len(methods) + 0.9)), layout="constrained")
     axes = figure.subplots()
@@ -125,6 +131,7 @@ def heat_figure(rows: Sequence[Row], metric: str, *, width: float = COLUMN) -> F
     mesh = axes.imshow(np.ma.masked_invalid(table), cmap=colours, aspect="auto")
     if metric == SUCCESS:
         mesh.set_clim(0, 100)
+    # Numbers in the cells, white on dark colours
     for (i, j), value in np.ndenumerate(table):
         number = "–" if np.isnan(value) else f"{value:.0f}" if metric == SUCCESS else f"{value:.2f}"
         texts = [number, *([f"{partly[i, j]:.0f} %"] if (i, j) in partly else [])]
@@ -133,6 +140,7 @@ def heat_figure(rows: Sequence[Row], metric: str, *, width: float = COLUMN) -> F
             j, i, "\n".join(texts), ha="center", va="center", color="white" if dark else INK,
             fontsize=matplotlib.rcParams["legend.fontsize"], linespacing=1.0,
         )  # fmt: skip
+    # Names around the table, without grid and frame; many scenes have tilted names.
     style_axes(axes, "", "", "")
     axes.grid(visible=False)
     axes.spines[:].set_visible(False)
@@ -199,6 +207,7 @@ def _placed(rows: Sequence[Row]) -> list[tuple[float, Row]]:
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
     placed = []
     for row in rows:
+        # The methods of a scene share its line, each a little higher or lower.
         at, scene = methods.index(row["method"]), scenes.index(row["scene"])
         inside = (at - (len(methods) - 1) / 2) / (len(methods) + 0.7)
         placed.append((-float(at) if len(scenes) == 1 else -scene - inside, row))

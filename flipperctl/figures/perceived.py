@@ -1,7 +1,7 @@
 """What a robot perceived on its recording: a film of it, or a picture of one instant.
 
-In: a replay of perception. Out: a file that shows the latest scan, the ground that the estimator
-made of it, and below how certain each height is; a film is three times as fast as real time.
+In: a replay of perception. Out: a file that shows the latest scan, the estimated ground, and below
+them the certainty of each height. A film is three times as fast as real time.
 """
 
 from __future__ import annotations
@@ -69,6 +69,7 @@ def draw_perceived(
     """Write the film of a replay, or the picture of its instant nearest to ``at`` [s]."""
     check_perceived(path, at)
     times = [instant.time for instant in replay.instants]
+    # An instant counts as recorded up to the longest pause beyond both ends.
     apart = max(np.diff(times).tolist(), default=0.0)
     if at is not None and not times[0] - apart <= at <= times[-1] + apart:
         allowed = f"{times[0]:g} to {times[-1]:g} s of the recording are allowed"
@@ -80,6 +81,7 @@ def draw_perceived(
             picture.show(min(replay.instants, key=lambda instant: abs(instant.time - at)))
         save(picture.figure, path)
         return
+    # In a film, an instant is shown until the next one.
     pauses = [*(pause / _RATE for pause in np.diff(times).tolist()), LAST]
 
     def frames() -> Iterator[Frame]:
@@ -106,6 +108,7 @@ class _PerceivedPicture:
 
     def __init__(self, replay: Replay, robot: RobotGeometry, rate: str) -> None:
         self._robot, self._width, self._strip = robot, replay.bin_width, replay.half_width
+        # All of the recording fits into the picture, but outliers do not stretch it.
         first = replay.instants[0].ground
         assert first.deviation is not None  # of a map
         count = len(first.deviation)
@@ -115,6 +118,7 @@ class _PerceivedPicture:
         low = min(_DEEP, max(float(points.min()), -1.5)) - 0.05
         high = max(_HIGH, min(float(points.max()), 1.5)) + 0.05
         half = max(reach, robot.reach) + 0.15
+        # Equal scales for x and z: the scan above the ground, and the bars below both
         tall = (SCREEN - 1.0) * (high - low) / (2 * half)
         whole = 2 * tall + 3.0  # [in]
         self.figure = Figure(figsize=(SCREEN, whole), dpi=80)
@@ -140,6 +144,7 @@ class _PerceivedPicture:
         style_axes(bars, "", x_label, "σ [mm]")
         for axes in (scan, ground):
             axes.set_ylim(low, high)
+        # The robot in both pictures, and the time
         self._robots = [RobotArtist(axes) for axes in (scan, ground)]
         self._clock = scan.text(
             1.0, 1.02, "", transform=scan.transAxes, ha="right", fontsize=10, color=INK
@@ -147,6 +152,7 @@ class _PerceivedPicture:
         self._canvas: Any = FigureCanvasAgg(self.figure)
 
     def _ground(self, axes: Axes) -> None:
+        # A bar for the height of each bin with its deviation, and grey where nothing was seen
         self._bins = [
             axes.add_patch(Rectangle((x, 0), self._width, 0, color=HEIGHTS, alpha=0.3, linewidth=0))
             for x in self._edges
@@ -155,6 +161,7 @@ class _PerceivedPicture:
             axes.add_patch(Rectangle((x, -5), self._width, 10, color="#EEEEEE", zorder=0))
             for x in self._edges
         ]
+        # The estimate as lines and points
         (self._means,) = axes.plot([], [], color=HEIGHTS, linewidth=2, label="heights ± 2σ")
         (self._known,) = axes.plot([], [], ".", color="#99AACC", markersize=1.2, label="map")
         (self._seen,) = axes.plot([], [], ".", color=INK, markersize=3, label="ground")
@@ -163,6 +170,7 @@ class _PerceivedPicture:
         )
         self._faces = LineCollection([], colors=_FACES, linewidths=2.5, zorder=6)
         axes.add_collection(self._faces, autolim=False)
+        # A collection gets no entry in the legend, so that an empty line stands for it.
         (entry,) = axes.plot([], [], color=_FACES, linewidth=2.5, label="face")
         lines = [self._means, self._known, self._seen, self._filled, entry]
         style_axes(axes, "estimate; shaded: never seen", "", "z [m]")
@@ -174,14 +182,17 @@ class _PerceivedPicture:
     def show(self, instant: Instant) -> NDArray[np.uint8]:
         """Return the picture of an instant, (H, W, 3)."""
         angles, ground = instant.angles, instant.ground
+        # The robot stands at the origin of frame L, in its measured posture.
         state = RobotState(
             np.zeros(2), angles.pitch, angles.front, angles.rear, np.zeros(2), 0.0, instant.time
         )
         for artist in self._robots:
             artist.show(state, self._robot)
+        # Of the scan, only the strip of the robot's width makes up the ground.
         strip = np.abs(instant.cloud[:, 1]) <= self._strip
         self._cloud.set_data(instant.cloud[strip, 0], instant.cloud[strip, 2])
         self._beside.set_data(instant.cloud[~strip, 0], instant.cloud[~strip, 2])
+        # The map, and the ground that follows from it; filled points were not seen.
         self._known.set_data(instant.known[:, 0], instant.known[:, 2])
         none = np.zeros(len(ground.points), np.bool_)
         filled = none if ground.filled is None else ground.filled
@@ -191,8 +202,8 @@ class _PerceivedPicture:
         assert ground.heights is not None  # of a map
         means = ground.heights[: len(self._edges)]
         self._show_bins(means, ground.seen, ground.deviation)
-        held = f", held: {instant.held}" if instant.held else ""
-        self._clock.set_text(f"{instant.time:5.1f} s{held}")
+        hold = f", held: {instant.held}" if instant.held else ""
+        self._clock.set_text(f"{instant.time:5.1f} s{hold}")
         self._canvas.draw()
         return drawn_pixels(self._canvas)
 

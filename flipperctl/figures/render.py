@@ -52,6 +52,8 @@ class RobotArtist:
             tuple(fade + (1 - fade) * part for part in to_rgb(colour))
             for colour in (CHASSIS, FRONT, REAR, BELT, INK)
         )
+        # The flippers lie over the chassis; each has a belt, a body inside it, and marks on the
+        # belt.
         groups = (([chassis], zorder), ([front, rear], zorder + 0.3))
         self._belts = [PolyCollection([], facecolors=[belt], zorder=z) for _, z in groups]
         self._bodies = [
@@ -124,6 +126,7 @@ class Renderer:
             spine.set_color("#C8C8CC")
 
     def _build_scene(self, axes: Axes) -> None:
+        # The ground, and flags at start and finish
         self._earth = Polygon(np.zeros((3, 2)), facecolor=EARTH, edgecolor=GROUND, linewidth=1.6)
         axes.add_patch(self._earth)
         self._flags = []
@@ -132,6 +135,7 @@ class Renderer:
             axes.add_patch(flag)
             label = axes.text(0, 0, name, fontsize=8, color=INK, va="bottom", clip_on=True)
             self._flags.append((flag, label))
+        # What the robot perceives
         (self._heights,) = axes.plot(
             [], [], color=HEIGHTS, linewidth=2.6, solid_capstyle="butt", zorder=3,
             label="perceived mean heights H",
@@ -143,6 +147,7 @@ class Renderer:
             [], [], "o", color=INK, markerfacecolor="none", markersize=3.0, markeredgewidth=0.6,
             zorder=4,
         )  # fmt: skip
+        # The robot, and the candidate angle that a rule would turn to
         self._robot = RobotArtist(axes, zorder=5.0)
         (self._ray,) = axes.plot(
             [], [], color=INK, linewidth=1.4, dashes=(4, 2), zorder=5.5,
@@ -189,6 +194,7 @@ class Renderer:
             line.set_data(part[:, 0], part[:, 1])
         bins = _bins(p) + state.position
         self._heights.set_data(bins[:, 0], bins[:, 1])
+        # The candidate angle as a ray from the front hinge
         hinge = axles(state, robot)[0, 1]
         angle = state.pitch + candidate_angle(p.points, p.pitch, robot)
         length = robot.flipper_axle + 2.5 * robot.track_radius
@@ -197,15 +203,16 @@ class Renderer:
 
     def _write(self, scene: Scene) -> None:
         state, action, outcome = scene.state, scene.action, scene.outcome
-        degrees = {
-            name: round(math.degrees(getattr(state, name))) for name in ("pitch", "front", "rear")
-        }
+        angles = {}
+        for name in ("pitch", "front", "rear"):
+            angle = round(math.degrees(getattr(state, name)))
+            angles[name] = f"{angle:+d}°" if angle else "0°"
         doing = [] if action is None else [", ".join(_TURNS[turn] for turn in action)]
         doing += [] if outcome is None else [outcome.value]
         texts = {
             "time": f"{state.time:.1f} s",
             "x": f"{state.position[0]:.2f} m",
-            **{name: f"{angle:+d}°" if angle else "0°" for name, angle in degrees.items()},
+            **angles,
             "action front, rear": " → ".join(doing) or "–",
             "terrain": scene.terrain,
         }

@@ -74,6 +74,7 @@ def terrain_figure(
     out. ``labels`` replace the numbers of the profiles.
     """
     others = profiles[1 : SMALL + 1]
+    # One large picture, and rows of small ones that share a scale
     large = _window(profiles[0], robot)
     extent = np.max([_extent(p) for p in others], axis=0) if others else np.ones(2)
     rows = -(-len(others) // _COLUMNS)
@@ -85,6 +86,7 @@ def terrain_figure(
     layout = ConstrainedLayoutEngine(w_pad=0.1, h_pad=0.08)
     figure = Figure(figsize=(WIDTH, sum(heights) + 0.75), layout=layout)
     grid = figure.add_gridspec(1 + rows, columns, height_ratios=heights)
+    # The numbers or labels name the profiles.
     title = labels[0] if labels and others else ""
     _draw_large(figure.add_subplot(grid[0, :]), profiles[0], robot, title, scale)
     for i, profile in enumerate(others):
@@ -110,6 +112,7 @@ def contact_sheet(profiles: Mapping[str, Profile], robot: RobotGeometry) -> Figu
         axes = figure.add_subplot(rows, _COLUMNS, at + 1)
         draw_ground(axes, profile)
         _draw_robot(axes, profile, robot)
+        # A scale of its own, with which the ground and the robot in front of it fill the picture
         low, high = profile.points.min(axis=0), profile.points.max(axis=0)
         behind = profile.start - 2 * _run_up(robot) + 0.1
         width = max(high[0] + 0.4 - behind, (high[1] - low[1] + 0.55) / _SHAPE)
@@ -135,14 +138,15 @@ def _draw_large(axes: Axes, profile: Profile, robot: RobotGeometry, title: str, 
     _mark_ends(axes, profile)
     marks = [line for line in axes.get_lines() if line.get_label() in ("start", "finish")]
     (left, bottom), (right, top) = profile.points.min(axis=0), profile.points.max(axis=0)
+    # Dimension lines above and to the right of the ground
     if right > left:
         above = top + _HEADROOM
         for x, z in (profile.points[0], profile.points[-1]):
             axes.plot([x, x], [z, above], ":", color=FAINT, linewidth=0.8)
         _dimension(axes, (left, above), (right, above), f"length {right - left:.2f} m")
     if top > bottom:
-        beside = right + 0.65 * _margin(profile)
-        _dimension(axes, (beside, bottom), (beside, top), f"height {top - bottom:.2f} m")
+        outside = right + 0.65 * _margin(profile)
+        _dimension(axes, (outside, bottom), (outside, top), f"height {top - bottom:.2f} m")
     frame(axes, *_window(profile, robot), scale, title)
     if marks:
         legend_above(axes, marks)

@@ -73,9 +73,10 @@ class DrivePage:
         self._about: dict[str, Any] = {}
         self._state: dict[str, Any] = {}
         self.hands: Hands | None = None
-        """Of the running episode."""
+        """Hands of the running episode."""
         page = files("flipperctl.live").joinpath("drive.html").read_bytes()
         self.gate = Gate(port, page=page, control=self, what="driving")
+        # The scene that the page embeds, seen from the robot's right
         server = self.gate.server
         server.gui.configure_theme(show_logo=False, show_share_button=False)
         server.gui.main_panel.minimize()
@@ -113,21 +114,22 @@ class DrivePage:
 
     def received(self, client: int, message: str) -> None:
         """Take a message; ``ValueError`` if it is none, which closes the connection."""
-        found = parse(message)
+        parsed = parse(message)
         with self._lock:
-            if not isinstance(found, Asked | Answers) and found.what == "take":
+            # Any browser may take over; all other messages count from the driver alone.
+            if not isinstance(parsed, Asked | Answers) and parsed.what == "take":
                 if client != self._driver:
                     self._leave(client)
             elif client != self._driver or self.hands is None:
                 return
-            elif isinstance(found, Asked):
-                self.hands.hear(found)
-            elif isinstance(found, Answers):
-                self._answers = found.values
-            elif found.what == "release":
+            elif isinstance(parsed, Asked):
+                self.hands.hear(parsed)
+            elif isinstance(parsed, Answers):
+                self._answers = parsed.values
+            elif parsed.what == "release":
                 self.hands.release()
             else:
-                self._wishes.append(found.what)
+                self._wishes.append(parsed.what)
 
     def begin(self, hands: Hands, about: dict[str, Any], state: dict[str, Any]) -> None:
         """Show a new episode."""
@@ -239,16 +241,23 @@ class Person:
         self._scene.begin(env.profile, robot, shown.finish, "")
         self._scene.show(env.state)
         world = env.drive.world
+        self._cameras = isinstance(getattr(world, "unguarded", world), CameraWorld)
         about = {
-            **{"robot": {"hinge": robot.hinge_offset, "flipper": robot.flipper_axle}},
-            **{"ground": env.profile.extended(_MARGIN, _MARGIN).tolist()},
-            **{"start": shown.start, "finish": shown.finish, "shared": self._helper is not None},
-            **{"cameras": isinstance(getattr(world, "unguarded", world), CameraWorld)},
-            **{"step": robot.angle_step, "limit": robot.angle_limit},
-            **{"flipper_speed": robot.flipper_speed, "track_speed": robot.track_speed},
+            "robot": {
+                "hinge": robot.hinge_offset,
+                "flipper": robot.flipper_axle,
+                "radius": robot.track_radius,
+            },
+            "ground": env.profile.extended(_MARGIN, _MARGIN).tolist(),
+            "start": shown.start,
+            "finish": shown.finish,
+            "shared": self._helper is not None,
+            "cameras": self._cameras,
+            "step": robot.angle_step,
+            "limit": robot.angle_limit,
+            "flipper_speed": robot.flipper_speed,
+            "track_speed": robot.track_speed,
         }
-        about["robot"]["radius"] = robot.track_radius
-        self._cameras = bool(about["cameras"])
         self._page.begin(self._hands, {**self._about, **about}, self._gauges(env.state))
         self._draw(world)
         self._begin()
@@ -278,6 +287,7 @@ class Person:
     def command(self, world: World) -> Command:
         """Show the world, wait for the next tick, and return what the person commands."""
         page, state = self._page, world.state()
+        # Gauges at every tick, the scene at every other one
         page.show(self._gauges(state))
         if self.count % _SCENE == 0:
             with page.gate.server.atomic():
@@ -285,11 +295,13 @@ class Person:
                 page.follower.position = (-float(state.position[0]), 0.0, 0.0)
         self._draw(world)
         self._wait()
+        # What the person's hands do at the tick itself
         if page.wished() == "again":
             raise AgainError
         proposed, self._proposed = self._proposed, (0, 0)  # a turn of a decision counts once
         command, self._heard = self._hands.command(self._env.drive.targets, state, proposed)
         self._phase = "held" if self._heard is None else "driving"
+        # Without a driver the robot holds still, and after a while its clock stops, too.
         now = time.monotonic()
         if self._heard is not None:
             self._alone = now
@@ -314,10 +326,12 @@ class Person:
     def _draw(self, world: Any) -> None:
         """Draw one of the cameras, if the time until the next tick is enough for it."""
         begun = time.monotonic()
+        # A picture must be done before the next tick, unless the last one is old.
         soon, old = self._due - begun < self._drawing, begun - self._drawn > _OLDEST
         rested = begun - self._drawn > self._drawing / _DRAWING
         if not self._cameras or not (old or (rested and not soon)):
             return
+        # The cameras take turns.
         self._view = 1 - self._view
         try:
             image = world.look(_VIEWS[self._view], *_SIZE)
@@ -336,12 +350,23 @@ class Person:
         speed = robot.track_speed if state.belts is None else float(state.belts.mean())
         span = self._ticks[-1] - self._ticks[0] if len(self._ticks) > 1 else 0.0
         return {
-            **{"phase": self._phase, "outcome": None, "note": self._about.get("note", "")},
-            **{"time": state.time, "x": x, "z": z, "pitch": state.pitch, "roll": state.roll},
-            **{"front": state.front, "rear": state.rear, "belts": speed / robot.track_speed},
-            **{"front_target": drive.targets[0], "rear_target": drive.targets[1]},
-            **{"variation": self._variation, "left": max(0.0, drive.termination.finish - x)},
-            **{"who": {name: "person" if mine else "policy" for name, mine in owned.items()}},
-            **{"risk": getattr(self._helper, "risk", None), "heard": self._heard},
-            **{"rate": (len(self._ticks) - 1) / span if span else 0.0},
+            "phase": self._phase,
+            "outcome": None,
+            "note": self._about.get("note", ""),
+            "time": state.time,
+            "x": x,
+            "z": z,
+            "pitch": state.pitch,
+            "roll": state.roll,
+            "front": state.front,
+            "rear": state.rear,
+            "belts": speed / robot.track_speed,
+            "front_target": drive.targets[0],
+            "rear_target": drive.targets[1],
+            "variation": self._variation,
+            "left": max(0.0, drive.termination.finish - x),
+            "who": {name: "person" if mine else "policy" for name, mine in owned.items()},
+            "risk": getattr(self._helper, "risk", None),
+            "heard": self._heard,
+            "rate": (len(self._ticks) - 1) / span if span else 0.0,
         }

@@ -83,12 +83,12 @@ class Hands:
         self.owned = [not helped, not helped]
         """Whether the operator commands the front and the rear flippers, and no policy."""
 
-    def hear(self, asked: Asked) -> None:
+    def hear(self, request: Asked) -> None:
         """Take a message; steps that were pressed while nobody was present do not count."""
         with self._lock:
             if not self.present:
-                self._steps = asked.front_steps, asked.rear_steps
-            self._asked, self._came = asked, time.monotonic()
+                self._steps = request.front_steps, request.rear_steps
+            self._asked, self._came = request, time.monotonic()
 
     @property
     def present(self) -> bool:
@@ -118,19 +118,22 @@ class Hands:
     ) -> tuple[Command, float | None]:
         """Return the next command, and the time of the message that it is made from [ms].
 
-        ``targets``: the last ones [rad]; ``proposed``: turns by a policy that helps, of this tick.
+        ``targets``: last targets [rad]; ``proposed``: turns of this tick by a policy that helps.
         The time is None while flippers and belts are held since nobody drives.
         """
         with self._lock:
-            asked, steps = self._asked, self._steps
-            if asked is None or not self.present:
+            request, steps = self._asked, self._steps
+            # Without a driver, the flippers stay where they were when this was noticed.
+            if request is None or not self.present:
                 self._held = self._held or (state.front, state.rear)
                 return Command(*self._held, 0.0, *map(float, self.owned)), None
             self._held = None
-            self._steps = now = asked.front_steps, asked.rear_steps
+            self._steps = now = request.front_steps, request.rear_steps
         robot = self._robot
         turns = []
-        rates = asked.front, asked.rear
+        rates = request.front, request.rear
+        # Pressed steps and held rates add up; a pair that is turned belongs to the operator from
+        # then on.
         for i, (step, before, rate) in enumerate(zip(now, steps, rates, strict=True)):
             turn = (step - before) * robot.angle_step
             turn += rate * robot.flipper_speed * self._period
@@ -139,7 +142,8 @@ class Hands:
             turns.append(turn if self.owned[i] else proposed[i] * robot.angle_step)
         angles = state.front, state.rear
         turned = self._rule.next_targets(targets, angles, turns)
+        # A pair that nobody turns keeps its target.
         front, rear = (
             new if turn else old for new, old, turn in zip(turned, targets, turns, strict=True)
         )
-        return Command(front, rear, asked.belts, *map(float, self.owned)), asked.at
+        return Command(front, rear, request.belts, *map(float, self.owned)), request.at

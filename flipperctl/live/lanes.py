@@ -50,7 +50,7 @@ class Moment:
     """One decision as a viewer shows it."""
 
     states: list[RobotState]
-    """States every ``PERIOD`` since the decision before; at the start, that of the start."""
+    """States every ``PERIOD`` since the decision before; at the start, the initial state alone."""
     decision: Decision | None
     """None at the start of an episode."""
     values: FloatArray | None = None
@@ -58,7 +58,7 @@ class Moment:
     risk: float | None = None
     """Probability of a failure, by the policy [-]; None for a policy without it."""
     planned: Planned | None = None
-    """What the policy planned before the decision; None of one without plans."""
+    """What the policy planned before the decision; None for a policy without plans."""
 
 
 @dataclass
@@ -66,12 +66,12 @@ class History:
     """What has been shown of an episode, for plots."""
 
     times: list[float] = field(default_factory=list)
-    """At each decision [s]."""
+    """Time of each decision [s]."""
     rewards: dict[str, list[float]] = field(default_factory=dict)
     """Weighted value of each reward term at each decision."""
     risks: list[float] = field(default_factory=list)
     angle_times: list[float] = field(default_factory=list)
-    """At each state [s]."""
+    """Time of each state [s]."""
     angles: list[tuple[float, float, float, float]] = field(default_factory=list)
     """Pitch, front, rear and roll at each state [rad]."""
     variation: float = 0.0
@@ -154,6 +154,7 @@ class Lane:
         )  # fmt: skip
         for decision in played:
             states = [state for state in seen.take() if state.time > 0]  # the start was shown
+            # The last state is shown, though it may lie between two instants.
             if decision.ending is not None:
                 states.append(decision.transition.after)
             yield Moment(

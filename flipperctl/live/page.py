@@ -92,6 +92,7 @@ class Gauges:
         """Show a moment and the history up to it."""
         state = moment.states[-1]
         history, decision = lane.history, moment.decision
+        # Numbers in words
         degrees = [math.degrees(a) for a in (state.pitch, state.front, state.rear)]
         outcome = "" if lane.outcome is None else f" · **{lane.outcome.value}**"
         action = "start"
@@ -106,11 +107,13 @@ class Gauges:
             f"pitch {degrees[0]:+.0f}° · front {degrees[1]:+.0f}° · rear {degrees[2]:+.0f}° · "
             f"action {action}"
         )
+        # Curves of the angles
         if history.angle_times:
             self._angles.data = (
                 np.array(history.angle_times),
                 *np.degrees(np.array(history.angles)).T.copy(),
             )
+        # The plot of rewards waits for the names of their terms.
         if history.rewards and self._terms != list(history.rewards):
             self._terms = list(history.rewards)
             if self._rewards is not None:
@@ -122,6 +125,7 @@ class Gauges:
         if self._rewards is not None and history.times:
             columns = [np.array(history.rewards[name]) for name in self._terms]
             self._rewards.data = (np.array(history.times), *columns)
+        # Risk, plan and values, for policies that have them
         if history.risks:
             self._risk.visible = True
             self._risk.data = (
@@ -142,16 +146,17 @@ def plan_text(actions: Sequence[int]) -> str:
     return " ".join(turns[:_LONGEST]) + more
 
 
-def value_table(values: Sequence[float], chosen: int) -> str:
+def value_table(values: Sequence[float], action: int) -> str:
     """Return the Q-values as an HTML table of front (columns) and rear (rows) turns."""
     low, high = min(values), max(values)
     rows = []
+    # A cell is the darker the larger its value; an outline marks the action that was taken.
     for rear in (1, 0, -1):
         cells = []
         for front in (-1, 0, 1):
             index = ACTIONS.index((front, rear))
             share = (values[index] - low) / (high - low) if high > low else 0.0
-            edge = "outline:2px solid #D55E00;" if index == chosen else ""
+            edge = "outline:2px solid #D55E00;" if index == action else ""
             cells.append(
                 f"<td style='padding:2px 8px;text-align:right;{edge}"
                 f"background:rgba(0,114,178,{0.05 + 0.4 * share:.2f})'>{values[index]:.2f}</td>"
@@ -195,6 +200,7 @@ class WatchPage:
 
     def _build_controls(self, gui: Any, speed: float) -> None:
         wish = self._wish
+        # Controls of the episode
         with gui.add_folder("Episode"):
             self._title = gui.add_markdown("")
             self._pause = gui.add_button("Pause", icon="player-pause")
@@ -207,6 +213,7 @@ class WatchPage:
             self._difficulty = gui.add_slider("Difficulty", 0.0, 1.0, 0.05, 1.0)
             self._follow = gui.add_checkbox("Follow the robot", initial_value=True)
             self._seen = gui.add_checkbox("Show what is perceived", initial_value=True)
+        # Policies that drive, and a field to add others
         self._policies, self._shown = gui.add_folder("Policies"), list[Any]()
         for number, entrant in enumerate(self._entrants):
             self._offer(entrant, shown=number < _MOST)
@@ -217,6 +224,7 @@ class WatchPage:
                 )
                 gui.add_button("Add").on_click(lambda event: self._add(name, event))
 
+        # What buttons and keys do: they leave wishes, which the loop reads between two states.
         def pause(_: Any = None) -> None:
             wish.paused = not wish.paused
             self._pause.label = "Play" if wish.paused else "Pause"
@@ -237,6 +245,7 @@ class WatchPage:
             if self._number.value != self._episode:
                 wish.episode = int(self._number.value)
 
+        # Buttons, fields and hotkeys
         self._pause.on_click(pause)
         buttons.on_click(go)
         self._number.on_update(jump)
@@ -298,14 +307,17 @@ class WatchPage:
                     self._set_lanes()
 
     def _set_lanes(self) -> None:
+        # Panels are hidden rather than removed, since the browser would report their late updates.
         for _, scene, gauges in self._lanes:
             scene.remove()
             gauges.appear(False)
-        pairs = list(zip(self._entrants, self._shown, strict=False))  # one may just be added
-        chosen = [entrant for entrant, box in pairs if box.value][-_MOST:] or self._entrants[:1]
+        # The newest among the ticked policies, as many as are shown at once
+        pairs = list(zip(self._entrants, self._shown, strict=False))  # a box may be missing yet
+        shown = [entrant for entrant, box in pairs if box.value][-_MOST:] or self._entrants[:1]
         apart = WIDTH + _BETWEEN
         self._lanes = []
-        for i, entrant in enumerate(chosen):
+        # Lanes beside each other, each with the panel of its policy
+        for i, entrant in enumerate(shown):
             scene = LiveScene(self._server.scene, f"/drive/{i}", i * apart)
             if (number := self._entrants.index(entrant)) not in self._gauges:
                 self._gauges[number] = Gauges(self._server.gui, entrant.label)
@@ -320,6 +332,7 @@ class WatchPage:
 
     def _play(self) -> None:
         self._number.value = self._episode
+        # All lanes begin the same episode.
         for lane, scene, gauges in self._lanes:
             difficulty, seed = float(self._difficulty.value), int(self._seed.value)
             first = lane.begin(self._episode, difficulty, seed or None)
@@ -331,10 +344,12 @@ class WatchPage:
         drawn = f"seed {self._seed.value}" if self._seed.value else f"episode {self._episode}"
         self._title.content = f"**{self._lanes[0][0].title}**, {drawn}"
         running = list(self._lanes)
+        # Simulate a decision in every lane, then show them together.
         while running and not self._stopped:
             self._wait_while_paused()
             shown = []
             for lane, scene, gauges in running:
+                # What a policy perceived belongs to the state before its decision.
                 before, mapped = lane.env.state, lane.env.map_points()
                 scene.perceived.visible = self._seen.value
                 if (moment := lane.step()) is not None:

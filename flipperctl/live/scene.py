@@ -56,6 +56,7 @@ class LiveScene:
         ground = Strip(-WIDTH / 2, WIDTH / 2, profile.extended(_LEVEL, _LEVEL))
         for mesh in ground_meshes([ground], -WIDTH / 2, WIDTH / 2):
             self._mesh(f"ground/{mesh.colour[1:]}", mesh)
+        # The finish: two posts and a line on the ground
         z = profile.height(finish)
         gate = [[[finish, y, z], [finish, y, z + 0.6]] for y in (-WIDTH / 2, WIDTH / 2)]
         gate.append([[finish, -WIDTH / 2, z + 0.01], [finish, WIDTH / 2, z + 0.01]])
@@ -93,6 +94,7 @@ class LiveScene:
         ``mapped``: points of its map, (P, 3) in frame L [m].
         """
         assert self._robot is not None  # ``begin`` was called
+        # Heights of the bins, beside the strip of ground
         place = state.position
         width, bins = p.layout.bin_width, p.layout.bins
         edges = (np.arange(bins + 1) - bins / 2) * width + place[0]
@@ -109,12 +111,14 @@ class LiveScene:
                 axis=1,
             )
             self._lines(f"perceived/{name}", bars, colour, thick)
+        # Sensed points, and those of a map, which lie to both sides of the line
         self._points("points", np.insert(p.points + place, 1, _BESIDE, axis=1), INK, 0.018)
         if mapped is not None:
             ahead = rotation(state)[:2, 0] / np.hypot(*rotation(state)[:2, 0])
             left = np.array([-ahead[1], ahead[0]])
             level = mapped[:, :1] * ahead + mapped[:, 1:2] * left + (place[0], state.side)
             self._points("map", np.column_stack([level, mapped[:, 2] + place[1]]), MAP, 0.012)
+        # The candidate angle as a ray from the front hinge
         ahead = np.array([math.cos(state.pitch), math.sin(state.pitch)])
         hinge = place + self._robot.hinge_offset * ahead
         angle = state.pitch + candidate(p.points, p.pitch, self._robot)

@@ -39,12 +39,14 @@ def picture(profile: Profile, robot: RobotGeometry, state: RobotState) -> str:
     x, z = state.position.tolist()
     left, low = x - (1 - _AHEAD) * wide * _SCALE, z - 0.5 * tall * _SCALE
     dots = np.zeros((tall, wide), np.bool_)
+    # The ground as a line without gaps where it is steep
     at = left + (np.arange(wide) + 0.5) * _SCALE
     rows = np.floor((profile.heights(at) - low) / _SCALE).astype(int)
     for column, row in enumerate(rows.tolist()):
         before = rows[column - 1] if column else row
         for filled in range(max(0, min(row, before)), min(tall, max(row, before) + 1)):
             dots[filled, column] = True
+    # The robot: round ends and straight sides of its three capsules
     for rear, front in axles(state, robot):
         for share in np.linspace(0.0, 1.0, 40):
             centre = rear + share * (front - rear)
@@ -58,6 +60,7 @@ def picture(profile: Profile, robot: RobotGeometry, state: RobotState) -> str:
                     left,
                     low,
                 )
+    # A braille character holds four rows of two dots.
     cells = dots[::-1].reshape(_ROWS, 4, _COLUMNS, 2).transpose(0, 2, 1, 3)
     codes = 0x2800 + (cells * _DOTS).sum(axis=(2, 3))
     return "\n".join("".join(map(chr, line)) for line in codes.tolist())

@@ -83,10 +83,10 @@ class Planner(PlannerSettings, Controller):
     """Search for the best trajectory before the episode begins, then play it.
 
     The cost of a trajectory is its time plus ``smoothness`` seconds for each radian of θ̂_R at
-    100 Hz. The search begins with the trajectories of ``level``, ``okada``, ``mpc`` and ``policy``,
-    adds those of beam searches on the true ground with ``width`` and twice ``width`` nodes, and
-    improves the best one. Every trajectory is played in the simulated scene, which decides its
-    outcome and cost. With a ``smoothness`` above 0, the result is no rougher than the smoothest
+    100 Hz. The search begins with the trajectories of ``level``, ``okada``, ``mpc`` and ``policy``.
+    Beam searches on the true ground add more, with ``width`` and twice ``width`` nodes. The best
+    trajectory is then improved. Every trajectory is played in the simulated scene, which decides
+    its outcome and cost. With a ``smoothness`` above 0, the result is no rougher than the smoothest
     trajectory that the search began with. It is a yardstick for policies and cannot run on a robot.
     """
 
@@ -129,9 +129,9 @@ class Planner(PlannerSettings, Controller):
 class ValueIteration(ValueIterationSettings, Controller):
     """Compute the value of every reachable state of the true ground, then act by it.
 
-    Before an episode, the prediction model explores all flipper settings along the whole ground,
-    and value iteration on the states found gives the best return of the configured rewards from
-    each. It takes one to three seconds. The policy is a yardstick for others and, as a teacher
+    Before an episode, the prediction model explores all flipper settings along the whole ground.
+    Value iteration on these states gives the best return of the configured rewards from each. It
+    takes one to three seconds. The policy is a yardstick for others and, as a teacher
     (``teacher=searched``), their source of values; it cannot run on a robot.
     """
 

@@ -2,10 +2,11 @@
 
 The flippers follow their targets at their full rate under any load. The robot is thus one rigid
 body of changing shape: three degrees of freedom instead of nine, and no joints to solve. Contacts
-are those of the engine: rounded ends and edges, friction, and belts that run along the outline. One
-decision takes about a tenth of the time of the engine's. The state of a robot is 10 numbers: x, z
-[m] of the centre of mass, pitch [rad], their rates, the angles of the front and the rear flippers
-in frame R [rad], and their targets.
+are modelled as in the engine: rounded ends and edges, friction, and belts along the outline. A
+decision takes about a tenth of the engine's time.
+
+The state of a robot is 10 numbers: x, z [m] of the centre of mass and pitch [rad]; their rates;
+the angles of the front and the rear flippers in frame R [rad]; and their targets.
 """
 
 from __future__ import annotations
@@ -38,8 +39,8 @@ FAST = partial(
 
 
 MOST = 24
-"""Largest number of simultaneous contacts with ground that was perceived, which is smoothed; those
-of the chassis come first."""
+"""Largest number of simultaneous contacts with ground that was perceived, which is smoothed; the
+chassis' contacts come first."""
 MOST_EXACT = 240
 """The same with ground that is known as it is: recorded ground has a point each 1 or 2 cm."""
 MARGIN = 0.02
@@ -96,15 +97,18 @@ def touches(
     ux, uz = bx - ax, bz - az
     along = ux * ux + uz * uz
     farthest = reach * reach
+    # One edge earlier, since an edge that begins before the lower end may reach past it.
     for i in range(max(0, first - 1), len(ground)):
         x, z = ground[i, 0], ground[i, 1]
         if i >= first and x <= high:  # a point of the ground against the axis
             px, pz = x - ax, z - az
             off = px * uz - pz * ux  # times the axis' length
+            # Squares spare a root for the many points that are out of reach.
             if off * off < farthest * along:
                 share = min(1.0, max(0.0, (px * ux + pz * uz) / along))
                 dx, dz = share * ux - px, share * uz - pz
                 square = dx * dx + dz * dz
+                # A point on the axis itself has no direction in which it pushes.
                 if 1e-18 < square < farthest:
                     distance = math.sqrt(square)
                     count = _add(
@@ -153,6 +157,8 @@ def solve(
     many rows as ``contacts``.
     """
     dt, light, slow = k[STEP], 1 / mass, 1 / inertia
+    # What stays the same in all iterations: directions, lever arms, the flippers' own motion, and
+    # the mass that an impulse meets
     for c in range(count):
         contact, row = contacts[c], rows[c]
         rx, rz = contact[0] - centre_x, contact[1] - centre_z
@@ -172,6 +178,7 @@ def solve(
         row[8] = row[9] = 0.0
     vx, vz, turn = motion[0], motion[1], motion[2]
     strongest, pressed = k[FORCE] * dt, 0.0  # of all belts; normal impulses so far
+    # Sequential impulses: each contact corrects what the others have left.
     for _ in range(int(k[ITERATIONS])):
         friction = k[FRICTION]
         if friction * pressed > strongest:  # the motors stall before the belts slip
@@ -179,12 +186,14 @@ def solve(
         for c in range(count):
             row = rows[c]
             nx, nz, arm, across = row[0], row[1], row[2], row[3]
+            # Along the normal, contacts only push.
             whole = max(0.0, row[8] - (vx * nx + vz * nz + turn * arm + row[4]) * row[6])
             impulse, row[8] = whole - row[8], whole
             pressed += impulse
             vx += impulse * nx * light
             vz += impulse * nz * light
             turn += impulse * arm * slow
+            # Along the tangent, the normal impulse limits friction.
             most = friction * whole
             whole = row[9] - (vx * nz - vz * nx + turn * across + row[5]) * row[7]
             whole = min(most, max(-most, whole))
@@ -203,6 +212,7 @@ def mass_centre(front: float, rear: float, k: FloatArray) -> tuple[float, float,
     mass = k[CHASSIS] + 2 * k[FLIPPER]
     x = (k[CHASSIS] * k[LOAD_X] + k[FLIPPER] * (fx + bx)) / mass
     z = (k[CHASSIS] * k[LOAD_Z] + k[FLIPPER] * (fz + bz)) / mass
+    # Parallel axes: each part's own inertia, and its distance from the common centre
     inertia = k[TURN_CHASSIS] + 2 * k[TURN_FLIPPER]
     inertia += k[CHASSIS] * ((k[LOAD_X] - x) ** 2 + (k[LOAD_Z] - z) ** 2)
     inertia += k[FLIPPER] * ((fx - x) ** 2 + (fz - z) ** 2 + (bx - x) ** 2 + (bz - z) ** 2)
@@ -258,6 +268,7 @@ def advance(
     cos_f, sin_f = k[AXLE] * math.cos(state[6]), k[AXLE] * math.sin(state[6])
     cos_r, sin_r = k[AXLE] * math.cos(state[7]), k[AXLE] * math.sin(state[7])
     for index in range(steps):
+        # The flippers turn towards their targets at their full rate, whatever they meet.
         was_x, was_z = gx, gz
         front_turn = min(most, max(-most, state[8] - state[6]))
         rear_turn = min(most, max(-most, state[9] - state[7]))
@@ -267,6 +278,7 @@ def advance(
             gx, gz, inertia = mass_centre(state[6], state[7], k)
             cos_f, sin_f = k[AXLE] * math.cos(state[6]), k[AXLE] * math.sin(state[6])
             cos_r, sin_r = k[AXLE] * math.cos(state[7]), k[AXLE] * math.sin(state[7])
+        # Turning flippers move the centre of mass, so that the chassis shifts against it.
         cos, sin = math.cos(state[2]), math.sin(state[2])
         sx, sz = -(gx - was_x) / dt, -(gz - was_z) / dt  # the chassis' shift against the centre
         shift_x, shift_z = cos * sx - sin * sz, sin * sx + cos * sz
@@ -276,21 +288,25 @@ def advance(
         fx, fz, rx, rz = x + hx, z + hz, x - hx, z - hz
         tip_fx, tip_fz = fx + cos * cos_f - sin * sin_f, fz + sin * cos_f + cos * sin_f
         tip_rx, tip_rz = rx - cos * cos_r - sin * sin_r, rz - sin * cos_r + cos * sin_r
+        # Contacts of the chassis come first, as the number of contacts is limited.
         count = touches(ground, rx, rz, fx, fz, radius, reach, 0, contacts, 0)
         count = touches(ground, fx, fz, tip_fx, tip_fz, radius, reach, 1, contacts, count)
         count = touches(ground, rx, rz, tip_rx, tip_rz, radius, reach, 2, contacts, count)
+        # Gravity, then the impulses of the contacts
         motion[0], motion[1], motion[2] = state[3], state[4] - k[GRAVITY] * dt, state[5]
         if count:
             extra[:, 0], extra[:, 1] = shift_x, shift_z
             extra[0, 2], extra[1, 2], extra[2, 2] = 0.0, front_turn / dt, -rear_turn / dt
             extra[1, 3], extra[1, 4], extra[2, 3], extra[2, 4] = fx, fz, rx, rz
             solve(contacts, count, motion, state[0], state[1], mass, inertia, extra, k, rows)
+        # Semi-implicit Euler: the new velocity moves the robot.
         state[3], state[4], state[5] = motion[0], motion[1], motion[2]
         state[0] += motion[0] * dt
         state[1] += motion[1] * dt
         state[2] += motion[2] * dt
         variation += abs(motion[2] * dt)
         steep = max(steep, abs(state[2]))
+        # Poses every sample lie between two steps; the finish counts with both ends low enough.
         if samples:
             _pose(state, k, last)
             time = (index + 1) * dt
@@ -307,6 +323,7 @@ def advance(
             outcome = OVERTURNED
         if outcome != RUNNING:
             break
+    # After an outcome the robot stays where it is.
     for row in range(sampled, samples):
         poses[row] = last
     return variation, steep, outcome
@@ -337,7 +354,6 @@ def expand(
         reached[row] = states[row]
         reached[row, 8], reached[row, 9] = targets[row, 0], targets[row, 1]
         variation[row], steep[row], outcome[row] = advance(
-            *(reached[row], steps, ground, k),
-            *(contacts, rows, extra, motion, pair, poses[row]),
+            reached[row], steps, ground, k, contacts, rows, extra, motion, pair, poses[row]
         )
         place[row, 0], place[row, 1] = chassis(reached[row], k)

@@ -1,8 +1,8 @@
 """The prediction model on one piece of ground: many decisions from many states.
 
-In: a polyline of the ground, a robot, and states. Out: the states after a decision, the pitch
-variation of the chassis, what a robot would perceive there without sensing errors, and what reward
-terms see of the decisions between them.
+In: a polyline of the ground, a robot, and states. Out: the states after a decision, and the pitch
+variation of the chassis. Also the perceptions there without sensing errors, and the transitions
+that reward terms see.
 """
 
 from __future__ import annotations
@@ -90,6 +90,7 @@ class Model:
         self.overturn = overturn
         self._ground = _edges(line)
         axle = robot.flipper_axle
+        # Compiled code takes all numbers as one array; ``dynamics`` has the indices.
         k = np.zeros(dynamics.NUMBERS)
         k[dynamics.HINGE], k[dynamics.AXLE] = robot.hinge_offset, axle
         k[dynamics.RADIUS] = robot.track_radius
@@ -120,6 +121,8 @@ class Model:
         ``flippers``: angles of the front and the rear flippers in frame R [rad].
         """
         x, z, pitch = pose
+        # States hold the centre of mass, from which the chassis centre differs by flippers and
+        # load.
         gx, gz, _ = dynamics.mass_centre(*flippers, self._numbers)
         dx = math.cos(pitch) * gx - math.sin(pitch) * gz
         dz = math.sin(pitch) * gx + math.cos(pitch) * gz
@@ -148,22 +151,38 @@ class Model:
         With ``poses``, the branch has the poses at 100 Hz, and ends at the finish.
         """
         count = len(states)
-        states_after, place = np.empty((count, STATE)), np.empty((count, 2))
-        variation, steepest = np.empty(count), np.empty(count)
-        outcome = np.empty(count, np.int64)
+
+        # Steps of equal length that end together with the decision
         lasting = simulated(duration)
         steps = math.ceil(lasting / self._step - 1e-9)
         numbers = self._numbers
         if abs(steps * self._step - lasting) > 1e-9:
             numbers = numbers.copy()
             numbers[dynamics.STEP] = lasting / steps
+        # One pose more than samples, since the first is from before the decision
         samples = samples_in(duration) + 1 if poses else 0
-        path = np.empty((count, samples, 5))
-        dynamics.expand(
-            *(np.ascontiguousarray(states), np.ascontiguousarray(targets), steps),
-            *(self._ground, numbers, states_after, place, variation, steepest, outcome, path),
+        branch = Branch(
+            states=np.empty((count, STATE)),
+            places=np.empty((count, 2)),
+            pitch_variation=np.empty(count),
+            steepest=np.empty(count),
+            outcome=np.empty(count, np.int64),
+            poses=np.empty((count, samples, 5)),
         )
-        return Branch(states_after, place, variation, steepest, outcome, path)
+        dynamics.expand(
+            np.ascontiguousarray(states),
+            np.ascontiguousarray(targets),
+            steps,
+            self._ground,
+            numbers,
+            branch.states,
+            branch.places,
+            branch.pitch_variation,
+            branch.steepest,
+            branch.outcome,
+            branch.poses,
+        )
+        return branch
 
 
 def next_targets(
@@ -328,7 +347,9 @@ class Ground:
         at = np.arange(0.0, along[-1] + _SPACING / 2, _SPACING)
         self._x = np.interp(at, along, line[:, 0])
         z = np.interp(at, along, line[:, 1])
+        # With running sums, a bin's mean takes two look-ups and a division.
         self._sums = np.concatenate([[0.0], np.cumsum(z)])
+        # The last number is for ``reduceat``, which takes no index past the end.
         self._z, self._highest = np.append(z, -np.inf), layout.highest
         self._line = line
         self._edges = np.arange(layout.bins + 1) * layout.bin_width - layout.reach

@@ -71,33 +71,40 @@ class HandSetCost:
 
     def take(self, rows: NDArray[np.int64]) -> HandSetCost:
         """Return the account of some of the nodes."""
-        kept = {name: getattr(self, name)[rows] for name in ("variation", "paid", "steep")}
-        return replace(self, **kept)
+        return replace(
+            self,
+            variation=self.variation[rows],
+            paid=self.paid[rows],
+            steep=self.steep[rows],
+        )
 
     def extend(
         self, parent: NDArray[np.int64], action: NDArray[np.int64], branch: Branch
     ) -> Scores:
         """Return the scores of plans that are one decision longer."""
-        of, robot, states = self.settings, self.robot, branch.states
+        weights, robot, states = self.settings, self.robot, branch.states
+        # What has been paid for good: pitch variation, postures and turns
         variation = self.variation[parent] + branch.pitch_variation
         step = (
-            of.flippers * np.abs(states[:, TARGETS:]).sum(axis=1)
-            + of.lean * np.abs(states[:, 2])
-            + of.turn * np.abs(TURNS[action]).sum(axis=1)
+            weights.flippers * np.abs(states[:, TARGETS:]).sum(axis=1)
+            + weights.lean * np.abs(states[:, 2])
+            + weights.turn * np.abs(TURNS[action]).sum(axis=1)
         )
         paid = self.paid[parent] + step
         steep = np.maximum(self.steep[parent], branch.steepest)
+        # Time that is lost against driving at full speed
         distance = branch.places[:, 0] - self.begin
         lost = robot.decision_period * (self.depth + 1) - distance / robot.track_speed
         lost = np.maximum(lost, 0.0)  # otherwise plans would push themselves along by flippers
+        # What the plan's end adds; in a hurry, smoothness counts less.
         calm = HURRY**-self.hurry
         final = (
             lost
-            + of.standstill * np.maximum(0.0, lost - of.standstill_from)
-            + calm * of.pitch * np.abs(states[:, 2])
-            + of.steep * np.maximum(0.0, steep - of.steep_from)
+            + weights.standstill * np.maximum(0.0, lost - weights.standstill_from)
+            + calm * weights.pitch * np.abs(states[:, 2])
+            + weights.steep * np.maximum(0.0, steep - weights.steep_from)
         )
-        weight = calm * of.swing
+        weight = calm * weights.swing
         return Scores(
             cost=paid + final + weight * variation,
             hurried=paid + final + weight / HURRY * variation,
@@ -207,19 +214,21 @@ class MpcPolicy:
         """
         settings, former = self._settings, self._former
         hurry = min(_MOST_HURRY, 1 + self._standing // _PATIENCE)
-        depth, each = settings.horizon, settings.of_each
+        depth, per_action = settings.horizon, settings.of_each
         calm = HandSetCost(settings=settings, robot=robot, begin=model.chassis(root)[0])
         plan, self.simulated = None, 0
+        # Calmly first, unless the robot stands or hurried before
         if not self._hurried and hurry == 1:
-            search = Search(robot, settings.beam, depth, each)
+            search = Search(robot, settings.beam, depth, per_action)
             plan = search.run(model, root, calm, former, deadline)
             self.simulated = plan.simulated
             stuck = plan.lost_time > settings.stuck_from or len(plan.actions) < settings.horizon
             self._hurried = stuck and time.perf_counter() < deadline
+        # Wider and in a hurry, once the calm plan gets stuck
         if plan is None or self._hurried:
             width = round(settings.wider * settings.beam * hurry)
-            search, account = Search(robot, width, depth, each), replace(calm, hurry=hurry)
-            plan = search.run(model, root, account, former, deadline)
+            search = Search(robot, width, depth, per_action)
+            plan = search.run(model, root, replace(calm, hurry=hurry), former, deadline)
             self.simulated += plan.simulated
             self._hurried = plan.lost_time > settings.stuck_from / 2
         return plan
@@ -239,6 +248,8 @@ class MpcPolicy:
             finish=finish,
             top=top,
         )
+        # No velocity is perceived: it is what the last plan predicted if the motion came true, else
+        # full speed along the chassis.
         speed = robot.track_speed
         pose = (0.0, _touching(line, p, robot), p.pitch)
         rates = (speed * math.cos(p.pitch), speed * math.sin(p.pitch), 0.0)
@@ -249,6 +260,7 @@ class MpcPolicy:
             if (np.abs(moved - (*motion, p.pitch)) < _MAX_ERROR).all():
                 root[3:6] = expected[3:6]
         root[TARGETS:] = next_targets(robot, self._targets, (p.front, p.rear), HOLD)
+        # The search begins at the state in which the flippers will turn.
         if settings.latency:
             root = model.expand(root[None], root[None, TARGETS:], settings.latency).states[0]
         return model, root
@@ -263,6 +275,7 @@ class MpcPolicy:
 
     def _perceive(self, p: Perception, robot: Robot) -> tuple[FloatArray, tuple[float, float]]:
         """Return the ground in frame L, (V, 2) [m], and the motion since the last decision [m]."""
+        # The motion that the last plan predicted is the guess for aligning the scans.
         guess = self._motion
         if self._plan is not None:
             before, expected = self._plan.states[:2]
@@ -299,6 +312,7 @@ def _touching(line: FloatArray, p: Perception, robot: Robot) -> float:
     along = np.linspace(0.0, 1.0, 12)[:, None]
     axes = [a + along * (b - a) for a, b in segments]
     at = np.concatenate(axes)  # (36, 2) [m]
+    # How high the centre of a round end must be at each point of an axis to clear the ground
     low, high = at[:, 0].min() - 0.2, at[:, 0].max() + 0.2
     x = np.union1d(np.arange(low, high, 0.01), line[(line[:, 0] > low) & (line[:, 0] < high), 0])
     z = np.interp(x, line[:, 0], line[:, 1])
@@ -325,8 +339,8 @@ class ReturnPolicy(MpcPolicy):
     def __init__(self, settings: MpcSettings, learned: LearnedValue) -> None:
         """Plan with the value and its rewards, unless the ``settings`` have some.
 
-        The shaping is that of the value's training in any case, since only that cancels out: the
-        value of a state is the smaller by its potential.
+        The shaping always comes from the value's training. Training with it makes the value of a
+        state smaller by its potential, and only the same shaping cancels that out.
         """
         super().__init__(settings)
         self._learned = learned
@@ -369,6 +383,7 @@ class ReturnPolicy(MpcPolicy):
     def _presumed_finish(self, line: FloatArray, robot: Robot) -> tuple[float, float]:
         """Return x of the finish and the largest height there, in frame L [m]."""
         self._line, level = line, float(line[-1, 1])
+        # The last point that is off the level of the far end is taken for the last edge.
         uneven = np.flatnonzero(np.abs(line[:, 1] - level) > _EDGE)
         edge = float(line[min(uneven[-1] + 1, len(line) - 1), 0]) if len(uneven) else -math.inf
         return edge + _EPISODE.run_out, level + robot.track_radius + _EPISODE.clearance
@@ -383,6 +398,7 @@ class ReturnPolicy(MpcPolicy):
         if not least:
             return self._search_return(model, root, robot, deadline)
         simulated = 0
+        # A return decides while its plan is fast enough.
         if self._standing < _STANDS_STILL:
             plan = self._search_return(model, root, robot, deadline)
             if _speed(plan, robot) >= least or time.perf_counter() > deadline:
@@ -425,12 +441,11 @@ def _speed(plan: Plan, robot: Robot) -> float:
 
 
 def _paid(
-    own: Mapping[str, RewardTerm], given: Mapping[str, RewardTerm] | None
+    trained: Mapping[str, RewardTerm], configured: Mapping[str, RewardTerm] | None
 ) -> Mapping[str, RewardTerm]:
-    """Return the terms that plans are paid by: the given ones with the shaping of the value's."""
-    if given is None:
-        return own
-    return {
-        **{name: term for name, term in given.items() if not isinstance(term, Shaping)},
-        **{f"value.{name}": term for name, term in own.items() if isinstance(term, Shaping)},
-    }
+    """Return the terms that plans are paid by; the shaping is the one of the value's training."""
+    if configured is None:
+        return trained
+    terms = {name: term for name, term in configured.items() if not isinstance(term, Shaping)}
+    shaping = {f"value.{name}": t for name, t in trained.items() if isinstance(t, Shaping)}
+    return terms | shaping

@@ -3,8 +3,8 @@
 In: the simulator of an episode. Out: the actions of the cheapest known trajectory. Every trajectory
 is played from the start in the simulator, so that the episode repeats it exactly; predictions only
 choose the actions. They come from beam searches on the true ground, to the finish or over a
-requested distance, in which nodes compete within a distance bin, not within a depth; otherwise
-nodes that wait in front of an obstacle would displace those that climb it.
+requested distance. Nodes compete within a distance bin and not within a depth. Otherwise nodes that
+wait in front of an obstacle would displace nodes that climb it.
 """
 
 from __future__ import annotations
@@ -97,10 +97,12 @@ class Beam:
         expanded: list[_Nodes] = []
         count, best, final, farthest = 0, bound, (-1, -1), (begin, -1, -1)
         limit = self.spent + budget
+        # The rearmost bin comes first, so that nodes compete with others that came as far.
         while bins and self.spent < limit:
             index = min(bins)
             fresh = bins.pop(index)
             seen = np.zeros(0)
+            # Children that stay in the bin are expanded in further rounds.
             for _ in range(_ROUNDS):
                 nodes = self._beam(_Nodes.joined(fresh), seen, best)
                 if not len(nodes.cost) or self.spent >= limit:
@@ -109,6 +111,7 @@ class Beam:
                 expanded.append(nodes)
                 children = self._children(nodes, count)
                 count += len(nodes.cost)
+                # The cheapest plan that ends bounds the cost of all others.
                 ended = self._ended(children, last)
                 if ended.any():
                     row = np.flatnonzero(ended)[np.argmin(children.cost[ended])]
@@ -118,9 +121,11 @@ class Beam:
                 children = children.take(~ended)
                 if not len(children.cost):
                     break
+                # The farthest node is the answer if no plan ends.
                 row = int(np.argmax(children.places[:, 0]))
                 if (x := float(children.places[row, 0])) > farthest[0]:
                     farthest = x, int(children.parent[row]), int(children.action[row])
+                # Children compete in the bin that they have reached, and in no earlier one.
                 at = ((children.places[:, 0] - begin) / self.bin_length).astype(np.int64)
                 at = np.maximum(at, index)
                 for depth in np.unique(at[at > index]).tolist():
@@ -156,6 +161,7 @@ class Beam:
 
         ``seen``: costs of the nodes that were expanded in this bin before [s].
         """
+        # Among the nodes in one cell, only the cheapest is expanded.
         nodes = nodes.take(nodes.cost < best)
         nodes = nodes.take(np.argsort(nodes.cost, kind="stable"))
         keys = np.column_stack(
@@ -167,6 +173,7 @@ class Beam:
         )
         _, first = np.unique(np.round(keys).astype(np.int64), axis=0, return_index=True)
         nodes = nodes.take(np.sort(first))
+        # The width counts the cheaper nodes of earlier rounds, too.
         rank = np.searchsorted(np.sort(seen), nodes.cost) + np.arange(len(nodes.cost))
         return nodes.take(rank < self.width)
 
@@ -174,16 +181,17 @@ class Beam:
         """Return the nodes one decision later that have not overturned."""
         parent, taken, targets = moves(nodes.states, self.robot)
         if action is not None:
-            chosen = taken == action
-            if not chosen.any():  # turning a flipper against its stop
-                chosen = taken == HOLD
-            parent, taken, targets = parent[chosen], taken[chosen], targets[chosen]
+            rows = taken == action
+            if not rows.any():  # turning a flipper against its stop
+                rows = taken == HOLD
+            parent, taken, targets = parent[rows], taken[rows], targets[rows]
         period, speed = self.robot.decision_period, self.robot.track_speed
         branch = self.model.expand(nodes.states[parent], targets, period)
         self.spent += len(parent)
         time = nodes.time[parent] + period
         variation = nodes.variation[parent] + branch.pitch_variation
         steep = np.maximum(nodes.steep[parent], branch.steepest)
+        # Time so far, time left at full speed, pitch variation and steepness
         left = (self.goal.finish - branch.places[:, 0]) / speed  # negative past the finish
         cost = time + left + self.goal.smoothness * variation
         cost += STEEP * np.maximum(0.0, steep - STEEP_FROM)
@@ -374,6 +382,7 @@ class _Search:
                 self._report(first + share * done)
 
             played = play(simulator, policy, self._settings.smoothness, report)
+            # A smoother trajectory begins the search anew, since none may be rougher than it.
             smoother = played.reached and played.variation < self._roughest
             if smoother and self._settings.smoothness > 0:
                 self._cost, self._roughest = math.inf, played.variation
@@ -382,17 +391,21 @@ class _Search:
     def run(self) -> None:
         """Search with both widths and over a short distance, then improve the best trajectory."""
         width = self._settings.width
+        # From the start, with two widths, then with plans over a short distance
         self._pursue("beam", width)
         before = self._cost
         self._pursue("doubled", 2 * width)
         self._gain = before - self._cost if math.isfinite(before) else 0.0
         self._pursue("short", width, _SHORT_PATIENCE, _SHORT_DISTANCE, _PITCH)
+        # Keep a part of the best trajectory, and search for a better end.
         while self._left > 0:
             before = self._cost
             for kind in _IMPROVEMENTS:
                 for cut in _CUTS:
-                    kept = self.best.actions[: int(cut * len(self.best.actions))]
-                    self._pursue("improved", width, *kind, prefix=kept)
+                    prefix = self.best.actions[: int(cut * len(self.best.actions))]
+                    self._pursue("improved", width, *kind, prefix=prefix)
+            # Rounds end once they gain little; the width grows while no trajectory reaches the
+            # finish.
             if self._cost > before - _LEAST:
                 break
             if math.isinf(self._cost):
@@ -442,12 +455,15 @@ class _Search:
         plan: tuple[int, ...] = ()
         expected, age = 0.0, 0
         while played.outcome is None:
+            # No way to the finish is cheaper than the best trajectory.
             left = max(0.0, simulator.finish - played.x) / simulator.speed
             if played.cost + left >= bound or beam.spent >= budget:
                 break
+            # The plan is kept while the simulator follows its prediction.
             here = beam.model.known(simulator.state, played.targets)
             best = beam.follow(here, plan)
             if not best.complete or age >= patience or best.cost > expected + _TOLERANCE:
+                # Else a search from here replaces it, unless the rest of the old plan is cheaper.
                 slack = _TOLERANCE + beam.goal.pitch * _LEANING
                 candidate = beam.search(
                     here, budget=budget - beam.spent, bound=bound - played.cost + slack
@@ -459,6 +475,7 @@ class _Search:
                     best = candidate
                 if not best.complete and math.isfinite(bound):
                     break  # no plan from here costs less than the bound
+            # Play a decision; the rest of the plan should cost what is left.
             plan = best.actions or (HOLD,)
             before = played.cost - played.x / simulator.speed
             played.step(plan[0])

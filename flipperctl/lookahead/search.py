@@ -150,7 +150,7 @@ class Search:
     ) -> Plan:
         """Return the cheapest plan from the state ``root``, (``STATE``,).
 
-        ``account``: that of the root. The plan ``former`` is kept in the beam whatever its cost.
+        ``account``: account of the root. The plan ``former`` stays in the beam whatever its cost.
         Once ``time.perf_counter`` passes ``deadline`` [s], the search ends at its depth of then.
         """
         robot, poses, none = self.robot, account.poses, np.array([-1])
@@ -161,12 +161,14 @@ class Search:
         simulated = 0
         for step in range(self.depth):
             here = levels[-1]
+            # All moves from the nodes of this depth
             parent, action, targets = moves(here.states, robot)
             branch = model.expand(here.states[parent], targets, robot.decision_period, poses=poses)
             simulated += len(parent)
             first = action if step == 0 else here.first[parent]
             scores = here.account.extend(parent, action, branch)
             cost = scores.cost
+            # A plan that ends the episode is complete; the cheapest one is remembered.
             if len(rows := np.flatnonzero(scores.ended)):
                 np.minimum.at(final, first[rows], cost[rows])
                 # Of equal plans the one that holds, or flippers drift on level ground.
@@ -177,33 +179,37 @@ class Search:
                     actions, states = (*actions, int(action[row])), [*states, branch.states[row]]
                     ended = actions, np.array(states), float(scores.lost_time[row])
                     least = float(cost[row])
+            # Other plans go on unless the robot overturns.
             alive = ~scores.ended & (branch.steepest < model.overturn)
             if not alive.any():
                 if step or ended is not None:
                     break
                 alive = branch.steepest == branch.steepest.min()  # as far from falling as possible
+            # The former plan's next node stays in the beam at any cost.
             follows = np.flatnonzero(
                 alive
                 & (parent == here.seed)
                 & (action == (former[step] if step < len(former) else HOLD))
             )
-            kept = self._keep(branch, (cost, scores.hurried), first, alive, follows)
-            seed = int(np.flatnonzero(kept == follows[0])[0]) if len(follows) else -1
-            costs, best = np.full(len(ACTIONS), np.inf), float(cost[kept[0]])
+            beam = self._keep(branch, (cost, scores.hurried), first, alive, follows)
+            seed = int(np.flatnonzero(beam == follows[0])[0]) if len(follows) else -1
+            # Costs of first actions hold for this depth alone, since longer plans cost more.
+            costs, best = np.full(len(ACTIONS), np.inf), float(cost[beam[0]])
             np.minimum.at(costs, first[alive], cost[alive])
             levels.append(
                 _Level(
-                    states=branch.states[kept],
-                    account=scores.account.take(kept),
-                    first=first[kept],
-                    parent=parent[kept],
-                    action=action[kept],
-                    lost_time=scores.lost_time[kept],
+                    states=branch.states[beam],
+                    account=scores.account.take(beam),
+                    first=first[beam],
+                    parent=parent[beam],
+                    action=action[beam],
+                    lost_time=scores.lost_time[beam],
                     seed=seed,
                 )
             )
             if time.perf_counter() > deadline:
                 break
+        # A plan that ends the episode wins if all that go on cost more.
         if ended is None or not (least < best or len(levels) == 1):
             actions, states = _trace(levels, 0)
             ended = actions, np.array(states), float(levels[-1].lost_time[0])
@@ -219,20 +225,23 @@ class Search:
     ) -> NDArray[np.int64]:
         """Return the indices of the nodes of the next level, cheapest first.
 
-        ``costs``: costs of each node with the normal weights and in a hurry [s].
+        ``costs``: costs of each node with the normal weights and in a hurry, in the objective's
+        unit.
         """
         cost, hurried = costs
         rows = np.flatnonzero(alive)
         rows = rows[np.argsort(cost[rows], kind="stable")]
         rows = rows[_distinct(branch, rows, self.robot)]
+        # A third of the beam goes to plans that gain the most way.
         quick = rows[np.argsort(hurried[rows], kind="stable")][: self.width // 3]
         calm = rows[~np.isin(rows, quick)][: self.width - len(quick)]
-        kept = np.concatenate([calm, quick, follows])
+        beam = np.concatenate([calm, quick, follows])
+        # Each first action keeps some nodes of its own.
         if count := self.beam_per_action:
-            every = [rows[first[rows] == action][:count] for action in range(len(ACTIONS))]
-            kept = np.concatenate([kept, *every])
-        kept = np.unique(kept)
-        return kept[np.argsort(cost[kept], kind="stable")]
+            each = [rows[first[rows] == action][:count] for action in range(len(ACTIONS))]
+            beam = np.concatenate([beam, *each])
+        beam = np.unique(beam)
+        return beam[np.argsort(cost[beam], kind="stable")]
 
 
 def moves(
@@ -246,6 +255,7 @@ def moves(
     angles, targets = states[:, FLIPPERS:TARGETS], states[:, TARGETS:]
     targets = np.clip(targets, angles - robot.angle_step, angles + robot.angle_step)
     turned = targets[:, None, :] + TURNS * robot.angle_step  # (M, 9, 2)
+    # A rest of more than half a step up to the stop counts as a turn; it is cut there.
     beyond = np.abs(turned) > robot.angle_limit + 0.5 * robot.angle_step
     node, action = np.nonzero(~(beyond & (TURNS != 0)).any(axis=2))
     return node, action, np.clip(turned[node, action], -robot.angle_limit, robot.angle_limit)
@@ -350,6 +360,7 @@ class Returns:
     ) -> Scores:
         """Return the scores of plans that are one decision longer."""
         period = self.robot.decision_period
+        # Rewards of this decision, and the value of what follows unless the episode ends
         before = self.nodes.take(parent)
         after = before.after(branch, action, period)
         ts = transitions(before, after, branch, self.profile, self.robot)
@@ -369,9 +380,11 @@ class Returns:
                 stuck = self.rewards.array(ts.ending(rows, Outcome.STUCK))
                 reward[rows] += risk * (stuck - reward[rows])
                 ahead[rows] *= 1.0 - risk
+        # Discounted return from the root
         discount = self.gamma**self.depth
         earned = self.earned[parent] + discount * reward
         estimate = earned + discount * self.gamma * ahead
+        # Errors of the value at several depths average out.
         if self.depth and self.averaging:
             mixed = self.averaging * self.estimate[parent] + (1 - self.averaging) * estimate
             estimate = np.where(ended, estimate, mixed)

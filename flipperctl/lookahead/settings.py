@@ -32,10 +32,10 @@ class LearnedValue:
     """Layout of its observations."""
     sizes: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     """Smallest and largest dimension of the robots of its training, by field of ``RobotGeometry``
-    [m, rad]; those that are missing may have any size."""
+    [m, rad]; a missing dimension may have any size."""
 
     def misfits(self, robot: RobotGeometry, layout: ObservationLayout) -> Iterator[str]:
-        """Yield what of a robot and its observations the values were not trained for."""
+        """Yield each property of a robot and its observations that the training did not cover."""
         for name, (low, high) in self.sizes.items():
             if not low <= (size := getattr(robot, name)) <= high:
                 yield f"robot.{name}={size:.4g} ({low:.4g} to {high:.4g})"
@@ -49,8 +49,17 @@ STEEP_FROM, STEEP = 0.9, 30.0
 SHIPPED = "mpc_value"
 """Name of the shipped policy whose values end the horizon by default."""
 HAND_SET = (
-    *("swing", "pitch", "lean", "flippers", "turn", "standstill", "standstill_from", "steep"),
-    *("steep_from", "wider", "stuck_from"),
+    "swing",
+    "pitch",
+    "lean",
+    "flippers",
+    "turn",
+    "standstill",
+    "standstill_from",
+    "steep",
+    "steep_from",
+    "wider",
+    "stuck_from",
 )
 """Fields of the hand-set cost, which have no effect with ``value`` unless it hurries."""
 
@@ -166,10 +175,11 @@ class MpcSettings(Settings):
         """Return the settings with a value in place of null, so that saved ones name it."""
         if not isinstance(data, Mapping) or data.get("value") is not None:
             return data
-        own = (name for name in HAND_SET if name in data)
-        defaults = {name: cls.model_fields[name].default for name in HAND_SET}
-        chosen = any(data[name] != defaults[name] for name in own)
-        if chosen or data.get("rewards") is not None:
+        # Any changed setting of the hand-set cost asks for that cost, and so do rewards without a
+        # value.
+        defaults = {name: cls.model_fields[name].default for name in HAND_SET if name in data}
+        changed = any(data[name] != default for name, default in defaults.items())
+        if changed or data.get("rewards") is not None:
             return {**data, "value": ""}
         fallback = data.get("fallback")
         return {**data, "value": SHIPPED, "fallback": True if fallback is None else fallback}

@@ -5,10 +5,10 @@ states that lie close to each other, from which a student learns. A student that
 ground cannot know what comes after; states of one group share it, so that their differences are
 what the student can learn.
 
-The prediction model explores all flipper settings along the whole ground. States that fall into one
-cell of position, pitch and flipper targets are represented by the first of them, and a decision
-that ends in a cell leads to the cell's representative. Value iteration on this graph (Bellman 1957)
-gives the value of each action in each state, also in those that no good policy would visit.
+The prediction model explores all flipper settings along the whole ground. The first state in a cell
+of position, pitch and flipper targets represents all states in that cell. A decision that ends in a
+cell leads to the cell's representative. Value iteration on this graph (Bellman 1957) gives the
+value of each action in each state, also in states that no good policy would visit.
 """
 
 from __future__ import annotations
@@ -57,8 +57,8 @@ _SHARE = 0.5  # length of a cell as a share of the way of a decision at full spe
 _PITCH, _HEIGHT = 0.08, 0.1  # size of a cell in pitch [rad] and in height [m]
 _MOST = 60_000  # number of represented states from which no further ones are explored [-]
 _DROP, _SETTLE = 0.45, 1.5
-"""Height of the robots above the ground at the start [m], and time to come to rest [s]; of longer
-flippers, more of both."""
+"""Height of the robots above the ground at the start [m], and time to come to rest [s]; longer
+flippers need more of both."""
 _BEYOND = 1.5  # distance before the start and past the finish at which the exploration ends [m]
 _SLOW = 0.1  # share of the way of a decision at full speed below which the robot stands [-]
 _BESIDE = sorted(
@@ -87,7 +87,7 @@ class _Edges(NamedTuple):
     action: NDArray[np.int64]
     child: NDArray[np.int64]  # represented state after the decision; -1 where the episode ends
     reward: FloatArray  # expected reward [-]
-    kept: FloatArray
+    factor: FloatArray
     """Factor of the next value: the discount times the probability that the episode goes on."""
 
 
@@ -109,14 +109,15 @@ class Graph:
         shape = len(self._cells), len(ACTIONS)
         self.child = np.full(shape, -1)
         """Represented state to which each action leads, -1 where the episode ends, (N, 9)."""
-        reward, kept = np.full(shape, -np.inf), np.zeros(shape)
+        # Tables over states and actions, filled from the decisions
+        reward, factor = np.full(shape, -np.inf), np.zeros(shape)
         for e in edges:
             self.child[e.parent, e.action] = e.child
-            reward[e.parent, e.action], kept[e.parent, e.action] = e.reward, e.kept
+            reward[e.parent, e.action], factor[e.parent, e.action] = e.reward, e.factor
         self.nodes = Nodes.joined(self._waves)
         self.unexplored = float((~np.isfinite(reward).any(axis=1)).mean())
         """Share of the states from which nothing was explored, as the ground is too long [-]."""
-        self.values = _iterated(reward, kept, self.child)
+        self.values = _iterated(reward, factor, self.child)
         """Value of each action, (N, 9) [-]; -inf for a turn beyond a stop."""
 
     @cached_property
@@ -136,8 +137,8 @@ class Graph:
         if node >= 0:
             return node
         for shift in _BESIDE:
-            beside = (*(k + s for k, s in zip(key[:3], shift, strict=True)), *key[3:])
-            if (node := self._cells.get(beside, -1)) >= 0:
+            x, z, pitch = (k + s for k, s in zip(key[:3], shift, strict=True))
+            if (node := self._cells.get((x, z, pitch, *key[3:]), -1)) >= 0:
                 return node
         return -1
 
@@ -155,6 +156,7 @@ class Graph:
         course, robot = self._course, self._robot
         most = int(robot.angle_limit / robot.angle_step + 1e-9)
         angles = np.arange(-most, most + 1) * robot.angle_step
+        # Robots fall from above with every flipper setting, and drive until they have come to rest.
         lowered = robot.flipper_axle * math.sin(min(robot.angle_limit, math.pi / 2))
         drop = max(_DROP, lowered)  # so that no flipper begins below the ground
         settle = _SETTLE * math.sqrt(drop / _DROP)
@@ -199,17 +201,19 @@ class Graph:
         before = nodes.take(parent)
         branch = self._model.expand(before.states, targets, period, poses=True)
         after = before.after(branch, action, period)
+        # Where a decision ends within the course, a state represents its end.
         x, going = after.places[:, 0], branch.outcome == RUNNING
         inside = (x < course.finish + _BEYOND) & (x > course.start - _BEYOND)
         rows = np.flatnonzero(going & inside)
         self._represent(after.take(rows))
         child = np.full(len(parent), -1)
         child[rows] = self.lookup(after.take(rows))
+        # The rewards pay for the path to the representing state.
         rows = np.flatnonzero(child >= 0)
         after = after.moved_to(Nodes.joined(self._waves).take(child[rows]), rows)
         branch = replace(branch, poses=_redirected(branch.poses, after, rows))
         ts = transitions(before, after, branch, course.profile, robot)
-        reward, kept = self._rewards.array(ts), np.where(child < 0, 0.0, self._gamma)
+        reward, factor = self._rewards.array(ts), np.where(child < 0, 0.0, self._gamma)
         # An episode ends as stuck after some time without progress. The states do not hold that
         # time, so it ends with equal probability at each decision in which the robot stands.
         # Every cycle contains such a decision, so value iteration ends.
@@ -221,8 +225,8 @@ class Graph:
         if len(rows):
             stuck = self._rewards.array(ts.ending(rows, Outcome.STUCK))
             reward[rows] += hazard[rows] * (stuck - reward[rows])
-            kept[rows] *= 1.0 - hazard[rows]
-        return _Edges(parent, action, child, reward, kept)
+            factor[rows] *= 1.0 - hazard[rows]
+        return _Edges(parent, action, child, reward, factor)
 
 
 def _redirected(poses: FloatArray, after: Nodes, rows: NDArray[np.int64]) -> FloatArray:
@@ -241,15 +245,15 @@ def _redirected(poses: FloatArray, after: Nodes, rows: NDArray[np.int64]) -> Flo
     return poses
 
 
-def _iterated(reward: FloatArray, kept: FloatArray, child: NDArray[np.int64]) -> FloatArray:
-    """Return the values r + kept · max V(child), (N, 9), by value iteration."""
+def _iterated(reward: FloatArray, factor: FloatArray, child: NDArray[np.int64]) -> FloatArray:
+    """Return the values r + factor · max V(child), (N, 9), by value iteration."""
     # A state that was not explored any further goes on at the lowest reward that was seen.
     closed = ~np.isfinite(reward).any(axis=1)
     reward = reward.copy()
     reward[closed] = reward[np.isfinite(reward)].min()
     best = np.zeros(len(reward))
     for _ in range(_SWEEPS):
-        values = reward + kept * best[child]
+        values = reward + factor * best[child]
         improved = values.max(axis=1)
         if np.abs(improved - best).max() < _ACCURACY:
             break
@@ -277,7 +281,7 @@ def sample_groups(
     unseen: float,
     way: float,
 ) -> StateGroups:
-    """Return ``count`` groups, a fraction ``off_path`` of them around any represented states.
+    """Return ``count`` groups; a fraction ``off_path`` lies around any represented states.
 
     The others lie around states of walks that follow the best actions, with random ones between.
     In a fraction ``unseen`` of the groups the ground is level from a random bin ahead on.
@@ -286,11 +290,13 @@ def sample_groups(
     values = with_stops(graph.values)
     x = graph.nodes.places[:, 0]
     order = np.argsort(x, kind="stable")
+    # Centres of groups: any state, or a state near the best way
     walked = _walks(graph, rng)
     anywhere = rng.integers(len(x), size=count)
     near = walked[rng.integers(len(walked), size=count)]
     centre = x[np.where(rng.random(count) < off_path, anywhere, near)]
     window = _WINDOW * way / 0.12
+    # Half of each group comes from all states nearby, half from the walks.
     pools = (order, walked[np.argsort(x[walked], kind="stable")])
     members = np.empty((count, SIZE), np.int64)
     for half, pool in enumerate(pools):  # half of each group from each pool
@@ -303,6 +309,7 @@ def sample_groups(
     rows = members.ravel()
     nodes = graph.nodes.take(rows)
     seen = Ground(line, layout).observations(nodes.places, nodes.states)
+    # What a student perceives there; in some groups it sees only a part of the ground.
     hidden = rng.random(count) < unseen
     first = np.where(hidden, rng.integers(layout.bins // 2 + 1, layout.bins, count), layout.bins)
     return StateGroups(
@@ -347,12 +354,13 @@ def _walks(graph: Graph, rng: np.random.Generator) -> NDArray[np.int64]:
     left, action = np.zeros(_WALKERS, np.int64), np.zeros(_WALKERS, np.int64)
     seen = []
     for _ in range(_STEPS):
+        # A walk begins some equal random decisions, after which it takes the best ones again.
         seen.append(at)
         begins = (left == 0) & (rng.random(len(at)) < share)
         left = np.where(begins, rng.integers(1, _EQUAL, len(at)), left)
         action = np.where(begins, rng.integers(len(ACTIONS), size=len(at)), action)
-        chosen = np.where((left > 0) & np.isfinite(graph.values[at, action]), action, best[at])
-        child = graph.child[at, chosen]
+        random = (left > 0) & np.isfinite(graph.values[at, action])
+        child = graph.child[at, np.where(random, action, best[at])]
         going = child >= 0
         at, share, action = child[going], share[going], action[going]
         left = np.maximum(0, left[going] - 1)
@@ -362,7 +370,7 @@ def _walks(graph: Graph, rng: np.random.Generator) -> NDArray[np.int64]:
 
 
 _EPISODE = Episode()
-"""A ``Simulator`` does not tell its episode's own settings; values are those of the defaults."""
+"""A ``Simulator`` does not tell its episode's own settings; values hold for the defaults."""
 
 
 class ValueIterationPolicy:
@@ -382,6 +390,7 @@ class ValueIterationPolicy:
         self._simulator, self._layout = simulator, p.layout
         robot = self._robot = nominal(p.robot)
         profile, state = simulator.profile, simulator.state
+        # The prediction model on the true ground
         top = highest_at_finish(profile, robot, simulator.finish)
         self._model = Model(
             profile.points,
@@ -395,10 +404,12 @@ class ValueIterationPolicy:
             contacts=MOST_EXACT,
         )
         self._patience = _EPISODE.stuck_decisions(robot.decision_period)
+        # The value of every state, which takes the time of the search
         start = float(state.position[0])
         course = Course(profile, start, simulator.finish, self._patience)
         self._graph = Graph(course, self._model, robot, self._rewards, settings.gamma)
         simulator.report_result(unexplored=self._graph.unexplored)
+        # What the policy remembers of the episode
         self._targets = state.front, state.rear
         self._history = History()
         self._pending: int | None = None
@@ -414,6 +425,8 @@ class ValueIterationPolicy:
         """Return the negative value of each action in the true state, (9,) [-]."""
         self._catch_up()
         settings, robot, root = self._settings, self._robot, self._here()
+        # The true state differs from the one that represents it, so the first decisions are
+        # searched.
         account = Returns(
             rewards=self._rewards,
             horizon=self._horizon,
@@ -427,6 +440,8 @@ class ValueIterationPolicy:
         )
         search = Search(robot, settings.beam, settings.horizon, beam_per_action=1)
         costs = search.run(self._model, root.states[0], account).costs
+        # A turn beyond a stop costs as much as not making it; an action without a plan costs the
+        # most.
         costs = -with_stops(-costs[None])[0]
         return np.asarray(np.where(np.isfinite(costs), costs, costs[np.isfinite(costs)].max()))
 

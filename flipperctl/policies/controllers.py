@@ -174,6 +174,7 @@ def from_costs(costs: FloatArray, temperature: float = TEMPERATURE) -> NDArray[n
 
     ``costs``: finite cost of each action, (9,) [s]; ``temperature`` in seconds.
     """
+    # Differences to the least cost keep the exponentials finite.
     weights = np.exp((costs.min() - costs) / temperature)
     return np.asarray(weights / weights.sum(), np.float32)
 
@@ -283,11 +284,13 @@ class DaggerPolicy:
         """Begin an episode of both policies and choose which one acts."""
         self._student.reset(simulator)
         self._teacher.reset(simulator)
+        # A privileged teacher sees the true state of an episode that it repeats from its start.
         if self._settings.privileged:
             simulator.restart()  # the policies may have simulated in it
             self._simulator = simulator
         if self._teacher.values_states:
             self.groups = self._teacher.state_groups(self._rng)
+        # Until the student has learnt from something, the teacher acts.
         share = self._settings.student_share if self._student_learns() else 0.0
         self._student_acts = self._rng.random() < share
 
@@ -295,10 +298,12 @@ class DaggerPolicy:
         """Return the acting policy's action; store the teacher's label."""
         simulator, share = self._simulator, self._settings.label_share
         seen = p if simulator is None else simulator.perceive_exactly()
+        # Some decisions of the student get no label; the teacher only follows them.
         if self._student_acts and share < 1 and self._rng.random() >= share:
             action, self.label = self._student_action(p), no_label()
             self._teacher.follow(seen, action)
         else:
+            # The teacher labels this decision, whoever acts.
             choice, self.label = self._labeller.choose(seen)
             action = self._student_action(p) if self._student_acts else self._varied(choice)
             self._labeller.took(action)

@@ -24,10 +24,10 @@ class Greedy(Controller):
     """Drive by the best Q-value of policies' files, also while their risk warns.
 
     The values of several policies are averaged, which cancels errors of their trainings; they
-    should be of one scale, as those of training seeds are. The costs of the actions are the
-    negated Q-values, so that it can teach: with ``teacher.temperature`` equal to the
-    ``teacher.q_temperature`` of their own training, or to its temperature of a policy gradient, the
-    labels are the probabilities that a policy learnt.
+    should be of one scale, as with several training seeds. The costs of the actions are the negated
+    Q-values, so that it can teach. Set ``teacher.temperature`` to the ``teacher.q_temperature`` of
+    their own training, or to the temperature of a policy gradient. The labels are then the
+    probabilities that a policy learnt.
     """
 
     policy: str = Field(

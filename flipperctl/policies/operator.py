@@ -49,9 +49,9 @@ class _Drive(NamedTuple):
 class Operator(Controller):
     """Repeat the recorded drives of a person or a script, each on its own draw.
 
-    Only draws that were driven can be played: the episodes of ``eval`` are those of ``flipperctl
-    drive`` with equal settings. Where the robot perceives something else than when it was driven,
-    the episode is refused, as its commands would mean another drive.
+    Only draws that were driven can be played: with equal settings, ``eval`` has the episodes of
+    ``flipperctl drive``. Where the robot perceives something else than when it was driven, the
+    episode is refused, as its commands would mean another drive.
     """
 
     drives: str = Field(
@@ -79,13 +79,14 @@ class Operator(Controller):
 
     def check(self, config: EnvConfig) -> None:
         """Check that an environment is the one in which the drives were driven."""
-        ours = to_dict(config.environment())
+        current = to_dict(config.environment())
+        # Commands lead elsewhere under other settings, unless those have no effect on the engine.
         for drive in _drives(self.files):
-            theirs = drive.environment.model_dump(mode="json")
+            driven = drive.environment.model_dump(mode="json")
             differences = [
                 f"{path}={_text(there)} (here {_text(here)})"
                 for section in _SECTIONS
-                for path, here, there in _differing(ours[section], theirs[section], section)
+                for path, here, there in _differing(current[section], driven[section], section)
                 if path.rpartition(".")[2] not in config.sim.without_effect
             ]
             if differences:
@@ -107,7 +108,7 @@ class _Recorded:
         if {drive.period for drive in drives} != {self.command_period}:
             raise ConfigError(f"drives: those of {name} have different rates; put them apart")
         self._drive = drives[0]
-        self._decision = self._told = 0
+        self._decision = self._commanded = 0
 
     def reset(self, simulator: Simulator) -> None:
         """Begin the drive of the episode's seed."""
@@ -120,7 +121,7 @@ class _Recorded:
                 f"{simulator.seed}); it holds {counted}: --episodes and the settings of the drive "
                 "choose its draws"
             )
-        self._drive, self._decision, self._told = recorded_drive, 0, 0
+        self._drive, self._decision, self._commanded = recorded_drive, 0, 0
 
     def act(self, p: Perception) -> int:
         """Check what is perceived; the action has no effect."""
@@ -135,10 +136,10 @@ class _Recorded:
     def command(self, world: World) -> Command:
         """Return the next recorded command."""
         commands = self._drive.episode.commands
-        if commands is None or self._told >= len(commands):
+        if commands is None or self._commanded >= len(commands):
             raise self._departs()
-        self._told += 1
-        return Command(*commands[self._told - 1].tolist())
+        self._commanded += 1
+        return Command(*commands[self._commanded - 1].tolist())
 
     def _departs(self) -> PolicyError:
         return PolicyError(
@@ -158,12 +159,12 @@ def _drives(files: list[Path]) -> Iterator[_Drive]:
 
 
 def _differing(
-    ours: Mapping[str, Any], theirs: Mapping[str, Any], section: str
+    current: Mapping[str, Any], driven: Mapping[str, Any], section: str
 ) -> list[tuple[str, Any, Any]]:
-    """Return what differs in a section; of another engine or sensor its name alone."""
-    if (here := ours.get("name")) != (there := theirs.get("name")):
+    """Return what differs in a section; for another engine or sensor, its name alone."""
+    if (here := current.get("name")) != (there := driven.get("name")):
         return [(section, here, there)]
-    return list(differences(ours, theirs, section))
+    return list(differences(current, driven, section))
 
 
 def _counts(labels: list[str]) -> list[tuple[str, int]]:

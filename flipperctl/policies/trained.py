@@ -1,4 +1,4 @@
-"""Trained networks as policies, those of training episodes, and values for searches.
+"""Trained networks as policies, also in training episodes, and values for searches.
 
 In: a checkpoint. Out: its network with the trained weights, the policy that acts by it, and the
 value of observations with the rewards and the discount of the training. Policies of training
@@ -94,6 +94,7 @@ class TrainedPolicy(_NetworkPolicy):
         ``position``: see ``Perception``.
         """
         observation = stacked(recent, self.frames)
+        # The risk comes first, since a warning changes how the action is chosen.
         if self._risk is not None:
             if self._episode is None:
                 self._episode = self._risk.begin(len(recent[-1]))
@@ -102,6 +103,7 @@ class TrainedPolicy(_NetworkPolicy):
         values = q_values(self.module, observation, self._device, self.kind)
         if self.kind == "rates":
             return rates_of(values)
+        # While it escapes, the policy draws by its Q-values.
         escape, sign = self._escape, self.risk_sign
         if escape is not None and sign is not None and escape.due(warns=sign.warns(self.risk)):
             return escape.draw(values)
@@ -194,6 +196,7 @@ def policy_module(checkpoint: Checkpoint) -> torch.nn.Module:
         module = build_policy(config.network, config.perception, config.actions)
     except ConfigError as error:
         raise CheckpointError(f"{checkpoint.path}: {error}") from error
+    # The best checkpoint holds the validated weights; in others, the target network acts.
     weights = checkpoint.part("policy" if checkpoint.document.kind == "best" else "target")
     try:
         require_equal_layout(weights, module.state_dict())
@@ -216,7 +219,7 @@ def policy_risk(checkpoint: Checkpoint) -> Risk | None:
         return None
     network = RiskNetwork(input_size(config.network, config.perception))
     weights = checkpoint.part("risk")
-    # Its calibration is that of the policy's validation, or of the run's last one, if any.
+    # The policy's validation calibrates it, or the run's last validation, if there is any.
     validations = document.state.validations if document.state else (document.validation,)
     calibration = uncalibrated(settings.horizon)
     try:
@@ -226,6 +229,7 @@ def policy_risk(checkpoint: Checkpoint) -> Risk | None:
     except ValueError as error:
         raise CheckpointError(f"{checkpoint.path}: its risk is not valid: {error}") from error
     network.load_state_dict(weights)
+    # A robot that moves by far less than this in each decision stands.
     stride = config.robot.track_speed * config.robot.decision_period
     return Risk(network, calibration, stride).eval().requires_grad_(False)
 
@@ -247,6 +251,7 @@ def read_value(file: Path, name: str, path: str) -> LearnedValue:
     network, teacher = config.network, config.teacher
     named = (checkpoint.document.config.model_extra or {}).get("teacher")
     taught = isinstance(named, Mapping) and named.get("controller") is not None  # missing here
+    # A plan predicts a single observation, and its end needs an estimate of a return.
     if network.frames > 1:
         fault = (
             f"its network {network.plugin_name} takes {network.frames} observations, of which a "
@@ -287,8 +292,9 @@ def value_of(module: torch.nn.Module, config: TrainConfig) -> LearnedValue:
 def _sizes(config: TrainConfig) -> Iterator[tuple[str, tuple[float, float]]]:
     """Yield each dimension of the training's robots with its smallest and largest size [m, rad]."""
     for name in RobotGeometry.model_fields:
-        own, sampled = getattr(config.robot, name), config.randomise.find("robot", name)
-        low, high = (1 - TOLERANCE) * own, (1 + TOLERANCE) * own
+        size, sampled = getattr(config.robot, name), config.randomise.find("robot", name)
+        # Sampled robots count up to the ends of their range, others within a tolerance.
+        low, high = (1 - TOLERANCE) * size, (1 + TOLERANCE) * size
         if sampled is not None:
             low, high = sampled.ends
         for factor, scaled in config.robot.factors.items():

@@ -1,7 +1,7 @@
 """The ground as tracks feel it: thinned, bounded in size, and with a robot at rest on it.
 
-In: a generated profile. Out: a profile that feels the same to the tracks and is cheap to simulate;
-height and pitch of a chassis that rests on it level, or as a slope or a stair holds it.
+In: a generated profile. Out: a profile that feels the same to the tracks and is cheap to simulate.
+Also the height and the pitch of a chassis that rests on it, on level ground, a slope or a stair.
 """
 
 from __future__ import annotations
@@ -45,15 +45,16 @@ LONGEST = 2000.0
 def thinned(profile: Profile, track_radius: float) -> Profile:
     """Return the profile without points that a track of this radius [m] cannot feel.
 
-    A point is omitted if it lies within ``TOLERANCE`` of the line that replaces it, or in a hollow
-    so narrow that a round end of radius r sinks into it by less than ``TOLERANCE``: between two
-    edges at distance d it sinks by d²/8r, so that d = 9 mm at a radius of 0.1 m. The first and the
+    A point is omitted if it lies within ``TOLERANCE`` of the line that replaces it. So is one in a
+    hollow so narrow that a round end of radius r sinks into it by less than ``TOLERANCE``. Between
+    two edges at distance d it sinks by d²/8r; d is 9 mm at a radius of 0.1 m. The first and the
     last point and all ground that is not fine are kept. If no point is omitted, the profile itself
     is returned. Its surface stays as it is.
     """
     if len(profile.points) <= FEW:
         return profile
 
+    # A round end sinks by d²/8r between two edges at distance d; solved for d at the tolerance.
     span = math.sqrt(8 * track_radius * TOLERANCE)
     keep = kept_points(profile.points, _fixed(profile.points), TOLERANCE, span)
     if keep.all():
@@ -85,6 +86,7 @@ def _fixed(points: FloatArray) -> NDArray[np.bool_]:
     """Return which points thinning must keep, (V,)."""
     x, z = points.T
     fixed = np.ones(len(points), dtype=np.bool_)
+    # Coarse ground stays: only a point in a finely sampled stretch may be omitted.
     fixed[1:-1] = x[2:] - x[:-2] >= FINE
     # Runs of equal x are vertical faces.
     begins = np.flatnonzero(np.concatenate([[True], np.diff(x) > 0]))
@@ -104,6 +106,7 @@ def inflated(
     ``line`` is (V, 2) [m] with x that never decreases.
     """
     heights = np.full(count, -np.inf)
+    # A segment lifts only those centres that are within a radius of it.
     for i in range(len(line) - 1):
         x0, z0, x1, z1 = line[i, 0], line[i, 1], line[i + 1, 0], line[i + 1, 1]
         slope = (z1 - z0) / (x1 - x0) if x1 > x0 else 0.0
@@ -112,10 +115,12 @@ def inflated(
         high = min(count - 1, math.floor((x1 + radius - origin) / spacing))
         for j in range(low, high + 1):
             x = origin + j * spacing
+            # The circle rests on the segment's face if the point of contact lies between its ends.
             touched = x + radius * slope / steep
             height = -np.inf
             if x0 < touched < x1:
                 height = z0 + slope * (touched - x0) + radius / steep
+            # Else it may rest on one of the two corners.
             if abs(x - x0) <= radius:
                 height = max(height, z0 + math.sqrt(radius * radius - (x - x0) ** 2))
             if abs(x - x1) <= radius:
@@ -150,16 +155,19 @@ def resting(
     """Return world z [m] and pitch [rad] of a chassis that rests with its centre above ``x`` [m].
 
     ``front`` and ``rear`` are the flippers' angles in frame R [rad]. The robot touches the ground
-    ahead of its centre of mass and behind it, which friction has to hold; of several such pitches
-    within ± ``steepest`` [rad], it is the one with the lowest centre of mass. None: there is none.
+    ahead of its centre of mass and behind it, which friction has to hold. Among several such
+    pitches within ± ``steepest`` [rad], the lowest centre of mass decides. None: there is none.
     """
     ground = _Ground.around(profile, robot, x, front, rear)
     turns = math.floor(steepest / _ANGLE)
     pitches = _ANGLE * np.arange(-turns, turns + 1, dtype=np.float64)
+    # Rest is stable where the contact moves from ahead of the centre of mass to behind it as the
+    # pitch grows.
     _, masses, levers = ground.supports(pitches)
     (rests,) = np.nonzero((levers[:-1] >= 0) & (levers[1:] < 0))
     if not len(rests):
         return None
+    # The lowest of these pitches is refined by bisection.
     first = rests[masses[rests].argmin()]
     low, high = float(pitches[first]), float(pitches[first + 1])
     for _ in range(_HALVINGS):
@@ -187,10 +195,12 @@ class _Ground:
         """Return the ground within the robot's reach."""
         reach = robot.hinge_offset + robot.flipper_axle + 2 * _GRID
         margin = reach + robot.track_radius
+        # The line reaches as far as the flippers do, with level ground past its ends.
         line = profile.extended(margin + abs(x - profile.start), margin + abs(x - profile.end))
         count = math.ceil(2 * reach / _GRID) + 1
         places = x - reach + _GRID * np.arange(count, dtype=np.float64)
         above = inflated(line, x - reach, _GRID, count, robot.track_radius)
+        # A round end touches the ground along the normal of the path of its centre.
         slopes: FloatArray = np.arctan(np.gradient(above, _GRID))
         contacts: FloatArray = places + robot.track_radius * np.sin(slopes)
         return cls(robot, x, front, rear, places, above, contacts)
@@ -203,14 +213,17 @@ class _Ground:
         """
         robot, front, rear = self.robot, pitches + self.front, self.rear - pitches
         ahead, up = _axes(robot, pitches, front, rear)
+        # The point of an axis that needs the highest chassis is the one that carries the robot.
         needed = np.interp(self.x + ahead, self.places, self.above) - up
         at = needed.argmax(axis=1)[:, None]
         heights = np.take_along_axis(needed, at, axis=1)[:, 0]
         touching = self.x + np.take_along_axis(ahead, at, axis=1)[:, 0]
         contacts = np.interp(touching, self.places, self.contacts)
+        # The flippers' masses act at the middle between hinge and tip.
         arm = robot.flipper_mass * robot.flipper_axle / 2 / robot.mass
         masses = heights + arm * (np.sin(front) + np.sin(rear))
         levers = contacts - self.x - arm * (np.cos(front) - np.cos(rear))
+        # A load moves the chassis' own centre of mass.
         if robot.payload:
             share = robot.carried_mass / robot.mass
             x, z = (share * place for place in robot.centre_of_mass)  # in frame R [m]

@@ -1,7 +1,7 @@
 """Numba's decorators with a cache on disk, one folder for each version of the compiled sources.
 
-Numba compiles a function again when the file that defines it changes. It does not notice a change
-in a function of another file that is compiled into it, in a constant of another file, or in a
+Numba compiles a function again when the file that defines it changes. It does not notice changes in
+functions and constants of other files that are compiled into it. Nor does it notice a change in a
 library whose structs compiled code reads by their offsets. Therefore a digest of all of these is
 part of the folder's name. Without a writable folder, every process compiles again.
 """
@@ -43,6 +43,8 @@ def machine_code_folder() -> Path | None:
     for base in _bases():
         folder = base / _NAME / digest
         try:
+            # Only writing shows whether a folder is writable; its new time of use spares it from
+            # removal.
             folder.mkdir(parents=True, exist_ok=True)
             tempfile.TemporaryFile(dir=folder).close()
             os.utime(folder)
@@ -61,6 +63,7 @@ def code_digest(folders: Iterable[Path], libraries: Iterable[Path]) -> str:
     sources = [
         (p, p.relative_to(folder)) for folder in folders for p in sorted(folder.rglob("*.py"))
     ]
+    # Name and length keep two sets of files apart whose contents join to the same bytes.
     for path, name in (*sources, *((path, Path(path.name)) for path in libraries)):
         content = path.read_bytes()
         digest.update(f"{name.as_posix()} {len(content)}\n".encode())
@@ -101,6 +104,8 @@ def cached(decorator: Callable[..., Any], *arguments: Any) -> Callable[[Callable
         folder, settings = machine_code_folder(), vars(numba.config)
         reason = "no folder for machine code is writable"
         if folder is not None:
+            # Numba takes the folder from a setting of the process, which other packages use as
+            # well.
             before, settings["CACHE_DIR"] = settings["CACHE_DIR"], str(folder)
             try:
                 return decorator(*arguments, cache=True)(function)

@@ -77,10 +77,12 @@ def belt_points(
     s = np.mod(along, 2 * half)
     lower = s >= half  # the lower half is the upper half rotated by 180°
     s = np.where(lower, s - half, s)
+    # Along the straight part first, then around the end
     straight = np.minimum(s, length)[:, None]  # (S, 1) [m]
     turned = ((s - straight[:, 0]) / radius)[:, None]  # (S, 1) [rad]
     normal = np.cos(turned) * up + np.sin(turned) * forward
     tangent = np.cos(turned) * forward - np.sin(turned) * up
+    # The lower half begins at the front end and runs backwards.
     sign = np.where(lower, -1.0, 1.0)[:, None]
     origin = np.where(lower[:, None], end, start)
     return origin + sign * (straight * forward + radius * normal), sign * tangent

@@ -68,6 +68,7 @@ class EvaluationProgress:
 
         Episodes beyond the plan, as of traces and a film, raise the total.
         """
+        # The bar goes on where the policies before have left it.
         before = self._done
         self._total = max(self._total, before + episodes)
         console = Console(stderr=True)
@@ -85,6 +86,7 @@ class EvaluationProgress:
                 self._done = before + int(done)
                 text = self.text(label, before + done)
                 bar.update(task, completed=before + done, description=escape(text))
+                # Without a terminal, a line at times
                 if not console.is_terminal and time.perf_counter() - self._last >= _PERIOD:
                     self._last = time.perf_counter()
                     print(text, file=sys.stderr, flush=True)
@@ -212,6 +214,7 @@ def steps_progress(label: str) -> Iterator[Callable[[str, float], None]]:
             nonlocal last
             bar.update(task, completed=fraction, description=escape(what))
             now = time.perf_counter()
+            # Without a terminal, a line at times
             if bar.disable and now - last >= _PLAIN_EVERY:
                 last = now
                 left = f", {(now - begun) * (1 / fraction - 1):.0f} s left" if fraction > 0 else ""

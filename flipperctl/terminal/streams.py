@@ -52,18 +52,21 @@ def reserved_stdout() -> Iterator[None]:
 
 @contextmanager
 def _moved(out: TextIO) -> Iterator[TextIO]:
-    """Yield a stream that writes where ``out`` did, whose file descriptor is that of stderr now.
+    """Yield a stream that writes where ``out`` did, and lead its file descriptor to stderr.
 
-    It is ``out`` itself if it is not the process's own stdout, as in a test or a notebook.
+    The stream is ``out`` itself unless that is the process's own stdout; tests and notebooks have
+    another one.
     """
     if out is not sys.__stdout__:
         yield out
         return
+    # Streams of notebooks and tests have no descriptor.
     try:
         descriptor, error = out.fileno(), sys.stderr.fileno()
     except (AttributeError, OSError, ValueError):
         yield out
         return
+    # The descriptor leads to stderr from here on; a copy still leads to where it did.
     out.flush()
     saved = os.dup(descriptor)
     os.dup2(error, descriptor)

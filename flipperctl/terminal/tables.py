@@ -72,7 +72,7 @@ def print_terrain(name: str, numbers: list[dict[str, Any]], picture: Path | None
     if any(row["points_drawn"] > len(row["points"]) for row in numbers):
         most = max(row["points_drawn"] for row in numbers)
         print_text(
-            f"sampled with up to {most} points; those too fine for a track to feel are left out"
+            f"sampled with up to {most} points; points too fine for a track to feel are left out"
         )
     if picture is not None:
         print_text(f"picture: {picture}")
@@ -88,20 +88,24 @@ _POSES = {
 
 def print_perception(perception: dict[str, Any], output: Path | None) -> None:
     """Print how a robot's sensing fared on its recording; ``output`` was written."""
+    # Scans and estimates: used, refused, or held on a robot
     rows = {"scans used": str(perception["scans"])}
     rows["scans refused"] = str(sum(refusal["count"] for refusal in perception["refused"].values()))
     for name, refusal in perception["refused"].items():
         rows[f"  {name}"] = f"{refusal['count']}: {refusal['reason']}"
     rows["estimates"] = str(perception["decisions"])
     rows |= {f"  would hold: {name}": str(count) for name, count in perception["held"].items()}
+    # How much ground was seen, and how certain its heights are
     coverage, deviation = perception["coverage"], perception["deviation"]
     rows["bins seen"] = f"{coverage['mean']:.0%}, at least {coverage['least']:.0%}"
     rows["ground filled"] = f"{perception['filled']:.0%}"
     rows["σ of a height"] = NONE if deviation is None else f"{1000 * deviation:.0f} mm (median)"
+    # What computing takes
     for name, key in (("an estimate", "estimate_ms"), ("a scan", "scan_ms")):
         times = perception[key]
         rows[f"{name} takes"] = f"{times['p50']:.1f} ms, p99 {times['p99']:.1f} ms"
     rows["scans enter at"] = _POSES[perception["pose"]]
+    # The drift, if the recording has poses of its own
     if (drift := perception["drift"]) is not None:
         share = drift["share"]
         of = "" if share is None else f" ({share:.1%} of {drift['way']:.2f} m)"
@@ -153,8 +157,10 @@ def _print_recording(
     cells = [{"what": what, "found": text} for what, text in rows.items()]
     print_table(Table(_FOUND, cells, title), console())
     _print_checks(recording["checks"])
-    for line in (*recording["remarks"], *([] if last is None else [last])):
-        print_text(line)
+    for remark in recording["remarks"]:
+        print_text(remark)
+    if last is not None:
+        print_text(last)
 
 
 def print_export(target: Path, source: Path, exported: dict[str, Any]) -> None:
@@ -170,9 +176,12 @@ def print_export(target: Path, source: Path, exported: dict[str, Any]) -> None:
     for name, values in exported["robot_changes"].items():
         setting = name in Robot.model_fields
         label = f"robot.{name}" if setting else name.replace("_", " ")
-        own, training = ("null" if v is None else f"{v:.6g}"
-                         for v in (values["file"], values["training"]))  # fmt: skip
-        parts.append(f"{label} {own} {unit(Robot, name) if setting else 's'} (training {training})")
+        file, training = (
+            "null" if value is None else f"{value:.6g}"
+            for value in (values["file"], values["training"])
+        )
+        of = unit(Robot, name) if setting else "s"
+        parts.append(f"{label} {file} {of} (training {training})")
     if parts:
         print_text(f"for another robot than that of the training: {', '.join(parts)}")
 

@@ -33,6 +33,7 @@ def print_best(run: Finished) -> None:
         return
     best, measured = run.summary["best"], run.summary.get("regret")
     longer = f"train.decisions={2 * run.summary['decisions']}"
+    # Lines that only some trainings have
     idle = run.summary.get("workers_idle")
     waits = "" if idle is None else f"Its workers were idle for {idle:.0%} of their time.\n"
     again = f"Longer:   {command('train', '--resume', run.directory, longer)}\n"

@@ -22,7 +22,7 @@ from ..posture import with_masses
 from ..resting import Rest, rest
 
 _TURNS = sorted(ACTIONS, key=lambda turns: abs(turns[0]) + abs(turns[1]))
-"""Turns (front, rear) of the actions; of equally good ones the first is taken."""
+"""Turns (front, rear) of the actions; among equally good ones the first is taken."""
 _STEPS = 4
 """Largest number of angle steps each way from 0 among the planned angles [-]."""
 _STEEP = math.atan(0.75)
@@ -76,11 +76,14 @@ class Geometric(Controller):
     def act(self, p: Perception) -> int:
         """Return the first turns of the best plan."""
         robot = with_masses(p.robot)
+        # Few angles, since a plan is made for every pair of them
         step = max(robot.angle_step, robot.angle_limit / _STEPS)
         count = math.floor(robot.angle_limit / step + 1e-9)
         angles = step * np.arange(-count, count + 1.0)  # (A,) [rad]
         places = robot.track_speed * robot.decision_period * np.arange(self.horizon + 1.0)
         poses = rest(p.points, robot, places, angles, angles)
+        # The plan begins at the measured angles, and at the measured pitch in place of a resting
+        # one.
         front, rear = (int(np.abs(angles - angle).argmin()) for angle in (p.front, p.rear))
         costs = self._costs(poses, places[1])
         poses.pitch[0] = p.pitch
@@ -90,6 +93,7 @@ class Geometric(Controller):
     def _costs(self, poses: Rest, stride: float) -> FloatArray:
         """Return the costs of the poses at the K places ahead, ``stride`` [m] apart, (K, A, A)."""
         lift = (poses.height - poses.height.min(axis=(1, 2), keepdims=True))[1:]
+        # What each pose costs, and the way to it
         lacking = np.maximum(0.0, self.margin - poses.margin)[1:]
         slope = np.arctan(np.diff(poses.height, axis=0) / stride)
         climb = self.climb * np.maximum(0.0, slope - _STEEP)
@@ -101,13 +105,15 @@ class Geometric(Controller):
     def _options(self, pitch: FloatArray, costs: FloatArray) -> FloatArray:
         """Return the cost of the best plan that begins with each of ``_TURNS``, (9, A, A) [rad].
 
-        ``pitch``: that of each place with each front and rear angle, the present place first,
-        (K + 1, A, A) [rad]; ``costs``: those of the poses at the places ahead, (K, A, A) [rad].
+        ``pitch``: pitch at each place with each front and rear angle, the present place first,
+        (K + 1, A, A) [rad]. ``costs``: costs of the poses at the places ahead, (K, A, A) [rad].
         """
         count = pitch.shape[1]
         to_go = np.abs(pitch[-1] - pitch[-1, count // 2, count // 2])  # from each pair of angles
         options = np.empty((len(_TURNS), count, count))
+        # Backwards from the last place: what remains to be paid from each pair of angles
         for at in range(len(costs) - 1, -1, -1):
+            # Angles beyond the stops have an infinite cost.
             there = np.pad(pitch[at + 1], 1)
             then = np.pad(costs[at] + to_go, 1, constant_values=math.inf)
             for option, (i, j) in zip(options, _TURNS, strict=True):

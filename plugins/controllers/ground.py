@@ -15,16 +15,16 @@ Rows = tuple[tuple[float, ...], ...]
 
 
 class Ground(NamedTuple):
-    """Heights of the ground above that on which a level robot stands [m]."""
+    """Heights of the ground above the ground on which a level robot stands [m]."""
 
     lowest: float
-    """Of the bins ahead of the chassis, as far as a flipper reaches."""
+    """Lowest mean of the bins ahead of the chassis, as far as a flipper reaches."""
     highest: float
-    """The same, of the highest point."""
+    """Highest point of these bins."""
     rear_lowest: float
-    """Of the bins below the rear half of the chassis."""
+    """Lowest mean of the bins below the rear half of the chassis."""
     rear_highest: float
-    """The same, of the highest point."""
+    """Highest point of these bins."""
 
 
 def ground(

@@ -27,19 +27,30 @@ from .ground import Rows, ground, table
 from .rules import towards
 
 STATES = (
-    *("neutral", "ascending front", "up stairs", "ascending rear"),
-    *("descending front", "down stairs", "descending rear"),
+    "neutral",
+    "ascending front",
+    "up stairs",
+    "ascending rear",
+    "descending front",
+    "down stairs",
+    "descending rear",
 )
 NEXT = ((0, 1, 4), (1, 0, 2, 3), (2, 3), (3, 0), (4, 0, 5, 6), (5, 6), (6, 0))
 """States that may follow each one; it may stay first."""
 TEMPLATES = (
-    *((0.0, 0.0), (0.4, 0.0), (-0.1, -0.1), (-0.1, -0.6)),
-    *((-0.35, -0.7), (0.0, 0.05), (0.3, 0.4)),
+    (0.0, 0.0),
+    (0.4, 0.0),
+    (-0.1, -0.1),
+    (-0.1, -0.6),
+    (-0.35, -0.7),
+    (0.0, 0.05),
+    (0.3, 0.4),
 )
+"""Front and rear angle of each state [rad]."""
 PITCHES = np.array([0.0, 0.2, 0.4, 0.2, -0.2, -0.4, -0.2])
 """Pitch that is typical of each state, (7,) [rad]."""
 _PITCH_WEIGHT = 0.3
-"""Weight of the squared pitch error beside those of the angles, in the labels [-]."""
+"""Weight of the squared pitch error in the labels; the angles' errors have the weight 1 [-]."""
 _ASCENDING_REAR = STATES.index("ascending rear")
 _SCALE = np.array([1.0, 2.0, 5.0, 5.0, 5.0, 5.0])
 _ROWS = sum(len(after) - 1 for after in NEXT)
@@ -60,17 +71,20 @@ def labels(angles: FloatArray, templates: FloatArray) -> list[int]:
     through the permitted transitions with the least sum of squared differences from the
     ``templates`` (7, 2) and ``PITCHES`` (Viterbi).
     """
+    # Misfit of every state after each decision
     costs = ((angles[:, None, :2] - templates) ** 2).sum(-1)  # (T, 7)
     costs += _PITCH_WEIGHT * (angles[:, 2:] - PITCHES) ** 2
     allowed = np.full((7, 7), math.inf)
     for before, after in enumerate(NEXT):
         allowed[before, after] = 0.0
+    # The cheapest path to each state, and where it came from
     total, origins = np.full(7, math.inf), []
     total[0] = 0.0
     for cost in costs:
         paths = total[:, None] + allowed
         origins.append(paths.argmin(0))
         total = paths.min(0) + cost
+    # Back along the cheapest path of all
     states = [int(total.argmin())]
     for origin in reversed(origins):
         states.append(int(origin[states[-1]]))
@@ -124,6 +138,7 @@ class Hfc(Controller):
 
     def learn(self, episodes: TrainingEpisodes) -> Self:
         """Return the machine with transitions fitted to the states of demonstrations."""
+        # What was seen and what followed, apart for each state before
         inputs: list[list[FloatArray]] = [[] for _ in NEXT]
         choices: list[list[int]] = [[] for _ in NEXT]
         for episode in episodes.demonstrations():
@@ -132,8 +147,8 @@ class Hfc(Controller):
                 choices[before].append(NEXT[before].index(after))
         rows = [
             row
-            for after, seen, chosen in zip(NEXT, inputs, choices, strict=True)
-            for row in softmax_fit(np.array(seen), np.array(chosen), len(after))
+            for after, seen, taken in zip(NEXT, inputs, choices, strict=True)
+            for row in softmax_fit(np.array(seen), np.array(taken), len(after))
         ]
         return self.model_copy(update={"weights": table(rows, 2)})
 
@@ -156,6 +171,7 @@ def softmax_fit(inputs: FloatArray, choices: NDArray[np.int64], count: int) -> F
     from scipy.optimize import minimize
 
     size = _SCALE.size
+    # Without a demonstration, all permitted transitions are equally probable.
     if not len(inputs):
         return np.zeros((count - 1, size))
     taken = np.eye(count)[choices]  # (M, count)
@@ -167,8 +183,8 @@ def softmax_fit(inputs: FloatArray, choices: NDArray[np.int64], count: int) -> F
         value = -np.log(np.maximum((chances * taken).sum(1), 1e-300)).sum()
         return float(value + (flat @ flat) / 2), slope.ravel()
 
-    found = minimize(loss, np.zeros((count - 1) * size), jac=True, method="L-BFGS-B")
-    weights: FloatArray = found.x.reshape(count - 1, size)
+    fit = minimize(loss, np.zeros((count - 1) * size), jac=True, method="L-BFGS-B")
+    weights: FloatArray = fit.x.reshape(count - 1, size)
     return weights
 
 
@@ -199,6 +215,7 @@ class Machine:
     def act(self, p: Perception) -> int:
         """Turn each pair one step towards the angles of the likeliest state."""
         seen, chances = features(p.observation, p.layout, p.robot), np.zeros(len(NEXT))
+        # The chances of the states move along the permitted transitions.
         for before, after in enumerate(NEXT):
             chances[list(after)] += self.chances[before] * softmax(self._weights[before] @ seen)
         self.chances = chances
@@ -208,7 +225,7 @@ class Machine:
     def _stagnation(self, p: Perception) -> float:
         """Return s = clip(1 - v / v_cmd, 0, 1), by the odometry since the last decision.
 
-        It is 0 at the first decision, and of a sensor without odometry.
+        It is 0 at the first decision, and with a sensor that has no odometry.
         """
         before, self._position = self._position, p.position
         if before is None or p.position is None:

@@ -40,13 +40,13 @@ class Random(Controller):
 
 @controller("okada")
 class Okada(Controller):
-    """Turn the front flippers along the ground ahead, the rear ones along that behind.
+    """Turn the front flippers along the ground ahead, the rear ones along the ground behind.
 
     Okada et al. (Journal of Field Robotics 28(6), 2011) lay the flippers along the scanned
     terrain. Here each pair takes the largest angle to the inflated terrain, the rear pair a
-    fraction of it. Flippers with which the robot would stand with too small a normalised energy
-    stability margin are inappropriate: with ``margin`` the turns come as near to those angles as
-    the margin allows, where the robot would rest by contact geometry.
+    fraction of it. They exclude angles at which the robot would stand with too small a normalised
+    energy stability margin. With ``margin``, the turns come as near to the angles as the margin
+    allows, where the robot would rest by contact geometry.
     """
 
     near: float = Field(
@@ -94,11 +94,13 @@ class Okada(Controller):
     def _stable(self, p: Perception, least: float, front: float, rear: float) -> int:
         """Return the turns closest to the targets that keep the margin, or lack least of it."""
         robot, limit = with_masses(p.robot), p.robot.angle_limit
+        # How the robot would rest with each pair of turns, here and a decision ahead
         turns = robot.angle_step * np.array([-1.0, 0.0, 1.0])
         angles = [np.clip(angle + turns, -limit, limit) for angle in (p.front, p.rear)]
         places = np.array([0.0, robot.track_speed * robot.decision_period])
         margin = rest(p.points, robot, places, *angles).margin.min(axis=0)  # (3, 3) [m]
         away = np.abs(angles[0] - front)[:, None] + np.abs(angles[1] - rear)
+        # Turns that lack margin cost more than any that have it.
         lacking = np.maximum(0.0, least - margin)
         best = int(np.where(lacking > 0, 1e3 * (1 + lacking), away).argmin())
         return action_index(best // 3 - 1, best % 3 - 1)
@@ -135,6 +137,7 @@ class Ohno(Okada):
     def angle(self, p: Perception, *, rear: bool) -> float:
         """Return the angle to the ground from the plane of the ground [rad]."""
         x, z = p.points[np.abs(p.points[:, 0]) <= p.robot.hinge_offset + self.far].T
+        # The slope of the least-squares line
         spread = x - x.mean() if x.size else x
         plane = math.atan2(float(spread @ z), max(float(spread @ spread), 1e-9))
         return super().angle(replace(p, pitch=plane), rear=rear)
@@ -145,9 +148,9 @@ class Linear(Controller):
     """Turn each pair to a linear function of the pitch and of one height of the ground.
 
     Pecka, Zimmermann and Svoboda (IROS 2016) search such numbers by policy search with safety
-    constraints. Here the height is that of the highest point within a track radius of the tip of
-    front flippers that are level, above the ground on which a level robot stands. The defaults
-    are what ``flipperctl tune`` found on the ten families.
+    constraints. Here the height belongs to the highest point within a track radius of the tip of
+    level front flippers. It counts from the ground on which a level robot stands. The defaults are
+    the result of ``flipperctl tune`` on the ten families.
     """
 
     front: float = Field(0.0, ge=-2, le=2, description="ω₁, constant of the front pair [rad]")
@@ -165,6 +168,7 @@ class Linear(Controller):
         """Turn each pair one step towards its target; hold it within half an angle step of it."""
         robot, height = p.robot, 0.0
         tip = robot.hinge_offset + robot.flipper_axle + robot.track_radius
+        # Without ground there, the robot counts as standing on level ground.
         near = np.abs(p.points[:, 0] - tip) <= robot.track_radius
         if near.any():
             height = float(p.points[near, 1].max()) + robot.track_radius

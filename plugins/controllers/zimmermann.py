@@ -74,6 +74,7 @@ def q_update(
     one (Watkins' Q(λ)). The step is 1 / n^0.8 at the n-th update.
     """
     after, end = 0.0, len(rewards)
+    # Backwards, so that the next visit's target is known
     for number in reversed(range(len(visits))):
         at, posture, first = visits[number]
         if number + 1 < len(visits):
@@ -84,8 +85,9 @@ def q_update(
                 value = (1 - trace) * value + trace * after
         else:
             value = 0.0
-        kept = end - first
-        after = float(rewards[first:end] @ discount ** np.arange(kept) + discount**kept * value)
+        count = end - first  # decisions of the visit
+        after = float(rewards[first:end] @ discount ** np.arange(count) + discount**count * value)
+        # Later updates weigh less, so that the values settle.
         counts[at, posture] += 1
         q[at, posture] += (after - q[at, posture]) / counts[at, posture] ** 0.8
         end = first
@@ -101,8 +103,8 @@ class Zimmermann(Controller):
     """Take one of five postures, by Q-values of 36 cells of pitch and perceived ground.
 
     Zimmermann et al. (ICRA 2014) learn by Q-learning which of five configurations of the flippers
-    suits the terrain. The postures are those of the group's later work: I with both pairs level, V
-    with both up, L with the front pair up, and U with both down, half and fully.
+    suits the terrain. The postures come from the group's later work. Both pairs are level in I and
+    up in V. L has the front pair up. U soft and U hard have both down, half and fully.
     """
 
     q: Rows = Field(
@@ -159,6 +161,7 @@ class _Exploring:
         """Turn each pair one step towards the posture."""
         at, now = cell(ground(p.observation, p.layout, p.robot), p.pitch), self._decision
         last = self.visits[-1] if self.visits else None
+        # A posture lasts while the robot stays in the cell, but not for long.
         if last is None or last.cell != at or now - last.first >= _HOLD:
             posture = int(self._q[at].argmax())
             if self._rng.random() < self._explore:

@@ -24,7 +24,7 @@ class TensorBoard(Logger):
 class Events:
     """Write scalars under ``episode/`` and ``validation/``, with decisions as steps.
 
-    The events equal those of torch's SummaryWriter, but they are written in this thread: the thread
+    The events equal those of torch's SummaryWriter, but they are written in this thread. The thread
     of SummaryWriter would print a traceback when the disk is full or the folder is deleted.
     """
 
@@ -34,6 +34,7 @@ class Events:
 
         folder.mkdir(parents=True, exist_ok=True)
         host, process = socket.gethostname(), os.getpid()
+        # Viewers recognise event files by this form of their names.
         name = f"events.out.tfevents.{int(time.time()):010d}.{host}.{process}.{time.time_ns()}"
         self._file = (folder / name).open("wb")
         self._writer: Any = RecordWriter(self._file)

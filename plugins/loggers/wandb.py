@@ -95,8 +95,8 @@ class Tracker:
     def _restore(self) -> None:
         """Restore the state of an earlier start; without a readable one, keep the new id."""
         try:
-            found = json.loads(self._state.read_text())
-            run_id, logged = str(found["id"]), {k: int(found[k]) for k in self._logged}
+            state = json.loads(self._state.read_text())
+            run_id, logged = str(state["id"]), {k: int(state[k]) for k in self._logged}
         except (OSError, ValueError, TypeError, KeyError):
             return
         self._id, self._logged = run_id, logged
@@ -114,7 +114,7 @@ class WeightsAndBiases(Logger):
     remote: ClassVar[bool] = True
     project: str = Field("flipperctl", min_length=1, description="project of the run [-]")
     entity: str = Field("", description="user or team; empty: wandb's own default [-]")
-    group: str = Field("", description="group of the run, such as that of a sweep [-]")
+    group: str = Field("", description="group of the run, such as the runs of a sweep [-]")
     mode: Literal["online", "offline"] = Field(
         "online",
         description="online: send while training, which needs wandb login once; offline: write to "

@@ -32,14 +32,14 @@ def margins(episode: Sequence[Transition]) -> FloatArray:
     """Return the normalised energy stability margin after each decision, (M,) [m].
 
     It is the ``tipping_rise`` over the foremost or the rearmost point of contact, whichever is
-    less, and 0 without a contact on both sides of the centre. The centre of mass is that of the
-    robot with its load. The last episode's margins are kept, since two measures ask for them.
+    less, and 0 without a contact on both sides of the centre. The centre of mass includes the
+    load. The last episode's margins are stored, since two measures ask for them.
     """
     global _latest
-    found = _latest  # which another thread may replace meanwhile
-    if found is None or found[0] is not episode[-1] or len(found[1]) != len(episode):
-        _latest = found = episode[-1], _computed(episode)
-    return found[1]
+    latest = _latest  # which another thread may replace meanwhile
+    if latest is None or latest[0] is not episode[-1] or len(latest[1]) != len(episode):
+        _latest = latest = episode[-1], _computed(episode)
+    return latest[1]
 
 
 _latest: tuple[Transition, FloatArray] | None = None
@@ -48,12 +48,13 @@ _latest: tuple[Transition, FloatArray] | None = None
 
 def _computed(episode: Sequence[Transition]) -> FloatArray:
     t = episode[0]
+    # All poses at once, since the ground around each takes the most time to find
     robot, states = t.robot, RobotStates.of([t.after for t in episode])
     angles = (states.pitch, states.pitch + states.front, states.pitch - states.rear)
     forward, front, rear = (np.column_stack([np.cos(a), np.sin(a)]) for a in angles)  # (M, 2)
-    found = contacts(t.profile, robot, states.position, (forward, front, rear), _TOUCH)
-    centre = centre_of_mass(robot, forward, found.front, found.rear)
-    barriers = [_barriers(found.touching, found.x, found.z, centre, side) for side in (1.0, -1.0)]
+    poses = contacts(t.profile, robot, states.position, (forward, front, rear), _TOUCH)
+    centre = centre_of_mass(robot, forward, poses.front, poses.rear)
+    barriers = [_barriers(poses.touching, poses.x, poses.z, centre, side) for side in (1.0, -1.0)]
     return np.minimum(*barriers)
 
 

@@ -20,6 +20,7 @@ def height_errors(episode: Sequence[Transition]) -> FloatArray:
     errors = np.empty((len(episode), layout.bins))
     for row, t in zip(errors, episode, strict=True):
         x = t.before.position[0]
+        # The true ground around the robot, as a sensor without errors has it
         first, last = np.searchsorted(cloud[:, 0], (x - layout.reach, x + layout.reach))
         near = cloud[first:last] - t.before.position
         true = bin_heights(near, layout.bins, layout.bin_width, highest=False)
@@ -64,9 +65,9 @@ def drift(episode: Sequence[Transition]) -> float:
 def unseen(episode: Sequence[Transition]) -> float:
     """Mean fraction of the bins that were never seen, over decisions [-]."""
     seen = [_perceived(t).seen for t in episode]
-    return float(np.mean([0.0 if found is None else 1 - found.mean() for found in seen]))
+    return float(np.mean([0.0 if bins is None else 1 - bins.mean() for bins in seen]))
 
 
 def _perceived(t: Transition) -> Perception:
-    assert t.perception is not None  # it is None in predictions, of which there are no measures
+    assert t.perception is not None  # it is None in predictions alone, which are not measured
     return t.perception

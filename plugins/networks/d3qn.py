@@ -124,6 +124,7 @@ class Stacked(Network):
 
         terrain = perceptron((layout.heights, *self.terrain), dropout=self.dropout)
         seen = sorted({*range(self.window), *self.earlier}, reverse=True)
+        # As many changes as observations beside the newest one
         changes = (len(seen) - 1) * layout.size
         return nn.Sequential(
             Normalise(layout, self.frames),

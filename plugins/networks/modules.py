@@ -62,8 +62,8 @@ class Dropout(nn.Module):
         if not (self.training and torch.is_grad_enabled()):
             return features
         generator = torch.Generator(features.device).manual_seed(self._seed)
-        kept = torch.empty_like(features).bernoulli_(1 - self.rate, generator=generator)
-        return features * kept / (1 - self.rate)
+        mask = torch.empty_like(features).bernoulli_(1 - self.rate, generator=generator)
+        return features * mask / (1 - self.rate)
 
 
 def perceptron(
@@ -111,10 +111,12 @@ class Dueling(nn.Module):
         linear = [layer for layer in self.modules() if isinstance(layer, nn.Linear)]
         if len(linear) != 4:  # a noisy layer holds two
             return self
+        # Both heads' hidden units, side by side in one layer
         value, v, advantage, a = linear
         hidden = nn.Linear(value.in_features, value.out_features + advantage.out_features)
         hidden.weight.copy_(torch.cat([value.weight, advantage.weight]))
         hidden.bias.copy_(torch.cat([value.bias, advantage.bias]))
+        # Q = V + A - mean A is linear in these units, so that one layer computes it.
         actions = a.out_features
         centre = torch.eye(actions) - 1 / actions  # subtracts the mean of all actions
         q = nn.Linear(hidden.out_features, actions)
@@ -198,6 +200,7 @@ class NoisyLinear(nn.Module):
 
     def draw_noise(self, rng: np.random.Generator) -> None:
         """Draw new noise from ``rng``."""
+        # Factorised noise: f(ε) = sign(ε) √|ε| for inputs and outputs apart
         for noise in (self.noise_in, self.noise_out):
             drawn = rng.standard_normal(len(noise), dtype=np.float32)
             noise.copy_(torch.from_numpy(np.copysign(np.sqrt(np.abs(drawn)), drawn)))

@@ -16,10 +16,10 @@ class Stability(RewardTerm):
     """Penalise a small static stability margin; the reward is -1 without a margin.
 
     The margin is the horizontal distance of the centre of mass from the nearer end of the support.
-    The support reaches from the rearmost to the foremost point at which the robot's outline (three
-    capsules: chassis and flipper pairs) touches the ground (McGhee and Frank 1968, in the side
-    plane). Without a margin the robot tips over its last contact or is in the air. The centre of
-    mass is that of the robot with its load.
+    The support reaches from the rearmost to the foremost point at which the robot touches the
+    ground (McGhee and Frank 1968, in the side plane). The robot's outline is three capsules:
+    chassis and flipper pairs. Without a margin the robot tips over its last contact or is in the
+    air. The centre of mass includes the load.
     """
 
     bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
@@ -40,11 +40,12 @@ class Stability(RewardTerm):
         robot, state = ts.robot, ts.after
         angles = (state.pitch, state.pitch + state.front, state.pitch - state.rear)
         forward, front, rear = map(_directions, angles)
-        found = contacts(ts.profile, robot, state.position, (forward, front, rear), self.touch)
-        first = np.where(found.touching, found.x, np.inf).min(axis=1, initial=np.inf)
-        last = np.where(found.touching, found.x, -np.inf).max(axis=1, initial=-np.inf)
+        poses = contacts(ts.profile, robot, state.position, (forward, front, rear), self.touch)
+        # The support lies between the outermost contacts.
+        first = np.where(poses.touching, poses.x, np.inf).min(axis=1, initial=np.inf)
+        last = np.where(poses.touching, poses.x, -np.inf).max(axis=1, initial=-np.inf)
         # Horizontal distance from the chassis' centre: each pair's mass lies halfway along it.
-        centre = self.flipper_share * (found.front[:, 0] + found.rear[:, 0]) / 2
+        centre = self.flipper_share * (poses.front[:, 0] + poses.rear[:, 0]) / 2
         x, z = load_offset(robot)
         centre *= 1 - load_share(robot)
         centre += x * forward[:, 0] - z * forward[:, 1]
@@ -60,7 +61,7 @@ class Centring(RewardTerm):
     That is the middle between the rearmost and the foremost point at which the robot touches the
     ground. Mitriakov et al. (IEEE Robotics and Automation Magazine 28(4), 2021) penalise this
     distance on stairs: from a low centre over the middle the whole length of the tracks pushes. The
-    reward is -1 in the air. The centre of mass is that of the robot with its load.
+    reward is -1 in the air. The centre of mass includes the load.
     """
 
     bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
@@ -74,14 +75,15 @@ class Centring(RewardTerm):
         robot, state = ts.robot, ts.after
         angles = (state.pitch, state.pitch + state.front, state.pitch - state.rear)
         forward, front, rear = map(_directions, angles)
-        found = contacts(ts.profile, robot, state.position, (forward, front, rear), self.touch)
-        rows, middle = np.arange(len(found.x)), np.zeros_like(forward)
+        poses = contacts(ts.profile, robot, state.position, (forward, front, rear), self.touch)
+        rows, middle = np.arange(len(poses.x)), np.zeros_like(forward)
+        # The middle of the support lies between its outermost contacts.
         for side in (1.0, -1.0):
-            outermost = np.where(found.touching, side * found.x, -np.inf).argmax(axis=1)
-            ends = found.x[rows, outermost], found.z[rows, outermost]
+            outermost = np.where(poses.touching, side * poses.x, -np.inf).argmax(axis=1)
+            ends = poses.x[rows, outermost], poses.z[rows, outermost]
             middle += np.column_stack(ends) / 2
-        away = centre_of_mass(robot, forward, found.front, found.rear) - middle
-        distance = np.where(found.touching.any(axis=1), np.hypot(*away.T), np.inf)
+        away = centre_of_mass(robot, forward, poses.front, poses.rear) - middle
+        distance = np.where(poses.touching.any(axis=1), np.hypot(*away.T), np.inf)
         penalty: FloatArray = np.minimum(distance / self.far, 1.0)
         return -penalty
 
@@ -108,9 +110,11 @@ class Clearance(RewardTerm):
         cos, sin = _directions(ts.after.pitch).T
         (x, z), half = ts.after.position.T, ts.robot.hinge_offset * cos
         ground_x, ground_z = ts.profile.around_each(x, half, far=True)  # (M, P) [m]
+        # A bump rises above the straight line between the ground below both hinges.
         begin, end = ts.profile.heights(x - half), ts.profile.heights(x + half)
         slope = (end - begin) / ((x + half) - (x - half))
         chord = begin[:, None] + slope[:, None] * (ground_x - (x - half)[:, None])
+        # Height along the chassis' own normal, down to which the underside reaches
         up = cos[:, None] * (ground_z - z[:, None]) - sin[:, None] * (ground_x - x[:, None])
         is_bump = ground_z - chord > self.bump  # never for NaN
         highest = np.where(is_bump, up, -np.inf).max(axis=1, initial=-np.inf)  # in frame R [m]

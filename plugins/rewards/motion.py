@@ -66,8 +66,8 @@ class Swing(RewardTerm):
 
     Below the cap, the sum over an episode is proportional to its θ̂_R at 100 Hz (the measure
     ``pitch_variation_100hz``). Unlike ``pitch``, the term sees a chassis that rocks and returns
-    within a decision. With ``at_decisions`` it does not, and its sum is proportional to the paper's
-    θ̂_R, that at decisions (``pitch_variation``). It is 0 without a path.
+    within a decision. With ``at_decisions`` it does not; its sum is then proportional to the
+    paper's θ̂_R (the measure ``pitch_variation``). It is 0 without a path.
     """
 
     bounds: ClassVar[tuple[float, float]] = (-1.0, 0.0)
@@ -170,6 +170,7 @@ class Impact(RewardTerm):
         if t.path.shape[-2] < 2:
             return 0.0 * t.before.pitch
         rise = np.diff(t.path[..., 1]) / t.sample_period  # (…, S) [m/s]
+        # Velocities before, within and after the decision, so that impacts at its ends are seen
         ends = t.before.velocity[..., 1:], t.after.velocity[..., 1:]
         velocity = np.concatenate([ends[0], rise, ends[1]], axis=-1)
         peak = np.abs(np.diff(velocity)).max(axis=-1) / t.sample_period

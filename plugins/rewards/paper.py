@@ -16,7 +16,7 @@ from flipperctl.api import (
 )
 
 _LEAST_COSINE = 0.1
-"""Bound of the length that is searched for terrain: that at a pitch of 84°, overturned [-]."""
+"""Bound of the length that is searched for terrain, reached at a pitch of 84°, overturned [-]."""
 
 
 @reward("flipper")
@@ -70,6 +70,7 @@ class Flipper(RewardTerm):
         any height z that the profile has.
         """
         pitch, (x, z) = t.after.pitch, np.moveaxis(t.after.position, -1, 0)
+        # Ground of any height may lie at the considered distance, so that the range is wide.
         cos, sin = np.maximum(np.cos(pitch), _LEAST_COSINE), np.sin(pitch)
         heights = t.profile.points[:, 1]
         low, high = sin * (heights.min() - z), sin * (heights.max() - z)

@@ -120,12 +120,13 @@ class Mirror(Combinator):
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return the points in reverse order, beginning at (0, 0), with the same label.
 
-        What the inner terrain drew is told as it was before it was reversed; ``mirrored`` is 1 if
+        The values that the inner terrain drew describe it before the reversal. ``mirrored`` is 1 if
         the whole is reversed, by one mirror or by an odd number.
         """
         profile = self.terrain.labelled(rng)
         if rng.random() >= self.probability:
             return replace(profile, drawn={"mirrored": 0, **profile.drawn})
+        # The last point becomes the first, and the ends exchange their distances.
         last = profile.points[-1]
         surface = profile.surface and MirroredSurface(profile.surface, (last[0], last[1]))
         drawn = {**profile.drawn, "mirrored": 1 - profile.drawn.get("mirrored", 0)}
@@ -149,8 +150,8 @@ class Noisy(Combinator):
         0.01,
         ge=0,
         le=0.1,
-        description="standard deviation of the heights at the knots, and 1.22 times that of the "
-        "surface between them [m]",
+        description="standard deviation of the heights at the knots; the surface between them has "
+        "1 / 1.22 of it [m]",
     )
     correlation: float = Field(
         0.1, ge=0.02, le=5, description="distance between independent heights of the surface [m]"
@@ -166,6 +167,7 @@ class Noisy(Combinator):
         knots = np.arange(line[0, 0], line[-1, 0] + self.correlation, self.correlation)
         noise = rng.normal(0.0, self.deviation, len(knots))
         points = _with_knots(line, knots)
+        # Both ends of a vertical face get the same noise.
         rough = np.interp(points[:, 0], knots, noise)
         points = points + np.column_stack([np.zeros(len(points)), rough])
         run_up, run_out = (
@@ -185,7 +187,7 @@ def _with_knots(line: FloatArray, knots: FloatArray) -> FloatArray:
 
 
 STARTS = ("start_on", "finish_on")
-"""Numbers that it draws, which mean nothing where the ground is a part of another one."""
+"""Numbers that ``midway`` draws, which mean nothing where the ground is a part of other ground."""
 
 
 @terrain("midway")
@@ -246,6 +248,7 @@ class Excerpt(Combinator):
         """Return the points of the piece and its interpolated ends, with the inner label."""
         profile = self.terrain.labelled(rng)
         whole = profile.end - profile.start
+        # Every place at which the whole piece fits is equally probable.
         length = min(self.length.sample(rng), whole)
         first = profile.start + rng.random() * (whole - length)
         points = profile.points if length == whole else _piece(profile, first, first + length)
@@ -296,7 +299,7 @@ class Sequence(Combinator):
 class Course(Mix):
     """Several obstacles in a row, their number, kinds and sizes sampled.
 
-    Each obstacle begins at the height at which the previous one ended. What is drawn tells the
+    Each obstacle begins at the height at which the previous one ended. The drawn values are the
     number of obstacles, and the index of each one's kind within ``parts``.
     """
 
@@ -317,8 +320,8 @@ class Course(Mix):
             if place > 1:
                 end = end + np.array([self.spacing.sample(rng), 0.0])
             kind = self.draw_part(rng)
-            found = self.parts[kind].labelled(rng).points
-            points.append(found - found[0] + end)
+            obstacle = self.parts[kind].labelled(rng).points
+            points.append(obstacle - obstacle[0] + end)
             end = points[-1][-1]
             drawn[f"kind{place}"] = kind
         return Profile(np.vstack(points), drawn=drawn)
@@ -378,6 +381,7 @@ def _between(easy: Any, hard: Any, fraction: float, where: str) -> Any:
     """Interpolate from ``easy`` (fraction 0) to ``hard`` (fraction 1); integers stay integers."""
     if easy == hard:
         return hard
+    # Plugins and tuples are interpolated field by field.
     if type(easy) is type(hard) and isinstance(easy, Plugin):
         fields = type(easy).model_fields
         values = {

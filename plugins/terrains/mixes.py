@@ -90,8 +90,9 @@ MIX: tuple[tuple[AnyTerrain, float], ...] = (
 class AllCourses(Mix):
     """The mix of ``all_kinds`` with what a policy meets in a real building or in rubble.
 
-    That is flights of up to 16 steps with landings and turns, drops, courses of two to five
-    obstacles, rough ground, high thin plates, and starts and finishes on slopes and stairs.
+    It adds flights of up to 16 steps with landings and turns, drops, courses of two to five
+    obstacles, rough ground and high thin plates. Some episodes start or finish on slopes and
+    stairs.
     """
 
     parts: tuple[AnyTerrain, ...] = parts_field(tuple(part for part, _ in MIX))
@@ -115,8 +116,8 @@ _HARD: tuple[tuple[AnyTerrain, float], ...] = (
 class HardCourses(Mix):
     """``all_courses`` with more of what policies learn last, for training.
 
-    That is deep trenches, drops, long and flat flights down, piles, ramps, starts on stairs and
-    the paper's stair.
+    It has more deep trenches, drops, long and flat flights down, piles, ramps, starts on stairs,
+    and the paper's stair.
     """
 
     parts: tuple[AnyTerrain, ...] = parts_field(tuple(part for part, _ in _HARD))

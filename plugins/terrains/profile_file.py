@@ -57,7 +57,7 @@ class ProfileFile(Terrain):
     ``.stl``, ``.obj``, ``.dae``: a mesh seen from above, along that line.
     ``.pcd``, ``.ply``, ``.xyz``: a point cloud; the profile is a slice along that line. A ``.ply``
     with faces is a mesh.
-    Of several layers of a mesh or a cloud, such as a floor and a ceiling, one is the ground.
+    One of several layers of a mesh or a cloud, such as a floor and a ceiling, is the ground.
     GeoTIFF, meshes, PCD and PLY need the extra ``profiles``.
     """
 
@@ -137,8 +137,9 @@ class ProfileFile(Terrain):
         suffix = self._file.suffix.lower()
         if suffix not in SUFFIXES:
             raise ValueError(f"path {self.path}: one of {', '.join(SUFFIXES)} is allowed")
-        given = [self.start is not None, self.end is not None]
-        if not all(given) and (suffix != ".csv" or any(given)):
+        # Only a .csv may be a profile, which needs no line over the ground.
+        stated = [self.start is not None, self.end is not None]
+        if not all(stated) and (suffix != ".csv" or any(stated)):
             raise ValueError(
                 f"a {suffix} file needs start and end, the line over the ground in metres: "
                 "'terrain.start=[x,y]' 'terrain.end=[x,y]'"
@@ -193,6 +194,7 @@ class ProfileFile(Terrain):
         remarks: list[str] = []
         with self._naming_file() as file:
             points = self._read(file, file.suffix.lower(), remarks)
+        # A wrong unit shows in an extent that no ground has.
         extent = np.ptp(points, axis=0)
         if not (np.isfinite(points).all() and extent.max() <= MAX_LENGTH):
             raise ValueError(
@@ -230,12 +232,14 @@ class ProfileFile(Terrain):
         return "map" if suffix in MAPS else "mesh" if suffix in MESHES else "cloud"
 
     def _read(self, file: Path, suffix: str, remarks: list[str]) -> FloatArray:
+        # Without a line, the file itself is a profile.
         if self.start is None or self.end is None:
             unit = self._metres
-            found, own = polyline.read_csv(file, self.largest_gap / unit, self.thickness / unit)
-            remarks += own
-            remarks += remarks_on_extent(np.ptp(found, axis=0) * unit, self._remedy)
-            return found * unit
+            points, more = polyline.read_csv(file, self.largest_gap / unit, self.thickness / unit)
+            remarks += more
+            remarks += remarks_on_extent(np.ptp(points, axis=0) * unit, self._remedy)
+            return points * unit
+        # A cloud is cut along the line; maps and meshes have ground beside it as well.
         line = Line(self.start, self.end, self.spacing)
         if self._kind == "cloud":
             return self._along_cloud(file, line, remarks)
@@ -263,14 +267,14 @@ class ProfileFile(Terrain):
         return line.profile(heights, self.largest_gap, unknown)
 
     def _along_cloud(self, file: Path, line: Line, remarks: list[str]) -> FloatArray:
-        points, own = clouds.measured(
+        points, more = clouds.measured(
             CLOUDS[file.suffix.lower()](file),
             self._metres,
             self.up or "z",
             self.viewpoint,
             self.spacing,
         )
-        remarks += own
+        remarks += more
         if len(points):
             remarks += remarks_on_extent(np.ptp(points, axis=0), self._remedy)
         try:
@@ -282,7 +286,7 @@ class ProfileFile(Terrain):
             remarks += remarks_on_layers(ground, self._choice, hanging)
             return line.profile(np.where(hanging, np.nan, ground.height), self.largest_gap)
         except ValueError as error:  # which a remark on the file may explain
-            raise ValueError("; ".join([str(error), *own])) from error
+            raise ValueError("; ".join([str(error), *more])) from error
 
     @property
     def _choice(self) -> Choice:
@@ -322,8 +326,8 @@ class ProfileFile(Terrain):
             ground = self._ground(file)
             if isinstance(ground, HeightMap):
                 line = ground.on_ground(line)
-            found = ground.beside(line, line.distances, y)
-        columns = [line.bridged(column, self.largest_gap) for column in found.T]
+            heights = ground.beside(line, line.distances, y)
+        columns = [line.bridged(column, self.largest_gap) for column in heights.T]
         return np.column_stack(columns) - height
 
     @contextmanager

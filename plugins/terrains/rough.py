@@ -20,8 +20,8 @@ _CHORDS = 6
 class Rough(Terrain):
     """Ground whose height has the power spectral density G(n) = G(0.1) · (n / 0.1)^−w.
 
-    n is the wavenumber in cycles/m. ISO 8608 describes roads so, with w = 2; each of its classes is
-    four times as rough as the one before: G(0.1) is 1,024 · 10⁻⁶ m³ in the middle of class D,
+    n is the wavenumber in cycles/m. ISO 8608 describes roads so, with w = 2. Each of its classes is
+    four times as rough as the one before. G(0.1) is 1,024 · 10⁻⁶ m³ in the middle of class D,
     16,384 in F, 65,536 in G and 262,144 in H, the last. Natural surfaces are self-affine, which is
     the same law with w = 1 + 2 · Hurst exponent (Sayles and Thomas 1978; Shepard et al. 2001).
     The ground is a sum of cosines with random phases.
@@ -51,9 +51,11 @@ class Rough(Terrain):
         roughness = math.exp(rng.uniform(low, high))
         exponent = self.exponent.sample(rng)
         length = self.length.sample(rng)
+        # Chords that are short enough for the shortest wave
         count = max(2, math.ceil(length / self.shortest * _CHORDS) + 1)
         x = np.linspace(0.0, length, count)
         waves, amplitudes = self.spectrum(roughness, exponent)
+        # Random phases make another surface of the same spectrum.
         phases = rng.uniform(0.0, 2 * math.pi, len(waves))
         z = np.cos(2 * math.pi * np.outer(x, waves) + phases) @ amplitudes
         drawn = {"roughness": roughness, "exponent": exponent, "deviation": float(z.std())}
@@ -64,6 +66,7 @@ class Rough(Terrain):
 
         A cosine of amplitude a has the variance a²/2 of the spectrum's band around it.
         """
+        # Bands of equal width in octaves, each with the variance of one cosine
         ends = 1 / self.longest, 1 / self.shortest
         bands = math.ceil(_PER_OCTAVE * math.log2(ends[1] / ends[0]))
         edges: FloatArray = np.geomspace(*ends, bands + 1)  # (W + 1,) [cycles/m]

@@ -112,6 +112,7 @@ class Rail(Terrain):
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return four points per bar."""
         side, angle = self.side.sample(rng), self.angle.sample(rng)
+        # What is oblique to the path is longer along it.
         factor = 1 / math.sin(math.radians(angle))
         width, pitch = side * factor, (side + self.gauge.sample(rng)) * factor
         points = list[tuple[float, float]]()
@@ -165,6 +166,7 @@ class Wave(Terrain):
         """Return sixteen chords per wave."""
         length, height = self.length.sample(rng), self.height.sample(rng)
         count = self.waves.sample(rng)
+        # Each wave begins and ends in a trough.
         turns = np.linspace(0.0, count, count * _POINTS + 1)
         heights = height / 2 * (1 - np.cos(2 * np.pi * turns))
         points = np.column_stack([turns * length, heights])

@@ -1,4 +1,4 @@
-"""Stairs: single flights, those of buildings, and the paper's."""
+"""Stairs: single flights, the stairs of buildings, and the paper's."""
 
 import math
 from typing import ClassVar, Literal, Self
@@ -26,6 +26,7 @@ def flight(
     points = []
     for step in range(steps):
         landings = step // landing_every if landing_every else 0
+        # A landing replaces the tread of its step.
         edge = x + step * tread + landings * (landing - tread)
         points.append((edge, z + step * rise))
         points.append((edge, z + (step + 1) * rise))
@@ -81,6 +82,7 @@ class Stair(Terrain):
         tread = self._tread(rise, rng)
         points = self._flight(0.0, 0.0, steps, tread, rise)
         x, z = points[-1]
+        # The second flight begins at the end of the platform, a point that it need not repeat.
         if self.platform:
             points.append((x + self.platform, z))
         if self.back:
@@ -104,7 +106,7 @@ class Stair(Terrain):
 
 @terrain("building_stair")
 class BuildingStair(Terrain):
-    """Flights of 20–45° in the proportions of buildings; ``stair`` has those of the paper.
+    """Flights of 20–45° in the proportions of buildings; ``stair`` has the paper's.
 
     Slope and stride are drawn. Rise and tread follow from Blondel's rule (1675) that two rises and
     a tread make a stride. Thus 30° and 0.63 m give a rise of 0.169 m and a tread of 0.292 m, and
@@ -127,6 +129,7 @@ class BuildingStair(Terrain):
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return vertical faces with treads between them."""
         degrees, stride = self.slope.sample(rng), self.stride.sample(rng)
+        # Blondel's rule: two rises and a tread make a stride.
         slope = math.tan(math.radians(degrees))
         tread = stride / (1 + 2 * slope)
         steps = self.steps.sample(rng)
@@ -142,7 +145,7 @@ class Stairwell(Terrain):
     """Flights with landings; each leads on in the direction of the last, or turns.
 
     A flight up may be followed by one up or down. All steps of an episode are alike, by Blondel's
-    rule as those of ``building_stair``; the length of each flight and landing is drawn anew.
+    rule as in ``building_stair``; the length of each flight and landing is drawn anew.
     """
 
     slope: Range = Field(Range(20.0, 40.0), ge=5, le=60, description="slope of the flights [°]")
@@ -163,11 +166,13 @@ class Stairwell(Terrain):
     def generate(self, rng: np.random.Generator) -> Profile:
         """Return vertical faces with treads and landings between them."""
         degrees, stride = self.slope.sample(rng), self.stride.sample(rng)
+        # Blondel's rule: two rises and a tread make a stride.
         slope = math.tan(math.radians(degrees))
         tread = stride / (1 + 2 * slope)
         flights = self.flights.sample(rng)
         sign = 1 if rng.random() < self.up else -1
         points, total, turns, first_up = list[tuple[float, float]](), 0, 0, int(sign > 0)
+        # Flights with landings between them, each onward or back
         for index in range(flights):
             x, z = points[-1] if points else (0.0, 0.0)
             if index:

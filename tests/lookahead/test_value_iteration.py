@@ -75,10 +75,10 @@ def test_the_values_solve_their_own_equation(step: Graph) -> None:
     rows = np.arange(0, len(step.nodes), 7)
     edges = step._decide(step.nodes.take(rows))
     found = step.values[rows[edges.parent], edges.action]
-    expected = edges.reward + edges.kept * np.where(edges.child < 0, 0.0, step.best[edges.child])
+    expected = edges.reward + edges.factor * np.where(edges.child < 0, 0.0, step.best[edges.child])
     assert found == pytest.approx(expected, abs=2e-3)
     assert np.array_equal(edges.child, step.child[rows[edges.parent], edges.action])
-    assert (edges.kept[edges.child >= 0] <= GAMMA).all()
+    assert (edges.factor[edges.child >= 0] <= GAMMA).all()
 
 
 def test_turns_beyond_a_stop_have_no_value(step: Graph) -> None:

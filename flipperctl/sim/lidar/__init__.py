@@ -47,7 +47,7 @@ _LEAST_NOISE = 0.01
 class LidarSensor(Sensor):
     """Maps the ground by a LiDAR of 32 rings, as in the paper's experiment; the map remembers.
 
-    It needs an engine that casts rays. Errors and angles are those of a RoboSense RS-Bpearl.
+    It needs an engine that casts rays. Errors and angles are a RoboSense RS-Bpearl's.
     """
 
     not_sampled = Sensor.not_sampled | {"azimuths", "deskew", "pose", "scan_parts"}
@@ -249,8 +249,12 @@ class LidarSensor(Sensor):
         return self
 
     def instruments(self, mounting: Mounting) -> Mapping[str, Instrument]:
-        """Return the instruments of one episode, those of one time in the order of use."""
+        """Return the instruments of one episode.
+
+        Instruments that measure at the same time are in the order in which they are used.
+        """
         rng = mounting.rng
+        # The bias is constant during an episode, so it is sampled here and not in a measurement.
         errors = RangeErrors(
             noise=self.noise,
             bias=self.range_bias * rng.uniform(-1.0, 1.0),
@@ -265,6 +269,8 @@ class LidarSensor(Sensor):
         scanner = Scanner(
             self.azimuths, self.far, errors, self._mount, body, mounting.rays, self.scan_parts
         )
+        # The order in which the estimator uses messages of one time: pose and joints before the
+        # scan.
         scanning = {"encoders": Encoders(scanner.period), "lidar": scanner}
         at_decision: dict[str, Instrument] = {"encoders_at_decision": Encoders(None)}
         if self.pose != "true":
@@ -275,6 +281,7 @@ class LidarSensor(Sensor):
     def _odometry(self, mounting: Mounting) -> dict[str, Instrument]:
         rng, robot = mounting.rng, mounting.robot
         assert isinstance(robot, Robot)  # a RobotGeometry has no speed
+        # The order of these draws is part of an episode: equal seeds must give equal errors.
         rate_bias = self.yaw_rate_bias * float(rng.standard_normal())
         belts = BeltEncoders(robot.track_speed, self.belt_error * rng.uniform(-1.0, 1.0))
         tilt, rate = (self.tilt_wander, self.tilt_noise), (self.yaw_rate_noise, rate_bias)
@@ -289,6 +296,7 @@ class LidarSensor(Sensor):
         Raises:
             MissingExtraError: ``pose`` is ``matched``, and small_gicp is not installed.
         """
+        # The slow and the white error of the tilt are independent, so their variances add.
         tilt = math.hypot(self.tilt_wander, self.tilt_noise)
         accuracy = accuracy_of(self.pose, self.range_bias, tilt)
         settings = MapSettings(self.bins, self.bin_width, self.highest, self.map_quality, accuracy)

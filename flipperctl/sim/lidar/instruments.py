@@ -1,12 +1,12 @@
 """The instruments of ``perception=lidar``: LiDAR, inertial unit, encoders, tracking system.
 
-In: the true state, rays in the engine's world. Out: messages of ``flipperctl.core.lidar``; of each
-turn of the LiDAR, which is cast in parts while the robot moves, a ``Scan``, whose points carry
-their ages, with errors, mixed returns at edges and losses. The chassis is met by the same rays
-always, and the flippers by few, so neither is computed for all.
+In: the true state, rays in the engine's world. Out: messages of ``flipperctl.core.lidar``. A turn
+of the LiDAR is cast in parts while the robot moves. It becomes a ``Scan`` of points with their
+ages, with errors, mixed returns at edges and losses. The same rays always hit the chassis, and few
+can hit a flipper, so neither is computed for all.
 
-Rotations to the engine's world and to a level frame differ where the engine tilts gravity in place
-of the ground: world's z axis is then not vertical, and roll and pitch are against gravity.
+An engine may tilt gravity in place of the ground. World's z axis is then not vertical, roll and
+pitch are measured against gravity, and world is not a level frame.
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ def heading(state: RobotState) -> float:
 
 
 def levelled(state: RobotState) -> FloatArray:
-    """Return the rotation from world to level axes, the first of which is below or above world's x.
+    """Return the rotation from world to level axes, which is the same during an episode.
 
-    It is the same during an episode.
+    The first level axis lies below or above world's x axis.
     """
     if state.orientation is None:
         return np.eye(3)
@@ -95,10 +95,12 @@ class InertialUnit(Instrument):
 
     def measure(self, state: RobotState, rng: np.random.Generator) -> Inertial:
         """Return a measurement; the slow error is a first-order Gauss-Markov process."""
+        # Always five numbers, so that no setting shifts the draws that follow.
         noise = rng.standard_normal(5)
         stays = math.exp(-PERIOD / _WANDER_TIME)
         self._tilt = stays * self._tilt + self._wander * math.sqrt(1 - stays**2) * noise[:2]
         roll, pitch = (self._tilt + self._noise * noise[2:4]).tolist()
+        # The rate is the turn since the last measurement, across ±π as well.
         last, self._yaw = self._yaw, heading(state)
         turned = 0.0 if last is None else math.remainder(self._yaw - last, 2 * math.pi)
         rate = turned / PERIOD + self._rate_bias + self._rate_noise * float(noise[4])
@@ -128,6 +130,7 @@ class Accelerometer(Instrument):
         vx, vz = state.velocity.tolist()
         velocity, last = np.array([vx, state.side_velocity, vz]), self._last
         self._last = state.time, velocity
+        # At rest the unit feels gravity alone; a change of velocity is added in frame R.
         force = self._gravity * upwards(state)
         if last is not None and state.time > last[0]:
             force = force + (velocity - last[1]) / (state.time - last[0]) @ to_world(state)
@@ -184,7 +187,7 @@ class Tracking(Instrument):
 
 
 RINGS = 32
-"""Number of lasers, each of which draws a ring [-]."""
+"""Number of lasers; each draws a ring [-]."""
 _LOWEST, _SPACING = np.radians(2.3125), np.radians(2.8125)
 """Angle of the lowest ring above the base, and between two rings [rad].
 
@@ -196,6 +199,7 @@ def directions(azimuths: int) -> FloatArray:
     """Return a ray for each of ``azimuths`` and ``RINGS``, (R, 3)."""
     above = _LOWEST + _SPACING * np.arange(RINGS)
     around = 2 * np.pi / azimuths * np.arange(azimuths)
+    # All rings of an azimuth follow each other.
     height, azimuth = (angles.ravel() for angles in np.meshgrid(above, around))
     flat = np.cos(height)
     return np.column_stack([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(height)])
@@ -207,6 +211,8 @@ class OwnHits:
     def __init__(self, body: Body, origin: FloatArray, rays: FloatArray) -> None:
         """``origin`` (3,) [m] and the unit vectors ``rays`` (R, 3) are in frame R."""
         self._body, self._origin = body, origin
+        # The distances to the chassis never change in frame R, and few rays can meet a flipper at
+        # all.
         self._to_chassis = body.distances_to_chassis(origin, rays)
         self._near = np.flatnonzero(body.may_hit_flippers(origin, rays))
         self._rays = rays[self._near]
@@ -274,11 +280,14 @@ class Returns:
         if errors.mixed or self._grazes:
             sides = self._sides(true.reshape(self._azimuths, RINGS))
             mixes, between, grazes = rng.random((3, count))
+            # Some returns beside an edge lie between its two surfaces.
             gap = np.zeros(count)
             (mixing,) = np.nonzero(mixes < errors.mixed)
             gap[mixing] = _edges([_at(side, mixing) for side in sides], errors.mixed_gap)
+            # A ray that meets the ground at a flat angle may not return.
             returned &= grazes >= self._lost(sides)
             true = true + between * gap
+        # The step comes last, since the unit rounds what it has measured.
         measured = true + errors.bias + errors.noise * noise
         if errors.resolution:
             measured = errors.resolution * np.round(measured / errors.resolution)
@@ -290,7 +299,9 @@ class Returns:
         lost = np.zeros(sides[0].slope.size)
         if not self._grazes:
             return lost
+        # The slopes along and across the rings together make the tangent of the angle of incidence.
         tangent = np.hypot(*(_flatter(*sides[i : i + 2]) for i in (0, 2))).ravel()
+        # Arctangents are costly, and most rays are far from grazing.
         none_below = errors.grazing - errors.grazing_width / 2 - 1e-9
         (grazing,) = np.nonzero(tangent > math.tan(max(0.0, none_below)))
         incidence = np.arctan(tangent[grazing])
@@ -311,9 +322,9 @@ class Returns:
         ]
 
 
-def _at(side: _Neighbours, chosen: NDArray[np.int64]) -> _Neighbours:
-    """Return the neighbours of the ``chosen`` rays alone, as (C,) arrays."""
-    return _Neighbours(side.slope.ravel()[chosen], side.gap.ravel()[chosen])
+def _at(side: _Neighbours, rays: NDArray[np.int64]) -> _Neighbours:
+    """Return the neighbours of some rays, given by their numbers, as (C,) arrays."""
+    return _Neighbours(side.slope.ravel()[rays], side.gap.ravel()[rays])
 
 
 def _angle(first: FloatArray, other: FloatArray) -> FloatArray:
@@ -376,42 +387,48 @@ class Scanner(Instrument):
         self.period = SCAN_PERIOD / parts
         self._reach, self._near = reach, mount.near
         self._world = world
+        # Mount and rays never change in frame R.
         self._place = np.array([mount.x, 0.0, mount.z])
         self._rays = directions(azimuths)  # all rings of the first azimuth, then of the next one
         self._in_robot = self._rays @ mounting(mount.axis).T
         self._returns = Returns(errors, azimuths)
+        # A part is a range of azimuths, with its own hits of the robot.
         borders = [RINGS * (azimuths * part // parts) for part in range(parts + 1)]
         self._parts = [slice(*ends) for ends in pairwise(borders)]
         self._own = [OwnHits(body, self._place, self._in_robot[part]) for part in self._parts]
         self._cast: tuple[tuple[float, FloatArray], ...] | None = None
         """Time [s] and true distances [m] of each part of the turn so far; None: before the first
-        one, which is that of a robot that stands still."""
+        turn, in which the robot stands still."""
 
     def measure(self, state: RobotState, rng: np.random.Generator) -> Scan | None:
         """Return the points of the turn that this instant completes; None: it goes on."""
+        # At the start the robot has stood still for a whole turn, so one pose serves all parts.
         if self._cast is None:
             self._cast = ()
             return self._scan(self._distances(state, slice(None), self._own), None, rng)
+        # Cast the next part from the pose of this instant.
         number = len(self._cast)
         ranges = self._distances(state, self._parts[number], self._own[number : number + 1])
         self._cast = (*self._cast, (state.time, ranges))
         if len(self._cast) < len(self._parts):
             return None
+        # The turn is complete: each point carries its age, by which deskewing moves it.
         times, distances = zip(*self._cast, strict=True)
         self._cast = ()
         ages = np.repeat(state.time - np.array(times), [len(row) for row in distances])
         return self._scan(np.concatenate(distances), ages if len(times) > 1 else None, rng)
 
-    def _distances(self, state: RobotState, part: slice, own: Sequence[OwnHits]) -> FloatArray:
+    def _distances(self, state: RobotState, part: slice, robot: Sequence[OwnHits]) -> FloatArray:
         """Return the true distances along the rays of a part, infinite without a hit, (R,) [m].
 
-        ``own``: what hits the robot itself of these rays, in their order.
+        ``robot``: the distances to the robot itself along these rays, in their order.
         """
         turn = to_world(state)
         x, z = state.position
         origin = np.array([x, state.side, z]) + turn @ self._place
         ground = self._world.cast_rays(origin, self._in_robot[part] @ turn.T, self._reach)
-        hits = [limb.distances(state.front, state.rear) for limb in own]
+        # Ground or the robot itself stops a ray, whichever is nearer.
+        hits = [rays.distances(state.front, state.rear) for rays in robot]
         return np.minimum(ground, np.concatenate(hits))
 
     def _scan(self, true: FloatArray, ages: FloatArray | None, rng: np.random.Generator) -> Scan:

@@ -38,6 +38,7 @@ class Mujoco(MujocoSettings, Engine):
             RequestError: the environment names an OpenGL library that is not installed.
             TerrainError: the ground needs too many pieces, or is unknown where the robot drives.
         """
+        # The module of the world imports MuJoCo at its head; here its absence can be explained.
         try:
             import mujoco  # noqa: F401
         except ImportError as error:

@@ -63,10 +63,12 @@ def tracks(robot: RobotGeometry, sim: MujocoSettings) -> Iterator[Track]:
 def robot_meshes(robot: RobotGeometry, sim: MujocoSettings) -> Iterator[tuple[str, Mesh]]:
     """Yield bodies with a mesh: belts, their side plates, and the deck of the chassis."""
     radius = robot.track_radius
+    # Belts, with plates on both sides that leave the rim of the belt visible
     for body, rear, front, low, high, colour in tracks(robot, sim):
         yield body, Mesh(_prism(capsule(rear, front, radius), low, high), BELT)
         plate = capsule(rear, front, (1 - _RIM) * radius)
         yield body, Mesh(_prism(plate, low - _PROUD, high + _PROUD), colour)
+    # The deck, which slopes down at the front
     half, top = 0.8 * robot.hinge_offset, 1.5 * radius
     deck = [[-half, 0.0], [-half, 0.9 * top], [-0.9 * half, top], [0.7 * half, top], [half, radius]]
     width = sim.main_track_offset + 0.1 * sim.track_width
@@ -97,6 +99,7 @@ def ground_meshes(strips: Sequence[Strip], low: float, high: float) -> list[Mesh
         right, left = max(strip.low, low), min(strip.high, high)
         if right >= left:
             continue
+        # Faces between the points of the outline, and the cut through the earth below them
         line = strip.line[np.concatenate([[True], np.diff(strip.line, axis=0).any(axis=1)])]
         slopes = np.arctan2(*np.diff(line, axis=0).T[::-1])  # (V - 1,) [rad]
         for (a, b), slope in zip(pairwise(line), slopes.tolist(), strict=True):
@@ -104,8 +107,10 @@ def ground_meshes(strips: Sequence[Strip], low: float, high: float) -> list[Mesh
             if b[0] > a[0]:
                 below = np.array([[a[0], base], a, b, [b[0], base]])
                 add(_CUT, _prism(below, right, left, sides=False))
+        # Dark lines along sharp edges
         for i in np.flatnonzero(np.abs(np.diff(slopes)) > _SHARP) + 1:
             add(GROUND, _bar(line[i], line[i], right, left))
+        # Light lines across the ground, as a rule for distances
         for x in np.arange(math.ceil(line[0, 0] / _APART), line[-1, 0] / _APART) * _APART:
             at = np.array([x, np.interp(x, *line.T)])
             add(_RULE, _bar(at, at, right, left, _LINE))
@@ -129,6 +134,7 @@ def _prism(polygon: FloatArray, low: float, high: float, *, sides: bool = True) 
     """Return a convex ``polygon`` (P, 2) of x and z, clockwise, between two y, (F, 3, 3)."""
     x, z = polygon.T
     right, left = (np.column_stack([x, np.full(len(x), y), z]) for y in (low, high))
+    # Both ends are fans of triangles, with opposite turns so that each faces outwards.
     fan = [(0, i, i + 1) for i in range(1, len(x) - 1)]
     ends = [*(right[[i, k, j]] for i, j, k in fan), *(left[[i, j, k]] for i, j, k in fan)]
     around = pairwise([*polygon, polygon[0]]) if sides else ()

@@ -33,6 +33,7 @@ def mjcf(world: MujocoWorld) -> str:
     """Return the scene at its start as MJCF; the keyframe ``start`` has the flippers' angles."""
     spec = specify(world.ground, world.robot, world.sim)
     set_looks(spec)
+    # The specification has the chassis at the origin; the file begins where the episode does.
     pose = world.data.qpos.tolist()
     chassis = spec.body(_CHASSIS)
     chassis.pos, chassis.quat = pose[:3], pose[3:7]
@@ -74,6 +75,7 @@ def _link(root: ElementTree.Element, model: Any, body: str, name: str) -> None:
     """Add a link with the mass, the inertia and the shapes of a body of the model."""
     link = ElementTree.SubElement(root, "link", name=name)
     body_model = model.body(body)
+    # The inertia is a full tensor in the link's own axes, since a load turns the principal ones.
     inertial = ElementTree.SubElement(link, "inertial")
     ElementTree.SubElement(inertial, "origin", xyz=_numbers(body_model.ipos), rpy="0 0 0")
     ElementTree.SubElement(inertial, "mass", value=_numbers(body_model.mass))
@@ -82,6 +84,7 @@ def _link(root: ElementTree.Element, model: Any, body: str, name: str) -> None:
     products = {"ixy": tensor[0, 1], "ixz": tensor[0, 2], "iyz": tensor[1, 2]}
     others = {name: _number(value) if value else "0" for name, value in products.items()}
     ElementTree.SubElement(inertial, "inertia", moments | others)
+    # URDF's cylinders stand along z, while the round ends of belts lie along y.
     for index in range(model.ngeom):
         geom = model.geom(index)
         if int(geom.bodyid[0]) != body_model.id:
@@ -110,6 +113,7 @@ def _joint(root: ElementTree.Element, model: Any, name: str, robot: Robot) -> No
     place = _numbers(model.body(name).pos)
     ElementTree.SubElement(joint, "origin", xyz=place, rpy="0 0 0")
     ElementTree.SubElement(joint, "axis", xyz="0 1 0")
+    # A joint is one flipper, which has half of its pair's torque.
     limit = robot.angle_limit
     ElementTree.SubElement(
         joint,

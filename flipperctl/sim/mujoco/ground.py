@@ -2,7 +2,7 @@
 
 In: a profile, the engine's settings and a generator. Out: boxes that fill the ground below the
 profile or its surface, as deep as tracks feel it. MuJoCo's boxes give every capsule on them two
-contacts in a line; with convex meshes, tracks stalled at ridges between facets; MuJoCo's height
+contacts in a line. On convex meshes, tracks stalled at ridges between facets. MuJoCo's height
 fields took 3 to 18 times as long and agreed less with the planar engine.
 """
 
@@ -51,14 +51,19 @@ def surface_strips(
     profile: Profile,
     surface: Surface,
     borders: list[float],
-    kept: list[float],
+    fixed: list[float],
     within: float,
 ) -> list[Strip]:
     """Return the strips between ascending borders.
 
-    Equal neighbours are one, except at the borders ``kept``. ``within``: largest distance of the
-    robot's tracks from the line at the start [m].
+    Equal neighbours become one strip. The ``fixed`` borders remain. ``within``: largest distance of
+    the robot's tracks from the line at the start [m].
+
+    Raises:
+        TerrainError: the surface has no heights there, or unknown ones where the robot drives.
+        PluginFailedError: the surface returns heights of another shape.
     """
+    # A strip has the heights of its middle.
     y = np.array([(low + high) / 2 for low, high in pairwise(borders)])
     try:
         heights = surface.heights(y)
@@ -69,6 +74,7 @@ def surface_strips(
             f"{type(surface).__name__}.heights returned an array of the shape {heights.shape}; "
             f"{allowed} is allowed"
         )
+    # Unknown ground is allowed only where no track can be.
     driven = np.array([max(low, -high, 0.0) < within for low, high in pairwise(borders)])
     if len(unknown := np.argwhere(~np.isfinite(heights) & driven)):
         i, j = unknown[0]
@@ -79,10 +85,11 @@ def surface_strips(
             "terrain's largest_gap"
         )
     heights = _continued(heights, y)
+    # Fewer strips are fewer boxes, so that equal neighbours become one.
     strips: list[Strip] = []
     for (low, high), column in zip(pairwise(borders), heights.T, strict=True):
         line = _outline(profile, surface.x, column)
-        free = all(abs(low - border) > CLOSE for border in kept)
+        free = all(abs(low - border) > CLOSE for border in fixed)
         if strips and free and np.array_equal(strips[-1].line, line):
             low, line = strips.pop().low, line
         strips.append(Strip(low, high, line))
@@ -90,8 +97,9 @@ def surface_strips(
 
 
 def _continued(heights: FloatArray, y: FloatArray) -> FloatArray:
-    """Return the heights (X, Y), where unknown those of the next strip towards the line."""
+    """Return the heights (X, Y); the next strip towards the line supplies unknown ones."""
     known = heights.copy()
+    # From the line outwards, so that the inner neighbour is known already.
     for j in np.argsort(np.abs(y), kind="stable"):
         inward = j - 1 if y[j] > 0 else j + 1
         if 0 <= inward < len(y):
@@ -157,15 +165,18 @@ class Ground(NamedTuple):
 def lay(profile: Profile, sim: MujocoSettings, rng: np.random.Generator) -> Ground:
     """Return the ground; the roughness is sampled from ``rng``."""
     strips = _strips(profile, sim)
+    # All boxes reach down to one base, below the lowest point of the rough ground.
     base = min(float(strip.line[:, 1].min()) for strip in strips) - _BELOW - sim.roughness
     boxes, driven = list[Box](), list[Strip]()
     for low, high, line in strips:
+        # The settings change a strip before it becomes boxes: its height first, then its roughness.
         strip = _lowered(line, sim.one_sided) if high <= 0 else line
         if sim.roughness and max(-low, high) <= _ROUGH_HALF:
             ends = profile.start - ROUGH_MARGIN, profile.end + ROUGH_MARGIN
             strip = _roughened(strip, ends, sim.roughness, rng)
         driven.append(Strip(low, high, strip))
         boxes += _extruded(strip, low, high, base)
+        # The boards of a surface leave gaps at their sides where the next strip is lower.
         if profile.surface is not None and len(strips) > 1:
             boxes += _columns(_without_repeats(strip), low, high, base)
         if len(boxes) > MOST:
@@ -179,15 +190,18 @@ def lay(profile: Profile, sim: MujocoSettings, rng: np.random.Generator) -> Grou
 def _strips(profile: Profile, sim: MujocoSettings) -> list[Strip]:
     """Return the strips along x that divide the ground, from right to left."""
     half = GROUND_WIDTH / 2
+    # Borders at which the settings change the ground; no joining of strips may remove them
     changed: set[float] = set()  # borders at which these settings change the ground
     if sim.one_sided:
         changed.add(0.0)
     if sim.roughness:
         count = round(2 * _ROUGH_HALF / _STRIP)
         changed |= {float(y) for y in np.linspace(-_ROUGH_HALF, _ROUGH_HALF, count + 1)}
+    # A profile has one outline, so that no other border is needed.
     if profile.surface is None:
         line = profile.extended(LEVEL_GROUND, LEVEL_GROUND)
         return [Strip(*ends, line) for ends in pairwise(_within({-half, half} | changed, half))]
+    # A surface has narrow strips where the tracks drive, and wide ones farther away.
     reach, width = sim.flipper_offset + sim.track_width / 2 + sim.offset, sim.strip_width
     count = math.ceil((reach + _MARGIN) / width)  # narrow strips on each side
     wide = np.arange(count * width, half, _WIDE).tolist()
@@ -249,11 +263,13 @@ def _extruded(line: FloatArray, low: float, high: float, base: float) -> Iterato
     middle, half = (low + high) / 2, (high - low) / 2
     for i, ((x0, z0), (x1, z1)) in enumerate(pairwise(line.tolist())):
         if level[i]:
+            # Level ground is a block down to the base.
             depth = (z0 - base) / 2
             yield Box(((x0 + x1) / 2, middle, z0 - depth), ((x1 - x0) / 2, half, depth), 0.0)
             continue
         if x1 == x0 and level[i + 1 if z1 > z0 else i - 1]:
             continue  # the side of the column at the top is this face
+        # A slope is a board, so that its upper face is the ground.
         tilt, length = math.atan2(z1 - z0, x1 - x0), math.hypot(x1 - x0, z1 - z0)
         thick = _thickness(line, i) / 2
         x = (x0 + x1) / 2 + thick * math.sin(tilt)
@@ -265,6 +281,7 @@ def _columns(line: FloatArray, low: float, high: float, base: float) -> Iterator
     """Yield boxes below the boards of a strip, which close its sides towards lower strips."""
     begin = 0
     for end in range(1, len(line)):
+        # Boards share a column until it would be too long or its boards too uneven.
         following = line[begin : end + 2]
         if end + 1 < len(line) and (np.ptp(following, axis=0) <= (_COLUMN, _RISE)).all():
             continue
@@ -282,14 +299,15 @@ def _without_repeats(line: FloatArray) -> FloatArray:
     line = line[np.concatenate([[True], (np.diff(line, axis=0) != 0).any(axis=1)])]
     z = line[:, 1]
     flat = np.concatenate([[False], (z[1:-1] == z[:-2]) & (z[1:-1] == z[2:]), [False]])
-    kept: FloatArray = line[~flat]
-    return kept
+    bends: FloatArray = line[~flat]
+    return bends
 
 
 def _thickness(line: FloatArray, index: int) -> float:
     """Return the largest thickness of a board below segment ``index`` within the ground [m]."""
     a, b = line[index], line[index + 1]
     x = line[:, 0]
+    # Only ground within the largest thickness can limit the board.
     first = int(np.searchsorted(x, a[0] - _THICK, side="left"))
     last = int(np.searchsorted(x, b[0] + _THICK, side="right"))
     near = line[max(0, first - 1) : last + 1] - a
@@ -297,6 +315,7 @@ def _thickness(line: FloatArray, index: int) -> float:
     ahead = (b - a) / length
     s, depth = near @ ahead, near @ np.array([ahead[1], -ahead[0]])  # along and inward [m]
     thickness = _THICK
+    # The board ends where its lower face would leave the ground on the other side.
     for (s0, d0), (s1, d1) in pairwise(np.column_stack([s, depth]).tolist()):
         low, high = max(0.0, min(s0, s1)), min(length, max(s0, s1))
         if high - low < 1e-9 or max(d0, d1) < 1e-9:

@@ -4,10 +4,10 @@ In: boxes, the robot and the engine's settings. Out: a compiled model, and the v
 of its belts. Frames: x forward, y to the left, z up.
 
 A track is a box between two capsules that lie across it. Its belt is MuJoCo's ``surfacevel``: an
-angular velocity about each part's own centre, of which contacts use the tangential part. That is
-the belt's speed along the whole outline: on a capsule because it is round, on the box because its
-two faces have the same distance from the centre everywhere. Cylinders as ends would stall at
-edges, where MuJoCo gives them a horizontal normal.
+angular velocity about each part's own centre, whose tangential part acts at contacts. That is the
+belt's speed along the whole outline. A capsule is round, and both faces of the box have the same
+distance from the centre everywhere. Cylinders as ends would stall at edges, where MuJoCo gives
+them a horizontal normal.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ wall, and slips at 0.2 m/s, then vibrates and climbs too slowly. Of twelve value
 overdamped ones hop least at the default substep; statics are not affected.
 """
 _SLIP = 10.0
-"""Stiffness of friction relative to that of contacts, so that a held robot does not creep [-]."""
+"""Stiffness of friction as a multiple of the contacts', so that a held robot does not creep [-]."""
 _ROTOR_INERTIA = 1.0  # inertia of a flipper's geared motor at its hinge; a guess [kg m²]
 _SERVO = 2000.0
 """Torque of a flipper's servo for each rad/s of velocity error [N m s/rad], before its limit."""
@@ -69,6 +69,7 @@ def build(spec: Any) -> Model:
 def specify(ground: Sequence[Box], robot: Robot, sim: MujocoSettings) -> Any:
     """Return the ``mujoco.MjSpec`` of the scene, with the chassis at the origin."""
     spec = mujoco.MjSpec()
+    # Units and solver
     spec.compiler.degree = False
     option = spec.option
     option.timestep = sim.substep
@@ -79,6 +80,7 @@ def specify(ground: Sequence[Box], robot: Robot, sim: MujocoSettings) -> Any:
     slope = sim.lateral_slope
     option.gravity = [0.0, -sim.gravity * math.sin(slope), -sim.gravity * math.cos(slope)]
     option.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)  # divergence must be seen
+    # The masks let the robot touch the ground, but neither the robot nor the ground touch itself.
     for box in ground:
         spec.worldbody.add_geom(
             type=mujoco.mjtGeom.mjGEOM_BOX,
@@ -105,6 +107,7 @@ def _surface(sim: MujocoSettings) -> dict[str, Any]:
 
 def _add_robot(spec: Any, robot: Robot, sim: MujocoSettings) -> None:
     half, width = robot.hinge_offset, sim.track_width
+    # The chassis, with its inertia and its load
     chassis = spec.worldbody.add_body(name="chassis")
     chassis.add_freejoint(name="chassis")
     outer = sim.flipper_offset + width / 2
@@ -112,6 +115,7 @@ def _add_robot(spec: Any, robot: Robot, sim: MujocoSettings) -> None:
     _set_inertia(chassis, mass=robot.chassis_mass, size=size, centre=0.0)
     if robot.payload:
         _add_load(chassis, robot)
+    # Main tracks, each between two drums
     for side, sign in (("left", 1.0), ("right", -1.0)):
         inner = sim.main_track_offset - width / 2
         middle = sign * sim.main_track_offset
@@ -139,6 +143,7 @@ def _add_cameras(chassis: Any, robot: Robot, sim: MujocoSettings) -> None:
     """Add the cameras above the hinges; one looks along its negative z axis, its y axis is up."""
     cos, sin = math.cos(sim.camera_tilt), math.sin(sim.camera_tilt)
     for name, ahead in (("front", 1.0), ("rear", -1.0)):
+        # The rows are the camera's x, y and z axes in frame R.
         axes = np.array([[0.0, -ahead, 0.0], [ahead * sin, 0.0, cos], [-ahead * cos, 0.0, sin]])
         quat = np.empty(4)
         mujoco.mju_mat2Quat(quat, axes.T.ravel())
@@ -151,8 +156,8 @@ def _set_inertia(
 ) -> None:
     """Set the mass [kg] and the inertia of a box around x = ``centre`` [m].
 
-    ``size``: length, width and height [m]. In the side plane, the inertia is that of the planar
-    engine's capsule.
+    ``size``: length, width and height [m]. In the side plane, the inertia equals that of the
+    capsule in the planar engine.
     """
     length, width, height = size
     body.mass, body.ipos, body.explicitinertial = mass, [centre, 0.0, 0.0], True
@@ -228,6 +233,7 @@ def _add_hinge(
     spec: Any, body: Any, name: str, axis: float, robot: Robot, sim: MujocoSettings
 ) -> None:
     """Add a flipper's hinge, its end stops and its servo, which follows a velocity."""
+    # The stops lie a little past the largest target, so that they do not push against the servo.
     limit = robot.angle_limit + _STOP_PLAY
     body.add_joint(
         name=name,
@@ -238,6 +244,7 @@ def _add_hinge(
         armature=_ROTOR_INERTIA,
         solref_limit=[SAMPLE_PERIOD, 1.0],
     )
+    # The servo's torque is proportional to the error of its velocity.
     servo = spec.add_actuator(
         name=name,
         target=name,
@@ -268,6 +275,7 @@ def add_scenery(spec: Any, profile: Profile, sim: MujocoSettings, rng: np.random
     ends = profile.start - _BEFORE, profile.end + _BEFORE
     low, high = (float(f(profile.points[:, 1])) for f in (np.min, np.max))
     half = (high + _HEIGHT - low) / 2 + 0.1
+    # Scenery is seen and never touched.
     shared = {"contype": 0, "conaffinity": 0, "density": 0.0, "rgba": _COLOURS[sim.scenery]}
     for side in (1.0, -1.0):
         if sim.scenery == "walls":
@@ -282,6 +290,7 @@ def add_scenery(spec: Any, profile: Profile, sim: MujocoSettings, rng: np.random
                 **shared,
             )
             continue
+        # Posts at random distances along this side
         x = ends[0]
         while (x := x + rng.uniform(*_BETWEEN)) < ends[1]:
             radius = rng.uniform(*_RADIUS)

@@ -62,12 +62,14 @@ class Shown:
     ) -> None:
         """Build the model; the ``simulated`` one has the scenery."""
         self._robot, self._tracks = robot, list(tracks(robot, sim))
+        # The robot has the joints of the engine's model; meshes cover its simulated shapes.
         spec = specify((), robot, sim)
         for geom in spec.geoms:
             geom.group = _SIMULATED
         set_looks(spec)
         for body, mesh in robot_meshes(robot, sim):
             _add(spec, body, mesh)
+        # The bars of the belts, which ``pose`` moves
         for number, track in enumerate(self._tracks):
             for at in range(len(grousers(track, robot, 0.0)[0])):
                 spec.body(track.body).add_geom(
@@ -78,12 +80,14 @@ class Shown:
                     size=[GROUSER[0] / 2, 0.49 * (track.high - track.low), GROUSER[1] / 2],
                     rgba=rgba(GROUSER[2]),
                 )
+        # The ground is cut to the right of the tracks, where the camera outside looks from.
         wide = max(abs(y) for strip in strips for y in strip[:2])
         cut = -min(sim.flipper_offset + sim.track_width / 2 + sim.offset + _BESIDE, wide)
         for low, high, group in ((cut, wide, 0), (-wide, cut, RIGHT)):
             for mesh in ground_meshes(strips, low, high):
                 _add(spec, "world", mesh, group)
         _add(spec, "world", profile_line(strips, cut), OUTSIDE)
+        # Walls and posts stand where they are in the simulated model.
         for index in range(simulated.ngeom):
             geom = simulated.geom(index)
             if simulated.body(geom.bodyid[0]).name == SCENERY:
@@ -95,12 +99,14 @@ class Shown:
     def pose(self, pose: FloatArray, travel: float) -> None:
         """Show a ``pose`` (``qpos``), with belts that have run a distance [m]."""
         model, data = self.model, self.data
+        # Bars run along their belts.
         for number, track in enumerate(self._tracks):
             places, slopes = grousers(track, self._robot, travel)
             first = model.geom(f"grouser {number} 0").id
             bars = slice(first, first + len(places))
             model.geom_pos[bars, ::2] = places
             model.geom_quat[bars, ::2] = np.column_stack([np.cos(slopes / 2), -np.sin(slopes / 2)])
+        # These are the parts of MuJoCo's forward pass that a picture needs.
         data.qpos[:] = pose
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)
@@ -165,6 +171,7 @@ class Camera:
             )
         self._shown = shown
         self._view = mujoco.MjrRect(0, 0, width, height)
+        # An OpenGL context must be current before MuJoCo builds its own on it.
         self._gl = _context(width, height)
         self._gl.make_current()
         shown.model.vis.global_.offwidth, shown.model.vis.global_.offheight = width, height
@@ -173,6 +180,7 @@ class Camera:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
         self._context.readDepthMap = mujoco.mjtDepthMap.mjDEPTH_ZEROFAR.value  # more precise
         self._scene = mujoco.MjvScene(shown.model, maxgeom=_MOST_GEOMS)
+        # The camera outside keeps its distance and its angles.
         self._camera = mujoco.MjvCamera()
         self._camera.distance = _DISTANCE
         self._camera.azimuth, self._camera.elevation = _AZIMUTH, _ELEVATION
@@ -191,12 +199,14 @@ class Camera:
 
     def _rendered(self, camera: Any, *, hidden: int) -> CameraImage:
         """Return a picture without one group of shapes."""
+        # Pictures from outside lack what would hide the robot; cameras on the robot see it.
         options = mujoco.MjvOption()
         options.geomgroup[[RIGHT, OUTSIDE]] = True
         options.geomgroup[hidden] = False
         everything = mujoco.mjtCatBit.mjCAT_ALL.value
         what = self._shown.model, self._shown.data, options, None, camera, everything
         mujoco.mjv_updateScene(*what, self._scene)
+        # Another camera may have made its context current since the last picture.
         self._gl.make_current()
         pixels = np.empty((self._view.height, self._view.width, 3), np.uint8)
         buffer = np.empty((self._view.height, self._view.width), np.float32)
@@ -210,6 +220,7 @@ class Camera:
 
 def _context(width: int, height: int) -> Any:
     """Return an OpenGL context without a window."""
+    # MUJOCO_GL decides; without it, the first library that is installed does.
     wanted = os.environ.get("MUJOCO_GL", "").lower()
     names = [wanted] if wanted in _LIBRARIES else list(_LIBRARIES)
     installed = [name for name in names if ctypes.util.find_library(_LIBRARIES[name])]

@@ -74,6 +74,7 @@ class Tracks:
         if self._force is not None:  # a contact has the larger friction of its two shapes
             self._model.geom_friction[self._sides == 0, 0] = 0.0
         self._share = 1.0
+        # A robot at rest presses half of its weight on each side.
         weight = robot.mass * sim.gravity
         self.pressed = 0.0, 0.0
         """Averaged normal forces on the left and on the right tracks [N]."""
@@ -109,6 +110,7 @@ class Tracks:
         """
         if self._force is None:
             return
+        # Contacts that the solver left out have no force.
         active = data.contact.efc_address >= 0
         normal = data.efc_force[data.contact.efc_address[active]]  # (C,) [N]
         sides = self._sides[data.contact.geom[active]].sum(axis=1)  # (C,), the ground has 0
@@ -163,18 +165,22 @@ class MujocoWorld:
         """
         mujoco.set_mju_user_warning(_ignore)
         self.robot, self.sim, self.profile = robot, sim, profile
+        # Variation 0 leaves the generator as it is, and with it the episodes of earlier results.
         if sim.variation:
             rng = np.random.default_rng([sim.variation, *rng.integers(2**32, size=4).tolist()])
+        # The order of the draws is part of an episode: yaw, offset, then roughness.
         yaw = sim.yaw * rng.uniform(-1.0, 1.0)
         side = sim.offset * rng.uniform(-1.0, 1.0)
         self._half_width = GROUND_WIDTH / 2
         (placing,) = rng.spawn(1)  # so that the scenery changes no other random number
         self.strips, self.ground = lay(profile, sim, rng)
+        # The scene, compiled, with belts that the loop steers
         spec = specify(self.ground, robot, sim)
         add_scenery(spec, profile, sim, placing)
         built = build(spec)
         self.model, self._tracks = built.model, Tracks(built, robot, sim)
         self.data = mujoco.MjData(self.model)
+        # Sums over the episode, and what pictures need once they are asked for
         self._substeps = round(SAMPLE_PERIOD / sim.substep)
         self._up = np.array([0.0, math.sin(sim.lateral_slope), math.cos(sim.lateral_slope)])
         self._samples = 0
@@ -182,6 +188,7 @@ class MujocoWorld:
         self._shown: Shown | None = None
         self._cameras: dict[tuple[int, int], Camera] = {}
         self._ground_is_placed = False
+        # The pose of the start, moved off ground that is only in 3-D
         self._targets = np.array([start.front, start.rear, start.front, start.rear])
         pose = self.data.qpos
         pose[:3] = start.x, side, height_at(start, profile, robot)
@@ -196,10 +203,12 @@ class MujocoWorld:
         more than the corner of a turned robot and what reaches onto rough ground are farther ahead.
         """
         pose, robot, sim = self.data.qpos, self.robot, self.sim
+        # A robot that starts on the obstacle moves up.
         if start.height is not None:
             while (depth := self.penetration()) > OVERLAP:
                 pose[2] += depth
             return
+        # One that starts ahead of it moves back, by no more than this.
         farther = corner = (sim.flipper_offset + sim.track_width / 2) * abs(math.sin(yaw))
         if sim.roughness:
             tip = robot.hinge_offset + robot.flipper_axle * math.cos(start.front)
@@ -227,6 +236,7 @@ class MujocoWorld:
             self._drive()
             before = self.data.qpos[_HINGES].copy()
             torque = self._step()
+            # The normal forces of this sample limit the friction of the next one.
             self._tracks.limit(self.data)
             turned = self.data.qpos[_HINGES] - before
             self._work += float(np.abs(torque * turned).sum())
@@ -234,6 +244,7 @@ class MujocoWorld:
             x, z = self.position
             pitch = self.pitch
             poses[sample] = x, z, pitch, *self._angles()
+            # The poses end with the sample that ends the run.
             if limits.reached(x, z, pitch) or self.ended() is not None:
                 poses = poses[: sample + 1]
                 break
@@ -357,6 +368,7 @@ class MujocoWorld:
         shapes, distances = np.empty(count, np.int32), np.empty(count)
         rays = np.ascontiguousarray(directions, np.float64).ravel()
         start = np.asarray(origin, np.float64)
+        # Rays pass through the robot; the instrument itself computes where they meet it.
         scene = self.model, self.data, start, rays, _RAY_GROUPS, True, -1
         mujoco.mj_multiRay(*scene, shapes, distances, None, count, reach)
         return np.where((shapes >= 0) & (distances <= reach), distances, np.inf)

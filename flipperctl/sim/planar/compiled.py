@@ -1,12 +1,11 @@
 """The engine's inner loop as machine code: belts and energy balance of a robot.
 
-It steps Chipmunk through its C function. A compiled callback gives every contact of a track the
-tangential velocity of its belt, v·(-n_y, n_x) for the contact normal n from track to ground, since
-a belt's surface moves along the outline. A shape's ``surface_velocity`` cannot express this: it is
-one world vector that is projected on the tangent, and it vanishes at a vertical face. The tests
-compute the same numbers through pymunk's public interface. The callback reads and writes numbers in
-Chipmunk's structs by their offsets, which pymunk's interface declares; they are checked once per
-process.
+It steps Chipmunk through its C function. A belt's surface moves along the outline. Therefore a
+compiled callback gives every contact of a track the tangential velocity v·(-n_y, n_x), with the
+normal n from track to ground. A shape's ``surface_velocity`` cannot express this: it is one world
+vector that is projected on the tangent, and it vanishes at a vertical face. The tests compute the
+same numbers through pymunk's public interface. The callback reads and writes numbers in Chipmunk's
+structs by their offsets, which pymunk's interface declares; they are checked once per process.
 
 Only servos and belts may add energy. Chipmunk corrects an error of a joint by a real velocity and
 an overlap of bodies by a shift. When a robot is wedged between two faces, the two corrections
@@ -107,8 +106,8 @@ def potential_energy(
 ) -> float:
     """Return the potential energy of bodies, 0 at z = 0 [J]; see ``kinetic_energy``.
 
-    ``ahead`` and ``above``: centre of mass of the first body in its own frame [m]; those of the
-    others lie at their positions.
+    ``ahead`` and ``above``: centre of mass of the first body in its own frame [m]. The other bodies
+    have it at their positions.
     """
     energy = 0.0
     for body in range(len(inertia)):
@@ -193,11 +192,13 @@ def _belt(arbiter: Any, space: Any, belt: Any) -> None:
     """
     numbers = carray(arbiter, (_NUMBERS,), dtype=np.float64)
     speed, largest, _, share, _ = carray(belt, (5,), dtype=np.float64)
+    # A belt that its load holds slips as one that lacks grip.
     if share < 1.0:
         numbers[FRICTION] *= share
     # If the ground is the first shape, normal and surface velocity both change sign.
     numbers[SURFACE] = -speed * numbers[NORMAL + 1]
     numbers[SURFACE + 1] = speed * numbers[NORMAL]
+    # Impulses that are cached in a wedge must not grow without bounds.
     contacts = _contacts(arbiter)
     for first in range(0, len(contacts), CONTACT):
         normal_impulse = contacts[first + NORMAL_IMPULSE]
@@ -270,6 +271,7 @@ def _run(
 ) -> int:
     states, (gravity, servos, belts, tolerance, ahead, above) = bodies.states, budget
     stop, finish, top, half, slope, end, level = limits
+    # Energy and flipper angles before the first sample
     _read_states(bodies)
     energy = kinetic_energy(states, inertia)
     energy += potential_energy(states, inertia, gravity, ahead, above)
@@ -277,6 +279,8 @@ def _run(
     for gear in range(len(gears)):
         turned[gear] = states[STATE * (gear + 1) + 2] - states[2]
     for sample in range(len(poses)):
+        # Substeps of the sample, each with the friction that the normal impulses of the last one
+        # allow
         belt[2] = 0.0
         impulses[:] = 0.0
         for _ in range(substeps):
@@ -285,10 +289,12 @@ def _run(
             _step(space, substep)
             for gear in range(len(gears)):
                 impulses[gear] += _impulse(gears[gear])
+        # The servos' work, as mean torque times turn of each flipper
         _read_states(bodies)
         for gear in range(len(gears)):
             before, turned[gear] = turned[gear], states[STATE * (gear + 1) + 2] - states[2]
             spent[0] += impulses[gear] / (substep * substeps) * abs(turned[gear] - before)
+        # The gain of energy, bounded by what servos and belts can have supplied
         kinetic = kinetic_energy(states, inertia)
         potential = potential_energy(states, inertia, gravity, ahead, above)
         supplied = servos + min(belt[2], belts) + tolerance
@@ -297,6 +303,7 @@ def _run(
         if excess > 0.0:
             _slow_down(bodies, slowdown(kinetic, excess))
             energy -= min(excess, kinetic)
+        # The pose; both flippers' angles are positive above the chassis.
         x, z, angle = states[0], states[1], states[2]
         poses[sample, 0], poses[sample, 1], poses[sample, 2] = x, z, angle
         poses[sample, 3] = states[STATE + 2] - angle
@@ -325,11 +332,13 @@ class CompiledLoop:
         none.
         """
         check_layout()
+        # The callbacks read and write the numbers of the belts through this memory.
         handler = lib.cpSpaceAddCollisionHandler(space._space, TRACK, GROUND)
         numbers = ffi.new("double[5]", [belt.speed, belt.largest, 0.0, 1.0, 0.0])
         handler.userData = numbers
         handler.preSolveFunc = ffi.cast("cpCollisionPreSolveFunc", _belt.address)
         handler.postSolveFunc = ffi.cast("cpCollisionPostSolveFunc", _work.address)
+        # The bodies are read and written through requests of pymunk's batch functions.
         velocity = lib.VELOCITY | lib.ANGULAR_VELOCITY
         read = _Batch(lib.POSITION | lib.ANGLE | velocity, 3 * STATE)
         write = _Batch(velocity, 9)
@@ -338,8 +347,12 @@ class CompiledLoop:
         self._memory = space, bodies, gears, numbers, read, write  # must live as long as the loop
         self._belt = np.frombuffer(ffi.buffer(numbers))
         self._spent = np.zeros(1)
+        # No call changes these arguments; the arrays share their memory with the callbacks.
         self._arguments = (
-            *(address(space._space), substep, substeps, access),
+            address(space._space),
+            substep,
+            substeps,
+            access,
             np.array([[body.mass, body.moment] for body in bodies]),
             self._belt,
             tuple(budget),  # which a call passes on faster than a named one
@@ -416,6 +429,7 @@ def check_layout() -> None:
 
     def read(arbiter: pymunk.Arbiter, space: pymunk.Space, data: Any) -> None:
         normal, struct = arbiter.normal, arbiter._arbiter
+        # No contact has such a velocity by default, so that a wrong offset shows.
         arbiter.surface_velocity = (-0.5 * normal.y, 0.5 * normal.x)
         doubles = np.frombuffer(ffi.buffer(struct, ffi.sizeof("cpArbiter")), np.float64)
         answers.update(
@@ -444,6 +458,7 @@ def check_layout() -> None:
         # Pymunk returns the impulse on the other body.
         answers["impulse"] = np.round(-np.array(arbiter.total_impulse), 9).tolist()
 
+    # The body slides on a slope, so that normal, friction and both impulses differ from 0.
     space = pymunk.Space()
     space.gravity = (0.0, -10.0)
     body = pymunk.Body(1.0, 1.0)

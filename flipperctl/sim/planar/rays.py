@@ -30,6 +30,7 @@ def distances(
     It is infinite for a ray that does not meet the line within ``reach``. ``line`` is (V, 2) [m],
     its x never decreases; ``origin`` is (2,) [m] and ``directions`` are (R, 2), at most 1 long.
     """
+    # The line's x never decreases, so that the segments within reach are a range.
     low = max(1, int(np.searchsorted(line[:, 0], origin[0] - reach)))
     high = int(np.searchsorted(line[:, 0], origin[0] + reach, side="right"))
     near = line[low - 1 : high + 1] - origin
@@ -68,10 +69,10 @@ def mark_seen(
     """Mark the points to which the line of sight from the mount is free.
 
     ``outline`` is (M, 2) in world [m], in order along the ground, vertices included; ``index`` (M,)
-    is the number of each point in ``seen`` (P,), or -1. ``pose`` is that of the chassis: x, z [m]
-    and pitch [rad]; ``mount`` is (x, z) in frame R [m]. The chassis hides what lies below it: the
-    ``body`` [m] that is centred in frame R, at z = 0. Points outside the world x ``limits`` [m] are
-    not marked.
+    is the number of each point in ``seen`` (P,), or -1. ``pose`` of the chassis: x, z [m] and pitch
+    [rad]. ``mount`` is (x, z) in frame R [m]. The chassis hides what lies below it; its length is
+    ``body`` [m], centred in frame R at z = 0. Points outside the world x ``limits`` [m] are not
+    marked.
     """
     x, z, pitch = pose
     cos, sin = math.cos(pitch), math.sin(pitch)
@@ -81,6 +82,8 @@ def mark_seen(
         (x0, z0), (x1, z1) = outline[ahead - 1], outline[ahead]
         if z0 + (z1 - z0) * (eye_x - x0) / (x1 - x0) >= eye_z:
             return  # the mount is below the ground
+    # Outwards on both sides, a point is seen unless it lies below the steepest line of sight so
+    # far.
     for direction in (1, -1):
         i = ahead if direction == 1 else ahead - 1
         steepest = -math.inf

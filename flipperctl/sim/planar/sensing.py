@@ -1,13 +1,13 @@
 """``perception=planar``: terrain points in the side plane, with noise and a horizon.
 
 In: the true profile and state. Out: terrain points in frame L and the mean height of each bin.
-Without ``occlusion``, all points within the horizon are sensed, even those hidden by an edge or in
-a trench; with it, ``rays.SeenGround`` determines which points a sensor on a mast has seen.
+Without ``occlusion``, all points within the horizon are sensed, even hidden ones behind an edge or
+in a trench. With it, ``rays.SeenGround`` determines which points a sensor on a mast has seen.
 
 ``MapErrors`` is a cheap model of a map that a robot builds as it drives. Heights are wrong by a
 stationary process along x, which stays on the map. Odometry moves the robot on its map by a random
-walk along the way, so ground that was seen earlier is displaced by as much as odometry has erred
-since; what is ahead is seen anew at each decision. Each new scan also displaces all of the map a
+walk along the way. Ground that was seen earlier is displaced by as much as odometry has erred
+since; ground ahead is seen anew at each decision. Each new scan also displaces all of the map a
 bit, by an error of its own.
 """
 
@@ -156,11 +156,13 @@ class TerrainSensor:
     ) -> tuple[SensedGround, SensedAngles]:
         """Sense the ground around the robot, then its posture."""
         s = self.settings
+        # The map first: what a line of sight reaches from here, and how far odometry errs by now.
         if self._seen_ground is not None:
             self._seen_ground.scan(state)
         if self._map_errors is not None:
             self._map_errors.advance(float(state.position[0]), rng)
         points, filled = self._sensed(state.position, rng)
+        # The angles, with their constant and their white errors
         front, rear = state.front + s.flipper_bias, state.rear + s.flipper_bias
         pitch = state.pitch + s.pitch_bias
         if s.angle_noise > 0:
@@ -170,6 +172,7 @@ class TerrainSensor:
             points, s.bins, s.bin_width, highest=s.highest, add_heights=self._rays.add_heights
         )
         angles = SensedAngles(front=float(front), rear=float(rear), pitch=float(pitch))
+        # The robot is where its odometry places it.
         odometry = state.position.copy()
         if self._map_errors is not None:
             odometry[0] += self._map_errors.error
@@ -198,12 +201,15 @@ class TerrainSensor:
             self._seen_ground,
             self._map_errors,
         )
+        # Displaced points may come from outside the range, so that a wider one is searched.
         near, beyond = min(self._reach, s.horizon), LARGEST if errors else 0.0
         low = bisect_left(self._x.data, x - self._reach - beyond)
         high = bisect_left(self._x.data, x + near + beyond)
         index: Any = slice(low, high)
+        # With occlusion, a seen neighbour on either side is needed to fill the gaps at the ends.
         if ground is not None:
             index = self._rays.known_points(ground.seen, low, high)
+        # Errors of the map, the constant error of the sensor, its noise
         points = self._cloud[index] - position
         if errors is not None:
             errors.apply(points, index)
@@ -211,10 +217,12 @@ class TerrainSensor:
             points[:, 1] += s.bias
         if s.noise > 0:
             points[:, 1] += rng.normal(0.0, s.noise, len(points))
+        # Displaced points may have left the range.
         inside = (points[:, 0] >= -self._reach) & (points[:, 0] < near) if errors else None
         if ground is None:
             points = points if inside is None else points[inside]
             return (points[rng.random(len(points)) >= s.dropout] if s.dropout > 0 else points), None
+        # Hidden and lost points are filled between their neighbours.
         offered = (index >= low) & (index < high)
         if inside is not None:
             offered &= inside
@@ -264,6 +272,7 @@ class MapErrors:
         if self._size.jitter:  # without it, no other random number changes
             self._jitter = self._size.jitter * float(rng.standard_normal())
         self._at = x
+        # Ground ahead is seen anew, with the error of now.
         self._seen_at[np.searchsorted(self._x, x + NEAREST) :] = self.error
 
     def apply(self, points: FloatArray, index: Any) -> None:
@@ -293,6 +302,7 @@ def correlated(x: FloatArray, length: float, rng: np.random.Generator) -> FloatA
 
     It is Ornstein and Uhlenbeck's: the correlation of two places is exp(-distance / length).
     """
+    # A value keeps a part of the one before, and gains as much noise as the variance loses.
     stays = np.exp(-np.diff(x) / length)
     steps = rng.standard_normal(len(x))
     steps[1:] *= np.sqrt(1 - stays**2)

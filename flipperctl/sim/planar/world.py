@@ -60,6 +60,7 @@ class PlanarWorld:
         self.robot, self.sim, self.profile = robot, sim, profile
         self._time = 0.0
         self._share = 1.0
+        # Bodies may overlap by as much as thinning moves the ground.
         self.space = space = pymunk.Space()
         space.gravity = (0.0, -sim.gravity)
         space.iterations = sim.iterations
@@ -67,6 +68,7 @@ class PlanarWorld:
         space.collision_bias = 0.2**60  # Chipmunk's default is far too soft at these substeps
         self._add_ground()
 
+        # The chassis with its load, and the flippers at its hinges
         centre, half = (start.x, height_at(start, profile, robot)), robot.hinge_offset
         self._chassis = self._add_part(robot.chassis_mass, centre, start.pitch, 2 * half)
         if robot.payload:
@@ -77,6 +79,7 @@ class PlanarWorld:
         self._front, self._front_gear = self._add_flipper(half, start.front)
         self._rear, self._rear_gear = self._add_flipper(-half, start.rear)
         self._bodies = self._chassis, self._front, self._rear
+        # The belts' limits, and the compiled loop that steps the space
         grip = math.inf  # normal impulses of a substep from which the motors limit the belts [N s]
         if robot.track_force is not None:
             grip = robot.track_force * sim.substep / sim.friction
@@ -92,9 +95,11 @@ class PlanarWorld:
 
     def _add_ground(self) -> None:
         self._line = self.profile.extended(_LEVEL_GROUND, _LEVEL_GROUND)
+        # Repeated points would make segments without a length.
         line = [point for point, _ in groupby(map(tuple, self._line.tolist()))]
         ground = self.space.static_body
         segments = [pymunk.Segment(ground, a, b, 0.0) for a, b in pairwise(line)]
+        # With its neighbours, a segment does not catch what slides over the crack between them.
         for i, segment in enumerate(segments):
             segment.set_neighbors(line[max(i - 1, 0)], line[min(i + 2, len(line) - 1)])
             segment.friction = self.sim.friction
@@ -109,6 +114,7 @@ class PlanarWorld:
         shape = pymunk.Segment(body, a, b, radius)
         shape.friction = 1.0  # Chipmunk multiplies the two shapes' friction
         shape.collision_type = TRACK
+        # The robot's parts do not collide with each other.
         shape.filter = pymunk.ShapeFilter(group=1)
         self.space.add(body, shape)
         return body
@@ -116,11 +122,13 @@ class PlanarWorld:
     def _add_flipper(self, hinge_x: float, angle: float) -> tuple[pymunk.Body, pymunk.GearJoint]:
         """Add a flipper pair; return it and its servo, which holds the present angle."""
         robot, pitch, side = self.robot, self._chassis.angle, math.copysign(1.0, hinge_x)
+        # The flipper's place, in the engine's angles
         turned = pitch + side * angle  # the engine's angle
         hinge = self._chassis.position + pymunk.Vec2d(hinge_x, 0.0).rotated(pitch)
         reach = side * robot.flipper_axle / 2
         centre = hinge + pymunk.Vec2d(reach, 0.0).rotated(turned)
         body = self._add_part(robot.flipper_mass, centre, turned, robot.flipper_axle)
+        # The hinge, with bounded force and speed so that a wedged robot is not thrown off
         pivot = pymunk.PivotJoint(self._chassis, body, (hinge_x, 0.0), (-reach, 0.0))
         pivot.max_bias = _CLOSING_SPEED
         pivot.max_force = _IMPULSE_SPEED * robot.mass / self.sim.substep
@@ -128,6 +136,7 @@ class PlanarWorld:
         # torque `max_force`: a rate- and torque-limited servo without a callback.
         servo = pymunk.GearJoint(self._chassis, body, body.angle - pitch, 1.0)
         servo.max_bias, servo.max_force = robot.flipper_speed, robot.flipper_torque
+        # End stops, a little past the largest target so that the servo holds it undisturbed
         largest = robot.angle_limit + _STOP_PLAY
         stop = pymunk.RotaryLimitJoint(self._chassis, body, -largest, largest)
         stop.max_bias = _STOP_RETURN * robot.flipper_speed
@@ -210,8 +219,8 @@ class PlanarWorld:
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot of poses, velocities and flipper targets for ``load``.
 
-        It lacks the engine's contact impulses, so a loaded run differs from an uninterrupted one,
-        by 5e-5 m per decision at the median and by up to 0.02 m at hard contacts.
+        It lacks the engine's contact impulses, so that a loaded run differs from an uninterrupted
+        one. The median difference is 5e-5 m per decision; hard contacts reach 0.02 m.
         """
         bodies = [(b.position, b.angle, b.velocity, b.angular_velocity) for b in self._bodies]
         return bodies, self._front_gear.phase, self._rear_gear.phase, self._time
