@@ -151,7 +151,7 @@ def over_seeds(
     if not len(grid):  # one seed ended before another began to be measured
         grid = np.array([last])
     table = np.array([np.interp(grid, at, values) for at, values in each])  # (S, T)
-    # A band is missing for a single seed, a range for a few, and a bootstrap interval for more.
+    # A single seed has no band, a few have their range, and more a bootstrap interval.
     if len(each) == 1:
         return Curve(grid, table[0], table[0], table[0])
     middle = _averaged(table, average)

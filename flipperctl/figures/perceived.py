@@ -188,7 +188,7 @@ class _PerceivedPicture:
         )
         for artist in self._robots:
             artist.show(state, self._robot)
-        # Of the scan, only the strip of the robot's width makes up the ground.
+        # Points of the scan outside the strip of the robot's width are no part of the ground.
         strip = np.abs(instant.cloud[:, 1]) <= self._strip
         self._cloud.set_data(instant.cloud[strip, 0], instant.cloud[strip, 2])
         self._beside.set_data(instant.cloud[~strip, 0], instant.cloud[~strip, 2])
