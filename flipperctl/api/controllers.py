@@ -48,7 +48,7 @@ class Simulator(Protocol):
         """Speed of the belts [m/s]."""
 
     seed: int | None
-    """Seed of the episode, by which a recorded one is found; None: it has none of its own."""
+    """Seed of the episode, which identifies a recorded one; None: the episode has no seed."""
 
     @property
     def finish(self) -> float:
@@ -71,15 +71,15 @@ class Simulator(Protocol):
     def perceive(self) -> Perception:
         """Return the policy's current perception.
 
-        Called once after ``restart`` and once after each ``step``, it returns the perceptions of
-        the episode itself, noise included, so that a policy takes the same actions in the simulator
-        as in the episode.
+        Call it once after ``restart`` and once after each ``step``. It then returns the perceptions
+        of the episode itself, noise included: a policy takes the same actions in the simulator as
+        in the episode.
         """
 
     def perceive_exactly(self) -> Perception:
         """Return the perception of a sensor without errors and delay, with the sampled physics.
 
-        Its ``robot`` and ``friction`` are those of the episode; ``friction`` is None if the engine
+        It has the ``robot`` and the ``friction`` of the episode; ``friction`` is None if the engine
         has none. Call it like ``perceive``: once after ``restart`` and once after each ``step``.
         """
 
@@ -162,15 +162,15 @@ class TrainingEpisodes(Protocol):
     def play(self, policy: Policy, /) -> RecordedEpisode:
         """Play the next episode, on each scene in turn, and count it.
 
-        The sum of its ``rewards`` is what ``tune`` maximises: minus the pitch variation of each
-        decision and, after the last one, minus what a failure costs [rad], or with ``--for reward``
-        the configured rewards [-].
+        ``tune`` maximises the sum of its ``rewards``. A reward is minus the pitch variation of the
+        decision; the last one also subtracts the cost of a failure [rad]. With ``--for reward`` the
+        rewards are the configured ones [-].
         """
 
     def demonstrations(self) -> Iterator[RecordedEpisode]:
         """Yield the episodes of ``from=``: recorded drives, or a policy's until none is left.
 
-        The ``rewards`` of drives are those with which they were recorded.
+        Drives have the ``rewards`` with which they were recorded.
         """
 
 
@@ -242,7 +242,7 @@ class Rule:
         self._controller = controller
 
     def reset(self, simulator: Simulator) -> None:
-        """Begin an episode, of which a rule remembers nothing."""
+        """Begin an episode; a rule remembers nothing."""
 
     def act(self, p: Perception) -> Action:
         """Return the controller's action."""
@@ -278,7 +278,7 @@ class Network(Plugin, ABC):
     The module may have methods besides ``forward`` that change how it is trained:
 
     - ``quantiles(observation)`` → (B, n_actions, K): K equally likely values of each action's
-      return, whose mean ``forward`` returns. They are learned by quantile regression.
+      return. ``forward`` returns their mean; they are learned by quantile regression.
     - ``draw_noise(rng: np.random.Generator)`` of the module or of any submodule samples new noise
       before each decision of training and before each update. The noise acts in ``train()`` mode
       only, in which such a part also is in decisions and targets of training; a policy is

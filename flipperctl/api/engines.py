@@ -47,6 +47,7 @@ def is_over(
         return True
     if x < finish:
         return False
+    # The allowed height follows the slope, down to the level ground past the last edge.
     lowest = level if x >= end else min(level, top)
     return z + half * abs(math.sin(pitch)) <= max(top + slope * (x - finish), lowest)
 
@@ -225,7 +226,7 @@ class Engine(Plugin, ABC):
     """Simulates the robot; equal arguments, ``rng`` included, give bit-identical worlds.
 
     The names of ``SharedSetting`` are reserved for settings with that meaning and unit. A setting
-    ``substep`` is a time step [s], of which ``SAMPLE_PERIOD`` is a whole multiple.
+    ``substep`` is a time step [s]; ``SAMPLE_PERIOD`` must be a whole multiple of it.
     """
 
     kind: ClassVar[str] = "sim"

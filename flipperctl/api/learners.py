@@ -64,8 +64,8 @@ class Training(Protocol):
     """Seed of the first weights, below 2^32."""
     device: str
     generators: dict[str, np.random.Generator]
-    """Generators of the learner's process by name, of which checkpoints hold the states: ``sample``
-    for its batches, ``explore`` for what drives here, and those that the learner adds."""
+    """Generators of the learner's process by name; checkpoints hold their states. ``sample`` is for
+    its batches, ``explore`` for what drives here; the learner may add others."""
     shared: dict[str, Any]
     """Plain data that the learner's process passes to the workers' ones before they begin."""
 
@@ -131,7 +131,7 @@ class Learning(ABC):
         """Learn from the episode that the last step ended, if that is due."""
 
     def drop_episode(self) -> None:  # noqa: B027  # likewise
-        """Forget what only the end of the running episode would complete: it has none."""
+        """Discard what the running episode left incomplete; it will have no end."""
 
     def finish(self, stop: Callable[[], bool]) -> bool:
         """Learn after the last decision; return False if ``stop`` returned True meanwhile."""
@@ -145,8 +145,8 @@ class Learning(ABC):
     def tensors(self) -> Mapping[str, Mapping[str, torch.Tensor]]:
         """Return the state by part and name, between episodes.
 
-        The part ``target`` is the policy's ``state_dict``, which the trainer adds if it is missing,
-        and ``risk`` is that of the risk.
+        The part ``target`` is the ``state_dict`` of the policy, which the trainer adds if it is
+        missing; ``risk`` is the one of the risk.
         """
 
     @abstractmethod
@@ -162,7 +162,7 @@ class Learning(ABC):
         ``updates`` and ``loss`` are restored before.
 
         Raises:
-            ValueError: they are not those of such a training.
+            ValueError: they do not fit this training.
         """
 
     def train(self, loop: Loop) -> bool:
@@ -190,7 +190,7 @@ class Learner(Plugin, ABC):
 
     kind: ClassVar[str] = "agent"
     takes_teacher: ClassVar[bool] = False
-    """Whether it learns from labels and recorded episodes, those of the section ``teacher``."""
+    """Whether it learns from the labels and recorded episodes of the section ``teacher``."""
     own_loop: ClassVar[bool] = False
     """Whether its ``Learning`` plays the episodes itself, by ``train``."""
     default_network: ClassVar[str] = ""
@@ -201,7 +201,7 @@ class Learner(Plugin, ABC):
     """Settings with which the conformance suite trains it for some dozens of decisions; whole
     numbers are small there unless they stand here."""
     packages: ClassVar[tuple[str, ...]] = ()
-    """Packages of which checkpoints name the versions."""
+    """Packages whose versions checkpoints state."""
 
     gamma: float = Field(0.99, ge=0, lt=1, description="discount per decision [-]")
 
@@ -212,7 +212,7 @@ class Learner(Plugin, ABC):
 
     @property
     def failure_risk(self) -> FailureRisk | None:
-        """How the risk counts that comes with its policies; None without one."""
+        """Settings of the risk that comes with its policies; None without a risk."""
         return None
 
     @property
@@ -269,9 +269,10 @@ class Learner(Plugin, ABC):
         """Return the policy of training episodes; called once in each process that plays some.
 
         ``module``: ``Learning.driving``, or a worker's network with its weights, which change
-        between episodes; ``decision`` returns the decisions of the run so far, in a worker those at
-        the request of the episode. ``rng`` is the only source of random numbers. What its
-        attributes ``label``, ``groups`` and ``explored`` hold after ``act`` comes with each step.
+        between episodes. ``decision`` returns the decisions of the run so far, in a worker at the
+        time when the episode was requested. ``rng`` is the only source of random numbers. The
+        policy's attributes ``label``, ``groups`` and ``explored`` after ``act`` come with each
+        step.
         """
 
 

@@ -47,7 +47,7 @@ class Broken(NamedTuple):
     package: str
     module: str
     names: frozenset[str]
-    """Its own, and those of plugins that it registered before it failed."""
+    """Its own name, and the names of plugins that it registered before it failed."""
     reason: str
     """A sentence with package, file, line and error."""
 
@@ -87,8 +87,10 @@ def register(
     """
     decorator = _DECORATORS.get(family.kind, family.kind)
     if isinstance(name, type):  # the decorated class itself
-        own = name.__name__.lower()
-        raise TypeError(f'@{decorator} needs a name in parentheses: write @{decorator}("{own}")')
+        example = name.__name__.lower()
+        raise TypeError(
+            f'@{decorator} needs a name in parentheses: write @{decorator}("{example}")'
+        )
     if not is_plugin_name(name):
         raise ValueError(f"plugin name {name!r}: {NAME_RULE}")
 
@@ -99,12 +101,14 @@ def register(
             raise TypeError(f"{where}: {cls.__name__} is not a {family.__name__}")
         if "name" in cls.model_fields:
             raise TypeError(f"{where}: a setting cannot be called name, which selects the plugin")
+        # A setting is written by its field's name, in files and on command lines alike.
         for field, info in cls.model_fields.items():
             if info.alias or info.validation_alias or info.serialization_alias:
                 raise TypeError(
                     f"{where}: {field} has an alias; a setting is written by the name of its field "
                     "everywhere, so leave the alias out, or rename the field"
                 )
+        # A field would hide a method or property of the family from the core.
         for field in cls.model_fields.keys() - family.model_fields.keys():
             if hasattr(family, field):
                 raise TypeError(

@@ -64,9 +64,9 @@ class Profile:
     terrain in tables; if it is empty, they show the terrain's own name. ``surface`` is the ground
     beside the line, if it is known; without it, the profile is extruded to both sides. ``drawn``
     are the numbers that the terrain drew, by name, such as ``steps``; results can be shown by them.
-    ``run_up`` and ``run_out`` replace those of the section ``episode`` on this ground [m]; below 0
-    the robot starts past the first edge, at the nearest place where it can stand, or finishes
-    before the last.
+    ``run_up`` and ``run_out`` replace the settings of the section ``episode`` on this ground [m].
+    Below 0 the robot starts past the first edge, at the nearest place where it can stand, or
+    finishes before the last.
 
     Raises:
         ValueError: if the points are empty, not finite, not (V, 2), or x decreases, or if run_up
@@ -89,6 +89,7 @@ class Profile:
         run_up: float | None = None,
         run_out: float | None = None,
     ) -> None:
+        # A copy, which becomes read-only: worlds and transitions share the profile.
         try:
             array = np.array(points, dtype=np.float64)
         except (TypeError, ValueError) as error:
@@ -111,6 +112,7 @@ class Profile:
             if distance is not None and not math.isfinite(distance):
                 raise ValueError(f"a profile's {name} is a finite number; it is {distance}")
             object.__setattr__(self, name, None if distance is None else float(distance))
+        # The dataclass is frozen, its own constructor included.
         array.setflags(write=False)
         object.__setattr__(self, "points", array)
         object.__setattr__(self, "label", label)
@@ -130,6 +132,7 @@ class Profile:
     def heights(self, x: FloatArray) -> FloatArray:
         """Return ``height`` at each of x (M,) [m], (M,) [m]."""
         at, up = self.points.T
+        # Linear between neighbours, level before the first point and past the last.
         right = np.searchsorted(at, x, side="right")
         i, j = np.maximum(right - 1, 0), np.minimum(right, len(at) - 1)
         between = (right > 0) & (right < len(at))
@@ -204,9 +207,11 @@ class Profile:
         if not getattr(x, "ndim", 0):  # faster than numpy's function
             points = self.around(float(x), float(reach), far=far)
             return points[:, 0], points[:, 1]
+        # Each row is a slice of the cloud, padded with the index of a NaN at its end.
         along = self.cloud[:, 0]
         begin, end = np.subtract(x, reach), np.add(x, reach)
         first, last = np.searchsorted(along, begin), np.searchsorted(along, end)
+        # Endless level ground continues the cloud at its spacing.
         beyond = far and bool(((begin < along[0]) | (end > along[-1])).any())
         if beyond:
             first, last = _continued(along, begin, first), _continued(along, end, last)

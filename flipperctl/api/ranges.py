@@ -37,8 +37,8 @@ class Range(_Ends):
     def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
         """Return the schema of two numbers, the smaller first, or of one."""
         ends = core_schema.tuple_schema([cls._number(), cls._number()])
-        given = core_schema.no_info_before_validator_function(_both_ends, ends)
-        return core_schema.no_info_after_validator_function(cls._ordered, given)
+        pair = core_schema.no_info_before_validator_function(_both_ends, ends)
+        return core_schema.no_info_after_validator_function(cls._ordered, pair)
 
     @classmethod
     def _ordered(cls, ends: tuple[float, float]) -> Self:

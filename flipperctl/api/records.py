@@ -71,7 +71,7 @@ def measure(
     better: Literal["lower", "higher"] | None = None,
     in_tables: bool = True,
 ) -> _Decorator:
-    """Register a function of an episode as a ``Measure``, or a class of its own.
+    """Register a ``Measure``: a class, or a function of an episode.
 
     ``name`` is its column in files and its key in JSON. The other arguments describe a function's
     values as the attributes of ``Measure`` by their names do; a class has these attributes itself.
@@ -82,8 +82,12 @@ def measure(
     """
     registered = register(Measure, name, _check_no_settings)
     described = {
-        **{"unit": unit, "digits": digits, "better": better, "in_tables": in_tables},
-        **{"reached_only": reached_only, "mapped_only": mapped_only},
+        "unit": unit,
+        "digits": digits,
+        "better": better,
+        "in_tables": in_tables,
+        "reached_only": reached_only,
+        "mapped_only": mapped_only,
         "operated_only": operated_only,
     }
 
@@ -106,6 +110,7 @@ def _class_of(function: Function, described: Mapping[str, object]) -> type[Measu
     def call(self: Measure, episode: Sequence[Transition]) -> float:
         return function(episode)
 
+    # Name, place and docstring of the function become those of the class, for errors and help.
     named = {key: getattr(function, key) for key in ("__doc__", "__module__", "__qualname__")}
     body = {**named, **described, "__call__": call}
     return types.new_class(function.__name__, (Measure,), exec_body=lambda ns: ns.update(body))

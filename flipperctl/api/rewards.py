@@ -50,9 +50,9 @@ class RewardTerm(Plugin, ABC):
     """
     weight: float = Field(1.0, ge=-1e6, le=1e6, description="factor of the term in the sum [-]")
 
-    def __init_subclass__(cls, **given: Any) -> None:
+    def __init_subclass__(cls, **kwargs: Any) -> None:
         """Derive the form of the term that the class does not write."""
-        super().__init_subclass__(**given)
+        super().__init_subclass__(**kwargs)
         _renew(cls, {"__call__": RewardTerm.__call__, "array": RewardTerm.array})
 
     def __call__(self, t: Transition) -> float:
@@ -87,12 +87,13 @@ class Shaping(RewardTerm):
 
     def __call__(self, t: Transition) -> float:
         """Return the unweighted shaping of one decision [-]."""
+        # Φ is 0 after every outcome, else the sum over an episode would not telescope.
         after = 0.0 if t.outcome is not None else self.potential(t.after, t.profile, t.robot)
         return self.gamma * after - self.potential(t.before, t.profile, t.robot)
 
-    def __init_subclass__(cls, **given: Any) -> None:
+    def __init_subclass__(cls, **kwargs: Any) -> None:
         """Derive the form of the potential that the class does not write."""
-        super().__init_subclass__(**given)
+        super().__init_subclass__(**kwargs)
         _renew(cls, {"potential": Shaping.potential, "potentials": Shaping.potentials})
 
     def potentials(self, states: RobotStates, profile: Profile, robot: RobotGeometry) -> FloatArray:
@@ -140,5 +141,5 @@ def limited(value: Any, low: float, high: float) -> float:
 
 
 def writes(cls: type[RewardTerm], base: type[RewardTerm], form: str) -> bool:
-    """Return whether the class has a form of its own, which the core may have guarded."""
+    """Return whether the class implements a form itself; the core may have guarded it."""
     return inspect.unwrap(getattr(cls, form)) is not inspect.unwrap(getattr(base, form))

@@ -122,11 +122,11 @@ def candidate_angle(
 ) -> float:
     """Return the flipper angle that just clears the terrain ahead (behind for ``rear``) [rad].
 
-    It is the largest angle in frame R of the vectors from the hinge to the terrain points inflated
-    by the track radius: atan2(z, u) + asin(r / distance) (paper Sec. III-D, Okada et al. 2011).
-    ``points`` are (P, 2) in frame L [m]; only those between ``near`` and ``far`` [m] from the
-    hinge, measured along the chassis, count, since a point under the hinge would outweigh all
-    others. The angle is clipped to the range of the flippers; without points it is 0.
+    It is the largest angle in frame R from the hinge to the terrain points, inflated by the track
+    radius: atan2(z, u) + asin(r / distance) (paper Sec. III-D, Okada et al. 2011). ``points`` are
+    (P, 2) in frame L [m]. Only points between ``near`` and ``far`` [m] from the hinge count,
+    measured along the chassis: a point under the hinge would outweigh all others. The angle is
+    clipped to the range of the flippers; without points it is 0.
     """
     x, z = points.T
     return float(candidate_angles(x, z, pitch, robot, near=near, far=far, rear=rear))
@@ -151,14 +151,17 @@ def candidate_angles(
     # numpy's cosine may differ in the last bit, which would decide whether a point counts.
     turns = [(math.cos(a), math.sin(a)) for a in ((pitch,) if is_number else pitch.tolist())]
     cos, sin = turns[0] if is_number else np.array(turns).reshape(-1, 2).T[:, :, None]
+    # From frame L to R: along the chassis and above it.
     along, up = cos * x + sin * z, cos * z - sin * x
     u = (-along if rear else along) - robot.hinge_offset
-    chosen = (u >= near) & (u <= far)
-    u, up = u[chosen], up[chosen]
+    within = (u >= near) & (u <= far)
+    u, up = u[within], up[within]
+    # A point closer than the track's radius counts as one at that distance.
     angles = np.arctan2(up, u) + np.arcsin(np.minimum(1.0, robot.track_radius / np.hypot(u, up)))
     if is_number:
         return robot.clip(float(np.maximum.reduce(angles))) if angles.size else 0.0
+    # The largest angle of each pose; -inf marks a pose without points.
     largest = np.full(len(x), -math.inf)
-    np.maximum.at(largest, chosen.nonzero()[0], angles)
+    np.maximum.at(largest, within.nonzero()[0], angles)
     clipped = np.clip(largest, -robot.angle_limit, robot.angle_limit)
     return np.where(largest == -math.inf, 0.0, clipped)

@@ -1,4 +1,4 @@
-"""Many decisions in arrays, of which reward terms can be computed at once.
+"""Many decisions in arrays, so that reward terms compute all of them at once.
 
 In: ``Transition`` objects, or the arrays of a prediction. Out: the arrays by the same names, and
 each decision as a ``Transition``.
@@ -79,6 +79,7 @@ class RobotStates:
 
     @cached_property
     def _rows(self) -> tuple[RobotState, ...]:
+        # tolist() makes Python numbers, as a single state has them.
         columns = {
             name: getattr(self, name) if width else getattr(self, name).tolist()
             for name, width in _STATE.items()
@@ -143,6 +144,7 @@ class Transitions:
         if not transitions:
             raise ValueError("there is no transition; one at least is allowed")
         first, shortest = transitions[0], min(len(t.pitches) for t in transitions)
+        # Terms compute all rows at once, on one ground, of one robot, with paths of one length.
         for t in transitions[1:]:
             same_ground = np.array_equal(t.profile.points, first.profile.points)
             same_robot = t.robot == first.robot and t.sample_period == first.sample_period
@@ -217,13 +219,23 @@ class Transitions:
 
 
 _STATE: dict[str, tuple[int, ...]] = {
-    **{"position": (2,), "pitch": (), "front": (), "rear": (), "velocity": (2,)},
-    **{"pitch_rate": (), "time": (), "roll": (), "yaw": (), "side": ()},
+    "position": (2,),
+    "pitch": (),
+    "front": (),
+    "rear": (),
+    "velocity": (2,),
+    "pitch_rate": (),
+    "time": (),
+    "roll": (),
+    "yaw": (),
+    "side": (),
 }
 """Field of ``RobotState`` → shape of its value."""
 _ARRAYS: dict[str, type] = {
-    **dict.fromkeys(("action", "previous_action"), np.intp),
-    **dict.fromkeys(("path", "flippers"), np.float64),
+    "action": np.intp,
+    "previous_action": np.intp,
+    "path": np.float64,
+    "flippers": np.float64,
 }
 """Field of ``Transition`` → type of its numbers."""
 _NUMBERS = tuple(name for name, shape in _STATE.items() if not shape)

@@ -41,7 +41,7 @@ _NO_BOOLEAN = {"type": "no-info", "function": _no_boolean}
 
 
 def _without_booleans(schema: Any) -> Any:
-    """Return a schema of pydantic, in which every number refuses a boolean, which Python counts."""
+    """Return a schema of pydantic in which every number refuses booleans, which Python counts."""
     if isinstance(schema, list | tuple):
         return type(schema)(map(_without_booleans, schema))
     if not isinstance(schema, dict) or schema.get("function") == _NO_BOOLEAN:
@@ -74,7 +74,7 @@ class Settings(BaseModel):
     if not TYPE_CHECKING:  # which else would take any attribute for known
 
         def __setattr__(self, name: str, value: Any) -> None:
-            """Refuse to set an attribute, but for private ones.
+            """Refuse to set an attribute; private ones may be set.
 
             Raises:
                 AttributeError: it is a setting, or no attribute at all.

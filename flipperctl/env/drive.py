@@ -37,7 +37,7 @@ from flipperctl.errors import NonFiniteError
 from flipperctl.sim.versions import samples_in, simulated
 
 _TURN, _SAMPLE, _PERCEIVE, _END = range(4)
-"""Events within a decision; those of one sample happen in this order."""
+"""Events within a decision, in their order within a sample."""
 _DRIVEN = 0.9
 """Mean share of the belts' speed from which a decision counts as driven ahead [-]."""
 
@@ -53,13 +53,13 @@ class Commanding:
     """The commands of an operator within the decisions of one episode."""
 
     def __init__(
-        self, every: int, call: Callable[[World], Command], lag: int, limit: float, step: float
+        self, interval: int, call: Callable[[World], Command], lag: int, limit: float, step: float
     ) -> None:
-        """Ask ``call`` every ``every`` samples; a command takes effect ``lag`` calls later.
+        """Ask ``call`` every ``interval`` samples; a command takes effect ``lag`` calls later.
 
         ``limit``: largest target [rad]; ``step``: turn of an action [rad].
         """
-        self.every = every
+        self.every = interval
         self.commands: list[Command] = []
         """Commands since the last ``end``."""
         self._call, self._lag, self._limit, self._step = call, lag, limit, step
@@ -69,12 +69,16 @@ class Commanding:
 
     def command(self, world: DrivenWorld, targets: tuple[float, float]) -> tuple[float, float]:
         """Ask for a command and apply the one that is due; return the new targets [rad]."""
+        # The first command of an episode starts from the targets of its start.
         self._followed = self._followed or targets
-        asked = Command(*map(float, self._call(world)))
-        if not all(map(math.isfinite, asked)):
-            raise NonFiniteError(f"an operator's command has a number that is not finite: {asked}")
-        self.commands.append(asked)
-        self._waiting.append(asked)
+        command = Command(*map(float, self._call(world)))
+        if not all(map(math.isfinite, command)):
+            raise NonFiniteError(
+                f"an operator's command has a number that is not finite: {command}"
+            )
+        self.commands.append(command)
+        self._waiting.append(command)
+        # The actuators' delay: a command takes effect some calls later.
         if len(self._waiting) <= self._lag:
             return targets
         due = self._waiting.popleft()
@@ -93,6 +97,7 @@ class Commanding:
         follows the targets.
         """
         moves, followed = [], []
+        # The nearest turn of each pair; the rest of the way stays for the next decision.
         for target, before in zip(targets, self._followed or targets, strict=True):
             turn = min(1, max(-1, round((target - before) / self._step)))
             moves.append(turn)
@@ -131,6 +136,7 @@ class Drive:
         self._turns = turns(self.robot.angle_step).tolist()
         self.targets = (start.front, start.rear)
         """Commanded angles of the front and the rear flippers in frame R [rad]."""
+        # Events in samples: the delayed turn, the perception before the end by its delay, the end.
         samples = samples_in(period)
         turn = min(samples, round(self.robot.actuator_delay / SAMPLE_PERIOD))
         perceive = max(0, samples - round(perception.delay / SAMPLE_PERIOD))
@@ -148,12 +154,12 @@ class Drive:
         self._samplings: tuple[tuple[int, Callable[[World], None]], ...] = ()
         self._movements: list[Callable[[float, FloatArray], None]] = []
 
-    def sample_every(self, every: int, call: Callable[[World], None]) -> None:
-        """Call ``call`` with the world now and after every ``every`` samples of the episode.
+    def sample_every(self, interval: int, call: Callable[[World], None]) -> None:
+        """Call ``call`` with the world now and after every ``interval`` samples of the episode.
 
         Snapshots include these calls.
         """
-        self._samplings = (*self._samplings, (every, call))
+        self._samplings = (*self._samplings, (interval, call))
         call(self.world)
 
     def report_poses(self, call: Callable[[float, FloatArray], None]) -> None:
@@ -164,14 +170,15 @@ class Drive:
         self._movements.append(call)
         call(self._samples * SAMPLE_PERIOD, self._pose())
 
-    def operate(self, every: int, call: Callable[[World], Command]) -> None:
-        """Let ``call`` command flippers and belts, at each decision's start and ``every`` samples.
+    def operate(self, interval: int, call: Callable[[World], Command]) -> None:
+        """Let ``call`` command flippers and belts at each decision's start and at intervals in it.
 
+        ``interval``: samples between two calls.
         ``robot.actuator_delay`` is rounded to these calls. Standing belts are no standstill.
         """
-        lag = round(self._turn_at / every)
+        lag = round(self._turn_at / interval)
         limit, step = self.robot.angle_limit, self.robot.angle_step
-        self._operator = Commanding(every, call, lag, limit, step)
+        self._operator = Commanding(interval, call, lag, limit, step)
 
     def decide(self, action: Action) -> Outcome | None:
         """Turn the flippers by one action and simulate one decision; return the outcome, if any.
@@ -180,11 +187,13 @@ class Drive:
         """
         state, begun = self.state, self._work
         operator, driven = self._operator, True
+        # Of rates, the action that counts is the closest one.
         if isinstance(action, tuple):
             self.action, self.rates = closest(action), action
             turned = [rate * self.robot.angle_step for rate in action]
         else:
             self.action, self.rates, turned = action, None, self._turns[action]
+        # An operator's targets follow from the commands, while the decision runs.
         if operator is None:
             self.targets = self._rule.next_targets(self.targets, (state.front, state.rear), turned)
         outcome = self._run()
@@ -194,6 +203,7 @@ class Drive:
         self._work = ended = self.world.flipper_work()
         self.flipper_work = None if begun is None or ended is None else ended - begun
         self.state = self.world.state()
+        # Without a delay, and at the end of an episode, the perceived state is the current one.
         if self._undelayed or outcome is not None:
             self.delayed_state = self.state
         x = float(self.state.position[0])
@@ -203,6 +213,7 @@ class Drive:
         world, termination, operator = self.world, self.termination, self._operator
         done = 0
         self.poses = self._pose()
+        # Advance from event to event; the world stops at the first sample that reaches a limit.
         for sample, event in self._due_events():
             while done < sample:
                 poses = world.advance(sample - done, termination.limits)
@@ -224,21 +235,24 @@ class Drive:
         return None
 
     def _due_events(self) -> Sequence[tuple[int, int]]:
-        """Return the events of the next decision, those of ``sample_every`` included."""
+        """Return the events of the next decision, samples of ``sample_every`` included."""
         events, operator = self._events, self._operator
         (samples, _), now = events[-1], self._samples
         if operator is not None:
-            asked = [(n, _TURN) for n in range(0, samples, operator.every)]
-            events = sorted([*(event for event in events if event[1] != _TURN), *asked])
+            commands = [(n, _TURN) for n in range(0, samples, operator.every)]
+            events = sorted([*(event for event in events if event[1] != _TURN), *commands])
         if not self._samplings:
             return events
-        every = {period for period, _ in self._samplings}
-        due = (n for n in range(1, samples + 1) if any((now + n) % period == 0 for period in every))
+        # Samples lie on a grid of the whole episode, not of the decision.
+        intervals = {period for period, _ in self._samplings}
+        due = (
+            n for n in range(1, samples + 1) if any((now + n) % period == 0 for period in intervals)
+        )
         return sorted([*events, *((n, _SAMPLE) for n in due)])
 
     def _take_samples(self) -> None:
-        for every, call in self._samplings:
-            if self._samples % every == 0:
+        for interval, call in self._samplings:
+            if self._samples % interval == 0:
                 call(self.world)
 
     def _moved(self, poses: FloatArray) -> None:
@@ -265,5 +279,6 @@ class Drive:
         self.poses, self.flipper_work = last
         self._samples, self._samplings = sampling
         self.world.load(world)
+        # A snapshot need not contain the work: its differences begin anew.
         self._work = self.world.flipper_work()
         self.termination.load(termination)

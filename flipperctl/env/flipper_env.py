@@ -108,6 +108,7 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
                 f"render_mode: there is no mode {render_mode!r}"
                 f"{close_match(str(render_mode), MODES)}; None or {MODES[0]!r} is allowed"
             )
+        # Plugins first: the terrain and the overrides may name theirs.
         if config is None:
             plugins.load()
             config = with_overrides(EnvConfig(terrain=at_home(terrain)), at_home(overrides))
@@ -122,6 +123,7 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
         """Plugins of the episodes that are not part of flipperctl."""
         self.observers: tuple[Observer, ...] = ()
         """Observers of the episodes that begin from now on."""
+        # Bounds of the space: heights up to ``ground.HIGHEST``, then three angles.
         high = np.concatenate([np.full(self.layout.heights, 100.0), np.full(3, math.pi)])
         self.observation_space = gymnasium.spaces.Box(
             -high.astype(np.float32), high.astype(np.float32)
@@ -158,8 +160,10 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
             PluginFailedError: the code of the terrain, engine or sensor failed.
         """
         difficulty = ground.asked_difficulty(options)
+        # The constructor's seed serves the first reset alone.
         seed = self._first_seed if seed is None else _checked(seed)
         self.running, self._first_seed = False, None
+        # Plugins of others are watched for draws from global generators.
         before = global_states() if self.foreign else None
         super().reset(seed=seed)
         self._begin(difficulty, seed)
@@ -179,6 +183,7 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
         sections = config.with_sampled_values(sampled)
         self.engine, self.robot, _ = sections
         self._sections = sections
+        # An error names the seed of its episode, so that it can be repeated.
         try:
             self.profile = self._generate(terrain_rng, difficulty)
             starts = self._place(start_rng)
@@ -191,6 +196,7 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
                 error.args = (f"{error}; the episode's seed is {seed}",)
             raise
         self._rngs = rngs[0], rngs[1]
+        # Observers are attached before the first measurement, which they receive, too.
         attach(self.observers, self.drive, self.profile)
         self._perceiver = self._new_perceiver(self.drive, self._rngs)
         self._perceiver.attach(self.drive, *(o.measured for o in self.observers))
@@ -207,9 +213,9 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
         """Return what repeats the episode so far; observers stay with the original."""
         return repeating.state_of(self, self._replayed)
 
-    def __setstate__(self, kept: dict[str, Any]) -> None:
+    def __setstate__(self, saved: dict[str, Any]) -> None:
         """Repeat the episode of ``__getstate__``; see ``repeating.restore``."""
-        repeating.restore(self, kept, self._begin)
+        repeating.restore(self, saved, self._begin)
 
     def _place(self, rng: np.random.Generator) -> dict[str, float]:
         """Place the robot at a sampled start; return what was drawn for it, by name."""
@@ -230,9 +236,11 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
         exact: bool = False,
     ) -> Perceiver:
         episode, (engine, robot, sensor) = self.config.episode, self._sections
+        # Level ground may come into view behind the start and past the finish.
         run_up, run_out = start.run_up_of(self.profile, episode), run_out_of(self.profile, episode)
         beyond = max(run_up + episode.start_noise, run_out) + self.layout.reach + 2.0
         margin = max(0.0, beyond)  # start and finish may both lie far inside the obstacle
+        # What is constant within an episode, such as a bias, has a generator of its own.
         (mounted,) = rngs[0].spawn(1)
         gravity, world = engine.shared_setting("gravity") or Mounting.gravity, drive.world
         mounting = Mounting(robot, self.profile, margin, world, mounted, gravity, world)
@@ -252,16 +260,17 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
 
         ``report_progress`` is called with the completed fraction of a search, in [0, 1].
         """
+        # Copies of the generators in their first state repeat the noise of the episode.
         first, second = self._rngs
 
         def perceiver(drive: Drive, exact: bool) -> Perceiver:
-            made = self._new_perceiver(drive, (initial_copy(first), initial_copy(second)), exact)
-            made.attach(drive)
-            return made
+            copy = self._new_perceiver(drive, (initial_copy(first), initial_copy(second)), exact)
+            copy.attach(drive)
+            return copy
 
-        found = SceneSimulator(self._drive, perceiver, self.profile, report_progress)
-        found.seed = self._seed
-        return found
+        simulator = SceneSimulator(self._drive, perceiver, self.profile, report_progress)
+        simulator.seed = self._seed
+        return simulator
 
     @property
     def state(self) -> RobotState:
@@ -270,6 +279,7 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
 
     def _generate(self, rng: np.random.Generator, difficulty: float) -> Profile:
         terrain = self.config.terrain
+        # Where a plugin draws is clearest here, where the terrain alone has run.
         foreign = foreign_plugins([terrain]) if self.foreign else ()
         before = global_states() if foreign else None
         profile = ground.generate_profile(terrain, rng, difficulty)
@@ -300,6 +310,7 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
         if not self.running or self._replayed is None:
             raise ResetNeeded("no episode is running: call reset before step")
         states = global_states() if self.foreign else None
+        # A copy of the environment repeats these actions.
         self._replayed.actions.append(taken)
         before = self.state
         outcome = self.drive.decide(taken)
@@ -324,6 +335,7 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
         )
         parts = self._reward(self.transition)
         self._metrics.add(self.transition, parts)
+        # Observers get the perception on which the policy decided, before the next one replaces it.
         for observer in self.observers:
             observer.decided(self.transition, self.perception, parts)
         self.perception = self._perceiver.perceive(self.drive.delayed_state)
@@ -331,6 +343,7 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
             used = [plugin for plugin in self.foreign if plugin.kind != "terrain"]
             require_unmoved(states, used or self.foreign, "in a decision")
         info: dict[str, Any] = {"rewards": dict(parts)}
+        # The last decision brings the metrics of the whole episode.
         if outcome is not None:
             self.running = False
             info["outcome"] = outcome
@@ -340,6 +353,7 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
                 **self._sampled_values,
                 **{f"{DRAWN}{name}": value for name, value in self.profile.drawn.items()},
             }
+        # Only a timeout truncates; every other outcome belongs to the task.
         truncated = outcome is Outcome.TIMEOUT
         terminated = outcome is not None and not truncated
         reward = sum(parts.values())

@@ -45,7 +45,7 @@ def generate_profile(terrain: Terrain, rng: np.random.Generator, difficulty: flo
 
 
 def _require_valid(at: object, terrain: Terrain) -> None:
-    """Refuse what is no terrain, or has settings that its fields or validators do not allow."""
+    """Refuse an object that is no terrain, or has settings that are not allowed."""
     if not isinstance(at, Terrain):
         raise refusal(terrain, "at", f"returned {_typed_repr(at)}; a Terrain is allowed")
     for part in nested_plugins(at):  # model_copy validates nothing
@@ -62,6 +62,7 @@ def _require_valid(at: object, terrain: Terrain) -> None:
 
 def _faults(profile: Profile) -> Iterator[str]:
     """Yield what is wrong about a generated profile, and what is allowed."""
+    # The label and the drawn numbers become texts and columns of tables.
     if not isinstance(profile.label, str):
         yield f"whose label is {_typed_repr(profile.label)}; a str is allowed"
     if not isinstance(profile.drawn, Mapping):
@@ -76,6 +77,7 @@ def _faults(profile: Profile) -> Iterator[str]:
             yield (
                 f"whose drawn numbers have {name} = {short_repr(value)}; a finite number is allowed"
             )
+    # Size and place: what engines simulate in reasonable time and precision.
     points, length = profile.points, profile.end - profile.start
     if len(points) > MOST_POINTS:
         yield (
@@ -95,10 +97,11 @@ def _faults(profile: Profile) -> Iterator[str]:
             f"that is {height:g} m above or below its first edge; at most {HIGHEST:g} m is "
             "allowed, as in the observation space"
         )
+    # A start or finish of the profile's own lies on it, or a little beyond.
     for name in ("run_up", "run_out"):
-        own = getattr(profile, name)
-        if own is not None and not -length <= own <= FARTHEST_END:
-            yield f"whose {name} is {own:g} m; {-length:g} m to {FARTHEST_END:g} m is allowed"
+        distance = getattr(profile, name)
+        if distance is not None and not -length <= distance <= FARTHEST_END:
+            yield f"whose {name} is {distance:g} m; {-length:g} m to {FARTHEST_END:g} m is allowed"
 
 
 def prepare_profile(profile: Profile, terrain: Terrain, track_radius: float) -> Profile:
@@ -122,11 +125,11 @@ def asked_difficulty(options: Mapping[str, Any] | None) -> float:
                 f"options: there is no option {short_repr(name)}"
                 f"{close_match(str(name), [_DIFFICULTY])}; {_DIFFICULTY!r} is allowed"
             )
-    found: Any = (options or {}).get(_DIFFICULTY, 1.0)
-    known = isinstance(found, Real)
-    if not known or not 0 <= found <= 1:  # false for NaN
-        raise ValueError(f"there is no difficulty {found!r}; 0 to 1 is allowed")
-    return float(found)
+    difficulty: Any = (options or {}).get(_DIFFICULTY, 1.0)
+    known = isinstance(difficulty, Real)
+    if not known or not 0 <= difficulty <= 1:  # false for NaN
+        raise ValueError(f"there is no difficulty {difficulty!r}; 0 to 1 is allowed")
+    return float(difficulty)
 
 
 def first_difficulty(terrain: Terrain) -> float:

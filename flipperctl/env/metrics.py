@@ -30,18 +30,64 @@ DRAWN = "drawn_"
 """Prefix of the columns of numbers that the terrain drew."""
 
 RESERVED = frozenset(
-    (
-        *("kind", "decision", "episode", "seed", "terrain", "difficulty", "outcome"),
-        *("success_rate", "return", "start_shift", "start_front", "start_rear", "epsilon", "loss"),
-        *("lag", "seconds", "scene", "controller", "conditions", "conditions_hash", "crossed_by"),
-        *("episodes", "success", "outcomes", "passable", "not_reached", "duration", "search"),
-        *("parts", "baseline", "baselines", "difference", "method", "n", "reached"),
-        *("by", "mean_return", "failed_by", "cause", "risk", "risks"),
-        *("end_x", "end_pitch", "end_roll", "end_yaw", "end_side"),
-        *("risk_horizon", "risk_threshold", "risk_slope", "risk_shift", "risk_failures"),
+    {
+        "baseline",
+        "baselines",
+        "by",
+        "cause",
+        "conditions",
+        "conditions_hash",
+        "controller",
+        "crossed_by",
+        "decision",
+        "difference",
+        "difficulty",
+        "duration",
+        "end_pitch",
+        "end_roll",
+        "end_side",
+        "end_x",
+        "end_yaw",
+        "episode",
+        "episodes",
+        "epsilon",
+        "failed_by",
+        "kind",
+        "lag",
+        "loss",
+        "mean_return",
+        "method",
+        "n",
+        "not_reached",
+        "outcome",
+        "outcomes",
+        "parts",
+        "passable",
+        "reached",
+        "return",
+        "risk",
+        "risk_announced",
+        "risk_brier",
+        "risk_failures",
+        "risk_false_alarms",
+        "risk_false_warnings",
+        "risk_horizon",
         "risk_reached",
-        *("risk_announced", "risk_false_alarms", "risk_false_warnings", "risk_brier"),
-    )
+        "risk_shift",
+        "risk_slope",
+        "risk_threshold",
+        "risks",
+        "scene",
+        "search",
+        "seconds",
+        "seed",
+        "start_front",
+        "start_rear",
+        "start_shift",
+        "success",
+        "success_rate",
+        "terrain",
+    }
 )
 """Columns and keys of files besides the measures."""
 _PREFIXES = ("reward_", "search_", "not_reached_", DRAWN)
@@ -64,7 +110,11 @@ def other_measures() -> list[type[Measure]]:
 
 def logged() -> list[str]:
     """Return the names of the measures that trainings log, in the order of ``measures``."""
-    return [name for name, one in measures().items() if not (one.mapped_only or one.operated_only)]
+    return [
+        name
+        for name, measure in measures().items()
+        if not (measure.mapped_only or measure.operated_only)
+    ]
 
 
 def occurring(further: Iterable[Mapping[str, object]]) -> list[type[Measure]]:
@@ -74,7 +124,7 @@ def occurring(further: Iterable[Mapping[str, object]]) -> list[type[Measure]]:
 
 
 def shown(further: Iterable[Mapping[str, object]]) -> list[type[Measure]]:
-    """Return those of the ``occurring`` measures that printed tables have."""
+    """Return the ``occurring`` measures that printed tables have."""
     return [measure for measure in occurring(further) if measure.in_tables]
 
 
@@ -101,9 +151,9 @@ class EpisodeMetrics:
         """Return numbers by name: each measure, the return, and each reward term's part of it."""
         return {
             **{
-                name: _value(one, self._episode)
-                for name, one in self._measures.items()
-                if applies(one, self._episode)
+                name: _value(measure, self._episode)
+                for name, measure in self._measures.items()
+                if applies(measure, self._episode)
             },
             "return": sum(self._parts.values()),
             **{f"reward_{name}": value for name, value in self._parts.items()},
@@ -130,6 +180,7 @@ class Pitches:
 
     def append(self, pitch: float) -> FloatArray:
         """Add a pitch; return all so far, read-only, (T,) [rad]."""
+        # Doubling keeps appending cheap; earlier views keep the old array.
         if self._count == len(self._values):
             self._values = np.concatenate([self._values, np.empty(self._count)])
         self._values[self._count] = pitch
@@ -146,16 +197,16 @@ def _make(cls: type[Plugin]) -> Measure:
             f"{plugin_label(cls)}: files have another column or key {name!r}; choose another name "
             f"({definition(cls)})"
         )
-    made = resolver.construct(cls, {})
-    assert isinstance(made, Measure)
-    return made
+    measure = resolver.construct(cls, {})
+    assert isinstance(measure, Measure)
+    return measure
 
 
 def _value(measure: Measure, episode: Sequence[Transition]) -> float:
-    found: object = measure(episode)
-    value = as_real(found, measure)
+    result: object = measure(episode)
+    value = as_real(result, measure)
     if value is None or isinstance(value, bool):
-        text = f"returned {short_repr(found)}; a finite number is allowed"
+        text = f"returned {short_repr(result)}; a finite number is allowed"
         raise refusal(measure, "__call__", text)
     if not math.isfinite(value):
         text = f"returned {value}; a finite number is allowed"

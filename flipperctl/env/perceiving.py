@@ -52,6 +52,7 @@ class Perceiver:
         self._recent: deque[np.ndarray[tuple[int], np.dtype[np.float32]]]
         self._recent = deque(maxlen=MAX_HISTORY)
         instruments, self._estimator = mounted_parts(sensor, mounting, robot)
+        # The first instrument draws from the sensor's generator, further ones from its children.
         generators = [noise, *noise.spawn(len(instruments) - 1)] if instruments else []
         self._parts = [
             (name, instrument, rng)
@@ -68,20 +69,20 @@ class Perceiver:
         If no instrument measures between decisions, ``drive`` is not changed.
         """
         self._reports = reports
-        for every in self._periods:
-            drive.sample_every(every, self._sampler(every))
+        for interval in self._periods:
+            drive.sample_every(interval, self._sampler(interval))
 
-    def _sampler(self, every: int) -> Callable[[World], None]:
-        return lambda world: self._measure(every, world.state())
+    def _sampler(self, interval: int) -> Callable[[World], None]:
+        return lambda world: self._measure(interval, world.state())
 
     def measure(self, state: RobotState) -> None:
         """Measure with every instrument that has a period, whether or not it is due."""
-        for every in self._periods:
-            self._measure(every, state)
+        for interval in self._periods:
+            self._measure(interval, state)
 
-    def _measure(self, every: int | None, state: RobotState) -> None:
+    def _measure(self, interval: int | None, state: RobotState) -> None:
         for name, instrument, rng in self._parts:
-            if instrument.every == every:
+            if instrument.every == interval:
                 value = instrument.measure(state, rng)
                 if value is None:
                     continue
@@ -100,19 +101,23 @@ class Perceiver:
             NonFiniteError: a returned number is not finite.
         """
         self._measure(None, state)
+        # Half a sample of tolerance, since times are sums of floats.
         newest = state.time + SAMPLE_PERIOD / 2
         pending, self._pending = self._pending, []
+        # Measurements newer than the perceived state wait (``perception.delay``).
         for measured in pending:
             if measured.time <= newest:
                 self._estimator.update(measured)
             else:
                 self._pending.append(measured)
         ground, angles = self._estimator.estimate(state.time)
-        heights, own = ground.heights, self._layout
+        heights, layout = ground.heights, self._layout
+        # A sensor may know the heights of the bins; otherwise they follow from its points.
         if heights is None:
-            points, highest = ground.points, own.highest
-            heights = bin_heights(points, own.bins, own.bin_width, highest=highest)
+            points, highest = ground.points, layout.highest
+            heights = bin_heights(points, layout.bins, layout.bin_width, highest=highest)
         observation = assemble(heights, front=angles.front, rear=angles.rear, pitch=angles.pitch)
+        # The history shares read-only copies; the newest array is the caller's.
         earlier = tuple(self._recent)[1 - MAX_HISTORY :]
         self._recent.append(observation.copy())
         self._recent[-1].setflags(write=False)  # later perceptions share it
@@ -135,8 +140,8 @@ class Perceiver:
 
     def map_points(self) -> FloatArray | None:
         """Return the points of the sensor's map, (P, 3) in frame L [m]; None if it keeps none."""
-        told = getattr(getattr(self._estimator, "unguarded", None), "map_points", None)
-        return None if told is None else np.asarray(told())
+        read_points = getattr(getattr(self._estimator, "unguarded", None), "map_points", None)
+        return None if read_points is None else np.asarray(read_points())
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot of memories, generators and recent observations for ``load``."""
@@ -250,7 +255,9 @@ class SceneSimulator:
 
     def save(self) -> Any:
         """Return a snapshot of the scene for ``load``."""
-        perceivers = {exact: (one, one.save()) for exact, one in self._perceivers.items()}
+        perceivers = {
+            exact: (perceiver, perceiver.save()) for exact, perceiver in self._perceivers.items()
+        }
         return self._drive.save(), perceivers
 
     def load(self, saved: Any) -> None:

@@ -105,13 +105,13 @@ def installed() -> Renderer:
     """Return a new renderer of scenes from the side; ``ConfigError`` if none is installed."""
     # In all copies of the metadata: a stale one in the working directory would hide the other.
     copies = [points for d in distributions(name="flipperctl") for points in d.entry_points]
-    found = [point for point in copies if point.group == GROUP]
-    if not found:
+    renderers = [point for point in copies if point.group == GROUP]
+    if not renderers:
         raise ConfigError(
             f"render_mode: no entry point 'side' in the group {GROUP!r}; "
             "reinstall flipperctl (pip install -e .)"
         )
-    renderer: Renderer = found[0].load()()
+    renderer: Renderer = renderers[0].load()()
     return renderer
 
 

@@ -43,20 +43,24 @@ class PrivilegedStates:
 def _privileged_state(env: FlipperEnv, states: Sequence[RobotState]) -> NDArray[np.float32]:
     """Return the privileged state at the newest of ``states``, (P,) [-].
 
-    The numbers are the heights of the ground every 0.2 m up to 6.2 m ahead, above the chassis
-    centre; the pitch, its rate, the roll and the velocity; the distance to the finish; the share of
-    the time limit that is left; the progress within the window that decides about being stuck, and
-    how much of that window has passed; the robot's speed and sizes and the friction.
+    - heights of the ground every 0.2 m up to 6.2 m ahead, above the chassis centre
+    - pitch, pitch rate, roll and velocity
+    - distance to the finish, and share of the time limit that is left
+    - progress within the window that decides about being stuck, and share of it that has passed
+    - speed and sizes of the robot, and friction
     """
     state, profile, robot = states[-1], env.profile, env.robot
     x, z = state.position
+    # Past the last point np.interp returns its height, as the level ground there has.
     ground = np.interp(x + _AHEAD, *profile.points.T) - z
     limit = env.drive.termination
     window = env.config.episode.stuck_decisions(env.config.robot.decision_period)
     recent = states[-window - 1 :]
     friction = env.engine.shared_setting("friction")
     numbers = (
-        *(state.pitch, state.pitch_rate, state.roll),
+        state.pitch,
+        state.pitch_rate,
+        state.roll,
         *(state.velocity / _SPEED),
         (limit.finish - x) / _DISTANCE,
         1 - (len(states) - 1) / limit.t_max,

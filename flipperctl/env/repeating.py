@@ -1,8 +1,8 @@
-"""Equal seeds give equal episodes: copies of one, and a refusal of plugins that differ.
+"""Equal seeds give equal episodes: copies of an episode, and a refusal of plugins that differ.
 
 In: an environment, the generator and the actions of its episode. Out: the same instant of the same
-episode, bit for bit; or an error that names the plugin that draws random numbers of its own.
-Engines hold memory of other languages, which cannot be copied; what equal actions lead to is equal.
+episode, bit for bit; or an error that names the plugin with random numbers of its own. Engines hold
+memory of other languages, which cannot be copied; equal actions lead to equal states.
 """
 
 from __future__ import annotations
@@ -35,30 +35,32 @@ class Replayed:
 
 
 def state_of(env: Any, replayed: Replayed | None) -> dict[str, Any]:
-    """Return what ``restore`` needs of an environment; ``replayed``: its episode, if it has one."""
-    kept = {name: getattr(env, name) for name in (*_OPTIONS, *_KEPT)}
+    """Return the state of an environment for ``restore``; ``replayed``: its episode, if any."""
+    saved = {name: getattr(env, name) for name in (*_OPTIONS, *_KEPT)}
     rng = env.np_random
-    kept["rng"] = _plain(rng, children(rng) if replayed is None else replayed.spawned)
+    saved["rng"] = _plain(rng, children(rng) if replayed is None else replayed.spawned)
     if replayed is not None:
         if env.drive.commands is not None:
             raise FlipperctlError(
                 "an episode of an operator is repeated from its recording, not by a copy of it"
             )
-        kept["episode"] = replayed.difficulty, list(replayed.actions), _instant(env)
-    return kept
+        saved["episode"] = replayed.difficulty, list(replayed.actions), _instant(env)
+    return saved
 
 
-def restore(env: Any, kept: dict[str, Any], begin: Callable[[float, int | None], None]) -> None:
+def restore(env: Any, saved: dict[str, Any], begin: Callable[[float, int | None], None]) -> None:
     """Make an environment that of ``state_of``; ``begin`` begins an episode of a difficulty."""
-    type(env).__init__(env, **{name: kept[name] for name in _OPTIONS})
+    type(env).__init__(env, **{name: saved[name] for name in _OPTIONS})
     for name in _KEPT:
-        setattr(env, name, kept[name])
-    kind, seed, state = kept["rng"]
+        setattr(env, name, saved[name])
+    # The generator as it was before the episode, whose children it spawns again.
+    kind, seed, state = saved["rng"]
     bits = kind(np.random.SeedSequence(**seed))
     bits.state = state
     env.np_random = np.random.Generator(bits)
-    if "episode" in kept:
-        difficulty, actions, instant = kept["episode"]
+    # Engines cannot be copied: the actions are repeated, and must lead to the same instant.
+    if "episode" in saved:
+        difficulty, actions, instant = saved["episode"]
         begin(difficulty, None)
         for action in actions:
             env.step(action)
@@ -98,13 +100,13 @@ _CAUSES = {
     "observation": ("sim", "perception"),
     "rewards": ("reward", "sim"),
 }
-"""What differs first between two episodes → the kinds of plugins of which it is."""
+"""First difference between two episodes → the kinds of plugins that can cause it."""
 
 
 def require_unmoved(before: dict[str, object] | None, used: Sequence[Plugin], when: str) -> None:
     """Refuse the use of global generators since the states ``before``; None: do nothing.
 
-    ``used``: the plugins of which one may have drawn; ``when``: what they did.
+    ``used``: the plugins that may have drawn; ``when``: what they did.
     """
     if before is not None and (moved := moved_since(before)):
         raise PluginFailedError(
@@ -118,9 +120,10 @@ def require_repeatable(env: Any, seed: int) -> None:
     used = env.foreign
     if not used:
         return
+    # The first difference between two beginnings tells which kinds of plugins can cause it.
     first, again = list(beginning(env, seed)), list(beginning(env, seed))
-    for (what, one), (_, other) in zip(first, again, strict=False):
-        if one != other:
+    for (what, value), (_, other) in zip(first, again, strict=False):
+        if value != other:
             kinds = next(kinds for word, kinds in _CAUSES.items() if word in what)
             used = [plugin for plugin in used if plugin.kind in kinds] or used
             raise PluginFailedError(
@@ -128,6 +131,7 @@ def require_repeatable(env: Any, seed: int) -> None:
                 "choice must come from the generators that a plugin is given "
                 f"({definition(used[0])})"
             )
+    # At difficulty 1 the terrain must be as it is configured.
     terrain = env.config.terrain
     if terrain not in used or (hardest := terrain.at(1.0)) is terrain:
         return

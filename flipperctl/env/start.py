@@ -36,6 +36,7 @@ def nearest_rest(
     """
     farthest = max(x - profile.start, profile.end - x)
     for step in range(math.ceil(farthest / _STRIDE) + 1):
+        # Ahead and behind in turn; a dict keeps their order and drops an equal place.
         for place in {x + step * _STRIDE: None, x - step * _STRIDE: None}:
             if profile.start <= place <= profile.end:
                 pose = resting(profile, robot, place, *flippers, min(overturn, _STEEPEST))
@@ -45,7 +46,7 @@ def nearest_rest(
 
 
 class Finish(NamedTuple):
-    """The finish of an episode; its fields are those of ``flipperctl.api.Limits``."""
+    """The finish of an episode, with the fields of ``flipperctl.api.Limits``."""
 
     x: float
     """World x that the chassis centre must pass [m]."""
@@ -65,19 +66,20 @@ def run_out_of(profile: Profile, episode: Episode) -> float:
 
 
 def finish_of(profile: Profile, robot: Robot, episode: Episode) -> Finish:
-    """Return the finish, of which ``run_out`` of the profile or else of the episode decides.
+    """Return the finish: the last edge + ``run_out`` of the profile, or else of the episode.
 
-    Past the last edge the ground is level. Short of it (``run_out`` below 0), the highest end of
-    the chassis is compared with that of a robot that stands there with level flippers, and farther
-    on with a line that is parallel to its chassis, down to the level ground past the last edge.
-    Past that edge the robot has finished on the level ground, too, where that lies above the line:
-    one that passed the finish on raised flippers, as it may where the ground then rises, drives on.
+    Past the last edge the ground is level. With ``run_out`` below 0 the finish lies on the
+    obstacle. The highest end of the chassis is then compared with that of a robot that stands there
+    with level flippers. Farther on the limit is a line parallel to its chassis, down to the level
+    ground past the last edge. Past that edge the robot also finishes on level ground above the
+    line: it drives on if it passed the finish on raised flippers and the ground then rises.
     """
     run_out = run_out_of(profile, episode)
     x = profile.end + run_out
     level = float(profile.points[-1, 1]) + robot.track_radius + episode.clearance
     if run_out >= 0:
         return Finish(x, level)
+    # On the obstacle a robot must be able to stand, with level flippers.
     if profile.run_out is None:
         pose = resting(profile, robot, x, 0.0, 0.0, episode.overturn)
     else:
@@ -104,9 +106,10 @@ def sampled(
     """Return the start, and what was drawn for it, by name.
 
     Ahead of the first edge the robot rests level; past it (``run_up`` below 0) it has the height
-    and the pitch in which it rests there. A profile with a ``run_up`` of its own chooses the place,
-    or the nearest one where the robot can stand.
+    and the pitch in which it rests there. A profile's own ``run_up`` chooses the place, or the
+    nearest one where the robot can stand.
     """
+    # Always three draws, so that the size of the noise changes no later draw.
     shift, *turned = rng.uniform(-1.0, 1.0, 3) * np.array(
         [episode.start_noise, episode.start_angle_noise, episode.start_angle_noise]
     )
@@ -116,6 +119,7 @@ def sampled(
     drawn = {"start_shift": shift, "start_front": front, "start_rear": rear}
     if run_up >= 0:
         return Start(x, front=front, rear=rear), drawn
+    # Past the first edge the ground gives height and pitch.
     finish = profile.end + run_out_of(profile, episode)
     if x >= finish:
         raise TerrainError(
@@ -160,6 +164,7 @@ def ahead(profile: Profile) -> Profile:
 def check_placed(world: World, start: Start, config: EnvConfig, profile: Profile) -> None:
     """Check that the engine placed the robot on the ground, where it should start."""
     run_up = run_up_of(profile, config.episode)
+    # An engine that starts on level ground alone shows in the pose.
     if start.height is not None:
         turned, lifted = world.pitch - start.pitch, world.position[1] - start.height
         if abs(turned) > max(_TURNED, abs(start.pitch) / 2) or abs(lifted) > _LIFTED:

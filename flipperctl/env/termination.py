@@ -34,6 +34,7 @@ class Termination:
                 f"{start - finish.x:.2f} m behind the start; start or finish elsewhere"
             )
         self.limits = Limits(angle=episode.overturn, half=robot.hinge_offset, **finish._asdict())
+        # The longest episode: the time at full speed, times the slack.
         nominal = float(self.finish - start) / robot.track_speed  # [s]
         longest = episode.slack * nominal / period
         if not math.isfinite(longest):
@@ -42,6 +43,7 @@ class Termination:
                 f"{self.finish - start:g} m does not take a finite number of decisions"
             )
         self.t_max = math.ceil(longest)
+        # The window of being stuck: its decisions and the position before them.
         self._trail: deque[float] = deque([start], maxlen=episode.stuck_decisions(period) + 1)
         self._decisions = 0
 
@@ -59,6 +61,7 @@ class Termination:
         stood or ran back as an operator wanted.
         """
         self._decisions += 1
+        # Belts that stood or ran back are no standstill: the window begins anew.
         if not driven:
             self._trail.clear()
         self._trail.append(x)

@@ -1,4 +1,4 @@
-"""What an exported policy says of itself: strings under ``flipperctl.*`` in its file.
+"""The metadata of an exported policy: strings under ``flipperctl.*`` in its file.
 
 In: the configuration of a training, with the robot that the export is for. Out: all that a robot
 needs to run the file, as ``flipperctl.runtime.interface`` reads it.
@@ -50,6 +50,7 @@ def policy_metadata(config: TrainConfig, risk: RiskSign | None = None) -> dict[s
         "seed": config.seed,
         "network": config.network.plugin_name,
     }
+    # What only some policies have: plugins in files, a risk, an escape, a map.
     if files := [p for p in plugin_references(config) if p.file is not None]:
         values["plugins"] = [{"kind": p.kind, "name": p.name, "file": p.file} for p in files]
     if risk is not None:

@@ -1,9 +1,9 @@
 """Export of a policy: build the file, compare it with torch, and only then write it.
 
 In: a checkpoint and changes to its robot. Out: an ONNX file, and the result of the
-comparison on the observations of real rollouts. The network in the file has fewer layers, equal
-results and, if the policy tells its risk, two further outputs; all that a robot needs to run it are
-strings under ``flipperctl.*``.
+comparison on the observations of real rollouts. The network in the file has fewer layers and equal
+results, and two further outputs if the policy has a risk. Strings under ``flipperctl.*`` hold all
+that a robot needs to run it.
 """
 
 from __future__ import annotations
@@ -79,10 +79,12 @@ def export(
         OutputError: the file cannot be written, see ``check_output``.
     """
     check_output(output, FILE)
+    # The file is for this robot, which may differ from the training's.
     trained = checkpoint.config()
     changes = {f"robot.{name}": value for name, value in (robot or {}).items()}
     config = with_overrides(trained, changes)
     module, risk = policy_module(checkpoint), policy_risk(checkpoint)
+    # Compared on observations of the policy's own episodes, with the robot of the file.
     observations = rollout_observations(config, module, OBSERVATIONS)
     metadata = policy_metadata(config, None if risk is None else risk.sign)
     # The exporter runs the network's code and wraps its errors.
@@ -91,13 +93,13 @@ def export(
         if risk is not None:
             network = PolicyWithRisk(network, risk).eval()
         data, outputs = export_onnx(network, config, {**metadata, CHECKSUM: PLACEHOLDER})
-    found = compare(module, outputs, observations, risk)
+    result = compare(module, outputs, observations, risk)
     write_bytes(output, data := add_checksum(data))
     return {
         "format": "onnx",
         "output": str(output),
         "bytes": len(data),
-        **found,
+        **result,
         "robot_changes": _changes(config.robot, trained.robot),
     }
 
@@ -107,9 +109,9 @@ def save_network(
 ) -> dict[str, Any]:
     """Write a module of any origin as an ONNX policy; return the result of the comparison.
 
-    ``network``: observations (B, n) in SI units → (B, 9), whose largest number is the action, or by
-    the ``kind`` rates from -1 to 1, (B, 2); ``env``: the environment in which it was trained;
-    ``seed``: that of the training.
+    ``network``: observations (B, n) in SI units → (B, 9), whose largest number is the action, or
+    with ``kind="rates"`` rates from -1 to 1, (B, 2). ``env``: the environment in which it was
+    trained. ``seed``: the seed of the training.
 
     Raises:
         RequestError: the module takes or returns other numbers.
@@ -121,10 +123,12 @@ def save_network(
             f"network: a module of torch is allowed, not a {type(network).__name__}; "
             "docs/own_method.md shows which part of a model of Stable-Baselines3 is one"
         )
+    # A module of any origin has no training: the configuration states what a robot needs.
     check_output(output, FILE)
     sections = {name: getattr(env, name) for name in EnvConfig.model_fields if name != "rewards"}
     config = TrainConfig(network={"name": "mlp"}, actions=kind, seed=seed, **sections)
     module = copy.deepcopy(network).cpu().eval()
+    # Try the module on two observations before anything costs time.
     size = config.perception.layout.size
     try:
         with torch.inference_mode():
@@ -134,17 +138,18 @@ def save_network(
             f"network: it does not take observations (B, {size}): {error}"
         ) from error
     shape = tuple(getattr(returned, "shape", ()))
-    given = f"the shape {shape}" if shape else f"a {type(returned).__name__}"
+    returns = f"the shape {shape}" if shape else f"a {type(returned).__name__}"
     if shape != (2, count := outputs_of(kind)):
         other: ActionKind = "rates" if kind == "turns" else "turns"
         hint = f"; environment(actions={other!r}) has such actions"
         raise RequestError(
-            f"network: it returns {given} for (2, {size}); (2, {count}) is allowed"
+            f"network: it returns {returns} for (2, {size}); (2, {count}) is allowed"
             f"{hint if shape == (2, outputs_of(other)) else ''}"
         )
     metadata = policy_metadata(config) | {f"{PREFIX}network": type(network).__name__}
     data, outputs = _as_onnx(module, config, {**metadata, CHECKSUM: PLACEHOLDER})
     observations = rollout_observations(config, module, OBSERVATIONS)
+    # Real inputs show what zeros do not: a module need not end in Tanh.
     if kind == "rates" and (largest := float(np.abs(outputs(observations)[0]).max())) > 1:
         raise RequestError(
             f"network: it returns {largest:.3g} in its own episodes; rates from -1 to 1 are "
@@ -160,13 +165,14 @@ def robot_fields(changes: Mapping[str, Any], command: str = "export") -> dict[st
 
     ``robot`` names a robot, which has all fields. ``command`` takes them, for the error.
     """
-    own = dict(changes)
-    chosen = {}
-    if (name := own.pop("robot", None)) is not None:
+    fields = dict(changes)
+    preset = {}
+    # A named robot gives all fields; single fields replace some of them.
+    if (name := fields.pop("robot", None)) is not None:
         if not isinstance(name, str):
             raise ConfigError(f"robot: a name or a file is allowed; the value is {name!r}")
-        chosen = dict(named_robot(name))
-    for key in own:
+        preset = dict(named_robot(name))
+    for key in fields:
         section, _, field = key.partition(".")
         if section != "robot" or not field:
             raise ConfigError(
@@ -174,14 +180,14 @@ def robot_fields(changes: Mapping[str, Any], command: str = "export") -> dict[st
                 "robot.angle_limit=0.9; everything else is that of the "
                 f"{'training' if command == 'export' else 'recording'}"
             )
-    return chosen | {key.removeprefix("robot."): value for key, value in own.items()}
+    return preset | {key.removeprefix("robot."): value for key, value in fields.items()}
 
 
-def _changes(ours: Robot, trained: Robot) -> dict[str, dict[str, float | None]]:
+def _changes(exported: Robot, trained: Robot) -> dict[str, dict[str, float | None]]:
     """Return the differences of two robots, with the decision period for control_period."""
     here, there = (
         {**to_dict(robot), "control_period": None, "decision_period": robot.decision_period}
-        for robot in (ours, trained)
+        for robot in (exported, trained)
     )
     return {name: {"training": b, "file": a} for name, a, b in differences(here, there)}
 
@@ -218,6 +224,7 @@ class PolicyWithRisk(nn.Module):
 
     def __init__(self, policy: nn.Module, risk: Risk) -> None:
         super().__init__()
+        # σ(slope · (W·x + b) + shift), and slope · coefficients: both scales go into the weights.
         *hidden, last = risk.network.layers
         assert isinstance(last, nn.Linear)
         self.policy, self.hidden = policy, nn.Sequential(*hidden)
@@ -248,6 +255,7 @@ def export_onnx(
     names = [OUTPUTS[config.actions]]
     if isinstance(module, PolicyWithRisk):
         names += ["risk", "risk_recurrence"]
+    # The batch stays dynamic, so that the comparison runs in one call.
     with _silent_exporter():
         program = torch.onnx.export(
             module,
@@ -261,12 +269,14 @@ def export_onnx(
         )
     if program is None:
         raise ExportError("torch returned no ONNX program")
+    # Local paths do not belong into a file for others.
     model = program.model_proto
     graph = model.graph
     for part in (graph, *graph.node, *graph.value_info, *graph.input, *graph.output):
         del part.metadata_props[:]  # the exporter's notes contain stack traces with local paths
     # Older runtimes, as on a Jetson, refuse a newer version than the operators need.
     model.ir_version = onnx.helper.find_min_ir_version_for(model.opset_import, ignore_unknown=True)
+    # Checked as a whole, then run by the runtime that robots use.
     onnx.helper.set_model_props(model, metadata)
     onnx.checker.check_model(model, full_check=True)
     data: bytes = model.SerializeToString()
@@ -320,6 +330,7 @@ def rollout_observations(config: TrainConfig, module: nn.Module, count: int) -> 
     env = FlipperEnv(config=config.environment())
     policy = _RecordingPolicy(module, config.network.frames, config.actions)
     seeds, episode = EvaluationSeeds.of(config.seed, config.terrain), 0
+    # Whole episodes, with the seeds of an evaluation, until there are enough.
     while len(policy.inputs) < count:
         play(env, policy, seeds(episode))
         episode += 1
@@ -337,6 +348,7 @@ def compare(
     ``risk``: the network of the risk, if it was exported too; the result then has the largest
     difference of the risks.
     """
+    # torch on the same inputs is the reference.
     with torch.inference_mode():
         expected = module(torch.from_numpy(observations)).numpy()  # (M, 9)
         risks = risk(torch.from_numpy(observations)) if risk is not None else ()
@@ -344,6 +356,7 @@ def compare(
     if actual.shape != expected.shape:
         raise ExportError(f"the exported policy returns {actual.shape}, torch {expected.shape}")
     difference, largest, limit = _difference([expected], [actual])
+    # Actions must agree wherever two Q-values differ by more than rounding.
     agree = expected.argmax(1) == actual.argmax(1)
     if expected.shape[1] != outputs_of("turns"):  # rates
         agree = (np.abs(expected - actual) <= limit).all(axis=1)
@@ -373,7 +386,7 @@ def _difference(
     """Return the largest difference, the largest absolute value and the allowed difference."""
     pairs = zip(expected, actual, strict=True)
     largest = max(float(np.abs(array).max()) for array in expected)
-    difference = max(float(np.abs(ours - theirs).max()) for ours, theirs in pairs)
+    difference = max(float(np.abs(wanted - computed).max()) for wanted, computed in pairs)
     return difference, largest, TOLERANCE * max(1.0, largest)
 
 

@@ -36,6 +36,7 @@ def export_scene(config: EvalConfig, format: SceneFormat, output: Path) -> dict[
     """
     for path in [output] if format == "mjcf" else [output, ground_file(output)]:
         check_output(path, _KINDS[format])
+    # The first episode of the evaluation, as the engine places it.
     env = FlipperEnv(config=config)
     env.reset(seed=EvaluationSeeds.of(config.eval.seed, config.terrain)(0))
     # After the reset, which explains a missing or unusable MuJoCo.
