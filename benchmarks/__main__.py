@@ -8,10 +8,10 @@ from typing import Annotated
 import typer
 
 from benchmarks.settings import MEASURES, run
-from flipperctl import entry
 from flipperctl.cli import options, train
 from flipperctl.cli.command import App, TrainingCommand
 from flipperctl.cli.main import run_app
+from flipperctl.process import entry
 from flipperctl.terminal.streams import replace_missing_characters
 
 HELP = """Measure flipperctl against its limits and another learner, in a clone of the repository.

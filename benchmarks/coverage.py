@@ -20,10 +20,10 @@ from pathlib import Path
 
 import numpy as np
 
-from flipperctl import entry
 from flipperctl.api import FloatArray, Outcome
 from flipperctl.evaluation.plan import is_best_known
 from flipperctl.evaluation.statistics import Interval, interval, paired_success, proportion
+from flipperctl.process import entry
 
 COUNTS = (2, 3, 5, 10, 20, 100)
 """Numbers of values in a sample [-]."""

@@ -22,9 +22,9 @@ from typing import Any
 
 import numpy as np
 
-from flipperctl import entry
 from flipperctl.api import FloatArray, Measured, Robot, SensedAngles, SensedGround
 from flipperctl.core.lidar.messages import Belts, Inertial, Joints, PerceptionError, Pose, Scan
+from flipperctl.process import entry
 from flipperctl.sim.lidar import LidarSensor
 
 SEQUENCE = 50

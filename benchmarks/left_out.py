@@ -31,7 +31,6 @@ import torch
 from numpy.typing import NDArray
 
 import flipperctl
-from flipperctl import entry, plugins
 from flipperctl.agent.risk import RiskNetwork, risk_loss
 from flipperctl.api import FailureRisk, FloatArray
 from flipperctl.checkpoint import Checkpoint, read_policy, shipped_policies, write
@@ -44,11 +43,13 @@ from flipperctl.core.risk import (
     resemblances,
 )
 from flipperctl.evaluation.statistics import proportion
-from flipperctl.evaluation.views.summary import summarise
-from flipperctl.files import OutputKind, check_output
+from flipperctl.plugging import plugins
 from flipperctl.policies.trained import TrainedPolicy, policy_module
+from flipperctl.process import entry
 from flipperctl.rollout.episode import EpisodeRisks, play
+from flipperctl.text.files import OutputKind, check_output
 from flipperctl.training.validation import calibrated, sigmoid
+from flipperctl.views.summary import summarise
 
 GROUPS: Mapping[str, tuple[str, ...]] = {
     "stairs": ("stair", "building_stair", "stairwell", "paper_stair"),

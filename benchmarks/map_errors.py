@@ -23,13 +23,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from flipperctl import entry, plugins
 from flipperctl.api import FloatArray, Perception, Transition
 from flipperctl.core.observation import occupied
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.evaluate import evaluate
 from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.play import EpisodeRunner
+from flipperctl.plugging import plugins
+from flipperctl.process import entry
 from flipperctl.sim.planar.sensing import NEAREST, MapErrorSize
 
 LEVEL, STEEP = 0.01, 0.03

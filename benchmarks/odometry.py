@@ -20,7 +20,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from flipperctl import entry
 from flipperctl.api import (
     Estimator,
     FloatArray,
@@ -38,6 +37,7 @@ from flipperctl.core.observation import bin_heights
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.pictures import Observer
 from flipperctl.policies.source import PolicySource
+from flipperctl.process import entry
 from flipperctl.rollout.episode import decisions
 from flipperctl.sim.lidar import LidarSensor
 

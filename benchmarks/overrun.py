@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import flipperctl
-from flipperctl import entry
+from flipperctl.process import entry
 
 _TEN = "step,stair,building_stair,ramp,uplift,gap,wave,rubble,pallet,plum"
 

@@ -21,12 +21,12 @@ from pymunk import GearJoint
 
 from benchmarks.settings import Benchmark, planar, ratio
 from flipperctl.api import SAMPLE_PERIOD, Profile, Start, Transition
-from flipperctl.bench import quantity
+from flipperctl.cli.bench import quantity
 from flipperctl.config import EnvConfig
+from flipperctl.config.reward_sum import RewardSum
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.guarded import GuardedWorld
 from flipperctl.policies.source import load_policy
-from flipperctl.reward_sum import RewardSum
 from flipperctl.rollout.episode import EvaluationSeeds, decisions
 from flipperctl.sim.planar.compiled import TRACK, step_alone
 from flipperctl.sim.planar.world import PlanarWorld

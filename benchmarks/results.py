@@ -26,15 +26,16 @@ import numpy as np
 import yaml
 
 from benchmarks import tables
-from flipperctl import __version__, entry
+from flipperctl import __version__
 from flipperctl.cli.main import main as flipperctl
 from flipperctl.errors import FlipperctlError, RequestError
 from flipperctl.evaluation.plan import is_best_known
 from flipperctl.evaluation.seeds import PRICE, SeedSamples, failure_prices
 from flipperctl.evaluation.statistics import interval
-from flipperctl.evaluation.views.card import rows_of
-from flipperctl.evaluation.views.compare import difference, method_row
-from flipperctl.files import write_bytes
+from flipperctl.process import entry
+from flipperctl.text.files import write_bytes
+from flipperctl.views.card import rows_of
+from flipperctl.views.compare import difference, method_row
 
 _NOISE = "perception.noise=0.01 perception.angle_noise=0.01 episode.start_angle_noise=0.05"
 _TEN = "step,stair,building_stair,ramp,uplift,gap,wave,rubble,pallet,plum"

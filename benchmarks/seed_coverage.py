@@ -20,11 +20,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.coverage import contains, line, parsed
-from flipperctl import entry
 from flipperctl.api import FloatArray
 from flipperctl.evaluation import seeds as seed_intervals
 from flipperctl.evaluation.seeds import Scores, Statistic, interquartile_mean, means, resampled
 from flipperctl.evaluation.statistics import Interval
+from flipperctl.process import entry
 
 SEEDS = (2, 3, 4, 5, 10)
 """Numbers of training seeds [-]."""

@@ -13,18 +13,18 @@ from typing import Annotated, Any
 from pydantic import Field
 
 from flipperctl.api import Engine, Settings
-from flipperctl.bench import Values, finite, load, machine, quantile, table
+from flipperctl.checkpoint.results import json_result
+from flipperctl.cli.bench import Values, finite, load, machine, quantile, table
 from flipperctl.cli.hydra.compose import compose_train, only_one
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.train import split_arguments
 from flipperctl.config import TrainConfig, parse, resolver, with_overrides
 from flipperctl.config.words import with_flags
 from flipperctl.errors import ConfigError
-from flipperctl.results import json_result
-from flipperctl.show import console, print_table
 from flipperctl.sim.planar import Planar
 from flipperctl.terminal.progress import steps_progress
 from flipperctl.terminal.streams import print_note, show
+from flipperctl.text.show import console, print_table
 
 SECTION = "bench."
 """Prefix of the keys of the sizes among overrides of the training."""

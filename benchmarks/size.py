@@ -15,7 +15,7 @@ import tempfile
 import tomllib
 from pathlib import Path
 
-from flipperctl import entry
+from flipperctl.process import entry
 
 ROOT = Path(__file__).parents[1]
 PARTS = ("flipperctl", "plugins", "tests", "benchmarks", "examples")
@@ -52,8 +52,8 @@ def lines(part: str) -> tuple[int, int]:
 def floors() -> int:
     """Return the number of layers of the package in the import contract."""
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["importlinter"]
-    layers = next(c["layers"] for c in settings["contracts"] if "floors" in c["name"])
-    return sum("flipperctl" in layer for layer in layers)
+    (layers,) = (c["layers"] for c in settings["contracts"] if c["type"] == "layers")
+    return len(layers)
 
 
 def files_run(command: str) -> int:

@@ -10,7 +10,7 @@ from typing import Any
 import typer.main
 
 from benchmarks.settings import Benchmark, milliseconds, ratio
-from flipperctl.bench import measure_in_turn, output, quantity
+from flipperctl.cli.bench import measure_in_turn, output, quantity
 from flipperctl.cli.main import app
 
 ABOUT = "wall-clock of commands in separate processes, in turn, compared with Python's own start"

@@ -23,9 +23,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from flipperctl import entry, plugins
 from flipperctl.api import FloatArray, Robot
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.plugging import plugins
+from flipperctl.process import entry
 from flipperctl.rollout.episode import EvaluationSeeds
 from flipperctl.sim.ground import inflated
 from flipperctl.sim.jit import cached

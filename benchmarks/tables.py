@@ -20,12 +20,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from flipperctl import entry
 from flipperctl.errors import RequestError
-from flipperctl.evaluation.views.card import StoredRow, ends_text
-from flipperctl.files import write_bytes
-from flipperctl.messages import close_match
-from flipperctl.show import NONE
+from flipperctl.process import entry
+from flipperctl.text.files import write_bytes
+from flipperctl.text.messages import close_match
+from flipperctl.text.show import NONE
+from flipperctl.views.card import StoredRow, ends_text
 
 ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "docs" / "results"

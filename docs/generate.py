@@ -19,7 +19,6 @@ import typer.main
 from gymnasium.spaces import Box
 from sphinx.pycode import ModuleAnalyzer
 
-from flipperctl import plugins
 from flipperctl.api import ACTIONS, Measure, ObservationLayout, Settings, registry
 from flipperctl.cli.catalogue import PLUGIN_KEYS, SECTIONS
 from flipperctl.cli.glossary import GLOSSARY
@@ -29,6 +28,7 @@ from flipperctl.config import EvalConfig
 from flipperctl.config.describe import Field, fields
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.export.metadata import describe_observation
+from flipperctl.plugging import plugins
 
 HEADINGS: Mapping[str, str] = {
     "terrain": "Terrains",

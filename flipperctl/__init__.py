@@ -24,7 +24,7 @@ def __getattr__(name: str) -> object:
     if name in __all__:
         from importlib import import_module
 
-        from flipperctl.undisturbed import undisturbed
+        from flipperctl.process.undisturbed import undisturbed
 
         with undisturbed():  # libraries draw random numbers when they are imported
             found: object = getattr(import_module("flipperctl.scripting"), name)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from flipperctl import entry
+from flipperctl.process import entry
 
 
 def main() -> None:

@@ -12,8 +12,9 @@ from pathlib import Path
 import pytest
 from _pytest import runner
 
-from flipperctl import api, plugins
+from flipperctl import api
 from flipperctl.evaluation.play import EpisodeRunner
+from flipperctl.plugging import plugins
 from tests.short import short_config, trainer
 
 pytest_plugins = ["tests.quick"]

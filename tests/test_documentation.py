@@ -18,7 +18,7 @@ from flipperctl.api import ACTIONS, Outcome
 from flipperctl.config import EvalConfig
 from flipperctl.env import flipper_env
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.evaluation.drives import DriveFolder
+from flipperctl.live.drives import DriveFolder
 from flipperctl.lookahead import Mpc, Planner, planner
 from flipperctl.testing import checks
 from tests.cli.call import EXACT, GROUPS, RUN, call

@@ -24,8 +24,8 @@ from flipperctl.agent.networks import (
 from flipperctl.agent.replay import require, row_bytes
 from flipperctl.api import ACTIONS, Network, ObservationLayout
 from flipperctl.errors import ConfigError
-from flipperctl.guard import naming
-from flipperctl.randomness import global_states, moved_since
+from flipperctl.plugging.guard import naming
+from flipperctl.plugging.randomness import global_states, moved_since
 
 _FLOAT = 4  # bytes
 

@@ -23,7 +23,7 @@ from flipperctl.agent.replay import Batch
 from flipperctl.api import ACTIONS, MAX_HISTORY, Network, ObservationLayout
 from flipperctl.core.targets import JOINTS, ActionKind
 from flipperctl.errors import ConfigError, NonFiniteError, PluginFailedError
-from flipperctl.guard import definition, naming, plugin_label, refusal, short_repr
+from flipperctl.plugging.guard import definition, naming, plugin_label, refusal, short_repr
 
 
 @runtime_checkable

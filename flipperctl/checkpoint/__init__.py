@@ -16,7 +16,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from flipperctl import __version__, plugins
+from flipperctl import __version__
 from flipperctl.api import Plugin, registry
 from flipperctl.checkpoint import document as documents
 from flipperctl.checkpoint import former, hub
@@ -25,9 +25,10 @@ from flipperctl.config import TrainConfig, parse, resolver, to_dict
 from flipperctl.config.models import with_stand_ins
 from flipperctl.core.targets import ACTIONS, JOINTS
 from flipperctl.errors import CheckpointError, ConfigError
-from flipperctl.files import at_home, write_bytes
-from flipperctl.messages import close_match, missing_name, missing_plugin, suggestion
+from flipperctl.plugging import plugins
 from flipperctl.sim.versions import engine_versions
+from flipperctl.text.files import at_home, write_bytes
+from flipperctl.text.messages import close_match, missing_name, missing_plugin, suggestion
 
 if TYPE_CHECKING:
     import torch

@@ -31,7 +31,7 @@ from flipperctl.checkpoint import former
 from flipperctl.core.reading import read_whole
 from flipperctl.core.targets import ACTIONS, JOINTS
 from flipperctl.errors import CheckpointError, other_format
-from flipperctl.messages import explain
+from flipperctl.text.messages import explain
 
 if TYPE_CHECKING:
     import torch

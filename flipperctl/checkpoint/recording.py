@@ -44,8 +44,8 @@ from flipperctl.checkpoint.document import (
 from flipperctl.config import EnvConfig, to_dict
 from flipperctl.config.policy_file import drive_files
 from flipperctl.errors import CheckpointError, ConfigError
-from flipperctl.files import OutputKind, write_bytes
 from flipperctl.sim.versions import engine_versions
+from flipperctl.text.files import OutputKind, write_bytes
 
 if TYPE_CHECKING:
     import torch

@@ -16,10 +16,10 @@ from pathlib import Path
 from textwrap import shorten
 from typing import Any, NamedTuple
 
-from flipperctl import plugins
 from flipperctl.api import Learner, Robot, Settings, registry
 from flipperctl.api.plugin import broken
 from flipperctl.checkpoint import shipped_policies
+from flipperctl.checkpoint.results import CONFIG, SUMMARY, holds_run, read_config
 from flipperctl.cli.glossary import GLOSSARY
 from flipperctl.config import (
     Episode,
@@ -36,9 +36,9 @@ from flipperctl.config.describe import Field, fields, summary
 from flipperctl.config.presets import presets as files
 from flipperctl.config.words import key_of, override_text
 from flipperctl.errors import RequestError
-from flipperctl.messages import counted
-from flipperctl.results import CONFIG, SUMMARY, holds_run, read_config
-from flipperctl.show import (
+from flipperctl.plugging import plugins
+from flipperctl.text.messages import counted
+from flipperctl.text.show import (
     NONE,
     Column,
     Table,

@@ -30,7 +30,7 @@ class Command(TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Parse the words after the subcommand."""
-        from flipperctl.files import at_home
+        from flipperctl.text.files import at_home
 
         args = at_home(args)
         if not ctx.resilient_parsing:  # shell completion, which reads incomplete commands
@@ -111,7 +111,7 @@ def _unknown(
     ``known``: the subcommand's options; ``primary``: the configuration of its overrides;
     ``takes_run``: whether it takes a run or a policy without an option.
     """
-    from flipperctl.messages import closest, suggestion
+    from flipperctl.text.messages import closest, suggestion
 
     key = name.lstrip("-").replace("-", "_")
     start = f"no such option: {name}"
@@ -132,11 +132,11 @@ def _unknown(
 
 def _settings(key: str, primary: str) -> Iterator[str]:
     """Yield the paths of settings that equal ``key`` or end with it."""
-    from flipperctl import plugins
     from flipperctl.cli.hydra.compose import compose_train, only_one
     from flipperctl.config import EvalConfig
     from flipperctl.config.defaults import CHOICES
     from flipperctl.config.describe import paths_named
+    from flipperctl.plugging import plugins
 
     plugins.load()
     config = only_one(compose_train())

@@ -108,12 +108,12 @@ def evaluate(
     from flipperctl.cli.plan import make_plan
     from flipperctl.config.words import with_flags
     from flipperctl.evaluation.evaluate import Result
-    from flipperctl.evaluation.filming import Filming
     from flipperctl.evaluation.plan import controllers, entrants, split_policies
-    from flipperctl.evaluation.run import run
-    from flipperctl.evaluation.views import evaluation
-    from flipperctl.evaluation.views.summary import Document
     from flipperctl.terminal.progress import EvaluationProgress
+    from flipperctl.views import evaluation
+    from flipperctl.views.filming import Filming
+    from flipperctl.views.run import run
+    from flipperctl.views.summary import Document
 
     names, overrides = split_policies(words)
     names += [*map(str, checkpoint or ()), *([controller] if controller is not None else [])]
@@ -182,8 +182,8 @@ def map_success(
     """
     from flipperctl.cli.plan import one_scene, player
     from flipperctl.config.words import with_default, with_flags
-    from flipperctl.evaluation.views import map as view
-    from flipperctl.show import console, print_lines
+    from flipperctl.text.show import console, print_lines
+    from flipperctl.views import map as view
 
     if over is None:
         raise RequestError(f"name two settings, as in --over {view.EXAMPLE}")
@@ -232,8 +232,8 @@ def replay(
       flipperctl replay evaluated/failure_stair_3.json --film stair.gif
     """
     from flipperctl.evaluation.replay import lines, replay_file
-    from flipperctl.show import console, print_lines
     from flipperctl.terminal.progress import episodes_progress
+    from flipperctl.text.show import console, print_lines
 
     found = replay_file(file, checkpoint, output, film, progress=episodes_progress, tell=print_note)
     show(found.to_dict(), lambda: print_lines(console(), lines(found)), as_json=as_json)
@@ -283,12 +283,12 @@ def compare(
 
       flipperctl compare plain=a searched=b --against plain --output table.tex
     """
-    from flipperctl.evaluation.views import compare as view
-    from flipperctl.files import check_output, write_bytes
-    from flipperctl.show import TABLE, console, latex, print_lines, print_table
+    from flipperctl.text.files import check_output, write_bytes
+    from flipperctl.text.show import TABLE, console, latex, print_lines, print_table
+    from flipperctl.views import compare as view
 
     if output is not None and output.suffix.lower() in (".png", ".svg", ".pdf"):
-        from flipperctl.session import command
+        from flipperctl.process.session import command
 
         again = command("plot", *folders, "--kind", "profiles", "--output", output)
         raise RequestError(f"--output {output}: figures are drawn by: {again}")

@@ -52,7 +52,7 @@ def plugins(
     """
     from flipperctl.api import registry
     from flipperctl.config.describe import describe_plugin
-    from flipperctl.plugins import broken_plugins, plugin_keys
+    from flipperctl.plugging.plugins import broken_plugins, plugin_keys
     from flipperctl.terminal.tables import print_checks, print_plugins
 
     if output is not None and not check:
@@ -156,8 +156,8 @@ def checkpoint(
         from flipperctl.cli.hydra.compose import compose_environment, register_robot
         from flipperctl.cli.hydra.overrides import Overrides
         from flipperctl.config.words import with_engine
-        from flipperctl.show import console, print_table
         from flipperctl.testing.conventions import probe, require_conventions, table
+        from flipperctl.text.show import console, print_table
 
         own, words = source.config(), Overrides.parse(with_engine(list(overrides or [])))
         primary = register_robot(own.robot, own.perception.layout)
@@ -182,8 +182,8 @@ def checkpoint(
 
 def print_checkpoint(found: dict[str, Any], saved: Checkpoint) -> None:
     """Print a line for each part of a checkpoint (``Checkpoint.to_dict``)."""
-    from flipperctl.show import console, print_facts
     from flipperctl.terminal.progress import way_text
+    from flipperctl.text.show import console, print_facts
 
     config, state, document = found["config"], found.get("state") or {}, saved.document
     kind = "the best policy" if found["kind"] == "best" else "a whole run to resume"
@@ -242,9 +242,10 @@ def run(
 
 def _print(found: dict[str, Any], picture: Path | None) -> None:
     """Print a row for each validation (``training.folder.summarise``), and the picture's name."""
-    from flipperctl import checkpoint, session
-    from flipperctl.show import Column, Table, console, print_table, print_text
+    from flipperctl import checkpoint
+    from flipperctl.process import session
     from flipperctl.terminal.progress import HEADING, PAPERS_HEADING
+    from flipperctl.text.show import Column, Table, console, print_table, print_text
 
     summary = found["summary"]
     state = "still running" if found["running"] else "finished"

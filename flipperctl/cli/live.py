@@ -168,8 +168,8 @@ def drive(
     """
     from flipperctl.config.policy_file import drive_files
     from flipperctl.config.words import with_flags
-    from flipperctl.evaluation import drives
-    from flipperctl.evaluation import study as studies
+    from flipperctl.live import drives
+    from flipperctl.live import study as studies
     from flipperctl.live.drive import DrivePage
     from flipperctl.policies.source import load_policy
 
@@ -267,8 +267,8 @@ def _entrants(names: list[str], settings: list[str]) -> list[Entrant]:
     """Return each policy on its scene."""
     from flipperctl.cli.plan import make_plan
     from flipperctl.evaluation.plan import entrants
-    from flipperctl.evaluation.views.summary import short
     from flipperctl.live.lanes import Entrant
+    from flipperctl.views.summary import short
 
     plan = make_plan(settings, entrants(names, print_note), "none", lambda line: None)
     several = len({entry.terrain for entry in plan.entries}) > 1

@@ -102,7 +102,7 @@ def explain(
     """
     from flipperctl.cli import catalogue
     from flipperctl.cli.glossary import GLOSSARY
-    from flipperctl.messages import close_match
+    from flipperctl.text.messages import close_match
 
     word = " ".join(words)
     commands = _commands(context)
@@ -134,7 +134,7 @@ def explain(
 def _kind(word: str) -> str:
     """Return the kind that a word names, in the singular or the plural."""
     from flipperctl.cli.catalogue import KINDS, entries
-    from flipperctl.messages import close_match
+    from flipperctl.text.messages import close_match
 
     groups = {group: kind for kind, inner in KINDS.items() for group in inner}
     if found := word if word in KINDS else groups.get(word):

@@ -10,10 +10,10 @@ from contextlib import nullcontext
 import typer
 from typer.exceptions import TyperException
 
-from flipperctl import entry
 from flipperctl.cli import evaluate, inspect, live, lookup, plot, reward, robot, train, tune, write
 from flipperctl.cli.command import App, TrainingCommand
 from flipperctl.errors import InterruptedRunError, RequestError
+from flipperctl.process import entry
 from flipperctl.terminal.streams import (
     begin_notices,
     log_to_stderr,

@@ -11,8 +11,9 @@ import typer
 def _load_plugins(context: typer.Context, paths: list[Path] | None) -> list[Path] | None:
     """Load the installed plugins and those of ``paths`` before the command runs."""
     if not context.resilient_parsing:  # shell completion
-        from flipperctl import plugins, session
         from flipperctl.api.plugin import broken
+        from flipperctl.plugging import plugins
+        from flipperctl.process import session
         from flipperctl.terminal.streams import print_note
 
         session.remember_plugins(paths)
@@ -26,7 +27,7 @@ def check_picture(path: Path | None) -> Path | None:
     """Check that the picture can be written before the command runs."""
     if path is not None:
         from flipperctl.figures.figure import PICTURE
-        from flipperctl.files import check_output
+        from flipperctl.text.files import check_output
 
         check_output(path, PICTURE)
     return path

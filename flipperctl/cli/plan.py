@@ -11,6 +11,7 @@ from dataclasses import replace
 from itertools import pairwise, product
 from pathlib import Path
 
+from flipperctl.checkpoint.results import ResultFolder
 from flipperctl.cli.hydra.compose import compose_eval, register_trained
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config import DEFAULT_ENGINE, EvalConfig, resolver
@@ -30,11 +31,10 @@ from flipperctl.evaluation.plan import (
     standing,
 )
 from flipperctl.evaluation.play import Player
-from flipperctl.evaluation.views.engines import steps
-from flipperctl.evaluation.views.summary import short
 from flipperctl.policies.source import PolicySource, load_policy
-from flipperctl.results import ResultFolder
 from flipperctl.terminal.streams import print_note
+from flipperctl.views.engines import steps
+from flipperctl.views.summary import short
 
 Tell = Callable[[str], None]
 Scene = tuple[EvalConfig, PolicySource]
@@ -110,9 +110,9 @@ def player(
 
     ``names`` are those of the files that ``command`` writes. Ctrl-C ends the running episode first.
     """
+    from flipperctl.checkpoint.results import result_folder
     from flipperctl.evaluation.store import FOLDER, EpisodeStore, FolderStore
-    from flipperctl.results import result_folder
-    from flipperctl.session import interrupts
+    from flipperctl.process.session import interrupts
     from flipperctl.terminal.progress import episodes_progress
 
     with ExitStack() as stack:

@@ -14,13 +14,13 @@ import typer
 
 from flipperctl.cli import options
 from flipperctl.errors import RequestError
-from flipperctl.messages import close_match
 from flipperctl.terminal.streams import print_note
+from flipperctl.text.messages import close_match
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from flipperctl.evaluation.views.plot import Request
+    from flipperctl.views.plot import Request
 
 Sort = Literal["run", "results", "map"]
 KINDS: dict[str, Sort] = {
@@ -118,10 +118,10 @@ def plot(
 
       flipperctl plot judged --kind series --only at_d3qn --only level
     """
-    from flipperctl import session
-    from flipperctl.evaluation.views.plot import Request
     from flipperctl.figures.figure import PICTURE, save
-    from flipperctl.files import check_output
+    from flipperctl.process import session
+    from flipperctl.text.files import check_output
+    from flipperctl.views.plot import Request
 
     if output is not None:
         check_output(output, PICTURE)
@@ -241,8 +241,8 @@ def _path(source: str) -> Path:
 def _sort(source: str) -> Sort:
     """Return what lies at a path."""
     from flipperctl import checkpoint
+    from flipperctl.checkpoint.results import CONFIG, METRICS
     from flipperctl.evaluation.stored import FILE
-    from flipperctl.results import CONFIG, METRICS
 
     path = _path(source)
     if (path / "map.json").is_file():
@@ -269,10 +269,10 @@ def _digest(*files: Path) -> tuple[str, ...]:
 
 
 def _curves(asked: Request, average: Literal["mean", "iqm"], tell: Callable[[str], None]) -> Drawn:
+    from flipperctl.checkpoint.results import METRICS, holds_run, is_held
     from flipperctl.evaluation.names import renamed, taken
     from flipperctl.evaluation.plan import entrants
     from flipperctl.figures import curves
-    from flipperctl.results import METRICS, holds_run, is_held
     from flipperctl.training.folder import read_run
 
     runs: dict[str, list[Path]] = {}
@@ -338,7 +338,7 @@ def _map(asked: Request) -> Drawn:
 
 def _results(asked: Request, kind: str, tell: Callable[[str], None]) -> Drawn:
     from flipperctl.evaluation.stored import FILE
-    from flipperctl.evaluation.views import plot as view
+    from flipperctl.views import plot as view
 
     figure, notices = view.KINDS[kind](asked)
     for notice in notices:

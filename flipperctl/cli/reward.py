@@ -15,7 +15,7 @@ from flipperctl.terminal.streams import print_note, show
 
 if TYPE_CHECKING:
     from flipperctl.cli.hydra.overrides import Overrides
-    from flipperctl.evaluation.views.rewards import Rewards, RewardScene
+    from flipperctl.views.rewards import Rewards, RewardScene
 
 _REWARD_KEY = re.compile(r"[+~]*(rewards(?=[.=]|$)|reward@)")
 _DEFAULT = "paper"
@@ -96,9 +96,9 @@ def reward(
     from flipperctl.cli.hydra.compose import only_one
     from flipperctl.cli.plan import scenes
     from flipperctl.evaluation.conditions import Conditions
-    from flipperctl.evaluation.views.rewards import audit, audit_table
-    from flipperctl.show import console, print_table
     from flipperctl.terminal.progress import episodes_progress
+    from flipperctl.text.show import console, print_table
+    from flipperctl.views.rewards import audit, audit_table
 
     config, source = only_one(scenes(words, checkpoint, chosen))
     count = config.eval.episodes
@@ -119,8 +119,8 @@ def _compare(names: str, words: Sequence[str], *, as_json: bool) -> None:
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.cli.plan import player
     from flipperctl.evaluation.plan import common_robot, policies
-    from flipperctl.evaluation.views import rewards
-    from flipperctl.show import console, print_lines, print_table
+    from flipperctl.text.show import console, print_lines, print_table
+    from flipperctl.views import rewards
 
     fields, overrides = controller_fields(Overrides.parse(words), "--compare")
     sources = policies(names, fields, print_note)
@@ -157,8 +157,8 @@ def _regret(
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.cli.plan import player, scenes
     from flipperctl.evaluation.plan import policies
-    from flipperctl.evaluation.views import regret
-    from flipperctl.show import console, print_lines, print_table
+    from flipperctl.text.show import console, print_lines, print_table
+    from flipperctl.views import regret
 
     overrides, fields = Overrides.parse(words), dict[str, Any]()
     if checkpoint is not None:

@@ -81,8 +81,8 @@ def train(
 
 
 def _resume(run: Path, words: list[str]) -> None:
-    from flipperctl import session
     from flipperctl.cli.hydra.overrides import Overrides
+    from flipperctl.process import session
     from flipperctl.terminal.training import check_resumed, print_best, reports
     from flipperctl.training.run import check_resumable, resume
 
@@ -129,12 +129,12 @@ def bench(
 
       flipperctl bench --small --json
     """
-    from flipperctl import bench
+    from flipperctl.checkpoint.results import json_result
+    from flipperctl.cli import bench
     from flipperctl.cli.hydra.compose import compose_train, only_one
     from flipperctl.cli.hydra.overrides import Overrides
-    from flipperctl.results import json_result
-    from flipperctl.show import console, print_table
     from flipperctl.terminal.progress import steps_progress
+    from flipperctl.text.show import console, print_table
 
     chosen, overrides = split_arguments(words or (), tuple(bench.MEASURES))
     sizes = bench.SMALL if small else bench.Sizes()
@@ -159,7 +159,7 @@ def bench(
 
 def split_arguments(words: Sequence[str], known: Sequence[str]) -> tuple[list[str], list[str]]:
     """Return the measures, in the order of those ``known``, and the overrides."""
-    from flipperctl.messages import close_match
+    from flipperctl.text.messages import close_match
 
     overrides = [word for word in words if "=" in word or word.startswith("~")]
     names = [word for word in words if word not in overrides]

@@ -14,7 +14,7 @@ from flipperctl.errors import InterruptedRunError, RequestError
 from flipperctl.terminal.streams import print_note, show
 
 if TYPE_CHECKING:
-    from flipperctl.evaluation.views import tune as view
+    from flipperctl.views import tune as view
 
 
 def tune(
@@ -77,9 +77,9 @@ def tune(
     from flipperctl.config import policy_file, resolver
     from flipperctl.config.words import key_of, with_flags
     from flipperctl.evaluation.plan import NamedPolicy, split_policies
-    from flipperctl.evaluation.views import tune as view
-    from flipperctl.files import check_output, write_bytes
-    from flipperctl.show import console, print_table
+    from flipperctl.text.files import check_output, write_bytes
+    from flipperctl.text.show import console, print_table
+    from flipperctl.views import tune as view
 
     names, settings = split_policies(words)
     if len(names) != 1:
@@ -137,8 +137,8 @@ def tune(
 
 def _tune(request: view.Request, state: Path) -> view.Tuned:
     """Search with progress; Ctrl-C ends the running generation."""
-    from flipperctl import session
     from flipperctl.evaluation.play import Player
+    from flipperctl.process import session
     from flipperctl.terminal.progress import EvaluationProgress
 
     progress = EvaluationProgress()

@@ -45,9 +45,9 @@ def card(
       flipperctl card generalist evaluated --output card.md
     """
     from flipperctl.checkpoint import hub
-    from flipperctl.evaluation.views.card import CARD, card_text, policy_rows
-    from flipperctl.files import check_output, write_bytes
     from flipperctl.policies.source import load_policy
+    from flipperctl.text.files import check_output, write_bytes
+    from flipperctl.views.card import CARD, card_text, policy_rows
 
     file = load_policy(policy, takes="checkpoint", tell=print_note).file
     if output is not None:
@@ -83,8 +83,8 @@ def report(
 
       flipperctl report evaluated --output report.html
     """
-    from flipperctl.evaluation.report import FILE, REPORT, write
-    from flipperctl.files import check_output
+    from flipperctl.text.files import check_output
+    from flipperctl.views.report import FILE, REPORT, write
 
     path = output or results / FILE
     if output is not None or path.exists():
@@ -101,8 +101,8 @@ def evaluation_commands(policy: Path, file: Path, results: Sequence[Path]) -> li
     """
     from flipperctl.cli.hydra.compose import register_trained
     from flipperctl.evaluation.conditions import read_config
-    from flipperctl.evaluation.views.card import read_document
     from flipperctl.policies.source import PolicySource
+    from flipperctl.views.card import read_document
 
     primary = register_trained(read_config(PolicySource(file), ["flat"], lambda line: None))
     groups: dict[tuple[tuple[str, ...], str], dict[str, None]] = {}
@@ -123,7 +123,7 @@ def _words(primary: str, scene: Mapping[str, Any]) -> tuple[list[str], str]:
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.config import DEFAULT_ENGINE
     from flipperctl.evaluation.conditions import Conditions
-    from flipperctl.evaluation.views.summary import compared
+    from flipperctl.views.summary import compared
 
     stored = scene["conditions"]
     options = ["--episodes", str(scene["episodes"]), "--seed", str(scene["seed"])]
@@ -239,9 +239,9 @@ def _export_policy(
     from flipperctl import checkpoint as checkpoints
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.export.policy import FILE, export, robot_fields
-    from flipperctl.files import check_output
     from flipperctl.policies.source import load_policy
     from flipperctl.terminal.tables import print_export
+    from flipperctl.text.files import check_output
 
     source = load_policy(checkpoint, takes="checkpoint", tell=print_note)
     saved = checkpoints.read(source.file)
@@ -293,7 +293,7 @@ def new(
 
       flipperctl new engine glider
     """
-    from flipperctl.scaffold import Draft, next_commands
+    from flipperctl.testing.scaffold import Draft, next_commands
 
     draft = Draft(kind, name)
     made = draft.write_package(output) if package else draft.write_file(output)

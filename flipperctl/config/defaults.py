@@ -19,8 +19,8 @@ from flipperctl.config.models import EnvConfig, EvalConfig, TrainConfig
 from flipperctl.config.sections import LocalCollector, RayCollector
 from flipperctl.config.teacher import Teacher
 from flipperctl.errors import ConfigError
-from flipperctl.guard import plugin_label
-from flipperctl.messages import broken_hint, close_match, missing_name
+from flipperctl.plugging.guard import plugin_label
+from flipperctl.text.messages import broken_hint, close_match, missing_name
 
 _ALIKE = 0.02
 """Relative difference of lengths that makes none [-]."""

@@ -10,11 +10,11 @@ from dataclasses import asdict, dataclass
 from enum import Enum
 from typing import Any, Literal, get_args, get_origin
 
-from flipperctl import guard
 from flipperctl.api import Plugin, Robot, Settings, registry
 from flipperctl.config import DEFAULT_ENGINE, Randomise, resolver
 from flipperctl.config.sampled import PATH_SECTIONS, SECTION_OF
-from flipperctl.messages import bounds, meaning, unit
+from flipperctl.plugging import guard
+from flipperctl.text.messages import bounds, meaning, unit
 
 _CHOICE = "name"
 """The field that names the variant of a section, such as ``local`` for the collector."""

@@ -19,9 +19,9 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from flipperctl import guard
 from flipperctl.api import Plugin, Range
 from flipperctl.config.resolver import nested_plugins, to_dict
+from flipperctl.plugging import guard
 
 _OWN = ("flipperctl", "flipperctl_plugins")
 """Packages whose plugins the version of flipperctl describes."""

@@ -45,7 +45,7 @@ from flipperctl.config.sections import (
 from flipperctl.config.teacher import Teacher
 from flipperctl.core.targets import ActionKind
 from flipperctl.errors import ConfigError, PluginError
-from flipperctl.messages import close_match, missing_plugin
+from flipperctl.text.messages import close_match, missing_plugin
 
 
 def _plugin(kind: str) -> tuple[BeforeValidator, PlainSerializer]:

@@ -17,8 +17,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from flipperctl.config import strict_yaml
 from flipperctl.config.resolver import create
 from flipperctl.errors import ConfigError
-from flipperctl.files import OutputKind
-from flipperctl.messages import explain
+from flipperctl.text.files import OutputKind
+from flipperctl.text.messages import explain
 
 FORMAT: Literal["flipperctl policy 1"] = "flipperctl policy 1"
 _SUFFIXES = (".yaml", ".yml")

@@ -10,8 +10,8 @@ from importlib.resources import files
 from importlib.resources.abc import Traversable
 from pathlib import Path
 
-from flipperctl import plugins
 from flipperctl.errors import ConfigError
+from flipperctl.plugging import plugins
 
 SUFFIX = ".yaml"
 

@@ -19,7 +19,6 @@ from weakref import WeakSet
 from pydantic import ValidationError
 from pydantic_core import PydanticSerializationError
 
-from flipperctl import guard
 from flipperctl.api import Plugin, Robot, Settings, registry
 from flipperctl.api.plugin import mapping, registered_names
 from flipperctl.config import strict_yaml
@@ -31,8 +30,9 @@ from flipperctl.errors import (
     PluginFailedError,
     TerrainError,
 )
-from flipperctl.files import at_home
-from flipperctl.messages import broken_hint, close_match, explain, missing_name
+from flipperctl.plugging import guard
+from flipperctl.text.files import at_home
+from flipperctl.text.messages import broken_hint, close_match, explain, missing_name
 
 SettingsT = TypeVar("SettingsT", bound=Settings)
 

@@ -32,7 +32,7 @@ from pydantic import (
 from flipperctl.api import Plugin, Range, Settings
 from flipperctl.config.resolver import construct
 from flipperctl.errors import ConfigError
-from flipperctl.messages import close_match, explain
+from flipperctl.text.messages import close_match, explain
 
 Sections = Mapping[str, Settings]
 """Section's name → its settings."""

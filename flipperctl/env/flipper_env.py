@@ -15,7 +15,6 @@ import numpy as np
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
-from flipperctl import plugins
 from flipperctl.api import (
     ACTIONS,
     SAMPLE_PERIOD,
@@ -29,6 +28,7 @@ from flipperctl.api import (
 )
 from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.config.identity import foreign_plugins
+from flipperctl.config.reward_sum import RewardSum
 from flipperctl.core.targets import ALLOWED, Action, ActionKind, as_action
 from flipperctl.env import ground, repeating, start
 from flipperctl.env.drive import Drive
@@ -50,10 +50,10 @@ from flipperctl.env.pictures import (
 from flipperctl.env.repeating import require_unmoved
 from flipperctl.env.start import run_out_of
 from flipperctl.errors import ConfigError, PluginFailedError, TerrainError
-from flipperctl.files import at_home
-from flipperctl.messages import close_match
-from flipperctl.randomness import global_states
-from flipperctl.reward_sum import RewardSum
+from flipperctl.plugging import plugins
+from flipperctl.plugging.randomness import global_states
+from flipperctl.text.files import at_home
+from flipperctl.text.messages import close_match
 
 Observation = NDArray[np.float32]
 

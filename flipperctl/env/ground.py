@@ -16,9 +16,9 @@ from pydantic import ValidationError
 from flipperctl.api import Profile, Terrain
 from flipperctl.config.resolver import construct, nested_plugins
 from flipperctl.errors import TerrainError
-from flipperctl.guard import refusal, short_repr
-from flipperctl.messages import close_match, explain
+from flipperctl.plugging.guard import refusal, short_repr
 from flipperctl.sim.ground import check_extent, thinned
+from flipperctl.text.messages import close_match, explain
 
 _DIFFICULTY = "difficulty"
 LONGEST = 1000.0

@@ -47,7 +47,7 @@ from flipperctl.api import (
     World,
 )
 from flipperctl.errors import ConfigError, NonFiniteError
-from flipperctl.guard import Guarded, naming, refusal, short_repr
+from flipperctl.plugging.guard import Guarded, naming, refusal, short_repr
 
 _METHODS = ("command", "advance", "state", "penetration", "save", "load")
 _VECTORS = ("position", "velocity")

@@ -14,7 +14,7 @@ from flipperctl.api import FloatArray, Measure, Plugin, Transition, registry
 from flipperctl.config import resolver
 from flipperctl.config.sampled import Randomise
 from flipperctl.errors import NonFiniteError, PluginError
-from flipperctl.guard import as_real, definition, plugin_label, refusal, short_repr
+from flipperctl.plugging.guard import as_real, definition, plugin_label, refusal, short_repr
 
 CORE = (
     "decisions",

@@ -16,8 +16,8 @@ import numpy as np
 from flipperctl.api import Plugin, action_index
 from flipperctl.core.targets import Action
 from flipperctl.errors import FlipperctlError, PluginFailedError
-from flipperctl.guard import definition, plugin_label, refusal
-from flipperctl.randomness import moved_since
+from flipperctl.plugging.guard import definition, plugin_label, refusal
+from flipperctl.plugging.randomness import moved_since
 
 _OPTIONS = ("config", "actions", "render_mode", "renderer")
 _KEPT = ("spec", "_first_seed")

@@ -21,8 +21,8 @@ from flipperctl.config.identity import ABSENT, all_files_read, content_digest, d
 from flipperctl.config.models import AbsentReward, AbsentTerrain
 from flipperctl.config.presets import presets
 from flipperctl.errors import CheckpointError
-from flipperctl.messages import unit
 from flipperctl.policies.source import PolicySource
+from flipperctl.text.messages import unit
 
 NOMINAL, TRAINED = "nominal", "trained"  # the default conditions, and those of a policy's training
 _SECTIONS = ("robot", "sim", "perception", "episode", "randomise")

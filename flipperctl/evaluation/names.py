@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import PurePath
 
 from flipperctl.errors import RequestError
-from flipperctl.messages import close_match
+from flipperctl.text.messages import close_match
 
 _FILES = re.compile(r"/checkpoints/(best|last)\.safetensors$")
 _JOB = re.compile(r"^\d+_(?=[^/]*=)")

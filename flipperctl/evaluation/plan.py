@@ -18,6 +18,7 @@ from typing import Any
 
 from flipperctl import checkpoint as checkpoints
 from flipperctl.api import Robot, registry
+from flipperctl.checkpoint.results import unfinished
 from flipperctl.config import EvalConfig, strict_yaml, to_dict
 from flipperctl.config.identity import differences
 from flipperctl.config.policy_file import drives_in, is_policy_file
@@ -25,10 +26,9 @@ from flipperctl.config.presets import SUFFIX, presets, shipped
 from flipperctl.config.words import check_different, check_words, key_of
 from flipperctl.errors import ConfigError, FlipperctlError, RequestError
 from flipperctl.evaluation.conditions import Conditions
-from flipperctl.messages import broken_hint, close_match
 from flipperctl.policies.identity import method_settings, without_input_paths
 from flipperctl.policies.source import ExportedPolicy, PolicySource, load_policy
-from flipperctl.results import unfinished
+from flipperctl.text.messages import broken_hint, close_match
 
 BEST_KNOWN = "best known"
 """How a row of the best stored policy is called, before its label in brackets."""

@@ -33,7 +33,7 @@ from flipperctl.errors import (
 )
 from flipperctl.evaluation.rows import DIGEST, RECORDED, Episodes, Row, arranged
 from flipperctl.evaluation.store import EpisodeStore, StoreKey, blocks
-from flipperctl.guard import error_line
+from flipperctl.plugging.guard import error_line
 from flipperctl.policies.controllers import DemonstratingPolicy, from_action
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource

@@ -27,6 +27,7 @@ from pydantic import (
 from flipperctl import __version__, checkpoint
 from flipperctl.api import Outcome, Profile, Transition
 from flipperctl.checkpoint.document import decode
+from flipperctl.checkpoint.results import result_folder
 from flipperctl.config import EnvConfig, EvalConfig, parse, to_dict
 from flipperctl.config.identity import content_digest
 from flipperctl.env.flipper_env import FlipperEnv
@@ -41,14 +42,13 @@ from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.names import names
 from flipperctl.evaluation.play import EpisodeDigest, Progress, no_progress
 from flipperctl.evaluation.rows import DIGEST, Row, arranged, sampled
-from flipperctl.files import write_json
-from flipperctl.messages import explain
 from flipperctl.policies.identity import named_files
 from flipperctl.policies.source import PolicySource
-from flipperctl.results import result_folder
 from flipperctl.rollout.episode import Decision, EpisodeRisks, play
 from flipperctl.rollout.trace import Trace
 from flipperctl.sim.versions import engine_versions
+from flipperctl.text.files import write_json
+from flipperctl.text.messages import explain
 
 NAMES = ("replay.json", "replay.png")
 _FORMAT = 1

@@ -27,10 +27,10 @@ from flipperctl.env.metrics import CORE, measures
 from flipperctl.errors import FlipperctlError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.rows import DIGEST, RECORDED, Row
-from flipperctl.files import make_folder, write_bytes, write_chunks, write_json
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.rollout.statement import package_files
 from flipperctl.sim.versions import engine_versions
+from flipperctl.text.files import make_folder, write_bytes, write_chunks, write_json
 
 FORMAT = 1  # number of the format of a block's file
 FOLDER, VIEW = "cells", "cells.csv"

@@ -20,8 +20,8 @@ from flipperctl.errors import RequestError
 from flipperctl.evaluation.plan import is_best_known
 from flipperctl.evaluation.seeds import SeedSamples
 from flipperctl.evaluation.store import FOLDER, PlayedPolicy, played_policies
-from flipperctl.files import read_csv
 from flipperctl.policies.identity import unlike_trainings
+from flipperctl.text.files import read_csv
 
 FILE, SUMMARY = "episodes.csv", "summary.json"
 _KEYS = ("scene", "controller", "conditions_hash", "seed", "outcome")

@@ -41,8 +41,7 @@ from flipperctl.errors import (
     RequestError,
 )
 from flipperctl.export.metadata import policy_metadata
-from flipperctl.files import OutputKind, check_output, write_bytes
-from flipperctl.guard import naming
+from flipperctl.plugging.guard import naming
 from flipperctl.policies.trained import TrainedPolicy, policy_module, policy_risk
 from flipperctl.rollout.episode import EvaluationSeeds, play
 from flipperctl.runtime.interface import (
@@ -52,6 +51,7 @@ from flipperctl.runtime.interface import (
     PREFIX,
     add_checksum,
 )
+from flipperctl.text.files import OutputKind, check_output, write_bytes
 
 FILE = OutputKind("an exported policy", (".onnx",), re.compile(rb"flipperctl\.format_version"))
 OBSERVATIONS = 1000

@@ -12,8 +12,8 @@ from typing import Any, Literal
 from flipperctl.config import EvalConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
-from flipperctl.files import OutputKind, check_output, write_bytes
 from flipperctl.rollout.episode import EvaluationSeeds
+from flipperctl.text.files import OutputKind, check_output, write_bytes
 
 _URDF = re.compile(rb'<robot name="(flipperctl"|ground">\s*<link name="ground">)')
 SceneFormat = Literal["mjcf", "urdf"]

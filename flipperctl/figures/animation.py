@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.errors import FlipperctlError, MissingExtraError
-from flipperctl.files import OutputKind, check_output, write_bytes
+from flipperctl.text.files import OutputKind, check_output, write_bytes
 
 Frame = tuple[NDArray[np.uint8], float]
 """A picture (H, W, 3), and the time for which it is shown [s]."""

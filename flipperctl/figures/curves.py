@@ -31,8 +31,8 @@ from flipperctl.figures.figure import (
     points,
 )
 from flipperctl.figures.figure import style_axes as style
-from flipperctl.files import CsvRow
-from flipperctl.messages import close_match
+from flipperctl.text.files import CsvRow
+from flipperctl.text.messages import close_match
 
 METRICS = (SUCCESS, VARIATION, "return")
 """Panels of a figure for which none are named."""

@@ -27,7 +27,7 @@ from flipperctl import __version__
 from flipperctl.api import FloatArray, Measure, Profile, registry
 from flipperctl.figures import settings
 from flipperctl.figures.render import EARTH, FAINT, GROUND, INK
-from flipperctl.files import OutputKind, check_output, write_bytes
+from flipperctl.text.files import OutputKind, check_output, write_bytes
 
 _MARKS = rb"tEXtSoftware\0flipperctl|<dc:title>flipperctl</dc:title>|/Creator \(flipperctl\)"
 PICTURE = OutputKind("a picture", (".pdf", ".png", ".svg"), re.compile(_MARKS))

@@ -25,7 +25,7 @@ from flipperctl.figures import settings
 from flipperctl.figures.animation import FILM, LAST, Frame, check_film, write_film
 from flipperctl.figures.figure import PICTURE, SCREEN, save, style_axes, styled
 from flipperctl.figures.render import HEIGHTS, INK, RobotArtist, drawn_pixels
-from flipperctl.files import check_output
+from flipperctl.text.files import check_output
 
 if TYPE_CHECKING:
     from flipperctl.ros.perceiving import Instant, Replay

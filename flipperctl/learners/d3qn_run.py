@@ -14,13 +14,13 @@ from flipperctl.api import ACTIONS, Step, Training
 from flipperctl.config import Teacher, TrainConfig
 from flipperctl.env.privileged import SIZE
 from flipperctl.errors import ConfigError
-from flipperctl.guard import refusal
 from flipperctl.learners.double_q import DoubleQ, check_memory
 from flipperctl.learners.final_fit import FinalFit
 from flipperctl.learners.pair import PairLearning
 from flipperctl.learners.recorded import add_recorded
 from flipperctl.learners.settings import D3qnSettings
 from flipperctl.learners.starting import load_start
+from flipperctl.plugging.guard import refusal
 from flipperctl.policies.source import controller_notes
 
 

@@ -22,8 +22,8 @@ from flipperctl.api import ACTIONS, Learning, Network, ObservationLayout, Outcom
 from flipperctl.checkpoint.document import require_equal_layout
 from flipperctl.config import Teacher
 from flipperctl.errors import ConfigError
-from flipperctl.guard import naming, refusal
 from flipperctl.learners.settings import PairSettings
+from flipperctl.plugging.guard import naming, refusal
 
 
 class NetworkPair:

@@ -25,7 +25,7 @@ from flipperctl.config import TrainConfig
 from flipperctl.config.describe import Field
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError, MissingExtraError
-from flipperctl.messages import close_match
+from flipperctl.text.messages import close_match
 
 try:
     import stable_baselines3

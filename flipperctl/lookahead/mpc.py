@@ -25,6 +25,7 @@ from flipperctl.api import (
     Simulator,
 )
 from flipperctl.config import Episode
+from flipperctl.config.reward_sum import RewardSum
 from flipperctl.core.ground_map import GroundMap
 from flipperctl.lookahead.model import (
     TARGETS,
@@ -47,7 +48,6 @@ from flipperctl.lookahead.search import (
     none_yet,
 )
 from flipperctl.lookahead.settings import LearnedValue, MpcSettings
-from flipperctl.reward_sum import RewardSum
 from flipperctl.sim.ground import kept_points
 
 HURRY = 5.0

@@ -28,9 +28,9 @@ from flipperctl.api import (
     action_index,
 )
 from flipperctl.config import Episode
+from flipperctl.config.reward_sum import RewardSum
 from flipperctl.lookahead.dynamics import RUNNING
 from flipperctl.lookahead.model import FLIPPERS, TARGETS, TURNS, Branch, Model, Nodes, transitions
-from flipperctl.reward_sum import RewardSum
 
 _CLEARANCE = Episode().clearance
 """Largest height of the chassis' higher end above the ground at the finish [m].

@@ -37,6 +37,7 @@ from flipperctl.api import (
     action_index,
 )
 from flipperctl.config import Episode
+from flipperctl.config.reward_sum import RewardSum
 from flipperctl.lookahead.dynamics import MOST_EXACT, RUNNING
 from flipperctl.lookahead.model import (
     FLIPPERS,
@@ -51,7 +52,6 @@ from flipperctl.lookahead.model import (
 )
 from flipperctl.lookahead.search import HOLD, History, Returns, Search, highest_at_finish, moves
 from flipperctl.lookahead.settings import ValueIterationSettings
-from flipperctl.reward_sum import RewardSum
 
 _SHARE = 0.5  # length of a cell as a share of the way of a decision at full speed [-]
 _PITCH, _HEIGHT = 0.08, 0.1  # size of a cell in pitch [rad] and in height [m]

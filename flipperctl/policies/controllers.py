@@ -32,8 +32,8 @@ from flipperctl.core.risk import RiskSign
 from flipperctl.core.targets import ALLOWED, Action, as_action
 from flipperctl.env.repeating import require_unmoved
 from flipperctl.errors import ConfigError, FlipperctlError
-from flipperctl.guard import naming, refusal, short_repr
-from flipperctl.randomness import global_states
+from flipperctl.plugging.guard import naming, refusal, short_repr
+from flipperctl.plugging.randomness import global_states
 
 TEMPERATURE = 0.3
 """Default cost difference that makes an action e times less probable [s]."""

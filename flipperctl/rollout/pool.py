@@ -26,9 +26,9 @@ from queue import Empty, SimpleQueue
 from tempfile import TemporaryDirectory, mkstemp
 from typing import Any, Protocol, cast
 
-from flipperctl import guard, plugins
-from flipperctl.entry import STOPS
 from flipperctl.errors import FlipperctlError
+from flipperctl.plugging import guard, plugins
+from flipperctl.process.entry import STOPS
 
 Stop = Callable[[], bool]
 """Returns whether the user has asked the run to stop."""

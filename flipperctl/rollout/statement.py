@@ -15,13 +15,13 @@ from importlib.metadata import PackageNotFoundError, entry_points, version
 from importlib.util import find_spec
 from pathlib import Path
 
-from flipperctl import plugins
 from flipperctl.api import Controller, Plugin
 from flipperctl.checkpoint import find
 from flipperctl.config import EnvConfig
 from flipperctl.config.identity import all_files_read, content_digest
 from flipperctl.env.metrics import measures
 from flipperctl.errors import FlipperctlError, WorkerDiffersError
+from flipperctl.plugging import plugins
 from flipperctl.policies.identity import named_files
 from flipperctl.rollout import cluster
 from flipperctl.sim.versions import engine_versions

@@ -27,7 +27,7 @@ from flipperctl.api import (
     Transition,
 )
 from flipperctl.errors import RequestError, other_format
-from flipperctl.files import write_bytes
+from flipperctl.text.files import write_bytes
 
 FORMAT = 1  # number of the file's format
 PERIOD = 0.05

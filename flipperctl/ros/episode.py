@@ -23,7 +23,6 @@ from flipperctl.core.lidar.messages import Belts, Inertial, Scan
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.pictures import Observer
 from flipperctl.errors import OutputError, RequestError
-from flipperctl.files import new_folder
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import EvaluationSeeds, decisions
 from flipperctl.ros.messages import (
@@ -35,6 +34,7 @@ from flipperctl.ros.messages import (
     require_rosbags,
     typestore,
 )
+from flipperctl.text.files import new_folder
 
 CLOUD, IMU, JOINT_STATES, ODOMETRY = "/points", "/imu/data", "/joint_states", "/odom"
 TRANSFORMS, STATIC, BELTS = "/tf", "/tf_static", "/belt_speed"

@@ -22,10 +22,10 @@ from scipy.spatial.transform import Rotation
 
 from flipperctl.api import FloatArray, Robot
 from flipperctl.errors import MissingExtraError, RequestError
-from flipperctl.files import OutputKind, check_output, write_bytes
 from flipperctl.ros.reading import Points, Pose, messages, opened, read_points
 from flipperctl.ros.recording import Recording, read_recording
 from flipperctl.ros.topics import Names
+from flipperctl.text.files import OutputKind, check_output, write_bytes
 
 _HEADER = "# ground by flipperctl: x y z [m]\n"
 """First line of each file, by which an earlier one is recognised."""

@@ -23,9 +23,9 @@ from flipperctl.api import FloatArray
 from flipperctl.core.crosschecks import Difference, Peak, by_clock, by_steps, compared
 from flipperctl.core.lidar.messages import Pose as ChassisPose
 from flipperctl.errors import RequestError
-from flipperctl.messages import close_match
 from flipperctl.ros.messages import require_rosbags
 from flipperctl.runtime.point_cloud import PointTimes, read_cloud
+from flipperctl.text.messages import close_match
 
 CLOUD, ODOMETRY = "sensor_msgs/msg/PointCloud2", "nav_msgs/msg/Odometry"
 _FRAMES = "tf2_msgs/msg/TFMessage", "tf/msg/tfMessage"

@@ -20,7 +20,6 @@ import numpy as np
 from flipperctl.api import Sensor
 from flipperctl.core.lidar.body import Mount, mounting
 from flipperctl.errors import RequestError
-from flipperctl.files import OutputKind, check_output, write_bytes
 from flipperctl.ros.checking import Checked, examine, tells
 from flipperctl.ros.reading import (
     Pose,
@@ -47,6 +46,7 @@ from flipperctl.runtime.messages import (
 from flipperctl.runtime.point_cloud import PointTimes
 from flipperctl.runtime.recordings import Shadow
 from flipperctl.sim.lidar import LidarSensor
+from flipperctl.text.files import OutputKind, check_output, write_bytes
 
 Message = Cloud | Attitude | JointAngles | Odometry
 

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from flipperctl.errors import RequestError
-from flipperctl.messages import close_match
 from flipperctl.ros.episode import BELTS
 from flipperctl.ros.messages import BASE, JOINTS, ODOM
 from flipperctl.ros.reading import CLOUD, ODOMETRY, messages
+from flipperctl.text.messages import close_match
 
 _LISTED = 10
 """Topics or joints of a bag that a remark names [-]."""

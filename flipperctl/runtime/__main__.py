@@ -8,8 +8,8 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from flipperctl import entry
 from flipperctl.errors import RequestError
+from flipperctl.process import entry
 
 if TYPE_CHECKING:
     from flipperctl.runtime.interface import Interface

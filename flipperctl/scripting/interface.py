@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from flipperctl.checkpoint.results import METRICS
 from flipperctl.cli import plot as drawing
 from flipperctl.cli.hydra.compose import compose_train, run_directory
 from flipperctl.cli.hydra.overrides import Overrides
@@ -25,19 +26,8 @@ from flipperctl.errors import (
     RequestError,
 )
 from flipperctl.evaluation import evaluate as results
-from flipperctl.evaluation import run as evaluation
-from flipperctl.evaluation.filming import Filming
 from flipperctl.evaluation.plan import NamedPolicy, controllers, entrants
-from flipperctl.evaluation.run import episode_rows
-from flipperctl.evaluation.views.evaluation import (
-    csv_rows,
-    parse_columns,
-    parse_groups,
-    print_result,
-)
-from flipperctl.evaluation.views.summary import Document, rate_text
-from flipperctl.files import read_csv
-from flipperctl.results import METRICS
+from flipperctl.process.session import interrupts
 from flipperctl.scripting import progress as shown
 from flipperctl.scripting.policy import Function, LoadedPolicy, function_policy, load
 from flipperctl.scripting.settings import (
@@ -48,11 +38,21 @@ from flipperctl.scripting.settings import (
     public,
     words,
 )
-from flipperctl.session import interrupts
 from flipperctl.terminal.streams import print_note
 from flipperctl.terminal.training import check_resumed, print_best
+from flipperctl.text.files import read_csv
 from flipperctl.training.run import Finished, check, check_resumable, start
 from flipperctl.training.run import resume as resume_run
+from flipperctl.views import run as evaluation
+from flipperctl.views.evaluation import (
+    csv_rows,
+    parse_columns,
+    parse_groups,
+    print_result,
+)
+from flipperctl.views.filming import Filming
+from flipperctl.views.run import episode_rows
+from flipperctl.views.summary import Document, rate_text
 
 if TYPE_CHECKING:
     import numpy as np
@@ -449,7 +449,7 @@ def plot(
     Raises:
         RequestError: there is nothing to draw, or an argument does not fit.
     """
-    from flipperctl.evaluation.views.plot import Request
+    from flipperctl.views.plot import Request
 
     begin(plugins)
     asked = Request(

@@ -17,17 +17,17 @@ from typing import ParamSpec, TypeVar
 
 import numpy as np
 
-from flipperctl import entry
-from flipperctl import plugins as registered
 from flipperctl.api import Measure, Plugin, Settings, registry
 from flipperctl.config import EnvConfig, TrainConfig, resolver, to_dict
 from flipperctl.config.defaults import CHOICES, LISTS
 from flipperctl.config.words import quoted
 from flipperctl.errors import ConfigError, PluginError, RequestError
-from flipperctl.files import at_home
-from flipperctl.session import remember_plugins
+from flipperctl.plugging import plugins as registered
+from flipperctl.process import entry
+from flipperctl.process.session import remember_plugins
+from flipperctl.process.undisturbed import undisturbed
 from flipperctl.terminal.streams import begin_notices
-from flipperctl.undisturbed import undisturbed
+from flipperctl.text.files import at_home
 
 Paths = Sequence[str | os.PathLike[str]]
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 
 from flipperctl.api import SAMPLE_PERIOD, Engine
-from flipperctl.guard import naming, refusal, short_repr
+from flipperctl.plugging.guard import naming, refusal, short_repr
 
 _EXACT = 1e-9  # part of a sample that is an error of rounding [-]
 

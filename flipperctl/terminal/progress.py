@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from flipperctl.show import console, print_lines
+from flipperctl.text.show import console, print_lines
 
 HEADING, PAPERS_HEADING = "pitch variation [rad]", "at decisions [rad]"
 """Headings of the two columns in tables, in this order."""

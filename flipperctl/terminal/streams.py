@@ -81,7 +81,7 @@ def _moved(out: TextIO) -> Iterator[TextIO]:
 
 def print_note(text: str) -> None:
     """Print a text on stderr, which leaves the results on stdout alone."""
-    from flipperctl.show import print_text
+    from flipperctl.text.show import print_text
 
     print_text(text, stderr=True)
 

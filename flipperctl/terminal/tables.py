@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from flipperctl.api import Robot
-from flipperctl.messages import unit
-from flipperctl.show import NONE, Column, Table, console, print_lines, print_table, print_text
+from flipperctl.text.messages import unit
+from flipperctl.text.show import NONE, Column, Table, console, print_lines, print_table, print_text
 
 _PLUGINS = (
     Column("kind", "kind"),

@@ -9,11 +9,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from flipperctl.config import TrainConfig
-from flipperctl.evaluation.views import regret, summary
-from flipperctl.session import command
+from flipperctl.process.session import command
 from flipperctl.terminal.progress import TrainingProgress, way_text
 from flipperctl.terminal.streams import print_note, print_notices
 from flipperctl.training.run import Finished, Reports, check_device
+from flipperctl.views import regret, summary
 
 
 def reports() -> Reports:

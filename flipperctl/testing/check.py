@@ -27,11 +27,11 @@ from unittest import SkipTest
 import numpy as np
 from pydantic import ValidationError
 
-from flipperctl import plugins as loader
 from flipperctl.api import IntRange, Plugin, Range, registry
 from flipperctl.config import resolver
 from flipperctl.errors import ConfigError, ConformanceError, FlipperctlError
-from flipperctl.guard import error_line, error_place, plugin_label
+from flipperctl.plugging import plugins as loader
+from flipperctl.plugging.guard import error_line, error_place, plugin_label
 
 _MODULES = {
     **{"terrain": "terrain", "sim": "engine", "perception": "sensor"},

@@ -13,11 +13,11 @@ import importlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from flipperctl import plugins
 from flipperctl.api import Controller, Measure, Network, Plugin, registry
 from flipperctl.config import EnvConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.repeating import beginning
+from flipperctl.plugging import plugins
 from flipperctl.rollout.pool import ProcessHost
 from flipperctl.testing import policies, recorded
 from flipperctl.testing.check import NotChecked, require

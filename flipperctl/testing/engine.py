@@ -16,7 +16,7 @@ from flipperctl.api import (
     World,
 )
 from flipperctl.config import EnvConfig
-from flipperctl.randomness import global_states, moved_since
+from flipperctl.plugging.randomness import global_states, moved_since
 from flipperctl.testing.check import of, require
 from flipperctl.testing.conventions import probe_world, require_conventions
 

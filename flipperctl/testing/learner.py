@@ -13,9 +13,9 @@ from pydantic import ValidationError
 from flipperctl.api import Learner, ObservationLayout
 from flipperctl.config import TrainConfig, parse
 from flipperctl.errors import ConfigError, ExportError, MissingExtraError
-from flipperctl.files import make_folder
 from flipperctl.testing.check import NotChecked, of, require
 from flipperctl.testing.recorded import SHORT, Ground, NoReward
+from flipperctl.text.files import make_folder
 
 if TYPE_CHECKING:
     from flipperctl.training.trainer import Trainer

@@ -22,10 +22,10 @@ from flipperctl.errors import (
     FlipperctlError,
     MissingExtraError,
 )
-from flipperctl.files import make_folder
 from flipperctl.rollout.episode import decisions
 from flipperctl.testing.check import NotChecked, of, require
 from flipperctl.testing.recorded import SCENES, SHORT, Ground, NoReward, Scene
+from flipperctl.text.files import make_folder
 
 if TYPE_CHECKING:
     import torch

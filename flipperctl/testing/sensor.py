@@ -32,8 +32,8 @@ from flipperctl.api import (
 from flipperctl.config import EnvConfig
 from flipperctl.env.drive import Drive
 from flipperctl.env.perceiving import Perceiver
-from flipperctl.guard import short_repr
-from flipperctl.randomness import global_states, moved_since
+from flipperctl.plugging.guard import short_repr
+from flipperctl.plugging.randomness import global_states, moved_since
 from flipperctl.testing.check import of, require
 from flipperctl.testing.conventions import probe_sensing, require_conventions
 

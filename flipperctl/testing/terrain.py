@@ -15,10 +15,10 @@ from flipperctl.errors import ConformanceError, TerrainError
 from flipperctl.figures.figure import save
 from flipperctl.figures.render import CHASSIS, EARTH, Renderer
 from flipperctl.figures.terrain import SMALL, terrain_figure
-from flipperctl.files import make_folder
-from flipperctl.randomness import global_states, moved_since
+from flipperctl.plugging.randomness import global_states, moved_since
 from flipperctl.testing.check import Variant, of, require
 from flipperctl.testing.recorded import HOLD, NoReward
+from flipperctl.text.files import make_folder
 
 _MIN_AREA = 1e-3
 """Smallest fraction of the picture that ground and chassis must each cover [-]."""

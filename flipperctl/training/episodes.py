@@ -17,7 +17,6 @@ from flipperctl.api import Learning, RecordedEpisode, Step
 from flipperctl.checkpoint import recording
 from flipperctl.checkpoint.document import RECENT
 from flipperctl.config import TrainConfig
-from flipperctl.files import make_folder
 from flipperctl.rollout.collect import (
     AsyncCollector,
     Collector,
@@ -28,6 +27,7 @@ from flipperctl.rollout.collect import (
 from flipperctl.rollout.episode import EpisodeRecorder, RolloutRequest, Weights, training_seed
 from flipperctl.rollout.pool import Stop
 from flipperctl.rollout.training import ConfiguredTraining
+from flipperctl.text.files import make_folder
 
 
 @dataclass

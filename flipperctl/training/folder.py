@@ -17,12 +17,21 @@ from typing import Any
 
 from omegaconf import OmegaConf
 
-from flipperctl import checkpoint, plugins
+from flipperctl import checkpoint
+from flipperctl.checkpoint.results import (
+    CONFIG,
+    HYDRA,
+    METRICS,
+    SUMMARY,
+    holds_run,
+    is_held,
+    read_config,
+)
 from flipperctl.config import TrainConfig, parse, to_dict
 from flipperctl.config.identity import differences
 from flipperctl.errors import CheckpointError, ConfigError, OutputError, RequestError
-from flipperctl.files import CsvRow, make_folder, read_csv, remove_partial, write_bytes
-from flipperctl.results import CONFIG, HYDRA, METRICS, SUMMARY, holds_run, is_held, read_config
+from flipperctl.plugging import plugins
+from flipperctl.text.files import CsvRow, make_folder, read_csv, remove_partial, write_bytes
 from flipperctl.training.episodes import EPISODES, PARTS
 from flipperctl.training.listeners import NAME, Companion
 from flipperctl.training.sweep import REACHED, of_reached

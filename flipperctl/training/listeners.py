@@ -21,15 +21,15 @@ from typing import Any
 
 from pydantic import Field
 
-from flipperctl import guard
 from flipperctl.api import Listener, Logger, RunInfo
 from flipperctl.checkpoint.document import Count, Label, NonNegative, Record
+from flipperctl.checkpoint.results import names as numbered
 from flipperctl.config import TrainConfig, to_dict
 from flipperctl.env.metrics import logged
 from flipperctl.errors import CheckpointError, MissingExtraError, WriteError
-from flipperctl.files import failure, write_bytes, write_json
-from flipperctl.results import names as numbered
-from flipperctl.show import print_text
+from flipperctl.plugging import guard
+from flipperctl.text.files import failure, write_bytes, write_json
+from flipperctl.text.show import print_text
 
 
 def columns() -> tuple[str, ...]:

@@ -22,6 +22,7 @@ from flipperctl.api import Listener
 from flipperctl.api.controllers import is_rule
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.checkpoint.document import State
+from flipperctl.checkpoint.results import METRICS, finished, hold, holds_run, names
 from flipperctl.config import (
     EnvConfig,
     Eval,
@@ -31,6 +32,7 @@ from flipperctl.config import (
     to_dict,
     with_overrides,
 )
+from flipperctl.config.reward_sum import paying_terms
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.repeating import require_repeatable
 from flipperctl.errors import (
@@ -45,15 +47,13 @@ from flipperctl.errors import (
 )
 from flipperctl.evaluation.conditions import TRAINED
 from flipperctl.evaluation.play import Player
-from flipperctl.evaluation.views.regret import LEVEL, RegretScene, measure
-from flipperctl.files import make_folder
 from flipperctl.policies.source import PolicySource, load_policy
-from flipperctl.results import METRICS, finished, hold, holds_run, names
-from flipperctl.reward_sum import paying_terms
-from flipperctl.session import command, interrupts, quote_path
+from flipperctl.process.session import command, interrupts, quote_path
+from flipperctl.text.files import make_folder
 from flipperctl.training import folder as run_folder
 from flipperctl.training.listeners import MetricsCsv, openers
 from flipperctl.training.trainer import Trainer, closer
+from flipperctl.views.regret import LEVEL, RegretScene, measure
 
 _RESUMABLE = ("train.", "device", "collector", "logger")
 """What the overrides of a resumed run begin with."""

@@ -24,6 +24,7 @@ from pydantic import Field, ValidationError
 
 from flipperctl.api import Settings
 from flipperctl.checkpoint import job_order
+from flipperctl.checkpoint.results import SUMMARY
 from flipperctl.errors import (
     ConfigError,
     FlipperctlError,
@@ -33,10 +34,9 @@ from flipperctl.errors import (
     PluginFailedError,
     RequestError,
 )
-from flipperctl.messages import explain
-from flipperctl.results import SUMMARY
-from flipperctl.session import command, sweep_command
-from flipperctl.training.sweep import JobResult, Sweep, SweepRun, sweep_run
+from flipperctl.process.session import command
+from flipperctl.text.messages import explain
+from flipperctl.training.sweep import JobResult, Sweep, SweepRun, sweep_command, sweep_run
 
 if TYPE_CHECKING:
     from optuna import Study

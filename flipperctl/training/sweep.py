@@ -9,17 +9,20 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import re
+import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from flipperctl.checkpoint.results import SUMMARY, hold, holds_run, is_dead, names
+from flipperctl.config.words import literal_override
 from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError, RunHeldError
-from flipperctl.files import make_folder, read_csv, write_csv
-from flipperctl.results import SUMMARY, hold, holds_run, is_dead, names
-from flipperctl.session import interrupts
+from flipperctl.process.session import command, interrupts
+from flipperctl.text.files import make_folder, read_csv, write_csv
 
 _LONGEST = 120
 """Largest length of a folder's name in characters; file systems allow 255 bytes."""
@@ -41,6 +44,17 @@ def _short(value: str) -> str:
         return value if len(value) <= 8 else f"{float(value):.5g}"
     except ValueError:
         return value
+
+
+def sweep_command(folder: Path) -> str:
+    """Return the command that continues the sweep in ``folder``, which this process runs."""
+    words = [word for word in sys.argv[1:] if word != "--multirun"]
+    if not any(word.startswith(("hydra.sweep.dir=", "--output")) for word in words):
+        short = os.path.relpath(folder) if folder.is_relative_to(Path.cwd()) else str(folder)
+        plain = re.fullmatch(r"[\w./-]+", short) is not None
+        key = "hydra.sweep.dir"
+        words.append(f"{key}={short}" if plain else literal_override(key, short))
+    return command("train", "-m", *words)
 
 
 _MARK = ".sweep.stop"

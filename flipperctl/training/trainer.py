@@ -30,10 +30,10 @@ from flipperctl.config.identity import all_files_read, content_digest
 from flipperctl.env import ground
 from flipperctl.env.metrics import DRAWN
 from flipperctl.errors import CheckpointError
-from flipperctl.files import write_json
 from flipperctl.rollout.collect import Collector
 from flipperctl.rollout.episode import RolloutRequest, Row
 from flipperctl.rollout.training import ConfiguredTraining
+from flipperctl.text.files import write_json
 from flipperctl.training.episodes import EpisodeSource, Progress, TrainingRecorder
 from flipperctl.training.listeners import Companion
 from flipperctl.training.validation import Validator

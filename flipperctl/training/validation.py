@@ -17,14 +17,14 @@ from flipperctl.agent.risk import POSITIVES, policy_arrays
 from flipperctl.api import FailureRisk, FloatArray, Learning, Outcome
 from flipperctl.checkpoint.document import BestBy, Validation
 from flipperctl.config import TrainConfig
+from flipperctl.config.reward_sum import paying_terms
 from flipperctl.core.risk import RiskCalibration, RiskSign
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.metrics import DRAWN
 from flipperctl.evaluation.rows import reached
-from flipperctl.evaluation.views.summary import predicted_and_actual, summarise, threshold_for
-from flipperctl.reward_sum import paying_terms
 from flipperctl.rollout.collect import Collector, GreedyPlayer
 from flipperctl.rollout.episode import EpisodeRisks, Row, validation_seed
+from flipperctl.views.summary import predicted_and_actual, summarise, threshold_for
 
 _LEAST: Final = 0.05
 """Smallest threshold of a warning [-], however few false alarms a smaller one would give."""

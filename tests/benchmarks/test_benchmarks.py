@@ -29,8 +29,8 @@ from benchmarks import (
 from benchmarks.settings import MEASURES, Benchmark, BenchmarkSettings, ratio, sizes
 from flipperctl.agent.risk import RiskNetwork
 from flipperctl.api import Robot
-from flipperctl.bench import measure_in_turn, quantity
 from flipperctl.checkpoint import read
+from flipperctl.cli.bench import measure_in_turn, quantity
 from flipperctl.cli.main import run_app
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig
 from flipperctl.core.risk import RiskCalibration, RiskSign

@@ -14,7 +14,7 @@ from flipperctl.checkpoint import document as sealed
 from flipperctl.checkpoint import recording
 from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.errors import CheckpointError, ConfigError
-from flipperctl.files import check_output
+from flipperctl.text.files import check_output
 
 STEP, FLAT = EnvConfig(terrain="step"), EnvConfig(terrain="flat")
 

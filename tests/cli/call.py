@@ -9,8 +9,9 @@ from typing import Any
 
 import typer.main
 
-from flipperctl import api, plugins
+from flipperctl import api
 from flipperctl.cli.main import app, main
+from flipperctl.plugging import plugins
 
 _PROGRAM: Any = typer.main.get_command(app)
 COMMANDS: dict[str, Any] = _PROGRAM.commands

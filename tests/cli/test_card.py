@@ -7,8 +7,8 @@ import pytest
 import yaml
 
 from flipperctl.config import TrainConfig
-from flipperctl.evaluation.views.card import CARD, MEASURES, StoredRow, _changed, limits, results
-from flipperctl.files import check_output
+from flipperctl.text.files import check_output
+from flipperctl.views.card import CARD, MEASURES, StoredRow, _changed, limits, results
 from tests.cli.call import call
 
 EVAL = ("eval", "generalist", "--baseline", "level", "terrain=flat")

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from flipperctl import bench, checkpoint
+from flipperctl import checkpoint
+from flipperctl.cli import bench
 from flipperctl.cli.train import split_arguments
 from flipperctl.env.metrics import RESERVED, measures
-from flipperctl.files import read_csv
+from flipperctl.text.files import read_csv
 from flipperctl.training.trainer import Trainer
 from tests.cli.call import EXACT, call
 
@@ -156,7 +157,7 @@ def test_one_document_with_machine_settings_and_raw_numbers(tmp_path: Path) -> N
 
 
 def test_decisions_are_timed_without_torch_and_pymunk() -> None:
-    code = "import sys, flipperctl.bench as b; print([n for n in b.HEAVY if n in sys.modules])"
+    code = "import sys, flipperctl.cli.bench as b; print([n for n in b.HEAVY if n in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 

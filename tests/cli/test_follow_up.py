@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from flipperctl import checkpoint
-from flipperctl.results import hold
+from flipperctl.checkpoint.results import hold
 from flipperctl.runtime import OnnxPolicy
 from tests.cli.call import EXACT, call
 

@@ -47,7 +47,7 @@ def test_a_map_as_text_which_a_full_disk_does_not_lose(
     def full(folder: Path, found: object) -> None:
         raise WriteError(f"{folder}: writing failed half way (No space left on device)")
 
-    monkeypatch.setattr("flipperctl.evaluation.views.map.write", full)
+    monkeypatch.setattr("flipperctl.views.map.write", full)
     axes = "robot.chassis_mass=30:31:3,sim.friction=0.9:1:2"
     done = call(*MAP, axes, "--output", "found", cwd=tmp_path)
     assert [line.split() for line in done.out.splitlines()[2:5]] == [
@@ -98,7 +98,7 @@ HIGH = ("terrain=step", "terrain.height=0.4", "sim.friction=0.6")
 def test_engines_stand_side_by_side_and_failures_have_causes_and_records(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("flipperctl.evaluation.traces.Traces.record", lambda *given: None)
+    monkeypatch.setattr("flipperctl.views.traces.Traces.record", lambda *given: None)
     asked = ("eval", "okada", "sim=planar,mujoco", *HIGH, "--episodes", "1", "--output", "out")
     done = call(*asked, cwd=tmp_path)
     assert done.code == 0, done.err

@@ -13,10 +13,10 @@ import flipperctl
 from flipperctl.api import RobotGeometry
 from flipperctl.cli.plot import draw, length
 from flipperctl.errors import RequestError
-from flipperctl.evaluation.views.plot import Request
 from flipperctl.figures.episode import poses_figure
 from flipperctl.rollout.trace import Trace
 from flipperctl.rollout.trace import write as write_traces
+from flipperctl.views.plot import Request
 from tests.cli.call import call, refused
 from tests.cli.test_compare import write
 

@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 
 import flipperctl
-from flipperctl import session
 from flipperctl.agent import replay as memory
 from flipperctl.config import EnvConfig, parse, to_dict
 from flipperctl.errors import FlipperctlError
+from flipperctl.process import session
 from tests.cli.call import refused
 
 REFUSED = """

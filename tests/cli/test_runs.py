@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from flipperctl import checkpoint
+from flipperctl.checkpoint.results import hold
 from flipperctl.errors import ConfigError
-from flipperctl.results import hold
 from flipperctl.training import folder as run_folder
 from flipperctl.training import sweep
 from flipperctl.training.listeners import Companion

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from flipperctl import plugins
 from flipperctl.cli.hydra.compose import compose_train
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.cli.plan import make_plan, scenes
@@ -17,6 +16,7 @@ from flipperctl.config.presets import shipped
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.plan import NamedPolicy, Plan, find_suite
+from flipperctl.plugging import plugins
 from tests.cli.call import call, refused
 
 GENERALIST = Path("generalist")

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flipperctl import api, plugins
+from flipperctl import api
 from flipperctl.core.sensing import Measured, SensedAngles, SensedGround
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.perceiving import initial_copy
 from flipperctl.env.pictures import Observer
 from flipperctl.errors import ConfigError, NonFiniteError, PluginFailedError
+from flipperctl.plugging import plugins
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 UP = api.action_index(1, 1)

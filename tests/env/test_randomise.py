@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import yaml
 
-from flipperctl import plugins
 from flipperctl.api import Robot
 from flipperctl.config import EnvConfig, resolver, to_dict, with_overrides
 from flipperctl.config.sampled import PATH_SECTIONS, Randomise
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
+from flipperctl.plugging import plugins
 from flipperctl.rollout.episode import play
 
 HOLD, RAISE = 4, 8

@@ -14,12 +14,12 @@ from flipperctl.config import EvalConfig
 from flipperctl.env.drive import Commanding
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError, PolicyError, RequestError
-from flipperctl.evaluation.drives import PRACTICE, DriveFolder, Task
 from flipperctl.evaluation.play import EpisodeRunner, Player
 from flipperctl.evaluation.replay import replay
 from flipperctl.evaluation.rows import RECORDED
-from flipperctl.evaluation.study import add_answers, read_study, tasks_of
-from flipperctl.plugins import load
+from flipperctl.live.drives import PRACTICE, DriveFolder, Task
+from flipperctl.live.study import add_answers, read_study, tasks_of
+from flipperctl.plugging.plugins import load
 from flipperctl.policies.source import load_policy
 from flipperctl.rollout.episode import decisions
 from flipperctl.ros.episode import export_bag

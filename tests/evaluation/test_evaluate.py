@@ -19,8 +19,8 @@ from flipperctl.evaluation.evaluate import Result
 from flipperctl.evaluation.evaluate import evaluate as play
 from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.statistics import holm, paired_success, proportion
-from flipperctl.evaluation.views import evaluation
 from flipperctl.policies.source import PolicySource, load_policy
+from flipperctl.views import evaluation
 
 LEVEL, OKADA, RANDOM = (load_policy(name, "here") for name in ("level", "okada", "random"))
 TWO = {"episodes": 2, "seed": 4}

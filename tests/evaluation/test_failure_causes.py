@@ -18,9 +18,9 @@ from flipperctl.evaluation.failure_causes import (
     with_friction,
 )
 from flipperctl.evaluation.plan import Entry, NamedPolicy, Plan
-from flipperctl.evaluation.views import engines, evaluation
 from flipperctl.policies.source import load_policy
 from flipperctl.sim.planar.sensing import PlanarSensor, TerrainSensor
+from flipperctl.views import engines, evaluation
 from tests.evaluation.samples import sample
 
 HIGH = ["terrain=step", "terrain.height=0.35", "eval.episodes=2"]

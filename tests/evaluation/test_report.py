@@ -8,12 +8,11 @@ from pathlib import Path
 from re import findall, sub
 from typing import Any
 
-from flipperctl.evaluation import report, traces
 from flipperctl.evaluation.rows import Row
-from flipperctl.evaluation.views import evaluation
-from flipperctl.files import write_json
 from flipperctl.rollout.trace import write as write_traces
-from flipperctl.show import Column, Table, html
+from flipperctl.text.files import write_json
+from flipperctl.text.show import Column, Table, html
+from flipperctl.views import evaluation, report, traces
 from tests.cli.call import call, refused
 from tests.evaluation.samples import result, sample
 from tests.figures.test_figures import trace

@@ -7,11 +7,10 @@ from typing import Any
 
 import pytest
 
-from flipperctl.evaluation import report, traces
-from flipperctl.evaluation.run import episode_rows
-from flipperctl.evaluation.views import evaluation
-from flipperctl.files import write_csv, write_json
 from flipperctl.rollout.trace import write as write_traces
+from flipperctl.text.files import write_csv, write_json
+from flipperctl.views import evaluation, report, traces
+from flipperctl.views.run import episode_rows
 from tests.evaluation.samples import result, sample
 from tests.figures.test_figures import trace
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from pydantic import Field
 
-from flipperctl import api, files
+from flipperctl import api
 from flipperctl.api import Policy
 from flipperctl.checkpoint import shipped_policies
 from flipperctl.config import EvalConfig, with_overrides
@@ -35,11 +35,12 @@ from flipperctl.evaluation.store import (
     played_policies,
     write_view,
 )
-from flipperctl.evaluation.views import evaluation
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource, load_policy
 from flipperctl.rollout import cluster
 from flipperctl.rollout.pool import WorkerDiedError
+from flipperctl.text import files
+from flipperctl.views import evaluation
 
 LEVEL, OKADA = (load_policy(name, "here") for name in ("level", "okada"))
 

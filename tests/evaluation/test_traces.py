@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from flipperctl.errors import RequestError
-from flipperctl.evaluation import traces
 from flipperctl.evaluation.play import EpisodeRunner
 from flipperctl.rollout.trace import Trace, read, write
+from flipperctl.views import traces
 from tests.cli.call import call
 from tests.figures.test_figures import trace
 

@@ -20,12 +20,12 @@ from flipperctl.errors import ExportError, MissingExtraError
 from flipperctl.export import policy
 from flipperctl.export.metadata import policy_metadata
 from flipperctl.export.policy import compare
-from flipperctl.files import check_output
 from flipperctl.policies.source import PolicySource
 from flipperctl.policies.trained import policy_module
 from flipperctl.runtime import OnnxPolicy, RobotSetup
 from flipperctl.runtime.controller import new_estimator
 from flipperctl.runtime.interface import read_interface
+from flipperctl.text.files import check_output
 from tests.played import play_episodes
 
 SIZE = ObservationLayout().size

@@ -8,7 +8,7 @@ import pytest
 
 from flipperctl.errors import RequestError
 from flipperctl.figures.curves import column, curves_figure, over_seeds, running_mean
-from flipperctl.files import CsvRow, read_csv
+from flipperctl.text.files import CsvRow, read_csv
 
 Rows = list[CsvRow]
 

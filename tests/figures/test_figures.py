@@ -22,13 +22,13 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import OutputError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.plan import Entry
-from flipperctl.evaluation.run import picture_names
 from flipperctl.figures.episode import episode_figure
 from flipperctl.figures.figure import save
 from flipperctl.figures.render import BELT, Renderer
 from flipperctl.figures.terrain import terrain_figure
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.trace import Trace
+from flipperctl.views.run import picture_names
 
 ROBOT = RobotGeometry()
 STEP = Profile([(0.0, 0.0), (0.0, 0.3), (2.0, 0.3)])

@@ -16,11 +16,11 @@ from benchmarks import browser
 from benchmarks.drive import ScriptedOperator, Way
 from flipperctl.checkpoint import recording
 from flipperctl.config import EvalConfig
-from flipperctl.evaluation.drives import DriveFolder, Task, drive
 from flipperctl.evaluation.replay import replay
 from flipperctl.evaluation.rows import Row
 from flipperctl.live.drive import DrivePage
-from flipperctl.plugins import load
+from flipperctl.live.drives import DriveFolder, Task, drive
+from flipperctl.plugging.plugins import load
 from flipperctl.policies.source import load_policy
 from tests.cli.call import call
 

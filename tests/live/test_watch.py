@@ -20,7 +20,7 @@ from flipperctl.errors import RequestError
 from flipperctl.live import lanes, page, scene, terminal
 from flipperctl.live.gate import Gate
 from flipperctl.live.lanes import Entrant, Episode, Lane
-from flipperctl.plugins import load
+from flipperctl.plugging.plugins import load
 from flipperctl.policies.source import load_policy
 from tests.cli.call import call
 

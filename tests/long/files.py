@@ -22,9 +22,9 @@ from pypcd4.pypcd4 import Encoding, PointCloud
 from rasterio.transform import from_origin
 from trimesh import PointCloud as PlyCloud
 
-from flipperctl import plugins
 from flipperctl.config import resolver
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.plugging import plugins
 from tests.long import signed
 from tests.long.isolated import Verdict, run_isolated
 from tests.long.mutations import BYTES, Rng, number_at_the_start

@@ -48,8 +48,8 @@ def preload() -> None:
     import flipperctl.cli.hydra.sweeps
     import flipperctl.cli.main
     import flipperctl.training.run  # noqa: F401
-    from flipperctl import plugins
     from flipperctl.env.flipper_env import FlipperEnv
+    from flipperctl.plugging import plugins
 
     torch.set_num_threads(1)
     plugins.load()
@@ -179,7 +179,7 @@ def _members(group: int) -> list[int]:
 def result(run: Path) -> dict[str, Any]:
     """Return the contents of a finished run without times; equal runs have equal results."""
     from flipperctl import checkpoint
-    from flipperctl.files import read_csv
+    from flipperctl.text.files import read_csv
 
     found: dict[str, Any] = {}
     for name in (checkpoint.BEST, checkpoint.LAST):

@@ -5,9 +5,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from flipperctl.api import Profile, RewardTerm, Robot
+from flipperctl.config.reward_sum import RewardSum
 from flipperctl.lookahead.model import Model, Nodes
 from flipperctl.lookahead.value_iteration import Course, Graph
-from flipperctl.reward_sum import RewardSum
 
 ROBOT = Robot()
 FLAT = Profile([(0.0, 0.0), (0.1, 0.0)])

@@ -7,11 +7,11 @@ import pytest
 
 from flipperctl.api import ACTIONS, LAST_PITCHES, ObservationLayout, Outcome, Profile, Robot
 from flipperctl.config import resolver
+from flipperctl.config.reward_sum import RewardSum
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.lookahead.dynamics import MOST_EXACT, OVERTURNED, REACHED, RUNNING
 from flipperctl.lookahead.model import FLIPPERS, TARGETS, Ground, Model, Nodes, transitions
 from flipperctl.lookahead.search import History
-from flipperctl.reward_sum import RewardSum
 from tests.lookahead.scenes import FLAT as LEVEL
 from tests.lookahead.scenes import ROBOT, STEP, model_of, standing
 

@@ -8,11 +8,11 @@ import pytest
 
 from flipperctl.api import ACTIONS, Profile, Robot, action_index
 from flipperctl.config import resolver
+from flipperctl.config.reward_sum import RewardSum
 from flipperctl.lookahead import Mpc
 from flipperctl.lookahead.model import TARGETS, Model, Nodes
 from flipperctl.lookahead.mpc import HandSetCost
 from flipperctl.lookahead.search import Plan, Returns, Search, moves
-from flipperctl.reward_sum import RewardSum
 from tests.lookahead.scenes import FLAT, WALL, model_of, standing
 
 ROBOT = Robot()

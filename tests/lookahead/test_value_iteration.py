@@ -14,10 +14,10 @@ from flipperctl.api import (
     action_index,
 )
 from flipperctl.config import resolver
+from flipperctl.config.reward_sum import RewardSum
 from flipperctl.lookahead import value_iteration as graphs
 from flipperctl.lookahead.model import TARGETS, TURNS, Model, Nodes, transitions
 from flipperctl.lookahead.value_iteration import SIZE, Course, Graph, sample_groups, with_stops
-from flipperctl.reward_sum import RewardSum
 from tests.lookahead.scenes import (
     FINISH,
     FLAT,

@@ -16,7 +16,6 @@ import numpy as np
 import pytest
 from pydantic import Field
 
-from flipperctl import plugins
 from flipperctl.api import Measure, Profile, Robot, RobotState, Transition, action_index, measure
 from flipperctl.cli.plan import scenes
 from flipperctl.config import resolver
@@ -24,9 +23,10 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import NonFiniteError, PluginError, PluginFailedError
 from flipperctl.evaluation.evaluate import evaluate
 from flipperctl.evaluation.plan import Entry, Plan
-from flipperctl.evaluation.views.evaluation import csv_rows, document
+from flipperctl.plugging import plugins
 from flipperctl.rollout.episode import play
 from flipperctl.training.listeners import columns
+from flipperctl.views.evaluation import csv_rows, document
 from tests.cli.call import call
 
 ROBOT = Robot()  # hinges at ±0.28 m, axles of 0.336 m, tracks of radius 0.1 m, 35 kg and 2 × 5 kg

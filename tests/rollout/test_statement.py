@@ -6,12 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from flipperctl import api, plugins
+from flipperctl import api
 from flipperctl.api import Terrain
 from flipperctl.config import EnvConfig, EvalConfig, resolver
 from flipperctl.errors import WorkerDiffersError
 from flipperctl.evaluation.play import Player
 from flipperctl.evaluation.store import FolderStore
+from flipperctl.plugging import plugins
 from flipperctl.policies.source import load_policy
 from flipperctl.rollout.statement import Statement
 

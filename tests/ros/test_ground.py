@@ -11,12 +11,12 @@ from flipperctl.api import Robot, RobotState
 from flipperctl.config import resolver
 from flipperctl.core.lidar.body import attitude, mounting
 from flipperctl.errors import MissingExtraError, RequestError
-from flipperctl.files import check_output
 from flipperctl.ros.episode import TYPES, Stamped, write_bag
 from flipperctl.ros.ground import GROUND, convert
 from flipperctl.ros.messages import LIDAR, Messages
 from flipperctl.ros.reading import Pose, Transforms
 from flipperctl.ros.topics import Names
+from flipperctl.text.files import check_output
 from tests.cli.call import call
 
 YAW, PITCH, AXIS = 0.3, 0.1, math.pi / 4

@@ -12,7 +12,6 @@ from rosbags.rosbag2 import Reader
 
 from flipperctl.api import Robot
 from flipperctl.config import EvalConfig
-from flipperctl.files import check_output
 from flipperctl.policies.source import PolicySource
 from flipperctl.ros.episode import ACTION, TYPES, export_bag, write_bag
 from flipperctl.ros.messages import JOINTS, typestore
@@ -20,6 +19,7 @@ from flipperctl.ros.perceiving import replay
 from flipperctl.ros.recording import LOG, read_recording
 from flipperctl.ros.topics import Names
 from flipperctl.sim.lidar import LidarSensor
+from flipperctl.text.files import check_output
 from tests.cli.call import call
 from tests.ros.driving import FRONT, HEIGHT, MOUNT, REAR, SECONDS, SPEED, driving, points
 from tests.runtime.linear import ROBOT, RULE, write

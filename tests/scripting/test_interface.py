@@ -34,13 +34,13 @@ from flipperctl.errors import (
     RequestError,
 )
 from flipperctl.evaluation import stored
-from flipperctl.evaluation.run import episode_rows
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import decisions
 from flipperctl.runtime import OnnxPolicy
 from flipperctl.scripting import interface
 from flipperctl.scripting import progress as notebook
 from flipperctl.scripting.settings import words
+from flipperctl.views.run import episode_rows
 from tests.cli.call import call
 from tests.test_documentation import example
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from flipperctl import plugins
 from flipperctl.api import registry
+from flipperctl.plugging import plugins
 from flipperctl.testing import checks
 from tests.cli.call import RUN, call
 

@@ -11,9 +11,9 @@ import pytest
 import typer
 from rich.cells import cell_len
 
-from flipperctl import entry
 from flipperctl.cli.main import main, run_app
-from flipperctl.show import console
+from flipperctl.process import entry
+from flipperctl.text.show import console
 
 LOUD = """
 import os

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from rich.cells import cell_len
 from rich.console import Console
 
-from flipperctl import show
-from flipperctl.show import Column, Table, print_table
 from flipperctl.terminal import tables
+from flipperctl.text import show
+from flipperctl.text.show import Column, Table, print_table
 from tests.cli.call import call
 
 SCENE = ["terrain=flat", "--episodes", "1"]

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from flipperctl import plugins
 from flipperctl.api import ACTIONS, Robot, SensedGround, registry
 from flipperctl.config import EvalConfig
 from flipperctl.core.targets import TargetRule
 from flipperctl.errors import ConformanceError
+from flipperctl.plugging import plugins
 from flipperctl.sim.mujoco.world import MujocoWorld
 from flipperctl.sim.planar.sensing import TerrainSensor
 from flipperctl.testing import checks

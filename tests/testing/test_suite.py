@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from pydantic import Field
 
-from flipperctl import api, plugins
+from flipperctl import api
 from flipperctl.api import Outcome, Profile, RewardTerm, Terrain
 from flipperctl.config import TrainConfig
 from flipperctl.errors import (
@@ -22,6 +22,7 @@ from flipperctl.errors import (
     TerrainError,
 )
 from flipperctl.export import policy as export_policy
+from flipperctl.plugging import plugins
 from flipperctl.testing import Conformance, NotChecked, checks
 from flipperctl.testing.check import variants
 from flipperctl.testing.recorded import transitions, transitions_in_arrays

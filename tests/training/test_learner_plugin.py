@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from flipperctl import checkpoint, plugins
+from flipperctl import checkpoint
 from flipperctl.api import registry
 from flipperctl.config import TrainConfig
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.export.policy import export
+from flipperctl.plugging import plugins
 from flipperctl.policies.trained import policy_module
 from flipperctl.runtime import OnnxPolicy
 from flipperctl.training.run import check

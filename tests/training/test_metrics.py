@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from flipperctl.errors import CheckpointError, OutputError, RequestError
-from flipperctl.files import read_csv
+from flipperctl.text.files import read_csv
 from flipperctl.training.folder import read_run
 from flipperctl.training.listeners import Companion, Mark, MetricsCsv
 

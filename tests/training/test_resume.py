@@ -9,7 +9,7 @@ import pytest
 from flipperctl import checkpoint
 from flipperctl.env.privileged import SIZE
 from flipperctl.errors import CheckpointError
-from flipperctl.files import read_csv
+from flipperctl.text.files import read_csv
 from flipperctl.training.listeners import MetricsCsv
 from flipperctl.training.run import resume
 from flipperctl.training.trainer import Trainer

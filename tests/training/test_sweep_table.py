@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from flipperctl.errors import RequestError
-from flipperctl.files import read_csv
+from flipperctl.text.files import read_csv
 from flipperctl.training.sweep import FILE, Sweep, SweepRun, of_reached, write_comparison
 
 

@@ -10,7 +10,7 @@ from flipperctl.checkpoint.document import Validation
 from flipperctl.config import TrainConfig, with_overrides
 from flipperctl.config.resolver import guard_class
 from flipperctl.errors import MissingExtraError, WriteError
-from flipperctl.files import read_csv
+from flipperctl.text.files import read_csv
 from flipperctl.training import run as training
 from flipperctl.training.listeners import GuardedLogger, MetricsCsv
 from flipperctl.training.trainer import Trainer

@@ -8,6 +8,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import io
+import os
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ from hydra.core.utils import env_override
 from hydra.types import RunMode
 from omegaconf import OmegaConf, read_write
 
-from flipperctl import session
+from flipperctl.checkpoint import results
 from flipperctl.cli.hydra.compose import (
     CONFIGS,
     check_training_effect,
@@ -35,10 +36,12 @@ from flipperctl.cli.hydra.errors import convert_hydra_errors
 from flipperctl.cli.hydra.overrides import SEARCH_PATH, Overrides
 from flipperctl.cli.hydra.sweeps import named_by_time
 from flipperctl.errors import ConfigError, InterruptedRunError
-from flipperctl.files import failure
+from flipperctl.process import session
+from flipperctl.process.session import interrupts
 from flipperctl.rollout.cluster import shut_down
-from flipperctl.session import CommandProcess, interrupts
+from flipperctl.rollout.statement import Statement
 from flipperctl.terminal.streams import print_note, print_notices
+from flipperctl.text.files import failure
 from flipperctl.training import folder as run_folder
 from flipperctl.training import run as training_run
 from flipperctl.training.sweep import stop_of
@@ -93,7 +96,7 @@ def train(arguments: list[str], *, check: bool) -> None:
     flags = [_typed(name) for name in _FLAGS if chosen[name]]
     words = [*(word for option in options for word in option), *flags, *overrides.words]
     errors: list[BaseException] = []
-    job = _Job(CommandProcess.current(), checked)
+    job = _Job(_CommandProcess.current(), checked)
 
     def task(composed: Any) -> float | None:
         try:
@@ -186,10 +189,40 @@ def _check(overrides: Overrides) -> None:
 
 
 @dataclass(frozen=True)
+class _CommandProcess:
+    """Plugins, working directory and identity of a command's process; picklable."""
+
+    code: Statement
+    """What it computes with, its plugins included."""
+    typed: list[str]
+    """Those among them that ``--plugins`` named."""
+    folder: Path
+    """Working directory, which is another one in a worker of a running cluster."""
+    holder: tuple[str, int]
+    """The process (``results.holder``), whose death a job notices."""
+
+    @classmethod
+    def current(cls) -> _CommandProcess:
+        """Return this process."""
+        return cls(Statement.of_code(), session.plugin_paths(), Path.cwd(), results.holder())
+
+    def restore(self) -> None:
+        """Load the plugins in a job, and enter the working directory if it exists.
+
+        A job of Hydra leaves it with ``hydra.job.chdir=true``, but the user's paths start there.
+        On another machine it must have the same code and plugins.
+        """
+        if self.folder.is_dir():
+            os.chdir(self.folder)
+        self.code.enter()
+        session.remember_plugins(self.typed)
+
+
+@dataclass(frozen=True)
 class _Job:
     """A job of Hydra; a launcher may run it in another process."""
 
-    process: CommandProcess
+    process: _CommandProcess
     checked: bool
     """Whether the command has checked the configuration and printed its notices."""
 

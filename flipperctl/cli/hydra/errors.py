@@ -31,7 +31,7 @@ from flipperctl.config import TrainConfig
 from flipperctl.config.defaults import CHOICES, missing_entry
 from flipperctl.config.words import unreadable
 from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError, RequestError
-from flipperctl.messages import explain_unknown_key
+from flipperctl.text.messages import explain_unknown_key
 
 _MISSING = "<missing>"
 _FORMER_LEARNERS = ("method", "agent.learner", "agent.policy_gradient")

@@ -18,7 +18,7 @@ from hydra.errors import OverrideParseException
 from flipperctl.config.defaults import CHOICES
 from flipperctl.config.words import check_different, check_words, expand_files, key_of, unreadable
 from flipperctl.errors import ConfigError
-from flipperctl.files import at_home
+from flipperctl.text.files import at_home
 from flipperctl.training.search import Interval
 
 SEARCH_PATH = "hydra.searchpath"

@@ -26,14 +26,14 @@ from flipperctl.cli.hydra.compose import compose_train
 from flipperctl.cli.hydra.overrides import Overrides
 from flipperctl.config.words import literal_override
 from flipperctl.errors import ConfigError, InterruptedRunError
-from flipperctl.messages import counted
+from flipperctl.process.session import quote_path
 from flipperctl.rollout.cluster import is_connected, join
-from flipperctl.session import quote_path, sweep_command
-from flipperctl.show import NONE, Column, Table, console, print_lines, print_table
 from flipperctl.terminal.progress import HEADING
 from flipperctl.terminal.streams import print_note
+from flipperctl.text.messages import counted
+from flipperctl.text.show import NONE, Column, Table, console, print_lines, print_table
 from flipperctl.training.search import Interval, check_settings, search
-from flipperctl.training.sweep import FILE, Job, JobResult, Sweep, SweepRun
+from flipperctl.training.sweep import FILE, Job, JobResult, Sweep, SweepRun, sweep_command
 
 _OBJECT_STORE = 75 * 2**20
 """Memory for objects of a cluster of the launcher's own, which is its default [B]."""

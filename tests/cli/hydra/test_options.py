@@ -8,8 +8,8 @@ import pytest
 from hydra.core import utils
 
 from flipperctl import train
+from flipperctl.checkpoint.results import hold
 from flipperctl.errors import OutputError
-from flipperctl.results import hold
 from tests.cli.call import EXACT, call, refused
 
 QUICK = [

@@ -9,7 +9,7 @@ import pytest
 from flipperctl.evaluation.names import names
 from flipperctl.evaluation.seeds import SeedSamples
 from flipperctl.evaluation.stored import Stored
-from flipperctl.evaluation.views.compare import ALL, Comparison, document, tables
+from flipperctl.views.compare import ALL, Comparison, document, tables
 
 
 def method(name: str, *scenes: tuple[int, int]) -> SeedSamples:

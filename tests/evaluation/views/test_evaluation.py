@@ -29,21 +29,21 @@ from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.evaluate import Played, Result
 from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.rows import Row, arranged
-from flipperctl.evaluation.run import episode_rows
 from flipperctl.evaluation.statistics import Interval
-from flipperctl.evaluation.views import evaluation
-from flipperctl.evaluation.views.evaluation import (
+from flipperctl.policies.source import PolicySource
+from flipperctl.text.files import write_csv
+from flipperctl.text.show import interval_text, latex
+from flipperctl.views import evaluation
+from flipperctl.views.evaluation import (
     csv_rows,
     document,
     parse_columns,
     parse_groups,
     policies,
 )
-from flipperctl.evaluation.views.published import published
-from flipperctl.evaluation.views.summary import named
-from flipperctl.files import write_csv
-from flipperctl.policies.source import PolicySource
-from flipperctl.show import interval_text, latex
+from flipperctl.views.published import published
+from flipperctl.views.run import episode_rows
+from flipperctl.views.summary import named
 from tests.evaluation.samples import entry, episodes, sample
 from tests.evaluation.samples import result as made
 

@@ -10,7 +10,9 @@ from flipperctl.evaluation.plan import Entry
 from flipperctl.evaluation.play import EpisodeRunner, Player
 from flipperctl.evaluation.rows import Episodes
 from flipperctl.evaluation.store import EpisodeStore
-from flipperctl.evaluation.views.map import (
+from flipperctl.figures.map import boundary, map_figure
+from flipperctl.policies.source import load_policy
+from flipperctl.views.map import (
     Axis,
     CapabilityMap,
     GridPoint,
@@ -21,8 +23,6 @@ from flipperctl.evaluation.views.map import (
     grid_config,
     parse_axes,
 )
-from flipperctl.figures.map import boundary, map_figure
-from flipperctl.policies.source import load_policy
 from tests.evaluation.samples import episodes, sample
 
 OKADA = load_policy("okada", "here")

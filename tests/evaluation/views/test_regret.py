@@ -5,11 +5,13 @@ from typing import Any
 import pytest
 
 from flipperctl.config import EvalConfig
+from flipperctl.config.reward_sum import paying_terms
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.play import Player
 from flipperctl.evaluation.rows import Episodes
-from flipperctl.evaluation.views.regret import (
+from flipperctl.policies.source import load_policy
+from flipperctl.views.regret import (
     RegretScene,
     Verdict,
     falls_short,
@@ -19,8 +21,6 @@ from flipperctl.evaluation.views.regret import (
     sentences,
     table,
 )
-from flipperctl.policies.source import load_policy
-from flipperctl.reward_sum import paying_terms
 from tests.evaluation.samples import episodes as rows
 from tests.evaluation.samples import sample
 

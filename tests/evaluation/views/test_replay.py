@@ -8,13 +8,13 @@ import pytest
 from flipperctl import checkpoint
 from flipperctl.config import EvalConfig
 from flipperctl.errors import CheckpointError, RequestError
-from flipperctl.evaluation import run as evaluation
 from flipperctl.evaluation.evaluate import evaluate
 from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.replay import EpisodeRecord, read_record, replay
 from flipperctl.evaluation.rows import DIGEST
-from flipperctl.evaluation.run import failure_records
 from flipperctl.policies.source import PolicySource, load_policy
+from flipperctl.views import run as evaluation
+from flipperctl.views.run import failure_records
 
 LEVEL = load_policy("level", "here")
 STEP = EvalConfig(

@@ -4,14 +4,14 @@ import pytest
 
 from flipperctl.core.risk import RiskSign
 from flipperctl.evaluation.statistics import paired_success, proportion
-from flipperctl.evaluation.views.summary import (
+from flipperctl.rollout.episode import EpisodeRisks
+from flipperctl.views.summary import (
     difference,
     estimate,
     summarise,
     summary,
     threshold_for,
 )
-from flipperctl.rollout.episode import EpisodeRisks
 from tests.evaluation.samples import episodes, sample
 
 pytestmark = pytest.mark.usefixtures("core_measures")

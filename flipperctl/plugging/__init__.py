@@ -1,0 +1,1 @@
+"""Finding plugins, and whose fault an error of one is."""

@@ -1,0 +1,1 @@
+"""How a program of the package begins, is interrupted and ends."""

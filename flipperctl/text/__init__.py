@@ -1,0 +1,1 @@
+"""Texts of errors, tables, and files that are read and written."""

@@ -1,0 +1,291 @@
+"""Methods over their training seeds: scores that count failures, and their differences.
+
+In: folders of ``eval --output``, a measure and the least price of a failed episode. Out: a
+document and tables.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from flipperctl.api import Measure
+from flipperctl.config import resolver
+from flipperctl.errors import RequestError
+from flipperctl.evaluation.names import chosen_names, taken
+from flipperctl.evaluation.names import names as shown_names
+from flipperctl.evaluation.seeds import (
+    PRICE,
+    SeedSamples,
+    better_interval,
+    difference_interval,
+    failure_prices,
+    improvement,
+    interquartile_mean,
+    mean_interval,
+    means,
+    statistic_interval,
+    success_difference,
+    success_interval,
+    within,
+)
+from flipperctl.evaluation.statistics import Interval, holm
+from flipperctl.evaluation.stored import Stored, read
+from flipperctl.text.show import Column, Table
+from flipperctl.views.summary import Document, p_text, rate_text
+
+ALL = "all"  # name that stands for a comparison of every pair of methods
+_PRICED = ("pitch_variation_100hz", "pitch_variation")
+"""Measures for which ``PRICE`` is the default."""
+_INTERVALS = "Means with 95 % intervals over training seeds, of which there are n, and episodes."
+_SEED = 0  # seed of the bootstrap
+_METHODS = (
+    Column("name", "method", named=True),
+    Column("success_text", "success"),
+    Column("score", "mean score", 3),
+    Column("iqm", "IQM", 3),
+    Column("reached_mean", "mean of reached", 3),
+)
+_GAPS = (
+    Column("name", "method", named=True),
+    Column("other", "against", named=True),
+    Column("score", "Δ score", 3, "+"),
+    Column("p_text", "p (Holm)"),
+    Column("success_text", "Δ success [%] (p)"),
+    Column("better", "better, episodes", 2),
+)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Methods on the episodes that all of them played."""
+
+    stored: Stored
+    measure: str
+    unit: str
+    price: float
+    """Least score of an episode that is not reached, in the unit of the measure."""
+    against: str
+
+    @cached_property
+    def prices(self) -> dict[str, float]:
+        """Score of an episode that is not reached, by scene."""
+        return failure_prices(self.stored.methods, self.price)
+
+    @property
+    def label(self) -> str:
+        """The measure and its unit."""
+        name = "pitch variation" if self.measure == _PRICED[0] else self.measure.replace("_", " ")
+        return f"{name} [{self.unit}]"
+
+
+def compare(
+    folders: Sequence[str],
+    *,
+    measure: str = _PRICED[0],
+    price: float | None = None,
+    against: str | None = None,
+    called: Sequence[str] = (),
+) -> Comparison:
+    """Read the methods of ``DIR`` or ``METHOD=DIR``.
+
+    ``against``: the method to compare with, by default the first; ``all`` for every pair.
+    ``called``: names of methods, ``NAME=METHOD``.
+    """
+    measure_class = resolver.get(Measure.kind, measure, "--measure")
+    assert issubclass(measure_class, Measure)
+    if measure_class.better != "lower":
+        raise RequestError(f"--measure {measure}: a measure of which less is better is allowed")
+    if price is None and measure not in _PRICED:
+        raise RequestError(
+            f"--price: {measure} has no default; the price of an episode that is not reached, "
+            "in the measure's unit, is needed"
+        )
+    if price is not None and not (0 < price < math.inf):
+        raise RequestError(f"--price: {price:g}; a number above 0 is allowed")
+    stored = read(folders, measure)
+    known = [method.name for method in stored.methods]
+    chosen = chosen_names(called, known)
+    methods = [replace(row, name=chosen.get(row.name, row.name)) for row in stored.methods]
+    stored = replace(stored, methods=tuple(methods))
+    names = shown_names([method.name for method in methods])
+    if against is not None and against != ALL:
+        against = taken(against, names, "--against", further=[ALL])
+    return Comparison(
+        stored, measure, measure_class.unit, price or PRICE, against or next(iter(names))
+    )
+
+
+def document(comparison: Comparison) -> Document:
+    """Return the methods and their differences as plain data."""
+    methods = comparison.stored.methods
+    rows = [method_row(method, comparison.prices) for method in methods]
+    by_name = dict(zip([method.name for method in methods], rows, strict=True))
+    pairs = [
+        (ours, theirs)
+        for at, ours in enumerate(methods)
+        for other, theirs in enumerate(methods)
+        if (
+            other < at
+            if comparison.against == ALL
+            else theirs.name == comparison.against and other != at
+        )
+    ]
+    gaps = [difference(*pair, comparison.prices) for pair in pairs]
+    for key in ("p", "p_success"):
+        for gap, p in zip(gaps, holm([gap[key] for gap in gaps]), strict=True):
+            gap[f"{key}_holm"] = p
+    for (ours, _), gap in zip(pairs, gaps, strict=True):
+        if comparison.against == ALL:
+            by_name[ours.name].setdefault("comparisons", []).append(gap)
+        else:
+            by_name[ours.name]["comparison"] = gap
+    return {
+        "measure": comparison.measure,
+        "price": comparison.price,
+        "prices": comparison.prices,
+        "episodes": dict(comparison.stored.episodes),
+        "notices": list(comparison.stored.notices),
+        "methods": rows,
+    }
+
+
+def method_row(method: SeedSamples, prices: Mapping[str, float]) -> Document:
+    """Return the success and the scores of a method, not compared with another one.
+
+    ``prices``: score of an episode that is not reached, by scene.
+    """
+    scores = method.scores(prices)
+    reached = np.concatenate(
+        [values[method.reached[scene]] for scene, values in method.values.items()]
+    )
+    rng = np.random.default_rng(_SEED)
+    least = min(0.0, *(float(values.min()) for values in scores.values()))
+    most = max(prices[scene] for scene in scores)
+
+    def inside(interval: Interval, most: float = most) -> Document:
+        return within(interval, least, most).to_dict()
+
+    return {
+        "method": method.name,
+        "seeds": method.seeds,
+        "trained": method.trained,
+        "success": success_interval(method).to_dict(),
+        "score": inside(mean_interval(scores)),
+        "iqm": inside(statistic_interval(scores, interquartile_mean, rng)),
+        "reached_mean": float(reached.mean()) if reached.size else None,
+        "by_scene": {k: inside(mean_interval({k: v}), prices[k]) for k, v in scores.items()},
+        "comparison": None,
+    }
+
+
+def difference(method: SeedSamples, other: SeedSamples, prices: Mapping[str, float]) -> Document:
+    """Return a method minus another one, on the same episodes, without corrected p-values.
+
+    ``improvement``: probability that a training seed has a better mean score on a scene than one of
+    the other method, averaged over scenes (rliable's); ``better``: the same of single episodes.
+    """
+    ours, theirs = method.scores(prices), other.scores(prices)
+    score, p = difference_interval(ours, theirs)
+    if score.low is not None and score.low == score.high:
+        score, p = Interval(score.mean, None, None), 1.0
+    success, p_success = success_difference(method, other)
+    return {
+        "against": other.name,
+        "score": score.to_dict(),
+        "p": p,
+        "success": success.to_dict(),
+        "p_success": p_success,
+        "improvement": float(improvement(-means(ours), -means(theirs))),
+        "better": better_interval(ours, theirs).to_dict(),
+    }
+
+
+def tables(compared: Document, label: str) -> Iterator[Table]:
+    """Yield the table of methods and that of their differences; ``label``: of the measure."""
+    episodes = ", ".join(f"{scene} {count}" for scene, count in compared["episodes"].items())
+    rows: list[Document] = []
+    gaps: list[Document] = []
+    called = shown_names([method["method"] for method in compared["methods"]])
+    for method in compared["methods"]:
+        name = called[method["method"]]
+        seeds = f" ({method['seeds']} seeds)" if method["seeds"] > 1 else ""
+        rows.append(
+            method | {"name": f"{name}{seeds}", "success_text": rate_text(method["success"])}
+        )
+        parts = method["by_scene"].items() if len(compared["episodes"]) > 1 else ()
+        empty = {"success_text": "", "iqm": "", "reached_mean": "", "dim": True}
+        rows += [{"name": f"  {scene}", "score": score, **empty} for scene, score in parts]
+        for gap in method.get(
+            "comparisons", [method["comparison"]] if method["comparison"] else []
+        ):
+            mean, p = gap["success"]["mean"], gap["p_success_holm"]
+            success = "±0" if mean == 0 else f"{100 * mean:+.3g} (p {p_text(p)})"
+            texts = {"p_text": p_text(gap["p_holm"]), "success_text": success}
+            gaps.append(gap | {"name": name, "other": called[gap["against"]], **texts})
+    rough = [
+        f"{k} {price:.4g}" for k, price in compared["prices"].items() if price > compared["price"]
+    ]
+    more = f", or its scene's roughest crossing: {', '.join(rough)}" if rough else ""
+    notes = [f"Score: {label}; a failed episode counts {compared['price']:.4g}{more}."]
+    yield Table(_METHODS, rows, f"Episodes of each seed: {episodes}", notes)
+    if gaps:
+        yield Table(_GAPS, gaps, "Differences on the same episodes; a smaller score is better")
+
+
+def paper_table(compared: Document, label: str) -> Table:
+    """Return the table of methods for a paper, pooled over training seeds, with five columns.
+
+    The last one is the difference to the method that all are compared with, or else the
+    interquartile mean. ``label``: of the measure.
+    """
+    methods = compared["methods"]
+    called = shown_names([method["method"] for method in methods])
+    unit = label[label.rindex("[") :]
+    rows: list[Document] = []
+    for method in methods:
+        rate = method["success"]
+        success = f"{100 * rate['mean']:.0f}"
+        if rate["mean"] < 1 and rate["low"] is not None:
+            success += f" [{100 * rate['low']:.0f}, {100 * rate['high']:.0f}]"
+        gap = (method["comparison"] or {}).get("score")
+        parts = method["by_scene"].items() if len(compared["episodes"]) > 1 else ()
+        own = {"name": called[method["method"]], "success": success, "gap": gap or ""}
+        rows.append(method | own | {"line": bool(parts)})
+        empty = {"seeds": "", "success": "", "gap": "", "iqm": ""}
+        rows += [{"name": f"  {scene}", "score": score, **empty} for scene, score in parts]
+    against = {method["comparison"]["against"] for method in methods if method["comparison"]}
+    last = Column("iqm", f"IQM {unit}")
+    if len(against) == 1:
+        (other,) = against
+        last = Column("gap", f"Δ to {called[other]} {unit}")
+    columns = (
+        Column("name", "method", named=True),
+        Column("seeds", "seeds", latex="$n$"),
+        Column("success", "success [%]"),
+        Column("score", f"score {unit}"),
+        last,
+    )
+    (methods_table, *_) = tables(compared, label)
+    return Table(columns, rows, methods_table.title, [*methods_table.notes, _INTERVALS])
+
+
+def seed_warnings(compared: Document) -> Iterator[str]:
+    """Yield lines on methods with too few training seeds."""
+    called = shown_names([method["method"] for method in compared["methods"]])
+    trained = [method for method in compared["methods"] if method["trained"]]
+    if alone := [called[method["method"]] for method in trained if method["seeds"] == 1]:
+        yield (
+            f"One training seed: {', '.join(alone)}. The interval is over episodes alone, and says "
+            "nothing of other trainings (docs/comparing.md)."
+        )
+    if few := [method for method in trained if 1 < method["seeds"] < 5]:
+        counts = ", ".join(f"{called[method['method']]} {method['seeds']}" for method in few)
+        yield (
+            f"Few training seeds: {counts}; report 5 or more. One bad seed could change these "
+            "numbers (docs/comparing.md)."
+        )

@@ -1,0 +1,175 @@
+"""What an evaluation found, in sentences: who is best by how much, what is worse, what failed.
+
+In: a document of ``eval --json``. Out: sentences, whose names of policies stand between ``**``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from flipperctl.api import Outcome
+from flipperctl.evaluation.rows import Row
+from flipperctl.views import evaluation
+from flipperctl.views.summary import Document, rate_text
+
+RULER = "level"
+"""The rule with which policies are compared, if it played."""
+VARIATION = "pitch_variation_100hz"
+RULE = (
+    "Smaller is better. The best policy of a scene has the highest success, and then the smallest "
+    "pitch variation; where intervals overlap, that may be chance. Brackets are 95 % intervals."
+)
+"""How the sentences are meant."""
+
+
+def findings(evaluated: Document) -> Iterator[tuple[str, str]]:
+    """Yield sentences, each after ``good``, ``bad``, or an empty text for neither."""
+    rows = table_rows(evaluated)
+    yield from (*_best(rows), *_losses(evaluated, rows), *_failed(rows))
+
+
+def table_rows(evaluated: Document) -> list[Row]:
+    """Return the rows of the table of policies, without the parts of mixes."""
+    return [row for row in evaluation.policy_rows(evaluated) if not row.get("dim")]
+
+
+def rank(row: Row) -> tuple[float, float]:
+    """Return what orders policies on a scene, the best last."""
+    variation = row[VARIATION]
+    return row["success"]["mean"], -variation["mean"] if variation else -math.inf
+
+
+def by_scene(rows: Iterable[Row]) -> dict[str, dict[str, Row]]:
+    """Return the rows by scene and policy."""
+    rows_of: dict[str, dict[str, Row]] = {}
+    for row in rows:
+        rows_of.setdefault(row["scene"], {})[row["policy"]] = row
+    return rows_of
+
+
+def _best(rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
+    """Yield who is best, by how much: on each of a few scenes, or counted."""
+    scenes = {name: own for name, own in by_scene(rows).items() if len(own) > 1}
+    best = {name: max(own.values(), key=rank) for name, own in scenes.items()}
+    if 0 < len(scenes) < 4:
+        for name, row in best.items():
+            yield "good", f"On {name}, {_words(row)} is best{_against(row, scenes[name])}."
+    elif scenes:
+        wins: dict[str, list[str]] = {}
+        for name, row in best.items():
+            wins.setdefault(row["policy"], []).append(name)
+        ordered = sorted(wins.items(), key=lambda item: -len(item[1]))
+        texts = [
+            f"**{policy}** on {len(names)}" + (f" ({', '.join(names)})" if at else "")
+            for at, (policy, names) in enumerate(ordered)
+        ]
+        yield "good", f"Best of {len(scenes)} scenes: {'; '.join(texts)}."
+        if (ratio := _ratio(scenes, ordered[0][0])) is not None:
+            yield "good", ratio
+    for name, own in by_scene(rows).items():
+        if len(own) == 1:
+            (row,) = own.values()
+            yield "", f"On {name}, {_words(row)}."
+
+
+def _words(row: Row) -> str:
+    variation = row[VARIATION]
+    text = f"success {rate_text(row['success'])}"
+    if variation:
+        text += f", pitch variation {variation['mean']:.2f} rad"
+    return f"**{row['policy']}** ({text})"
+
+
+def _against(best: Row, own: Mapping[str, Row]) -> str:
+    """Return how much better the best is than the ruler, or than the second best."""
+    others = sorted((row for row in own.values() if row is not best), key=rank)
+    other = own.get(RULER, others[-1])
+    other = others[-1] if other is best else other
+    ours, theirs = best[VARIATION], other[VARIATION]
+    name = f"**{other['policy']}**"
+    if best["success"]["mean"] > other["success"]["mean"]:
+        return f"; {name} reached the finish in {rate_text(other['success'])}"
+    if not (ours and theirs):
+        return ""
+    less = 100 * (1 - ours["mean"] / theirs["mean"]) if theirs["mean"] else 0.0
+    return f", with {less:.0f} % less than {name} ({theirs['mean']:.2f} rad)"
+
+
+def _ratio(scenes: Mapping[str, Mapping[str, Row]], policy: str) -> str | None:
+    """Return the mean ratio of a policy's pitch variation to that of the ruler."""
+    pairs = [(own[policy], own[RULER]) for own in scenes.values() if {policy, RULER} <= own.keys()]
+    whole = [
+        (ours[VARIATION]["mean"], theirs[VARIATION]["mean"])
+        for ours, theirs in pairs
+        if all(row["success"]["mean"] == 1 and row[VARIATION] for row in (ours, theirs))
+    ]
+    if policy == RULER or not whole or min(min(pair) for pair in whole) <= 0:
+        return None
+    mean = math.exp(float(np.mean([math.log(ours / theirs) for ours, theirs in whole])))
+    return (
+        f"On the {len(whole)} scenes that both always cross, the pitch variation of "
+        f"**{policy}** is {mean:.2f} of that of **{RULER}** (geometric mean)."
+    )
+
+
+def _losses(document: Document, rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
+    """Yield where policies are clearly worse than the ruler.
+
+    By the difference on the same episodes where the results have it, else by the intervals.
+    """
+    gaps = {
+        (difference["scene"], difference["policy"]): difference["variation"]
+        for difference in evaluation.difference_rows(document)
+        if difference["against"] == RULER
+    }
+    worse, compared = [], False
+    for scene, own in by_scene(rows).items():
+        ruler = own.pop(RULER, {})
+        for policy, row in own.items() if ruler else ():
+            compared = True
+            ours, theirs, gap = row[VARIATION], ruler[VARIATION], gaps.get((scene, policy))
+            name = f"**{policy}** on {scene}"
+            if _is_above(ruler["success"], row["success"]["high"]):
+                worse.append(f"{name} (success {rate_text(row['success'])})")
+            elif _is_above(gap, 0.0) or (
+                gap is None and theirs and _is_above(ours, theirs["high"])
+            ):
+                worse.append(f"{name} ({ours['mean']:.2f} rad, not {theirs['mean']:.2f})")
+    if worse:
+        yield "bad", f"Worse than **{RULER}**, flippers held still: {'; '.join(worse)}."
+    elif compared:
+        yield "good", f"No policy is clearly worse than **{RULER}**, flippers held still."
+
+
+def _is_above(interval: Mapping[str, Any] | None, limit: float | None) -> bool:
+    low: float | None = interval["low"] if interval else None
+    return low is not None and limit is not None and low > limit
+
+
+def _failed(rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
+    counts: dict[str, dict[str, int]] = {}
+    for row in rows:
+        own = counts.setdefault(row["policy"], {})
+        for outcome, number in row["counts"].items():
+            own[outcome] = own.get(outcome, 0) + number
+    total = sum(sum(own.values()) for own in counts.values())
+    failed = {
+        policy: [(o, n) for o, n in own.items() if n and o != Outcome.REACHED]
+        for policy, own in counts.items()
+    }
+    number = sum(n for own in failed.values() for _, n in own)
+    if not number:
+        if total > 1:
+            yield "good", f"All {total:,} episodes reached the finish."
+        return
+    texts = [
+        f"**{policy}** {sum(n for _, n in own)}"
+        f" ({', '.join(f'{n} {outcome}' for outcome, n in own)})"
+        for policy, own in failed.items()
+        if own
+    ]
+    yield "bad", f"{number:,} of {total:,} episodes failed: {', '.join(texts)}."

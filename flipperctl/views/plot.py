@@ -1,0 +1,299 @@
+"""Figures of stored results: intervals, heat tables, paired differences, performance profiles.
+
+In: folders of ``eval --output``. Out: rows of plain data for ``flipperctl.figures.methods``, and
+the figure of a kind.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from flipperctl.api import FloatArray, Measure, registry
+from flipperctl.env.metrics import CORE
+from flipperctl.errors import RequestError
+from flipperctl.evaluation.names import renamed, taken
+from flipperctl.evaluation.seeds import (
+    SeedSamples,
+    difference_interval,
+    mean_interval,
+    profile,
+    resampled,
+    success_interval,
+)
+from flipperctl.evaluation.stored import SUMMARY, read
+from flipperctl.figures.figure import SUCCESS, VARIATION
+from flipperctl.rollout.trace import Trace
+from flipperctl.rollout.trace import read as read_traces
+from flipperctl.text.messages import close_match
+from flipperctl.views import compare
+from flipperctl.views.summary import named
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_LEVELS = 201  # number of scores at which a profile is drawn [-]
+_RESAMPLES = 400  # number of bootstrap samples of a band [-]
+_ALWAYS = ("max_pitch", "decisions", "return")
+"""Columns whose means are over all episodes, failed ones included."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to draw of which folders."""
+
+    folders: Sequence[str]
+    """``DIR`` or ``METHOD=DIR``."""
+    metrics: Sequence[str] = ()
+    """Empty: those of the kind."""
+    names: Sequence[str] = ()
+    """``NAME=METHOD``."""
+    only: Sequence[str] = ()
+    """Methods to draw; empty: all."""
+    against: str | None = None
+    """A method, by default the first."""
+    scene: str | None = None
+    """Scene of an episode, by default the first."""
+    episode: int | None = None
+    """Index of an episode, by default the first that was traced."""
+    width: float | None = None
+    """[in]; None: that of the kind."""
+
+    def sized(self) -> dict[str, float]:
+        """Return the width as an argument of a figure."""
+        return {} if self.width is None else {"width": self.width}
+
+    def paths(self) -> Iterator[Path]:
+        """Yield the folders."""
+        for folder in self.folders:
+            _, equals, path = folder.partition("=")
+            yield Path(path if equals and not Path(folder).exists() else folder)
+
+    def scenes(self) -> dict[str, str]:
+        """Return the names of scenes in tables, where several are of one terrain.
+
+        The keys are those of ``stored``: the terrain with the hash of its conditions.
+        """
+        names_of: dict[str, str] = {}
+        for path in self.paths():
+            try:
+                document = json.loads((path / SUMMARY).read_text(encoding="utf-8"))
+                for name, scene in named(document):
+                    names_of[f"{scene['terrain']} {scene['conditions']['hash']}"] = name
+            except (OSError, ValueError, LookupError, TypeError):
+                continue  # the episodes alone are needed
+        return names_of if len(set(names_of.values())) == len(names_of) else {}
+
+    def called(self, labels: Sequence[str]) -> dict[str, str]:
+        """Return what the methods that are drawn are called, by label."""
+        called = renamed(labels, self.names)
+        chosen = [taken(name, called, "--only") for name in self.only] or called
+        return {label: called[label] for label in chosen}
+
+    def one_metric(self) -> str:
+        """Return the metric of a kind that shows one."""
+        if len(self.metrics) > 1:
+            raise RequestError(f"--metric {','.join(self.metrics)}: this kind shows one metric")
+        return self.metrics[0] if self.metrics else VARIATION
+
+
+def estimates(
+    asked: Request, metrics: Sequence[str]
+) -> tuple[list[dict[str, Any]], tuple[str, ...]]:
+    """Return a row for each method on each scene, and what was left out, in sentences.
+
+    A row has ``method``, ``scene`` and each metric: a mean with its 95 % interval over training
+    seeds and episodes, over the episodes that all seeds reached, or None.
+    """
+    stored = {m: read(asked.folders, VARIATION if m == SUCCESS else m) for m in metrics}
+    first = next(iter(stored.values()))
+    labels, scenes = [method.name for method in first.methods], asked.scenes()
+    rows = []
+    for label, name in asked.called(labels).items():
+        for scene in first.episodes:
+            row: dict[str, Any] = {"method": name, "scene": scenes.get(scene, scene)}
+            for metric, own in stored.items():
+                row[metric] = _estimate(own.methods[labels.index(label)], scene, metric)
+            rows.append(row)
+    return rows, first.notices
+
+
+def _estimate(method: SeedSamples, scene: str, metric: str) -> dict[str, Any] | None:
+    if metric == SUCCESS:
+        reached = {scene: method.reached[scene]}
+        samples = SeedSamples(method.name, {scene: method.values[scene]}, reached, method.trained)
+        return success_interval(samples).to_dict()
+    values: FloatArray = method.values[scene]
+    if _only_reached(metric):
+        values = values[:, method.reached[scene].all(axis=0)]
+    return mean_interval({scene: values}).to_dict() if values.size else None
+
+
+def _only_reached(metric: str) -> bool:
+    measure = registry.get((Measure.kind, metric))
+    further = measure is not None and issubclass(measure, Measure) and not measure.reached_only
+    return metric not in _ALWAYS and (metric in CORE or not further)
+
+
+def differences(
+    comparison: compare.Comparison, called: Mapping[str, str], metric: str, against: str
+) -> Iterator[dict[str, Any]]:
+    """Yield a row for each method on each scene: its scores minus those of ``against``.
+
+    Scores count failures, as in ``compare``; seeds are averaged within an episode.
+    """
+    (other,) = (m for m in comparison.stored.methods if m.name == against)
+    theirs = other.scores(comparison.prices)
+    for method in (m for label in called for m in comparison.stored.methods if m.name == label):
+        for scene, ours in method.scores(comparison.prices).items():
+            gap, _ = difference_interval({scene: ours}, {scene: theirs[scene]})
+            yield {
+                "method": called[method.name],
+                "scene": scene,
+                metric: gap.to_dict(),
+                "episodes": ours.mean(axis=0) - theirs[scene].mean(axis=0),
+            }
+
+
+def profiles(
+    comparison: compare.Comparison, called: Mapping[str, str]
+) -> tuple[FloatArray, dict[str, FloatArray]]:
+    """Return levels, (L,), up to the largest score that was reached, and a curve of each method.
+
+    A curve is the share of episodes at or below each level, averaged over scenes, with both ends of
+    the 95 % band of the bootstrap over seeds and episodes, (3, L).
+    """
+    methods = [m for label in called for m in comparison.stored.methods if m.name == label]
+    largest = [
+        float(m.values[scene][reached].max(initial=0.0))
+        for m in methods
+        for scene, reached in m.reached.items()
+    ]
+    levels = np.linspace(0.0, 1.02 * (max(largest) or max(comparison.prices.values())), _LEVELS)
+    never = dict.fromkeys(comparison.prices, math.inf)  # reached at no level
+    curves = {}
+    for method in methods:
+        scores = method.scores(never)
+        share = np.mean([1.0 - profile(values, levels) for values in scores.values()], axis=0)
+        below = {k: (v[:, :, None] <= levels).astype(np.float64) for k, v in scores.items()}
+        drawn = resampled(below, np.random.default_rng(0), _RESAMPLES).mean(axis=(1, 3))
+        curves[called[method.name]] = np.array([share, *np.percentile(drawn, [2.5, 97.5], axis=0)])
+    return levels, curves
+
+
+def _intervals(asked: Request) -> tuple[Figure, Sequence[str]]:
+    from flipperctl.figures.methods import intervals_figure
+
+    metrics = list(asked.metrics) or [SUCCESS, VARIATION]
+    rows, notices = estimates(asked, metrics)
+    return intervals_figure(rows, metrics, **asked.sized()), notices
+
+
+def _heat(asked: Request) -> tuple[Figure, Sequence[str]]:
+    from flipperctl.figures.methods import heat_figure
+
+    metric = asked.one_metric()
+    rows, notices = estimates(asked, [metric, SUCCESS])
+    return heat_figure(rows, metric, **asked.sized()), notices
+
+
+def episodes(asked: Request) -> tuple[list[Trace], list[str]]:
+    """Return a trace of each method on one episode, and the methods' names.
+
+    Of a method with several training seeds, the first one's.
+
+    Raises:
+        RequestError: there are no traces, or none of this scene, episode or method.
+    """
+    traces: list[Trace] = []
+    for path in asked.paths():
+        file = path / "traces.npz"
+        if not file.is_file():
+            raise RequestError(
+                f"{file}: there is no such file; the eval --output of this folder writes it, again"
+            )
+        traces += read_traces(file)
+    scene = _one_of("--scene", asked.scene, [trace.scene for trace in traces])
+    traces = [trace for trace in traces if trace.scene == scene]
+    number = _one_of(
+        "--episode", None if asked.episode is None else str(asked.episode),
+        [str(trace.episode) for trace in traces],
+    )  # fmt: skip
+    every = {t.policy: t for t in traces if str(t.episode) == number}
+    first: dict[str, Trace] = {}
+    for policy, trace in every.items():
+        first.setdefault(policy.partition(", seed ")[0], trace)
+    called = asked.called(list(first))
+    return [first[label] for label in called], list(called.values())
+
+
+def _one_of(option: str, wanted: str | None, known: Sequence[str]) -> str:
+    """Return what is wanted, by default the first that is known."""
+    wanted = known[0] if wanted is None and known else str(wanted)
+    if wanted not in known:
+        raise RequestError(
+            f"{option} {wanted}: it was not traced{close_match(wanted, known)}; known: "
+            f"{', '.join(dict.fromkeys(known))}"
+        )
+    return wanted
+
+
+def _compared(asked: Request) -> tuple[compare.Comparison, dict[str, str]]:
+    comparison = compare.compare(asked.folders, measure=asked.one_metric())
+    return comparison, asked.called([method.name for method in comparison.stored.methods])
+
+
+def _differences(asked: Request) -> tuple[Figure, Sequence[str]]:
+    from flipperctl.figures.methods import differences_figure
+
+    comparison, called = _compared(asked)
+    if len(called) < 2:
+        raise RequestError(f"{asked.folders[0]}: two methods are needed for differences")
+    against = taken(asked.against, called, "--against") if asked.against else next(iter(called))
+    rows, scenes = (
+        list(differences(comparison, called, comparison.measure, against)),
+        asked.scenes(),
+    )
+    rows = [row | {"scene": scenes.get(row["scene"], row["scene"])} for row in rows]
+    drawn = differences_figure(rows, comparison.measure, called[against], **asked.sized())
+    return drawn, comparison.stored.notices
+
+
+def _profiles(asked: Request) -> tuple[Figure, Sequence[str]]:
+    from flipperctl.figures.methods import profiles_figure
+
+    comparison, called = _compared(asked)
+    levels, curves = profiles(comparison, called)
+    drawn = profiles_figure(levels, curves, comparison.measure, **asked.sized())
+    return drawn, comparison.stored.notices
+
+
+def _series(asked: Request) -> tuple[Figure, Sequence[str]]:
+    from flipperctl.figures.episode import series_figure
+
+    traces, names = episodes(asked)
+    return series_figure(traces, names, **asked.sized()), ()
+
+
+def _poses(asked: Request) -> tuple[Figure, Sequence[str]]:
+    from flipperctl.figures.episode import poses_figure
+
+    traces, names = episodes(asked)
+    return poses_figure(traces, names, **asked.sized()), ()
+
+
+KINDS: dict[str, Callable[[Request], tuple[Figure, Sequence[str]]]] = {
+    "intervals": _intervals,
+    "heat": _heat,
+    "differences": _differences,
+    "profiles": _profiles,
+    "series": _series,
+    "poses": _poses,
+}
+"""Each returns the figure, and what was left out, in sentences."""

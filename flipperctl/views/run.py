@@ -1,0 +1,361 @@
+"""Write the files of an evaluation, the most important first: numbers before pictures.
+
+In: the plan and the result of an evaluation. Out: ``episodes.csv`` with a row per episode,
+``summary.json``, tables, recorded failures and episodes, pictures and a film. A file that cannot be
+written does not affect the earlier ones.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from flipperctl.checkpoint import recording
+from flipperctl.checkpoint.results import result_folder
+from flipperctl.config.identity import content_digest
+from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
+from flipperctl.evaluation import replay
+from flipperctl.evaluation.conditions import scene_names
+from flipperctl.evaluation.evaluate import Played, Result, evaluate
+from flipperctl.evaluation.plan import BEST_KNOWN, Entry, Plan
+from flipperctl.evaluation.play import Progress, no_progress
+from flipperctl.evaluation.rows import DIGEST, RECORDED, Episodes, Row
+from flipperctl.evaluation.store import (
+    FOLDER,
+    VIEW,
+    EpisodeStore,
+    FolderStore,
+    ground,
+    versions_here,
+    write_view,
+)
+from flipperctl.evaluation.stored import FILE as EPISODES
+from flipperctl.evaluation.stored import SUMMARY
+from flipperctl.policies.source import PolicySource
+from flipperctl.process.session import command, interrupts
+from flipperctl.text.files import check_output, write_bytes, write_csv, write_json
+from flipperctl.text.messages import counted
+from flipperctl.text.show import latex
+from flipperctl.views import engines, report, traces
+from flipperctl.views import evaluation as view
+from flipperctl.views.filming import Filming
+from flipperctl.views.summary import Document, compared, short
+
+NAMES = (EPISODES, SUMMARY, "table.csv", "table.tex", traces.FILE)
+MOST_FAILURES = 20  # largest number of failures of a scene that are recorded [-]
+_DIGITS = 4  # decimals of ``table.csv``
+_DIGEST = 8  # digits of a policy's digest in its label
+
+
+def run(
+    plan: Plan,
+    *,
+    references: Sequence[PolicySource] = (),
+    by: Sequence[tuple[str, ...]] = (),
+    outputs: Mapping[str, Path | None],
+    filming: Filming | None = None,
+    show: Callable[[Result, Document], None] = lambda result, document: None,
+    progress: Progress = no_progress,
+    planned: Callable[[int], None] = lambda episodes: None,
+    tell: Callable[[str], None] = lambda text: None,
+    typed: str = "",
+) -> tuple[Result, Document]:
+    """Evaluate a plan, show the results and write the outputs; return the results.
+
+    ``references``: see ``evaluate``. ``by``: drawn numbers that make groups. ``outputs``: paths of
+    ``folder`` and ``record``. ``show`` is called with the results before they are
+    written, so that a full disk does not lose them; ``tell`` with a line for each output.
+    ``typed``: the command, for the report.
+    """
+    with ExitStack() as stack:
+        written = _Files(plan, stack, tell, filming, **outputs)
+        stop = stack.enter_context(interrupts("finishing the episode; Ctrl-C again stops at once"))
+        result = evaluate(
+            plan,
+            references=references,
+            progress=progress,
+            record=outputs.get("record") is not None,
+            stop=stop,
+            store=written.store,
+            planned=planned,
+        )
+        if plan.engines and result.interruption is None:
+            result = engines.explained(result)
+        if plan.with_best_known:
+            result = with_best_known(result, written.store)
+        document = view.document(result, by) | ({"command": typed} if typed else {})
+        try:
+            show(result, document)
+        finally:  # files are written even if the pipe is closed
+            written.write(result, document)
+        written.draw(result, stop, progress)
+    return result, document
+
+
+def with_best_known(result: Result, store: EpisodeStore) -> Result:
+    """Return the result with a row for the best stored policy, after the rows of each scene.
+
+    The best has the highest success, and of those the smallest mean θ̂_R of the episodes that
+    reached the finish. It must have every episode of the scene, with the same seed. There is no row
+    where one of the evaluated policies is the best, or without a folder of blocks.
+    """
+    if not isinstance(store, FolderStore):
+        return result
+    scenes: dict[tuple[str, str, int, int], list[Played]] = {}
+    for item in result.played:
+        scenes.setdefault(item.entry.ground, []).append(item)
+    for together in scenes.values():
+        if (best := _best(together, store)) is not None:
+            together.append(best)
+    return replace(result, played=tuple(item for together in scenes.values() for item in together))
+
+
+def _best(together: Sequence[Played], store: FolderStore) -> Played | None:
+    """Return the best stored policy with all episodes of a scene, of which these are the rows.
+
+    None if there is none, or one of the rows is as good.
+    """
+    entry = together[0].entry
+    indices = range(entry.config.eval.episodes)
+    complete = [
+        (headers, Episodes(tuple(rows[index] for index in indices)))
+        for headers, rows in store.stored_on(ground(entry.config))
+        if all(index in rows for index in indices)
+    ]
+    if not complete:
+        return None
+    headers, episodes = max(complete, key=lambda policy_run: _rank(policy_run[1]))
+    if any(_rank(row.episodes) >= _rank(episodes) for row in together):
+        return None
+    here = versions_here(entry.config)
+    for header in headers:
+        store.count_versions(header, here)
+    label, digest = str(headers[0]["controller"]), str(headers[0]["policy"])
+    changed = (file := Path(label)).is_file() and content_digest(file) != digest
+    if changed or any(row.entry.label == label for row in together):  # another one has the name now
+        label = f"{label}, {digest[:_DIGEST]}"
+    method = f"{BEST_KNOWN} ({label})"
+    stored = replace(entry, method=method, training_seed=None, is_baseline=False, stored=label)
+    return Played(stored, episodes)
+
+
+def _rank(episodes: Episodes) -> tuple[float, float]:
+    """Return what orders policies on equal episodes, the best last."""
+    variations = episodes.reached.values("pitch_variation_100hz")
+    if not variations:
+        return 0.0, float("-inf")
+    return len(variations) / len(episodes), -sum(variations) / len(variations)
+
+
+class _Files:
+    """The outputs that the user named; each may be None."""
+
+    def __init__(
+        self,
+        plan: Plan,
+        stack: ExitStack,
+        tell: Callable[[str], None],
+        filming: Filming | None = None,
+        *,
+        folder: Path | None = None,
+        record: Path | None = None,
+    ) -> None:
+        """Check the outputs, and lock the folder until the ``stack`` is closed.
+
+        The folder gets a picture of each scene if there is one policy.
+        """
+        self._plan, self._tell = plan, tell
+        self._filming, self._record = filming, record
+        entries = plan.rows
+        several = any(entry.label != entries[0].label for entry in entries)
+        film = filming.path if filming else None
+        if filming:
+            filming.check(plan)
+        if record and several:
+            raise RequestError("--record takes one policy, without further ones (--baseline none)")
+        for option, file in (("--film", film), ("--record", record)):
+            if file and folder and file.resolve() == folder.resolve():
+                raise RequestError(f"{option} {file} and --output are the same; a file is allowed")
+        if record:
+            check_output(record, recording.KIND)
+            recording.require_one_layout(record, [entry.config for entry in entries])
+        self._pictures = picture_names([] if several else entries)
+        self._later = [traces.FILE, *self._pictures]
+        self._folder = None
+        self.store = EpisodeStore()
+        """Episodes that are not played again: those below the folder, if there is one."""
+        if folder is not None:
+            names = [*NAMES, *self._pictures, "failure_*.json"]
+            names += [] if (folder / FOLDER).is_dir() else [VIEW]
+            summed = [VIEW, report.FILE]
+            if (folder / report.FILE).exists():
+                check_output(folder / report.FILE, report.REPORT)
+            self._folder = stack.enter_context(result_folder(folder, "eval", names, summed))
+            self.store = FolderStore(folder / FOLDER, tell)
+
+    def write(self, result: Result, document: Document) -> None:
+        """Write tables and recorded episodes, each even if the other one cannot be written."""
+        _attempt(lambda: self._write_tables(result, document), lambda: self._write_record(result))
+
+    def _write_tables(self, result: Result, document: Document) -> None:
+        if self._folder is None:
+            return
+        path, records = self._folder.path, list(failure_records(result))
+        self._traces = traces.Traces(
+            path / traces.FILE, traces.choose(result, document), self._tell
+        )
+
+        def write(part: Path) -> None:
+            write_csv(part / EPISODES, list(episode_rows(result)))
+            write_json(part / SUMMARY, document)
+            write_csv(part / "table.csv", list(view.csv_rows(document, _DIGITS)))
+            table = view.policies(document, self._plan.title)
+            write_bytes(part / "table.tex", latex(table).encode())
+            for name, record in records:
+                write_json(part / name, record.model_dump(mode="json"))
+            self._traces.write(part / traces.FILE)
+
+        lost = _lost_rows(path, document)
+        self._folder.replace(write, [] if result.interruption else self._later)
+        (path / report.FILE).unlink(missing_ok=True)  # until that of the new files is written
+        write_view(path)
+        self._tell(f"saved to {path}")
+        if lost:
+            self._tell(
+                f"earlier tables with {lost} are replaced; those episodes stay in {path / FOLDER}, "
+                "and their command writes the tables again"
+            )
+        if records:
+            again = command("replay", path / records[0][0])
+            several = f"{len(records)} failures" if len(records) > 1 else "a failure"
+            self._tell(f"recorded {several}; to play the first again: {again}")
+        for version, count in self.store.other_versions.items():
+            self._tell(
+                f"{path / FOLDER}: {count} of these files were played with {version}, not the "
+                "version here; another --output plays them again"
+            )
+
+    def _write_record(self, result: Result) -> None:
+        if self._record is not None:
+            parts = [
+                (item.entry.config, [row[RECORDED] for row in item.episodes if RECORDED in row])
+                for item in result.rows
+            ]
+            labels = dict.fromkeys(item.entry.label for item in result.rows)
+            recording.write(self._record, ", ".join(labels), parts)
+            self._tell(f"wrote {self._record}")
+
+    def draw(self, result: Result, stop: Callable[[], bool], progress: Progress) -> None:
+        """Trace chosen episodes, and draw the pictures and the film.
+
+        Nothing of it if the evaluation was interrupted or failed.
+        """
+        if result.interruption is not None:
+            raise InterruptedRunError(result.interruption.text)
+        if (error := result.error()) is not None:
+            raise error
+
+        def pictures() -> None:
+            if self._folder is not None:
+                path, drawn = self._folder.path, zip(self._pictures, self._plan.rows, strict=False)
+                _attempt(
+                    lambda: self._traces.record(progress, stop),
+                    *(partial(self._traces.draw, path / name, entry) for name, entry in drawn),
+                    lambda: report.write(path, path / report.FILE),
+                )
+
+        def film() -> None:
+            if self._filming is not None:
+                if stop():
+                    raise InterruptedRunError(f"interrupted: {self._filming.path} is not drawn")
+                self._filming.make(result, progress, self._tell)
+
+        _attempt(pictures, film)
+
+
+def episode_rows(result: Result) -> Iterator[Row]:
+    """Yield a flat row per episode; in each scene the policy's precede its baselines'."""
+    for item in result.played:
+        entry = item.entry
+        who = {"scene": entry.terrain, "controller": entry.row_label}
+        conditions = {"conditions": entry.conditions.name, "conditions_hash": entry.conditions.hash}
+        for row in item.episodes:
+            own = {n: value for n, value in row.items() if n not in (DIGEST, RECORDED)}
+            yield {**who, **own, **conditions, **entry.names}
+
+
+def failure_records(result: Result) -> Iterator[tuple[str, replay.EpisodeRecord]]:
+    """Yield the name of a file and the record of each policy's first failures on each scene."""
+    entries = result.plan.rows
+    scenes = dict(zip(map(id, entries), _scene_names(entries), strict=True))
+    labels = list(dict.fromkeys(entry.label for entry in entries))
+    policies = [Path(short(label)).stem for label in labels]
+    for item in result.rows:
+        if item.entry.stored:
+            continue
+        words = ["failure", scenes[id(item.entry)]]
+        if len(labels) > 1:  # a path's last part, and a number where it is not telling
+            at = labels.index(item.entry.label)
+            words += [policies[at], *([str(at + 1)] if policies.count(policies[at]) > 1 else [])]
+        stem = _file_name(" ".join(words))
+        for row in item.episodes.failed[:MOST_FAILURES]:
+            record = replay.EpisodeRecord.of(item.entry.config, item.entry.source, row)
+            yield f"{stem}_{row['episode']}.json", record
+
+
+def picture_names(entries: Sequence[Entry]) -> list[str]:
+    """Return a file name per scene: its terrain, and its conditions if a terrain has several."""
+    return [f"{_file_name(name)}.png" for name in _scene_names(entries)]
+
+
+def _scene_names(entries: Sequence[Entry]) -> list[str]:
+    return scene_names([(entry.terrain, entry.conditions) for entry in entries])
+
+
+def _file_name(text: str) -> str:
+    return "_".join(re.findall(r"\w+", text))
+
+
+def _lost_rows(folder: Path, document: Document) -> str:
+    """Return, in words, the rows of earlier tables in a folder that a result lacks; "" for none.
+
+    A row of more episodes, or with a baseline that there is no longer, is lost, too.
+    """
+
+    def counts(document: Document) -> Iterator[tuple[tuple[str, str, int, str], int]]:
+        for scene in document["scenes"]:
+            for summary in (scene, *compared(scene)):
+                place = scene["seed"], scene["conditions"]["hash"]
+                yield (scene["terrain"], summary["controller"], *place), scene["episodes"]
+
+    try:
+        earlier = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
+        most: dict[tuple[str, str, int, str], int] = {}
+        for row, count in counts(document):
+            most[row] = max(count, most.get(row, 0))
+        lost = [(row, count) for row, count in counts(earlier) if count > most.get(row, 0)]
+    except (OSError, ValueError, LookupError, TypeError):
+        return ""  # there are none
+    first = [
+        f"{who} on {terrain}, seed {seed}, {counted(count, 'episode')}"
+        for (terrain, who, seed, _), count in lost[:1]
+    ]
+    return " and ".join([*first, *([counted(len(lost) - 1, "more row")] if len(lost) > 1 else [])])
+
+
+def _attempt(*steps: Callable[[], None]) -> None:
+    """Take every step, even if one fails; then raise the first error with the texts of all."""
+    failed: list[FlipperctlError] = []
+    for step in steps:
+        try:
+            step()
+        except FlipperctlError as error:
+            failed.append(error)
+    if failed:
+        text = "; ".join(str(error) for error in failed)
+        raise type(failed[0])(text) from failed[0]

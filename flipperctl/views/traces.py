@@ -1,0 +1,171 @@
+"""Chosen episodes of an evaluation, which are played once more and stored as traces.
+
+In: the result of an evaluation and its document. Out: ``traces.npz`` with the first episode of each
+scene and the first failures, of every policy and baseline; pictures are drawn from the traces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
+from flipperctl.evaluation.evaluate import Played, Result
+from flipperctl.evaluation.names import names
+from flipperctl.evaluation.plan import Entry
+from flipperctl.evaluation.play import EpisodeRunner, Progress
+from flipperctl.evaluation.replay import risks
+from flipperctl.evaluation.rows import DIGEST, Row
+from flipperctl.rollout.trace import Trace, read, write
+from flipperctl.views.summary import Document, named
+
+FILE = "traces.npz"
+FAILURES = 2
+"""Largest number of failures of a policy on a scene that are traced [-]."""
+MOST = 200
+"""Largest number of traces of an evaluation; first episodes precede failures [-]."""
+_Key = tuple[str, str, int, int, str]
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """An episode to trace."""
+
+    entry: Entry = field(repr=False)
+    row: Row
+    policy: str
+    """Name of the policy, as in tables."""
+    scene: str
+    """Name of the scene, as in tables."""
+
+    @property
+    def key(self) -> _Key:
+        """What is equal for equal episodes."""
+        row = self.row
+        own = self.policy, self.entry.conditions.hash
+        return *own, row["seed"], row["episode"], row.get(DIGEST, "")
+
+
+def choose(result: Result, document: Document) -> list[Chosen]:
+    """Return the episodes of a result to trace: first ones, and then failures."""
+    first: dict[_Key, Chosen] = {}
+    failed: dict[_Key, Chosen] = {}
+
+    def add(played: Played, scene: str, policy: str) -> None:
+        if played.entry.stored:  # another evaluation's policy, which may not be here
+            return
+        for choice, rows in (
+            (first, played.episodes[:1]),
+            (failed, played.episodes.failed[:FAILURES]),
+        ):
+            chosen = [Chosen(played.entry, row, policy, scene) for row in rows]
+            choice.update({c.key: c for c in chosen if c.key not in first})
+
+    scenes = named(document)
+    called = names([scene.get("method") or scene["controller"] for _, scene in scenes])
+    for (scene, told), item in zip(scenes, result.rows, strict=True):
+        seed = f", seed {told['training_seed']}" if "training_seed" in told else ""
+        add(item, scene, called[told.get("method") or told["controller"]] + seed)
+        for other in [] if result.plan.has_methods else result.baselines(item):
+            add(other, scene, other.entry.label)
+    return [*first.values(), *failed.values()][:MOST]
+
+
+class Traces:
+    """The traces of an evaluation, of which those of an earlier command are not played again."""
+
+    def __init__(self, file: Path, chosen: Sequence[Chosen], tell: Callable[[str], None]) -> None:
+        """Read those that ``file`` has; ``tell`` is called with a line if it is damaged."""
+        self._file, self._chosen = file, chosen
+        self._found: dict[_Key, Trace] = {}
+        try:
+            earlier = {
+                (t.policy, t.conditions, t.seed, t.episode, t.digest): t
+                for t in (read(file) if file.exists() else ())
+            }
+        except RequestError as error:
+            tell(f"{error}; its episodes are played again")
+            return
+        for item in chosen:
+            if item.key in earlier:
+                self._found[item.key] = replace(earlier[item.key], scene=item.scene)
+
+    def write(self, file: Path) -> None:
+        """Write those that there are, in the order in which they were chosen, if there are any."""
+        if self._found:
+            write(file, [self._found[c.key] for c in self._chosen if c.key in self._found])
+
+    def record(self, progress: Progress, stop: Callable[[], bool]) -> None:
+        """Play the episodes that lack a trace, and write the file.
+
+        A policy that fails does not affect the others. After a stop, those that were played are
+        written.
+
+        Raises:
+            FlipperctlError: an episode cannot be played, or there was a stop.
+        """
+        missing = [item for item in self._chosen if item.key not in self._found]
+        failed: list[FlipperctlError] = []
+        groups: dict[int, list[Chosen]] = {}
+        for item in missing:
+            groups.setdefault(id(item.entry), []).append(item)
+        for episodes in groups.values():
+            try:
+                self._play(episodes, progress, stop)
+            except FlipperctlError as error:
+                failed.append(error)
+        if missing:
+            self.write(self._file)
+        if stop() and (left := sum(item.key not in self._found for item in missing)):
+            raise InterruptedRunError(
+                f"interrupted: {left} of {len(missing)} episodes are not in {self._file}"
+            )
+        if failed:
+            more = f"; {len(failed) - 1} more failed" if len(failed) > 1 else ""
+            raise type(failed[0])(f"{failed[0]}{more}")
+
+    def _play(
+        self, episodes: Sequence[Chosen], progress: Progress, stop: Callable[[], bool]
+    ) -> None:
+        entry, runner, done = episodes[0].entry, None, 0
+        with progress(f"{entry.terrain}, {episodes[0].policy}, traces", len(episodes)) as report:
+
+            def search(fraction: float) -> None:
+                report(done + fraction)
+
+            for done, item in enumerate(episodes):
+                if stop():
+                    return
+                seed = entry.config.eval.seed
+                runner = runner or EpisodeRunner(entry.config, entry.source, seed, search)
+                made, profile = runner.transitions(item.row["episode"])
+                policy, conditions, seed, episode, digest = item.key
+                self._found[item.key] = Trace.of(
+                    made,
+                    profile,
+                    policy=policy,
+                    scene=item.scene,
+                    episode=episode,
+                    seed=seed,
+                    conditions=conditions,
+                    digest=digest,
+                    risk=np.array(risks(item.row) or ()),
+                )
+                report(done + 1)
+
+    def draw(self, file: Path, entry: Entry) -> None:
+        """Draw a picture of the first episode of an entry, if it has a trace."""
+        from flipperctl.figures.episode import episode_figure
+        from flipperctl.figures.figure import save
+
+        first = next((item.key for item in self._chosen if item.entry is entry), None)
+        if first is not None and (trace := self._found.get(first)) is not None:
+            save(episode_figure(trace), file, title(trace))
+
+
+def title(trace: Trace) -> str:
+    """Return one line about an episode, for a picture."""
+    return f"{trace.policy} on {trace.scene}: {trace.outcome}"

@@ -1,0 +1,56 @@
+"""Close matches: typical slips find the word that was meant, other words find nothing."""
+
+import pytest
+
+from flipperctl.api import registry
+from flipperctl.api.plugin import Plugin
+from flipperctl.errors import MissingExtraError, missing_package
+from flipperctl.plugging.guard import naming
+from flipperctl.text.messages import close_match, closest
+from tests.cli.call import COMMANDS
+
+PLUGINS = sorted(name for _, name in registry)
+SETTINGS = ["gamma", "learning_rate", "batch_size", "epsilon_decisions", "friction", "substep"]
+OPTIONS = ["checkpoint", "controller", "baseline", "episodes", "seed", "jobs", "output", "multirun"]
+WORDS = [*PLUGINS, *SETTINGS, *OPTIONS, *COMMANDS]
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [
+        *(("stiar", "stair"), ("Stair", "stair"), ("pich", "pitch"), ("paper-step", "paper_step")),
+        *(("batchsize", "batch_size"), ("controler", "controller"), ("evaluate", "eval")),
+    ],
+)
+def test_a_slip_finds_the_word(typed: str, meant: str) -> None:
+    assert closest(typed, WORDS) == meant
+    assert close_match(typed, WORDS) == f" (did you mean {meant!r}?)"
+
+
+@pytest.mark.parametrize(
+    "typed",
+    [
+        *("none", "resume", "x", "lr", "config", "123", "model", "verbose", ""),
+    ],
+)
+def test_another_word_finds_nothing(typed: str) -> None:
+    assert closest(typed, WORDS) is None
+    assert close_match(typed, WORDS) == ""
+
+
+@pytest.mark.parametrize(("module", "package"), [("PIL.Image", "pillow"), ("numba", "numba")])
+def test_a_missing_package_is_named_with_how_to_install_it(module: str, package: str) -> None:
+    """Also where a plugin imports it, such as an engine."""
+    error = ModuleNotFoundError(f"No module named {module!r}", name=module)
+    text = f"the package {module.partition('.')[0]} is missing: pip install {package}"
+    assert missing_package(error) == text
+    assert missing_package(ImportError("broken")) == ""
+    with pytest.raises(MissingExtraError, match=f"robot 'x': {text}"), naming(Plug(), "place"):
+        raise error
+
+
+class Plug(Plugin):
+    """A plugin that is not registered."""
+
+    kind = "robot"
+    plugin_name = "x"
