@@ -49,6 +49,7 @@ class Conditions:
     def of(cls, config: EvalConfig) -> Conditions:
         """Return the conditions of an evaluation."""
         whole = to_dict(config.environment())
+        # Settings that change nothing would give equal episodes different hashes.
         left_out = {
             "sim": _without_effect(config, "sim"),
             # The layout is set by the policy.
@@ -67,6 +68,7 @@ class Conditions:
         defaults = {section: type(getattr(config, section))() for section in _SECTIONS}
         settings = {"terrain": whole["terrain"], **sections}
         plugins = (config.terrain, config.sim, config.perception)
+        # Recorded ground counts by its content, wherever its file lies.
         if files := [content_digest(file) for file in all_files_read(plugins)]:
             settings["files"] = files
         return cls(config.conditions, settings, defaults)
@@ -100,6 +102,7 @@ class Conditions:
         randomised = list(self._randomised())
         more = f" and {len(randomised) - _SHOWN} more" if len(randomised) > _SHOWN else ""
         parts = {"randomised": ", ".join(randomised[:_SHOWN]) + more}
+        # Settings of the start are apart from the other ones of the episode.
         own = list(self._differences("episode", varied))
         parts["start"] = ", ".join(text for name, text in own if name in _START)
         for title, section in (("sensing", "perception"), ("physics", "sim"), ("robot", "robot")):
@@ -199,6 +202,7 @@ class Inherited:
         own = to_dict(config.environment())
         own["terrain"] = to_dict(config.terrain, brief=True)
         layout = {name: own["perception"][name] for name in ObservationLayout.model_fields}
+        # What overrides replace as a whole, and what stays in all conditions
         chosen = {name: own.pop(name) for name in ("terrain", "robot", "rewards")}
         kept = {"perception": layout, "eval": to_dict(config.eval)}
         default = to_dict(EvalConfig(terrain=config.terrain))
@@ -219,6 +223,7 @@ def read_config(
     if isinstance(absent, AbsentTerrain):
         name = absent.plugin_name
         named = ("terrain", name) in registry  # and only a terrain inside it is missing
+        # Missing terrain matters only if it is to be evaluated.
         if any(terrain is None or (terrain == name and not named) for terrain in terrains):
             raise CheckpointError(
                 f"{file}: {absent.missing}, or evaluate another one with terrain=NAME"
@@ -257,6 +262,7 @@ def policy_notes(
     own = EvalConfig(**{name: getattr(trained, name) for name in EnvConfig.model_fields})
     before, lines = Conditions.of(own).settings, dict[str, None]()
     for config in configs:
+        # Conditions that the user named are no surprise.
         if config.conditions != NOMINAL:
             continue
         here = Conditions.of(config).settings

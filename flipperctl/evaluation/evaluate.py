@@ -130,10 +130,12 @@ def evaluate(
     results: list[Played] = []
     failures: list[PolicyError] = []
     with Player(store, progress, stop) as player:
+        # How much there is to play, before any of it is played
         planned(_lacking(player, plan.entries))
         address = plan.entries[0].config.eval.ray
         if address is not None and not record:
             player.play_over_ray([(e.config, e.source) for e in plan.entries], address)
+        # For each entry its episodes, why some failed, and whether anybody crosses them
         for entry in plan.entries:
             if entry.is_baseline and not any(p.entry.ground == entry.ground for p in results):
                 continue  # there is nothing to compare with it
@@ -145,6 +147,7 @@ def evaluate(
                 rows = scene.with_references(scene.with_causes(rows), plan, references)
             if rows:
                 results.append(Played(entry, rows))
+    # Policies that fail are listed; nothing but failures is an error.
     if failures and all(result.entry.is_baseline for result in results):
         raise failures[0].error
     interruption = _interruption(plan, results) if player.interrupted else None
@@ -233,6 +236,7 @@ class _Scene:
         for reference in references:
             name, indices = reference.label(), [index for index, by in crossed.items() if not by]
             config = plan.config_of(reference, self.entry)
+            # A reference has stored episodes at no cost, also those that others crossed.
             with suppress(FlipperctlError):  # which playing raises again, where it is noted
                 if not self.player.missing(config, reference):
                     indices = list(crossed)

@@ -88,10 +88,12 @@ def causes(
         return {}
     left = [row["episode"] for row in failed]
     cause_of: dict[int, Cause] = {}
+    # The true pose comes first, since it may be enough.
     if posed is not None:
         drifted = [row["episode"] for row in play(posed, left) if reached(row)]
         cause_of = dict.fromkeys(drifted, Cause.DRIFT)
         left = [index for index in left if index not in cause_of]
+    # What the true ground mends was perceived wrongly.
     for row in play(exactly, left) if left else ():
         cause_of[row["episode"]] = Cause.PERCEPTION if reached(row) else Cause.OTHER
     return dict(sorted(cause_of.items()))
@@ -106,6 +108,7 @@ def explain(config: EvalConfig, source: PolicySource, row: Row) -> Row:
 
     drive(FlipperEnv(config=config), source.build(config), row["seed"], watch=watch)
     (end,) = states
+    # On known ground, how the episode ended says what went wrong.
     cause = Cause(row.get("failed_by", Cause.OTHER))
     if cause is Cause.OTHER:
         cause = _cause(end, row["outcome"], config)

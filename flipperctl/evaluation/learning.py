@@ -40,11 +40,13 @@ class Demonstrator:
         """
         self.drives: tuple[RecordedEpisode, ...] = ()
         self.source: PolicySource | None = None
+        # A policy must fit every scene.
         if not drive_files(Path(word)):
             self.source = load_policy(word, "from")
             for entry in entries:
                 self.source.build(entry.config)
             return
+        # Drives must have the observations and the robot of the scenes.
         drives = recording.read(Path(word))
         self.drives, config = drives.episodes, entries[0].config
         robot = {name: value for name, value in config.robot if isinstance(value, float)}
@@ -114,6 +116,7 @@ class PlayedEpisodes:
 
         def add(d: Decision) -> None:
             reward = d.reward
+            # A smooth episode is one of little pitch variation; failing has a price.
             if not by_reward:
                 failed = d.ending is not None and d.ending["outcome"] != "reached"
                 swing = float(np.abs(np.diff(d.transition.path[:, 2])).sum())
@@ -159,6 +162,7 @@ class Playing:
         """Return the scores of the candidates; see ``Measure``."""
         seed = training_seed(self.seed, draws)
         self.tell_size(episodes)
+        # All candidates on all scenes at once, so that the processes share them
         requests = [
             (_numbered(entry, episodes, seed), replace(entry.source, settings=settings))
             for fields in candidates
@@ -168,6 +172,7 @@ class Playing:
         played = list(self.player.play_many(requests, label))
         if len(played) < len(requests):
             raise InterruptedRunError("interrupted")
+        # A failure costs what the roughest crossing by any candidate does.
         count = len(self.entries)
         parts = [played[at : at + count] for at in range(0, len(played), count)]
         samples = [SeedSamples("", *self._samples(scenes)) for scenes in parts]

@@ -24,6 +24,7 @@ def names(labels: Sequence[str]) -> dict[str, str]:
     needed.
     """
     whole = {label: _FILES.sub("", label) for label in labels}
+    # Take more parts of the paths until all names differ, and seeds only where they must be told.
     for count in range(1, max([1, *(text.count("/") + 1 for text in whole.values())]) + 1):
         for with_seed in (False, True):
             shortened = {label: _last(text, count, with_seed) for label, text in whole.items()}
@@ -60,6 +61,7 @@ def chosen_names(words: Sequence[str], labels: Sequence[str]) -> dict[str, str]:
         if not (name.strip() and equals and method):
             raise RequestError(f"--name {word}: NAME=METHOD is allowed, as in AT-D3QN=runs/first")
         wanted = PurePath(method).parts
+        # A word may name a label, its short name, or the end of its path.
         fits = [
             label
             for label in labels

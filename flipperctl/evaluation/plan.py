@@ -311,6 +311,7 @@ def policies(
         raise RequestError(f"{option}: {allowed}; got {names!r}")
     sources = {label: load_policy(label, option, tell=tell) for label in labels}
     for label, source in sources.items():
+        # A field applies to the controllers that have it.
         if own := {n: value for n, value in fields.items() if n in (source.settings or {})}:
             changed = {**(sources[label].settings or {}), **own}
             sources[label] = load_policy(label, "controller", fields=changed)
@@ -420,6 +421,7 @@ def _of_path(path: Path, tell: Callable[[str], None]) -> Iterator[NamedPolicy]:
     if not sweep or not checkpoints.runs_in(path):
         yield NamedPolicy(str(path), path, _trained(load_policy(path))[0])
         return
+    # Runs that can be read; equal trainings count once.
     trained: list[tuple[Path, int | None, dict[str, Any]]] = []
     for run in sorted((f for f in path.iterdir() if f.is_dir()), key=checkpoints.job_order):
         if not (run / "config.yaml").exists() and not checkpoints.holds(run):
@@ -445,6 +447,7 @@ def _of_path(path: Path, tell: Callable[[str], None]) -> Iterator[NamedPolicy]:
     for (alike, _), (run, seed, settings) in zip(keys, trained, strict=True):
         repeated = any(keys.count(key) > 1 for key in keys if key[0] == alike)
         groups.setdefault(repr(settings) if repeated else alike, []).append((run, seed))
+    # The swept values name a method, if they tell it from the others.
     swept = [_swept(members[0][0]) for members in groups.values()]
     for members, values in zip(groups.values(), swept, strict=True):
         telling = values and swept.count(values) == 1

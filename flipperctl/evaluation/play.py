@@ -113,9 +113,11 @@ class EpisodeRunner:
     def play(self, index: int) -> Row:
         """Play one episode, counted from 0, to its end; return its row."""
         digest, report, seed = EpisodeDigest(), self._report_progress, self._seeds(index)
+        # Evaluations need the row alone.
         if not self._record:
             row = play(self.env, self._policy, seed, watch=digest.add, report_progress=report)
             return arranged({"episode": index, **row}) | {DIGEST: digest.hexdigest()}
+        # A recorded episode has its decisions with labels as well.
         policy, recorder = DemonstratingPolicy(self._policy), EpisodeRecorder()
 
         def watch(d: Decision) -> None:
@@ -228,6 +230,7 @@ class Player:
         """
         chosen = list(range(config.eval.episodes)) if indices is None else list(indices)
         held = {} if record else self.store.find(self.key(config, source))
+        # Episodes that the store lacks are played and stored as they come.
         if missing := [index for index in chosen if index not in held]:
             with self._progress(label, len(missing)) as report:
                 done = 0
@@ -297,6 +300,7 @@ class Player:
                     return
                 yield _result(pool, *waiting.popleft())
 
+        # A lone process plays here, since a worker would have to start first.
         jobs = requests[0][0].eval.jobs
         if jobs == 1 or sum(len(indices) for *_, indices in requests) == 1:
             yield from (here(*request) for request in requests)
@@ -304,6 +308,7 @@ class Player:
         if self._pool is not None and self._pool.count != jobs:
             self.__exit__()
         pool = self._pool = self._pool or worker_pool(jobs)
+        # All requests are submitted at once, so that no worker waits between two of them.
         waiting: deque[tuple[Task, int, Future[Row]]] = deque()
         for config, source, indices in requests:
             task = Task.of(config, source, record=record, training=self._training)
@@ -333,6 +338,8 @@ class Player:
                 require_unchanged(source, key.policy.digest)
                 self.store.add(key, part)
 
+        # A run that is still trained may change its file, and episodes of two policies must not
+        # mix.
         require_unchanged(source, key.policy.digest)
         try:
             for row in rows:
@@ -358,6 +365,7 @@ class Player:
         Raises:
             WorkerDiffersError: a worker would compute with other code or files.
         """
+        # Each missing block once, though several requests may have it
         wanted: dict[tuple[str, int], tuple[StoreKey, Task, list[int]]] = {}
         for config, source in requests:
             with suppress(FlipperctlError):
@@ -376,6 +384,8 @@ class Player:
                 played, total = 0, sum(size for _, size in running.values())
                 with self._progress("blocks over Ray", total) as report:
                     while running and not self._stop():
+                        # Blocks are stored in the order in which they come; those that failed are
+                        # played here.
                         for future in wait(running, POLL, FIRST_COMPLETED).done:
                             key, size = running.pop(future)
                             error = future.exception()

@@ -96,6 +96,7 @@ class RecordedPolicy(_Frozen):
                 )
             return source
         advice = "name the policy's file with --checkpoint"
+        # A file may have another name or content than when the episode was recorded.
         try:
             file = checkpoint.find(chosen or Path(self.label))
         except CheckpointError as error:
@@ -240,6 +241,7 @@ class Replay:
     @property
     def differences(self) -> list[str]:
         """What differs from the record; empty if the episode is bit-identical."""
+        # Measures, the digest of all poses, and the first risk that differs
         recorded, episode, ours = self.record, self.episode, measures(self.episode)
         pairs: dict[str, Any] = {"outcome": (episode["outcome"], str(recorded.outcome))}
         pairs |= {name: (ours.get(name), value) for name, value in recorded.measures.items()}
@@ -313,6 +315,7 @@ def replay_file(
     ``tell`` is called with a line for each output.
     """
     with ExitStack() as stack:
+        # Outputs are checked and locked before the episode is played.
         if film is not None:
             from flipperctl.figures.animation import check_film
 
@@ -321,6 +324,7 @@ def replay_file(
         if output is not None:
             folder = stack.enter_context(result_folder(output, "replay", NAMES))
         replayed = replay(path, checkpoint, progress)
+        # The document and a picture
         if folder is not None:
 
             def write(part: Path) -> None:
@@ -333,6 +337,7 @@ def replay_file(
 
             folder.replace(write)
             tell(f"wrote {' and '.join(NAMES)} to {folder.path}")
+        # A film of this episode alone
         if film is not None:
             from flipperctl.figures.film import Part, Take
             from flipperctl.figures.film import film as make_film

@@ -38,6 +38,7 @@ _MOST_BINS = 8
 def arranged(row: Mapping[str, Any]) -> Row:
     """Return a row with its columns in the order of ``episodes.csv``."""
     measures = [cls.plugin_name for cls in other_measures()]
+    # Known columns have their place; the terrain's, the search's and the sampled ones follow.
     known = {*_FIRST, *measures, "return", *_LAST}
     prefixes = (REWARD, DRAWN, SEARCH)
     rest = [name for name in row if name not in known]
@@ -127,12 +128,14 @@ class Episodes(Sequence[Row]):
         A number with more than eight different values is split at its quartiles. Episodes without
         one of the numbers, such as other parts of a mix, are in no group.
         """
+        # Only episodes with all of the numbers belong to a group.
         every = [(row, [number(row, name) for name in names]) for row in self.rows]
         whole = [(row, values) for row, values in every if None not in values]
         if not whole:
             return
         table = np.array([values for _, values in whole], dtype=float)  # (episodes, names)
         bins = np.column_stack([_bins(column) for column in table.T])
+        # A group for each combination of bins that occurs
         for key in product(*(np.unique(column) for column in bins.T)):
             chosen = np.flatnonzero((bins == key).all(axis=1))
             if chosen.size:

@@ -63,6 +63,7 @@ def failure_prices(methods: Iterable[SeedSamples], least: float = PRICE) -> dict
     """
     prices: dict[str, float] = {}
     for method in methods:
+        # The roughest crossing by any method sets the price of a failure on its scene.
         for scene, reached in method.reached.items():
             roughest = float(method.values[scene][reached].max(initial=least))
             prices[scene] = max(roughest, prices.get(scene, least))
@@ -82,11 +83,13 @@ def success_interval(method: SeedSamples) -> Interval:
     rates = method.successes()
     episodes = sum(values.shape[1] for values in rates.values())
     mean = float(np.mean([values.mean() for values in rates.values()]))
+    # Nothing varies over seeds or scenes: the score interval of one rate
     if mean in (0.0, 1.0) or (method.seeds == 1 and len(rates) == 1):
         return proportion(round(mean * episodes), episodes)
     interval = mean_interval(rates)
     if interval.low is None or interval.high is None:
         return interval
+    # Seeds agree within every scene, but episodes vary.
     if interval.low == interval.high:
         counts = [(round(float(v.mean()) * v.shape[1]), v.shape[1]) for v in rates.values()]
         return mean_of([proportion(reached, total) for reached, total in counts])
@@ -112,10 +115,12 @@ def success_difference(
     If the interval has no width (all seeds agree), that of one seed's episodes is taken: the score
     interval of each scene and McNemar's exact test; no interval if the seeds' episodes differ.
     """
+    # On a single scene where the seeds agree, this is a plain paired comparison.
     if len(ours.reached) == 1 and _agree(ours) and _agree(theirs):
         (mine,), (other,) = ours.reached.values(), theirs.reached.values()
         paired = _pair(mine[0], other[0])
         return paired, paired.p
+    # Where seeds vary, their variance makes the interval.
     interval, p = difference_interval(ours.successes(), theirs.successes())
     if interval.low is None or interval.high is None:
         return interval, p
@@ -123,6 +128,7 @@ def success_difference(
         return Interval(interval.mean, max(-1.0, interval.low), min(1.0, interval.high)), p
     if not (_agree(ours) and _agree(theirs)):
         return Interval(interval.mean, None, None), 1.0
+    # Paired intervals for each scene, and one exact test over all of them
     pairs = [
         _pair(values[0], others[0])
         for values, others in zip(ours.reached.values(), theirs.reached.values(), strict=True)
@@ -191,6 +197,7 @@ def better_interval(ours: Scores, theirs: Scores) -> Interval:
     Two to four seeds have none: where seeds differ much, all win or none, which says nothing of
     the variation of others. Nor have episodes that all say the same.
     """
+    # Every seed against every other one, on equal episodes
     gaps = {k: theirs[k][None, :, :] - ours[k][:, None, :] for k in ours}  # (S, S', E)
     wins = {k: (gap > 0) + 0.5 * (gap == 0) for k, gap in gaps.items()}
     mean = float(np.mean([w.mean() for w in wins.values()]))
@@ -199,6 +206,7 @@ def better_interval(ours: Scores, theirs: Scores) -> Interval:
     episodes = _over_episodes({k: w.mean(axis=(0, 1)) for k, w in wins.items()})
     seeds = [part for part in (mine[0], other[0]) if part is not None]
     interval, _ = _tested(mean, seeds, episodes, mine[2] + other[2])
+    # Few seeds that all win say nothing about further ones.
     few = any(part.freedom + 1 < FEWEST_SEEDS for part in seeds)
     if few or interval.low is None or interval.high is None or interval.low == interval.high:
         return Interval(mean, None, None)
@@ -219,6 +227,7 @@ def statistic_interval(
     estimate = float(statistic(own))
     _, _, rest = _parts(scores)
     seeds: Part | None = None
+    # Whole seeds are drawn, since a policy plays all scenes.
     if count > 1:
         rows = rng.integers(count, size=(resamples, count))
         spread = float(np.var(statistic(own[rows]))) * count / (count - 1)
@@ -232,6 +241,7 @@ def resampled(scores: Scores, rng: np.random.Generator, resamples: int) -> Float
     Scores of (S, E, L), such as one for each of L levels, give (B, S, L, K).
     """
     count = len(next(iter(scores.values())))
+    # The same seeds in all scenes, other episodes in each
     rows = rng.integers(count, size=(resamples, count))  # seeds first: one policy, all scenes
     columns = []
     for values in scores.values():
@@ -254,8 +264,10 @@ def _parts(scores: Scores) -> tuple[Part | None, Part | None, float]:
     episodes = _over_episodes({k: values.mean(axis=0) for k, values in scores.items()})
     if count < 2:
         return None, episodes, 0.0
+    # Over seeds: the variance of their means over all scenes
     seeds = Part(float(np.var(own.mean(axis=1), ddof=1)) / count, count - 1)
     rest = 0.0
+    # What neither seed nor episode explains, from the residuals of both means
     for values in scores.values():
         if (size := values.shape[1]) > 1:
             left = values - values.mean(axis=1, keepdims=True) - values.mean(axis=0) + values.mean()
@@ -282,6 +294,7 @@ def _jackknifed(scores: Scores, statistic: Statistic) -> Part | None:
         size = values.shape[1]
         if size < FEWEST_EPISODES:
             return None
+        # The statistic without each episode in turn
         without = np.repeat(own[None], size, axis=0)  # (E, S, K)
         without[:, :, at] = ((values.sum(axis=1, keepdims=True) - values) / (size - 1)).T
         estimates = statistic(without)
@@ -312,9 +325,11 @@ def _tested(
     variance = max(_joined(parts).variance - rest, *(part.variance for part in parts))
     if variance <= (_FLAT * max(1.0, abs(estimate))) ** 2:
         return Interval(estimate, estimate, estimate), 0.0 if estimate else 1.0
+    # Few seeds: Satterthwaite's interval would be too narrow.
     if any(part.freedom + 1 < FEWEST_SEEDS for part in seeds):
         half, p = _cautious(estimate, parts, rest)
         return Interval(estimate, estimate - half, estimate + half), p
+    # Satterthwaite's degrees of freedom; the subtracted rest has an error of its own.
     below = sum(part.variance**2 / part.freedom for part in parts)
     if seeds and rest > 0:
         below += rest**2 / (sum(part.freedom for part in seeds) * episodes.freedom)
@@ -334,6 +349,7 @@ def _cautious(estimate: float, parts: Sequence[Part], rest: float) -> tuple[floa
     """
     from scipy.special import stdtrit
 
+    # The rest is in the seeds' part and in the episodes'; it counts once.
     freedoms = np.array([part.freedom for part in parts])
     variances = np.array([part.variance for part in parts])
     pure = np.append(variances[:-1], max(0.0, variances[-1] - rest))

@@ -64,6 +64,7 @@ def interval(values: Sequence[float]) -> Interval:
         return Interval(mean, None, None)
     from scipy.special import stdtrit
 
+    # Student's t, since the deviation is estimated from the same values
     half = float(stdtrit(count - 1, 0.975) * array.std(ddof=1) / math.sqrt(count))
     return Interval(mean, mean - half, mean + half)
 
@@ -104,6 +105,7 @@ def mean_of(parts: Sequence[Interval]) -> Interval:
     The distances of their ends add up as squares (Zou & Donner 2008), so that rates of 0 and 1, in
     which nothing varies, leave a width. Every part has both ends.
     """
+    # Distances to the ends add as squares, below and above apart.
     means, lows, highs = (
         np.array([getattr(part, name) for part in parts]) for name in ("mean", "low", "high")
     )
@@ -143,6 +145,7 @@ def _difference_with_score(won: int, lost: int, total: int, score: float) -> flo
 
     The statistic decreases with the difference and is 0 at the observed one.
     """
+    # Bisection between the observed difference and the end on the side of the score
     low, high = (-1.0, (won - lost) / total) if score > 0 else ((won - lost) / total, 1.0)
     for _ in range(_HALVINGS):
         middle = (low + high) / 2
@@ -173,6 +176,7 @@ def holm(p_values: Sequence[float]) -> list[float]:
     """
     corrected, largest = [1.0] * len(p_values), 0.0
     order = sorted(range(len(p_values)), key=p_values.__getitem__)
+    # From the smallest p-value on; a later one is never below an earlier one.
     for rank, at in enumerate(order):
         largest = max(largest, min(1.0, (len(p_values) - rank) * p_values[at]))
         corrected[at] = largest

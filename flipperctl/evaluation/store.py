@@ -159,6 +159,7 @@ def commit() -> str | None:
         return None
     command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40"]
     try:
+        # A checkout without git, or a slow one, has no commit to name.
         done = subprocess.run(  # noqa: S603 - all words are our own
             command, capture_output=True, text=True, timeout=_GIT_PATIENCE, check=False
         )
@@ -234,6 +235,7 @@ class FolderStore(EpisodeStore):
                 header, rows = block
                 self.count_versions(header, versions_here(key.config))
                 super().add(key, rows)
+            # A damaged file goes once other blocks have its episodes.
             for file in damaged:
                 if self._holds(key, file):  # other blocks have its episodes
                     file.unlink(missing_ok=True)
@@ -253,6 +255,7 @@ class FolderStore(EpisodeStore):
         """Write the block's file; see ``EpisodeStore.add``."""
         first, last = block[0]["episode"], block[-1]["episode"]
         name = block_name(key.text, first, last)
+        # A header, then a line for each episode, whose digest comes first
         lines = [key.header(first, last)]
         for row in block:
             own = {DIGEST: row[DIGEST]} if DIGEST in row else {}
@@ -262,6 +265,7 @@ class FolderStore(EpisodeStore):
             json.dumps(line, separators=(",", ":"), default=lambda number: number.item()) + "\n"
             for line in lines
         )
+        # The block is written whole; a failure noted earlier is over.
         file = self._folder / f"{name}{_BLOCK}"
         write_bytes(file, "".join(texts).encode())
         self._files.setdefault(key.text, []).append(file)
@@ -329,6 +333,7 @@ def read_block(file: Path) -> tuple[dict[str, Any], list[Row]] | None:
     try:
         header, *records = (json.loads(line) for line in file.read_text().splitlines())
         indices = list(range(header["first"], header["last"] + 1))
+        # The episodes are those that header and name say, so that no cut file counts.
         whole = [row["episode"] for row in records] == indices and header["format"] == FORMAT
         if not whole or f"{header['cell']}{_BLOCK}" != file.name:
             return None
@@ -351,6 +356,7 @@ def write_view(results: Path) -> None:
     files = sorted((results / FOLDER).glob(f"*{_BLOCK}"))
     columns = dict.fromkeys(name for file in files for row in _viewed(file) for name in row)
 
+    # Block by block, so that the table may be larger than the memory
     def chunks() -> Iterator[bytes]:
         text = io.StringIO()
         writer = csv.DictWriter(text, list(columns))

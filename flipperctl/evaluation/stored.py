@@ -183,11 +183,13 @@ class _Reader:
 
         ``is_seed``: whether the folder is one of those of a method's training seeds.
         """
+        # What summary and cells of the folder say about its policies
         methods, played = _methods(folder), dict[str, set[PlayedPolicy]]()
         for (label, _), played_there in played_policies(folder / FOLDER).items():
             played.setdefault(label, set()).update(played_there)
         policies = _policies(folder / FILE, self._measure)
         first = next(iter(policies))
+        # Each policy of the folder belongs to a method: the named one, a trained one, or its own.
         for label, episodes in policies.items():
             cells = played.get(label, set())
             leads = label == first or (label in methods and methods[label] == methods.get(first))
@@ -205,6 +207,7 @@ class _Reader:
                 self._untrained.add(method)
             if is_rule or not (leads or label in methods):
                 self._rules.add(method)
+            # A policy that several folders have counts once, and must have equal results in all.
             known = self._runs.setdefault(method, [])
             run = _Run.of(folder, episodes, cells)
             same = [at for at, other in enumerate(known) if run.is_of(other)]
@@ -224,6 +227,7 @@ class _Reader:
         """Return the methods on the scenes and episodes that every run has."""
         for method, known in self._runs.items():
             self.notices += _doubts(method, known)
+        # Only episodes that every run has can be compared.
         every = [run for known in self._runs.values() for run in known]
         shared: dict[str, list[str]] = {}
         for scene in dict.fromkeys(scene for run in every for scene in run.episodes):
@@ -241,6 +245,7 @@ class _Reader:
         if not shared:
             text = "no episode was played by all methods and seeds"
             raise RequestError(f"{text}: {_unlike(every)}")
+        # Arrays of the shared episodes; a rule counts once, however often it was evaluated.
         names = _short(list(shared))
         methods = []
         for method, known in self._runs.items():

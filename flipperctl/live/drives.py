@@ -160,6 +160,7 @@ def drive(
         title = f"{task.title}{', practice' if task.practice else ''}"
         about = {"title": title, "episode": task.number, "practice": task.practice}
         word = "again"
+        # An episode that is begun anew gets a world of its own.
         while word == "again":
             env = FlipperEnv(config=config)
             helper = None if task.helper is None else task.helper.build(config)

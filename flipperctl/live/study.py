@@ -57,6 +57,7 @@ class Study(BaseModel):
         """
         every = [(helper, scene) for helper in self.helpers for scene in self.scenes]
         count, at = len(every), self.people.index(person)
+        # Steps 0, 1, -1, 2, -2 and so on: each distance between neighbours occurs once.
         middle = [(i + 1) // 2 if i % 2 else -(i // 2) for i in range(count)]
         row = [every[(step + at) % count] for step in middle]
         return row[::-1] if count % 2 and (at // count) % 2 else row
@@ -99,6 +100,7 @@ def tasks_of(
     ``compose`` returns the configuration of a scene's words, ``find`` a helper by its name, and
     ``folder`` the drives of the person with a helper.
     """
+    # Practice comes before the first episode that counts, unless all are driven.
     for helper, scene in study.blocks(person):
         config, source = compose(study.scenes[scene]), None if helper == "none" else find(helper)
         own = folder(helper)

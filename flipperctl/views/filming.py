@@ -85,6 +85,7 @@ class Filming:
 
         entries = result.plan.entries
         chosen: Sequence[int] = self.episodes or (0,)
+        # The first failures of any policy, if the film is to show some
         if self.failures:
             failed = sorted(
                 {row["episode"] for item in result.rows for row in item.episodes.failed}

@@ -83,10 +83,12 @@ def page(folder: Path) -> str:
 
 
 def _page(folder: Path, document: Document, recorded: Sequence[Trace]) -> str:
+    # Policies and scenes, in the order of the tables
     rows = table_rows(document)
     policies = list(dict.fromkeys(row["policy"] for row in rows))
     scenes = list(dict.fromkeys(row["scene"] for row in rows))
     marks = _marks([*policies, *(trace.policy for trace in recorded)])
+    # The published numbers have a section of their own.
     table, *others = evaluation.tables(document, "Policies")
     beside = published(document, strict=False)
     others = [further for further in others if beside is None or further.title != beside.title]
@@ -168,13 +170,16 @@ def _heat(
 ) -> str:
     """Return the table of policies and scenes; a cell is darker the worse it is on its scene."""
     own = by_scene(rows)
+    # Shades from the least to the largest pitch variation on each scene
     shade: dict[tuple[str, str], float] = {}
     for scene, row_of in own.items():
         values = {name: row[VARIATION]["mean"] for name, row in row_of.items() if row[VARIATION]}
         low, high = min(values.values(), default=0.0), max(values.values(), default=0.0)
         shade |= {(n, scene): (v - low) / (high - low or 1.0) for n, v in values.items()}
+    # The best on each scene, by success first
     best = {scene: max(row_of.values(), key=rank)["policy"] for scene, row_of in own.items()}
     head = "".join(f'<th scope="col">{escape(scene)}</th>' for scene in scenes)
+    # A cell for each policy on each scene
     body = []
     for policy in policies:
         cells = []
@@ -219,6 +224,7 @@ def _figures(folder: Path, document: Document, policies: Sequence[str]) -> str:
     from flipperctl.figures.figure import WIDTH, render
     from flipperctl.views.plot import KINDS, Request
 
+    # Differences are taken to the usual rule, or else to the last policy.
     ruler = RULER if RULER in policies else policies[-1]
     request = Request([str(folder)], against=ruler, width=WIDTH)
     parts = []
@@ -240,9 +246,11 @@ def _inline(svg: str, label: str) -> str:
     from flipperctl.figures.figure import COLOURS
     from flipperctl.figures.render import FAINT, INK
 
+    # Variables of the page's style replace colours, so that a dark page has its own.
     names = {colour: f"p{at}" for at, colour in enumerate(COLOURS)}
     names |= {INK: "ink", "#606060": "soft", FAINT: "soft", "#E6E6E6": "line", "#FFFFFF": "paper"}
     variables = {colour.lower(): name for colour, name in names.items()}
+    # Metadata, comments and digits beyond the second add nothing to a page.
     (box,) = re.findall(r'viewBox="[^"]*"', svg)
     body = svg[svg.index(">", svg.index(box)) + 1 :]
     body = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", body, flags=re.DOTALL)
@@ -281,6 +289,7 @@ def _failures(
     number = sum(n for row in rows for o, n in row["counts"].items() if o != Outcome.REACHED)
     if not number:
         return ""
+    # A card for each of the first failures, with the command that plays it again
     records = _records(folder)
     failed = [
         (at, record) for at, record in enumerate(recorded) if record.outcome != Outcome.REACHED
@@ -323,6 +332,7 @@ def _data(recorded: Sequence[Trace], marks: Mapping[str, str]) -> str:
     policies = list(dict.fromkeys(trace.policy for trace in recorded))
     grounds: dict[str, list[list[int]]] = {}
     traces = []
+    # Episodes on equal ground share its points.
     for trace in recorded:
         points = _ground(trace)
         key = json.dumps(points)
@@ -382,12 +392,14 @@ def _ground(trace: Trace) -> list[list[int]]:
 
 
 def _origin(folder: Path, document: Document, marks: Mapping[str, str]) -> str:
+    # The stored blocks say which policies and versions the numbers come from.
     headers = [
         header
         for header in store.headers(folder / store.FOLDER)
         if header["conditions_hash"]
         in {scene["conditions"]["hash"] for scene in document["scenes"]}
     ]
+    # Versions and commits, each once
     versions: dict[str, dict[str, None]] = {}
     for header in headers:
         for name, version in header.get("versions", {}).items():
@@ -395,6 +407,7 @@ def _origin(folder: Path, document: Document, marks: Mapping[str, str]) -> str:
     facts = {name: " and ".join(own) for name, own in versions.items()}
     if commits := dict.fromkeys(str(h["commit"]) for h in headers if h.get("commit")):
         facts["commit"] = " and ".join(commits)
+    # Policies by the digest of their weights or settings, and scenes with their conditions
     policies = dict.fromkeys(
         (short(h["controller"]), h["training_seed"], h["policy"]) for h in headers
     )
@@ -431,6 +444,7 @@ def _origin(folder: Path, document: Document, marks: Mapping[str, str]) -> str:
             }.values()
         ),
     )
+    # The commands that repeat the results and this page
     commands = [
         *([document["command"]] if "command" in document else []),
         command("report", folder),

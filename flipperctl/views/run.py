@@ -73,6 +73,7 @@ def run(
     ``typed``: the command, for the report.
     """
     with ExitStack() as stack:
+        # Outputs are checked and locked before anything is played.
         written = _Files(plan, stack, tell, filming, **outputs)
         stop = stack.enter_context(interrupts("finishing the episode; Ctrl-C again stops at once"))
         result = evaluate(
@@ -84,6 +85,7 @@ def run(
             store=written.store,
             planned=planned,
         )
+        # What follows from the episodes, before anything is shown
         if plan.engines and result.interruption is None:
             result = engines.explained(result)
         if plan.with_best_known:
@@ -106,6 +108,7 @@ def with_best_known(result: Result, store: EpisodeStore) -> Result:
     """
     if not isinstance(store, FolderStore):
         return result
+    # Equal ground makes a scene, on which policies can be ranked.
     scenes: dict[tuple[str, str, int, int], list[Played]] = {}
     for item in result.played:
         scenes.setdefault(item.entry.ground, []).append(item)
@@ -122,6 +125,7 @@ def _best(together: Sequence[Played], store: FolderStore) -> Played | None:
     """
     entry = together[0].entry
     indices = range(entry.config.eval.episodes)
+    # Only policies with every episode of the scene can be compared.
     complete = [
         (headers, Episodes(tuple(rows[index] for index in indices)))
         for headers, rows in store.stored_on(ground(entry.config))
@@ -132,9 +136,11 @@ def _best(together: Sequence[Played], store: FolderStore) -> Played | None:
     headers, episodes = max(complete, key=lambda policy_run: _rank(policy_run[1]))
     if any(_rank(row.episodes) >= _rank(episodes) for row in together):
         return None
+    # Episodes of other versions are counted, as if they had been read for an entry.
     here = versions_here(entry.config)
     for header in headers:
         store.count_versions(header, here)
+    # The digest tells the policy from another one that has its name by now.
     label, digest = str(headers[0]["controller"]), str(headers[0]["policy"])
     changed = (file := Path(label)).is_file() and content_digest(file) != digest
     if changed or any(row.entry.label == label for row in together):  # another one has the name now
@@ -171,6 +177,7 @@ class _Files:
         """
         self._plan, self._tell = plan, tell
         self._filming, self._record = filming, record
+        # Refuse what contradicts, before the folder is touched.
         entries = plan.rows
         several = any(entry.label != entries[0].label for entry in entries)
         film = filming.path if filming else None
@@ -184,11 +191,13 @@ class _Files:
         if record:
             check_output(record, recording.KIND)
             recording.require_one_layout(record, [entry.config for entry in entries])
+        # File names in the folder, and those that only a complete evaluation writes
         self._pictures = picture_names([] if several else entries)
         self._later = [traces.FILE, *self._pictures]
         self._folder = None
         self.store = EpisodeStore()
         """Episodes that are not played again: those below the folder, if there is one."""
+        # The folder belongs to this process until the end; its store remembers earlier episodes.
         if folder is not None:
             names = [*NAMES, *self._pictures, "failure_*.json"]
             names += [] if (folder / FOLDER).is_dir() else [VIEW]
@@ -205,6 +214,7 @@ class _Files:
     def _write_tables(self, result: Result, document: Document) -> None:
         if self._folder is None:
             return
+        # Records are made before any file is written.
         path, records = self._folder.path, list(failure_records(result))
         self._traces = traces.Traces(
             path / traces.FILE, traces.choose(result, document), self._tell
@@ -220,6 +230,7 @@ class _Files:
                 write_json(part / name, record.model_dump(mode="json"))
             self._traces.write(part / traces.FILE)
 
+        # Files are replaced together; the report is of earlier ones, and follows later.
         lost = _lost_rows(path, document)
         self._folder.replace(write, [] if result.interruption else self._later)
         (path / report.FILE).unlink(missing_ok=True)  # until that of the new files is written
@@ -230,6 +241,7 @@ class _Files:
                 f"earlier tables with {lost} are replaced; those episodes stay in {path / FOLDER}, "
                 "and their command writes the tables again"
             )
+        # How to see the failures, and which stored episodes other versions played
         if records:
             again = command("replay", path / records[0][0])
             several = f"{len(records)} failures" if len(records) > 1 else "a failure"
@@ -297,6 +309,7 @@ def failure_records(result: Result) -> Iterator[tuple[str, replay.EpisodeRecord]
     policies = [Path(short(label)).stem for label in labels]
     for item in result.rows:
         if item.entry.stored:
+            # Names of files say scene and policy, as far as there are several.
             continue
         words = ["failure", scenes[id(item.entry)]]
         if len(labels) > 1:  # a path's last part, and a number where it is not telling
@@ -333,6 +346,7 @@ def _lost_rows(folder: Path, document: Document) -> str:
                 place = scene["seed"], scene["conditions"]["hash"]
                 yield (scene["terrain"], summary["controller"], *place), scene["episodes"]
 
+    # Rows that had more episodes than any of the new ones
     try:
         earlier = json.loads((folder / SUMMARY).read_text(encoding="utf-8"))
         most: dict[tuple[str, str, int, str], int] = {}

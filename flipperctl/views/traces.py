@@ -89,6 +89,7 @@ class Traces:
         except RequestError as error:
             tell(f"{error}; its episodes are played again")
             return
+        # Traces of equal episodes are taken over, under the name that the scene has now.
         for item in chosen:
             if item.key in earlier:
                 self._found[item.key] = replace(earlier[item.key], scene=item.scene)
@@ -109,6 +110,7 @@ class Traces:
         """
         missing = [item for item in self._chosen if item.key not in self._found]
         failed: list[FlipperctlError] = []
+        # The episodes of an entry share an environment and a policy.
         groups: dict[int, list[Chosen]] = {}
         for item in missing:
             groups.setdefault(id(item.entry), []).append(item)
@@ -119,6 +121,7 @@ class Traces:
                 failed.append(error)
         if missing:
             self.write(self._file)
+        # What a stop left out is said first, since it explains the rest.
         if stop() and (left := sum(item.key not in self._found for item in missing)):
             raise InterruptedRunError(
                 f"interrupted: {left} of {len(missing)} episodes are not in {self._file}"
