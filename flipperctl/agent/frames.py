@@ -19,7 +19,7 @@ def stacked(recent: Sequence[NDArray[np.float32]], frames: int) -> NDArray[np.fl
     """Return the newest ``frames`` observations in one row, oldest first, (frames · n,).
 
     ``recent``: observations of one episode, newest last. At its start the first observation is
-    repeated for those that are missing.
+    repeated in place of missing ones.
     """
     if frames == 1:
         return recent[-1]

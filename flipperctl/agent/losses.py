@@ -101,7 +101,7 @@ def searched_values(values: torch.Tensor, targets: torch.Tensor, clip: float) ->
 def _typical(gaps: torch.Tensor) -> float:
     """Return the median of gaps, each at least 0.
 
-    If most of them are negligible, it is the median of the others: a reward at the end alone makes
+    If most of them are negligible, it is the median of the others. A reward at the end alone makes
     most actions equal, and their gaps say nothing about its scale.
     """
     median, least = float(gaps.median()), 0.01 * float(gaps.mean())
@@ -127,7 +127,7 @@ def double_quantile_target(
 ) -> torch.Tensor:
     """Return the distribution r + γ · Z_target(s′, argmax_a Q_online(s′, a)) as quantiles, (B, K).
 
-    The arguments are those of ``double_q_target``, but ``next_target`` holds the quantiles of every
+    The arguments are as in ``double_q_target``, but ``next_target`` holds the quantiles of every
     action, (B, A, K).
     """
     # Advanced indexing gathers one row of quantiles for each transition.
@@ -237,7 +237,8 @@ def descend(
 ) -> None:
     """Take one step of the optimiser against the gradient of the loss, clipped to ``norm``.
 
-    Parameters without a part in the loss, such as those of noise that is off, have a gradient of 0.
+    Parameters without a part in the loss, such as parameters of noise that is off, have a gradient
+    of 0.
     """
     gradients = torch.autograd.grad(loss, parameters, allow_unused=True, materialize_grads=True)
     with torch.no_grad():

@@ -123,7 +123,7 @@ class Batch:
     failing: torch.Tensor | None = None
     """1 where the episode failed soon, else 0, or ``UNKNOWN``, (B,) float32, for a risk."""
     resembles: torch.Tensor | None = None
-    """How much the newest observation resembles those before it, (B, lags) float32, likewise."""
+    """Resemblances of the newest observation to earlier ones, (B, lags) float32, for a risk."""
     weight: torch.Tensor | None = None
     """Weights of the rows' losses, (B,) float32 of mean 1; None: all equal."""
 

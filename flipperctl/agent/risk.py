@@ -1,4 +1,4 @@
-"""The risk that an episode fails soon, learnt beside the values by a small network of its own.
+"""The risk that an episode fails soon, learnt beside the values by a small separate network.
 
 In: batches of the replay, whose transitions tell whether their episode failed within the next
 ``agent.risk_horizon`` decisions. Out: a network of log-odds, and one of probabilities.

@@ -255,6 +255,7 @@ class Engine(Plugin, ABC):
     def nearest_allowed(cls, name: str, value: float) -> float:
         """Return the nearest divisor of ``SAMPLE_PERIOD`` for ``substep``, else ``value``."""
         if name == "substep" and value > 0:
+            # A whole number of substeps in each sample.
             return SAMPLE_PERIOD / max(1, round(SAMPLE_PERIOD / value))
         return value
 

@@ -159,6 +159,7 @@ class Profile:
         points = self.points
         right = int(np.searchsorted(points[:, 0], x, side="right"))
         left = int(np.searchsorted(points[:, 0], x, side="left"))
+        # Points of equal x are a vertical face, whose top counts.
         if left < right:
             return float(points[left:right, 1].max())
         if right == 0 or right == len(points):

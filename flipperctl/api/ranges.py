@@ -46,6 +46,7 @@ class Range(_Ends):
             raise ValueError(_ALLOWED)
         return cls(*ends)
 
+    # pydantic compares a value with the bounds of its field: all of a range must lie within.
     def __lt__(self, other: Any) -> bool:
         return self.high < other if isinstance(other, int | float) else super().__lt__(other)
 

@@ -44,6 +44,7 @@ def _without_booleans(schema: Any) -> Any:
     """Return a schema of pydantic in which every number refuses booleans, which Python counts."""
     if isinstance(schema, list | tuple):
         return type(schema)(map(_without_booleans, schema))
+    # Defaults and the like hold no schemas; a schema that refuses booleans already stays.
     if not isinstance(schema, dict) or schema.get("function") == _NO_BOOLEAN:
         return schema
     inner: Any = {k: v if k in _NO_SCHEMAS else _without_booleans(v) for k, v in schema.items()}

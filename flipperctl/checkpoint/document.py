@@ -204,6 +204,7 @@ class State(Record):
 
     @model_validator(mode="after")
     def _counts_agree(self) -> State:
+        # Each counter with its bound: a file may be of any origin.
         limits = [
             ("episode", self.episode, "decision", self.decision),
             ("lost", self.lost, "started", self.started),
@@ -315,18 +316,18 @@ def _finite(number: str) -> float:
 
 
 def require_equal_layout(
-    found: Mapping[str, torch.Tensor], expected: Mapping[str, torch.Tensor]
+    tensors: Mapping[str, torch.Tensor], expected: Mapping[str, torch.Tensor]
 ) -> None:
     """Check that tensors have the expected names, shapes and types and hold finite numbers.
 
     A number may be infinite where the expected one is infinite, as in a mask.
     """
-    if missing := sorted(expected.keys() - found.keys()):
+    if missing := sorted(expected.keys() - tensors.keys()):
         raise ValueError(f"{missing[0]} is missing")
-    if unknown := sorted(found.keys() - expected.keys()):
+    if unknown := sorted(tensors.keys() - expected.keys()):
         raise ValueError(f"there is no tensor {unknown[0]!r:.60}")
     for name, wanted in expected.items():  # safetensors lists a file's tensors in any order
-        tensor = found[name]
+        tensor = tensors[name]
         if tensor.shape != wanted.shape or tensor.dtype != wanted.dtype:
             raise ValueError(
                 f"{name} is {_shape_and_type(tensor)}; {_shape_and_type(wanted)} is needed"
@@ -346,14 +347,14 @@ def serialize(text: str, tensors: Mapping[str, torch.Tensor]) -> bytes:
     """
     from safetensors.torch import save
 
-    held = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    metadata = {"flipperctl": text, "sha256": digest(text, held)}
+    stored = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    metadata = {"flipperctl": text, "sha256": digest(text, stored)}
     # A tensor with several names is written once; of memory that several share, each has a copy.
     written: dict[str, torch.Tensor] = {}
     names: dict[tuple[object, ...], str] = {}
     aliases: dict[str, str] = {}
     memory: set[int] = set()
-    for name, tensor in held.items():
+    for name, tensor in stored.items():
         storage = tensor.untyped_storage().data_ptr()
         place = (storage, tensor.storage_offset(), tensor.shape, tensor.dtype)
         if tensor.numel() and (original := names.setdefault(place, name)) != name:
@@ -410,9 +411,11 @@ def _contents(data: bytes, path: Path, noun: str) -> tuple[str, dict[str, torch.
         length = int.from_bytes(data[:8], "little")
         metadata = json.loads(data[8 : 8 + length]).get("__metadata__", {})
         aliases = json.loads(metadata.get("aliases", "{}"))
+        # Further names of a tensor lead to the same tensor again.
         tensors |= {name: tensors[original] for name, original in aliases.items()}
     except (SafetensorError, ValueError, TypeError, AttributeError, KeyError) as error:
         raise CheckpointError(f"{path} is damaged or not a safetensors file: {error}") from error
+    # A file of another program is not called damaged.
     if "flipperctl" not in metadata:
         raise CheckpointError(f"{path} is a safetensors file, but not a {noun} of flipperctl")
     text = metadata["flipperctl"]
@@ -426,6 +429,7 @@ def digest(text: str, tensors: Mapping[str, torch.Tensor]) -> str:
     import torch
 
     digest = hashlib.sha256(text.encode())
+    # Sorted, since safetensors lists the tensors of a file in any order.
     for name in sorted(tensors):
         tensor = tensors[name].contiguous()
         digest.update(f"{name}:{tensor.dtype}:{tuple(tensor.shape)}".encode())

@@ -192,6 +192,7 @@ class Pitches:
 
 def _make(cls: type[Plugin]) -> Measure:
     name = cls.plugin_name
+    # A measure's name is a column of files, and must be free there.
     if name in RESERVED or name.startswith(_PREFIXES) or name in Randomise.model_fields:
         raise PluginError(
             f"{plugin_label(cls)}: files have another column or key {name!r}; choose another name "

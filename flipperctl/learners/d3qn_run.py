@@ -107,7 +107,7 @@ class DoubleQLearning(PairLearning):
         self._share_recorded()
 
     def _share_recorded(self) -> None:
-        """Tell the workers how many decisions precede the student's first."""
+        """Pass the workers the number of decisions before the student's first."""
         self.training.shared["recorded"] = self.replay.kept
 
     def add(self, step: Step, decision: int) -> None:

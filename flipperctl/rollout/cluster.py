@@ -56,7 +56,7 @@ def import_ray() -> Any:
 
 @contextlib.contextmanager
 def connected(address: str, key: str, cpus: int) -> Iterator[None]:
-    """Be connected to a cluster, unless this process already is; disconnect from it afterwards.
+    """Connect to a cluster, unless this process is connected; disconnect from it afterwards.
 
     ``key``: configuration path of the address, for the errors of ``join``. A cluster at ``LOCAL``
     gets ``cpus`` CPUs.

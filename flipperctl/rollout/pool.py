@@ -68,8 +68,8 @@ class Host(Protocol):
 class WorkerPool:
     """``count`` workers, each initialised by ``initializer(*arguments)``.
 
-    A process starts with the first call for which no other one is free; what ``start`` starts
-    elsewhere starts at once, and takes calls as soon as it has started.
+    A process of this machine starts with the first call for which no other one is free. Workers
+    elsewhere, by ``start``, start at once and take calls as soon as they have started.
     """
 
     def __init__(

@@ -2,7 +2,7 @@
 
 The collector yields steps, which go to the learner and, with ``train.record``, into files from
 which others can learn. Each checkpoint adds a file of the episodes that have ended since the
-previous one; at the end of the run, or when it is stopped, they are joined into one.
+previous one. When the run ends or is stopped, these files are joined into one.
 """
 
 from __future__ import annotations
@@ -182,6 +182,7 @@ class TrainingRecorder:
             return
         self.save()
         parts = self._parts()
+        # Join only what is new; a run without episodes gets an empty file.
         if parts or not (self._directory / EPISODES).is_file():
             self._write(self._directory / EPISODES, list(self._saved()))
         self._remove(parts)

@@ -1,8 +1,10 @@
 """The files of a run directory, and the state from which a stopped run is resumed.
 
-Every file is written completely or not at all. A killed process therefore leaves one of three
-states: no ``config.yaml`` (there is no run), ``config.yaml`` without ``last.safetensors`` (no
-decision was made; the run begins again), or both (the run continues from the checkpoint).
+Every file is written completely or not at all. A killed process leaves one of three states:
+
+- no ``config.yaml``: there is no run
+- ``config.yaml`` without ``last.safetensors``: no decision was made; the run begins again
+- both: the run continues from the checkpoint
 """
 
 from __future__ import annotations
