@@ -327,21 +327,25 @@ class Replay:
         return {name: torch.from_numpy(array) for name, array in self.filled().items()}
 
     def restore_tensors(
-        self, tensors: Mapping[str, torch.Tensor], added: int, kept: int = 0
+        self, tensors: Mapping[str, torch.Tensor], added: int, protected: int = 0
     ) -> None:
         """Restore what ``tensors`` returned; see ``restore``."""
-        self.restore({name: tensor.numpy() for name, tensor in tensors.items()}, added, kept)
+        self.restore({name: tensor.numpy() for name, tensor in tensors.items()}, added, protected)
 
-    def restore(self, arrays: dict[str, NDArray[np.generic]], added: int, kept: int = 0) -> None:
+    def restore(
+        self, arrays: dict[str, NDArray[np.generic]], added: int, protected: int = 0
+    ) -> None:
         """Restore the arrays that ``filled`` returned after ``added`` transitions.
 
-        ``kept`` of them are never overwritten.
+        The first ``protected`` of them are never overwritten.
 
         Raises:
             ValueError: names, shapes, types or numbers do not fit this replay.
         """
-        if not 0 <= kept <= added or kept >= self.capacity:
-            raise ValueError(f"{added} transitions with {kept} kept do not fit {self.capacity}")
+        if not 0 <= protected <= added or protected >= self.capacity:
+            raise ValueError(
+                f"{added} transitions with {protected} kept do not fit {self.capacity}"
+            )
         # Presence, layout, then numbers: an action out of range would fail far from here.
         if wrong := arrays.keys() ^ self.arrays.keys():
             raise ValueError(f"{min(wrong)} is missing or unknown")
@@ -357,7 +361,7 @@ class Replay:
             if not (np.isfinite(values).all() and ((values >= least) & (values <= most)).all()):
                 raise ValueError(f"{name} is not finite, or lies outside of {least:g} to {most:g}")
             wanted[:] = values
-        self.added, self.kept = added, kept
+        self.added, self.kept = added, protected
         self.drop_pending()
 
 
@@ -415,11 +419,9 @@ class GroupMemory:
         """Return the used part of each array for a checkpoint, between episodes."""
         return {name: torch.from_numpy(array) for name, array in self.filled().items()}
 
-    def restore_tensors(
-        self, tensors: Mapping[str, torch.Tensor], added: int, kept: int = 0
-    ) -> None:
+    def restore_tensors(self, tensors: Mapping[str, torch.Tensor], added: int, size: int) -> None:
         """Restore what ``tensors`` returned; see ``restore``."""
-        self.restore({name: tensor.numpy() for name, tensor in tensors.items()}, added, kept)
+        self.restore({name: tensor.numpy() for name, tensor in tensors.items()}, added, size)
 
     def restore(self, arrays: dict[str, NDArray[np.generic]], added: int, size: int) -> None:
         """Restore the arrays that ``filled`` returned after ``added`` groups.

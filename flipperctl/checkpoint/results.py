@@ -126,9 +126,9 @@ def finished(directory: Path, decision: int) -> dict[str, Any] | None:
         summary = json.loads((directory / SUMMARY).read_text())
     except (OSError, ValueError):
         return None
-    found: dict[str, Any] = summary if isinstance(summary, dict) else {}
-    ends = found.get("finished") is True and found.get("decisions") == decision
-    return found if ends else None
+    content: dict[str, Any] = summary if isinstance(summary, dict) else {}
+    ends = content.get("finished") is True and content.get("decisions") == decision
+    return content if ends else None
 
 
 def unfinished(directory: Path) -> bool:
@@ -165,6 +165,8 @@ class ResultFolder:
             write(part)
             new = sorted(file.name for file in part.iterdir())
             earlier = self.files().get(self.command, [])
+            # While files change the list names old and new ones, so that a kill leaves none
+            # unknown.
             self._list([*earlier, *new, *later])
             for name in earlier:
                 (self.path / name).unlink(missing_ok=True)
@@ -206,8 +208,9 @@ def result_folder(
         OutputError: the folder cannot be written, or would lose a file that is no result.
         RunHeldError: another process is writing results into it.
     """
-    own = {file.name for file in (CONFIG, METRICS, SUMMARY)}
-    lost = sorted(own & set(names))
+    # The files of a run are no results, and never replaced.
+    run_files = {file.name for file in (CONFIG, METRICS, SUMMARY)}
+    lost = sorted(run_files & set(names))
     if lost and path.is_dir() and holds_run(path):
         raise OutputError(
             f"{path} holds a training run, whose {lost[0]} would be replaced; "
@@ -217,15 +220,16 @@ def result_folder(
         if (path / name).is_dir():
             raise OutputError(f"{path / name} cannot be written: it is a folder")
     with hold(make_folder(path), "results", use="in use"):
-        found = ResultFolder(path, command)
-        listed = {name for own in found.files().values() for name in own}
+        results = ResultFolder(path, command)
+        # A file that no command has listed is the user's.
+        listed = {name for files in results.files().values() for name in files}
         for file in sorted(file for name in names for file in path.glob(name)):
             if file.name not in listed:
                 raise OutputError(
                     f"{file} is not of an earlier result and would be replaced; move "
                     "it, or choose another --output"
                 )
-        yield found
+        yield results
 
 
 @contextmanager
@@ -238,5 +242,5 @@ def json_result(folder: Path | None, command: str) -> Iterator[Callable[[Any], N
         yield lambda document: None
         return
     name = f"{command}.json"
-    with result_folder(folder, command, [name]) as held:
-        yield lambda document: held.replace(lambda part: write_json(part / name, document))
+    with result_folder(folder, command, [name]) as results:
+        yield lambda document: results.replace(lambda part: write_json(part / name, document))

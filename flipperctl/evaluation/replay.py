@@ -189,7 +189,7 @@ def measures(row: Row) -> dict[str, float]:
 def risks(row: Row) -> tuple[float, ...] | None:
     """Return the risk at each decision; None of a policy that tells none."""
     risks_of_row = EpisodeRisks.pop(dict(row))
-    return None if risks_of_row is None else risks_of_row.told
+    return None if risks_of_row is None else risks_of_row.values
 
 
 def used_versions(config: EnvConfig, source: PolicySource) -> dict[str, str]:

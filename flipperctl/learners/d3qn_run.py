@@ -138,9 +138,9 @@ class DoubleQLearning(PairLearning):
 
     def tensors(self) -> dict[str, Mapping[str, torch.Tensor]]:
         """Return networks, optimisers, replay, valued states and the weights of the start."""
-        groups = self._valued.memory.filled()
-        stored = {"groups": {name: torch.from_numpy(a) for name, a in groups.items()}}
-        return {**super().tensors(), **self._final_fit.tensors(), **(stored if groups else {})}
+        groups = self._valued.memory.tensors()
+        stored = {"groups": groups} if groups else {}
+        return {**super().tensors(), **self._final_fit.tensors(), **stored}
 
     def counters(self) -> dict[str, Any]:
         """Return the numbers of transitions and of groups."""
@@ -153,10 +153,9 @@ class DoubleQLearning(PairLearning):
         super().restore(tensors, counters)
         self._share_recorded()
         # The memory compares the groups with the number that was added.
-        groups = {name: tensor.numpy() for name, tensor in tensors.get("groups", {}).items()}
+        groups, size = tensors.get("groups", {}), self.replay.arrays["observation"].shape[1]
         try:
-            size = self.replay.arrays["observation"].shape[1]
-            self._valued.memory.restore(groups, counters["groups"], size)
+            self._valued.memory.restore_tensors(groups, counters["groups"], size)
         except ValueError as error:
             raise ValueError(f"its part groups is not valid: {error}") from error
         self._final_fit.restore(tensors)

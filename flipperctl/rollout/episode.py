@@ -105,23 +105,23 @@ class EpisodeRisks:
     """The risk at each decision of an episode that has ended."""
 
     sign: RiskSign
-    told: tuple[float, ...]
+    values: tuple[float, ...]
     """Risk before each of the T decisions, (T,) [-]."""
 
     def due(self, failed: bool) -> list[bool]:
         """Return at which decisions the episode failed within the horizon, (T,)."""
-        first = len(self.told) - self.sign.horizon
-        return [failed and t >= first for t in range(len(self.told))]
+        first = len(self.values) - self.sign.horizon
+        return [failed and t >= first for t in range(len(self.values))]
 
     @property
     def warnings(self) -> list[bool]:
         """At which decisions the policy warned, (T,)."""
-        return list(map(self.sign.warns, self.told))
+        return list(map(self.sign.warns, self.values))
 
     @property
     def in_time(self) -> bool:
         """Whether it warned within the horizon before the end and ``AHEAD`` decisions ahead."""
-        count = len(self.told)
+        count = len(self.values)
         return any(self.warnings[max(0, count - self.sign.horizon) : max(0, count - AHEAD)])
 
     @classmethod
@@ -131,7 +131,7 @@ class EpisodeRisks:
 
     def to_row(self) -> dict[str, Any]:
         """Return the entries of a flat row of an episode."""
-        risks = " ".join(map(repr, self.told))
+        risks = " ".join(map(repr, self.values))
         return {_HORIZON: self.sign.horizon, _THRESHOLD: self.sign.threshold, _RISKS: risks}
 
     @classmethod

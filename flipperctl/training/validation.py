@@ -56,12 +56,14 @@ def calibrated(
     # The threshold is chosen by probabilities with the digits that rows keep.
     probabilities = []
     for risks, fails in episodes:
-        odds = slope * _log_odds(np.array(risks.told)) + shift
+        odds = slope * _log_odds(np.array(risks.values)) + shift
         probabilities.append((EpisodeRisks.of(sign, sigmoid(odds).tolist()), fails))
     threshold = threshold_for(probabilities, settings.false_alarms, _LEAST)
     calibration = RiskCalibration(RiskSign(settings.horizon, threshold), slope, shift)
     # The metrics say how well the calibrated risk does with that threshold.
-    final = [(EpisodeRisks(calibration.sign, risks.told), fails) for risks, fails in probabilities]
+    final = [
+        (EpisodeRisks(calibration.sign, risks.values), fails) for risks, fails in probabilities
+    ]
     summary = summarise(final)
     assert summary is not None  # there are episodes
     counts = ("reached", "failures", "announced", "false_alarms")

@@ -330,7 +330,9 @@ def summarise(episodes: Sequence[Ended]) -> dict[str, Any] | None:
 def predicted_and_actual(episodes: Iterable[Ended]) -> tuple[FloatArray, FloatArray]:
     """Return the risk of each decision, and 1 if the failure came in time, else 0, (D,) each."""
     pairs = [
-        pair for risks, fails in episodes for pair in zip(risks.told, risks.due(fails), strict=True)
+        pair
+        for risks, fails in episodes
+        for pair in zip(risks.values, risks.due(fails), strict=True)
     ]
     told, came = np.array(pairs, np.float64).reshape(-1, 2).T
     return told, came
@@ -341,7 +343,7 @@ def threshold_for(episodes: Sequence[Ended], false_alarms: float, least: float) 
 
     ``false_alarms``: largest share of the reached episodes with a warning [-].
     """
-    highest = sorted((max(risks.told) for risks, fails in episodes if not fails), reverse=True)
+    highest = sorted((max(risks.values) for risks, fails in episodes if not fails), reverse=True)
     allowed = int(false_alarms * len(highest) + 1e-9)
     if allowed >= len(highest):
         return least

@@ -98,8 +98,8 @@ def test_the_exported_file_draws_and_tells_what_the_checkpoint_does(
     assert risks is not None
     assert told is not None
     assert risks.sign == told.sign
-    assert np.array(risks.told) == pytest.approx(np.array(told.told), abs=1e-4)
-    assert len(risks.told) == row["decisions"]
+    assert np.array(risks.values) == pytest.approx(np.array(told.values), abs=1e-4)
+    assert len(risks.values) == row["decisions"]
     greedy = [
         driven(PolicySource(settings={"name": "greedy", "policy": str(file)}))[0]
         for file in (escaping, exported)
@@ -112,7 +112,7 @@ def test_an_evaluation_records_the_risk_of_each_decision(risky: Path) -> None:
     found = EpisodeRunner(STEP, source, 0, record=True).play(0)
     risks = EpisodeRisks.pop(dict(found))
     assert risks is not None
-    assert len(risks.told) == found["decisions"]
+    assert len(risks.values) == found["decisions"]
     assert risks.to_row().items() <= found.items()
 
 
