@@ -44,9 +44,9 @@ def check_demand(
 ) -> None:
     """Check the network, and that the replay and the batches of a training fit into memory.
 
-    ``rows``: transitions that the replay will hold; ``drawn``: those that are drawn from it at a
-    time, of which each update takes ``batch``; ``labels`` and ``privileged``: lengths of their
-    labels and privileged states; ``risk``: whether a risk is learnt.
+    ``rows``: transitions that the replay will hold. ``drawn``: transitions drawn from it at a time;
+    each update takes ``batch`` of them. ``labels`` and ``privileged``: lengths of a transition's
+    label and privileged state. ``risk``: whether a risk is learnt.
     """
     with torch.random.fork_rng(devices=[]):
         module = build_network(network, layout, n_actions)
@@ -103,9 +103,11 @@ def check_contract(network: Network, layout: ObservationLayout) -> None:
     """Build a network and check it."""
     with torch.random.fork_rng(devices=[]):
         module = build_network(network, layout, len(ACTIONS))
+    # One observation and three others, of the magnitude of real ones.
     rows = observations(network, layout, 4)
     first, others = rows[:1], [rows[at : at + 1] for at in range(1, len(rows))]
     trial, noise = _Trial(network, module), Noise(module)
+    # The modes of decisions: without noise, and with it if the network has some.
     modes: list[tuple[str, Callable[[], object]]] = [("in eval mode", module.eval)]
     if noise.parts:
         trial.require_noise_from_rng(noise, first)
@@ -126,12 +128,12 @@ class _Trial:
         self._network, self._module = network, module
 
     def _call(self, rows: torch.Tensor) -> Values:
-        given = rows.clone()
+        inputs = rows.clone()
         with naming(self._network, "forward", ConfigError):
-            outputs = [self._module(given)]
+            outputs = [self._module(inputs)]
             if isinstance(self._module, Distributional):
-                outputs.append(self._module.quantiles(given))
-        if not torch.equal(given, rows):
+                outputs.append(self._module.quantiles(inputs))
+        if not torch.equal(inputs, rows):
             raise self._refusal("changes its input in place; a copy of it may be changed")
         return tuple(tensor.detach().clone() for tensor in outputs)
 
@@ -139,6 +141,7 @@ class _Trial:
         """Refuse noise that is drawn from another generator than the one that is given."""
         before, changes = global_states(), []
         self._module.train()
+        # Equal generators must give equal noise, with other noise between them.
         for seed in (0, 1, 0):
             noise.draw(np.random.default_rng(seed))
             with torch.enable_grad(), seeded(_CPU, 0):
@@ -149,7 +152,8 @@ class _Trial:
 
     def require_nothing_kept(self, use: str, row: torch.Tensor, other: torch.Tensor) -> None:
         """Refuse decisions that depend on chance, on earlier ones or on others of the batch."""
-        before, kept = global_states(), _clones(self._module)
+        before, buffers = global_states(), _clones(self._module)
+        # The same observation before and after another one.
         first, second, again = self._call(row), self._call(other), self._call(row)
         if moved := moved_since(before):
             raise self._refusal(
@@ -157,13 +161,14 @@ class _Trial:
                 "numbers are allowed in the loss, where train() mode and gradients are on"
             )
         for name, tensor in self._module.state_dict().items():
-            if not _same(kept[name], tensor):
+            if not _same(buffers[name], tensor):
                 raise self._refusal(f"changes its buffer {name!r} {use}; it must stay as it is")
         if not _equal(first, again):
             raise self._refusal(
                 f"gives unequal Q-values for equal observations {use}; it must remember nothing of "
                 "earlier calls, and draw no random numbers"
             )
+        # Alone and in a batch, up to the rounding of sums in another order.
         together = self._call(torch.cat([row, other]))
         alone = tuple(torch.cat(pair) for pair in zip(first, second, strict=True))
         if not all(map(partial(torch.allclose, rtol=_ALONE, atol=_ALONE), together, alone)):
@@ -174,11 +179,12 @@ class _Trial:
 
     def require_seeded(self, batch: torch.Tensor, other: torch.Tensor) -> None:
         """Refuse a loss that depends on more than the batch and torch's own generator."""
-        kept, before = _clones(self._module), global_states()
+        state, before = _clones(self._module), global_states()
         outputs = []
+        # The same batch before and after another one, from equal weights and generators.
         for rows in (batch, other, batch):
             with torch.no_grad():
-                self._module.load_state_dict(kept)  # statistics may follow the batches
+                self._module.load_state_dict(state)  # statistics may follow the batches
             with seeded(_CPU, 0):
                 outputs.append(self._call(rows))
         if moved := moved_since(before):

@@ -39,7 +39,7 @@ def difference_targets(
 ) -> torch.Tensor:
     """Return the double Q-learning targets of a batch with the scaled rewards ``reward``, (B,).
 
-    Those of a network with quantiles are K equally likely values, (B, K).
+    A network with quantiles has K equally likely targets for each transition, (B, K).
     """
     values = online(batch.next_observation)
     if isinstance(target, Distributional):
@@ -130,6 +130,7 @@ def _separate_memory(network: Network, module: torch.nn.Module) -> None:
         for name, tensor in (*module.named_parameters(), *module.named_buffers())
         if not torch.nn.parameter.is_lazy(tensor)
     ]
+    # The elements of each memory with the tensor that has them, if several tensors share it.
     owners: dict[int, NDArray[np.int64]] = {}  # of each element of a memory, counted from 1
     with naming(network, "build", ConfigError):  # a sparse tensor has no such memory
         shared = Counter(tensor.untyped_storage().data_ptr() for _, tensor in tensors)
@@ -139,6 +140,7 @@ def _separate_memory(network: Network, module: torch.nn.Module) -> None:
                 continue
             size = storage.nbytes() // tensor.element_size()
             owner = owners.setdefault(storage.data_ptr(), np.zeros(size, np.int64))
+            # The numbers of the elements that this tensor views.
             place = torch.arange(size).as_strided(
                 tensor.shape, tensor.stride(), tensor.storage_offset()
             )
@@ -151,6 +153,7 @@ def _separate_memory(network: Network, module: torch.nn.Module) -> None:
                     ConfigError,
                 )
             owner[place] = number
+        # Expanded tensors become whole, so that each element can be written.
         for _, tensor in tensors:
             tensor.data = tensor.data.contiguous()
 
@@ -197,6 +200,7 @@ def describe_fault(module: torch.nn.Module, method: str, text: str) -> str:
 def _try(network: Network, module: torch.nn.Module, probe: torch.Tensor, n_actions: int) -> None:
     """Raise ConfigError unless the module returns Q-values in every mode that is used later."""
     shape = tuple(probe.shape)
+    # Values of two observations: their shape, their type, their numbers.
     output = _call(network, module, probe, f" fails on observations of shape {shape}")
     returned = tuple(output.shape) if isinstance(output, torch.Tensor) else type(output).__name__
     if returned != (2, n_actions):
@@ -216,6 +220,7 @@ def _try(network: Network, module: torch.nn.Module, probe: torch.Tensor, n_actio
                 f"observations {shape} must give quantiles (2, {n_actions}, K); they are {returned}"
             )
             raise _unfit(network, text)
+    # Modes and numbers of rows as they occur later.
     uses = (
         ("train", 1, "in train() mode, which training episodes use"),
         ("eval", 1, "in eval() mode, which evaluation and export use"),
@@ -250,6 +255,7 @@ def _call(
 @contextmanager
 def _restored_afterwards(module: torch.nn.Module) -> Iterator[None]:
     """Restore the modes and the buffers, such as running statistics, after a trial."""
+    # A trial in train() mode moves running statistics; lazy buffers have no values yet.
     modes = {part: part.training for part in module.modules()}
     lazy = torch.nn.parameter.is_lazy
     buffers = {name: b.clone() for name, b in module.named_buffers() if not lazy(b)}
@@ -268,10 +274,10 @@ _CPU = torch.device("cpu")
 def one_thread() -> Iterator[None]:
     """Compute on one thread, without gradients; give torch its threads back afterwards.
 
-    That suits networks of this size: with two threads a decision took fifteen times as long, and
-    values of 100 states hundreds of times, on a busy machine, where threads wait for each other.
-    On a quiet one, a second thread saves half of the time of 600 states. To set the number takes a
-    tenth of a microsecond.
+    That suits networks of this size. On a busy machine, where threads wait for each other, a
+    decision took fifteen times as long with two threads, and values of 100 states hundreds of
+    times. On a quiet one, a second thread saves half of the time of 600 states. Setting the number
+    takes a tenth of a microsecond.
     """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
@@ -362,6 +368,7 @@ def seeded(device: torch.device, *key: int) -> Iterator[None]:
     """
     on = [device] if device.type == "cuda" else []
     with torch.random.fork_rng(devices=on):
+        # One word of 64 bits seeds the generators of the CPU and of the GPU.
         (seed,) = np.random.SeedSequence(key).generate_state(1, np.uint64).tolist()
         torch.default_generator.manual_seed(seed)
         if on:
