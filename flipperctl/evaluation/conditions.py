@@ -24,7 +24,7 @@ from flipperctl.errors import CheckpointError
 from flipperctl.policies.source import PolicySource
 from flipperctl.text.messages import unit
 
-NOMINAL, TRAINED = "nominal", "trained"  # the default conditions, and those of a policy's training
+NOMINAL, TRAINED = "nominal", "trained"  # the default conditions, and as in a policy's training
 _SECTIONS = ("robot", "sim", "perception", "episode", "randomise")
 _CHOSEN = ("sim", "perception", "episode", "randomise")  # the sections that ``conditions=`` chooses
 _START = ("start_noise", "start_angle_noise")
@@ -94,20 +94,20 @@ class Conditions:
         return {"name": self.name, "hash": self.hash, **self.settings}
 
     def line(self, varied: Collection[str] = ()) -> str:
-        """Return one line of text: the randomised settings and those that differ from the defaults.
+        """Return one line of text: the randomised settings, and settings that are no defaults.
 
         It is empty if there are none. The terrain is left out, since the tables name it.
-        ``varied``: keys of settings that have several values, such as those of the axes of a map.
+        ``varied``: keys of settings that have several values, such as the axes of a map.
         """
         randomised = list(self._randomised())
         more = f" and {len(randomised) - _SHOWN} more" if len(randomised) > _SHOWN else ""
         parts = {"randomised": ", ".join(randomised[:_SHOWN]) + more}
         # Settings of the start are apart from the other ones of the episode.
-        own = list(self._differences("episode", varied))
-        parts["start"] = ", ".join(text for name, text in own if name in _START)
+        episode = list(self._differences("episode", varied))
+        parts["start"] = ", ".join(text for name, text in episode if name in _START)
         for title, section in (("sensing", "perception"), ("physics", "sim"), ("robot", "robot")):
             parts[title] = ", ".join(text for _, text in self._differences(section, varied))
-        parts["episode"] = ", ".join(text for name, text in own if name not in _START)
+        parts["episode"] = ", ".join(text for name, text in episode if name not in _START)
         return "; ".join(f"{title} {text}" for title, text in parts.items() if text)
 
     def _randomised(self) -> Iterator[str]:
@@ -136,7 +136,7 @@ class Conditions:
 def scene_names(scenes: Sequence[tuple[str, Conditions]]) -> list[str]:
     """Return a name for each scene: its terrain, and its conditions if a terrain has several.
 
-    Scenes that are equal in both, such as those of several ``controller.width``, are numbered.
+    Scenes that are equal in both, such as with several ``controller.width``, are numbered.
     """
     terrains = [terrain for terrain, _ in scenes]
     names = [
@@ -147,7 +147,7 @@ def scene_names(scenes: Sequence[tuple[str, Conditions]]) -> list[str]:
 
 
 def numbered(names: Sequence[str]) -> list[str]:
-    """Return the names, of which equal ones are numbered."""
+    """Number equal names, as in ``step (1)`` and ``step (2)``; return all names."""
     return [
         name if names.count(name) == 1 else f"{name} ({names[: at + 1].count(name)})"
         for at, name in enumerate(names)
@@ -199,15 +199,15 @@ class Inherited:
     @classmethod
     def of(cls, config: TrainConfig | EvalConfig) -> Inherited:
         """Return the sections of a checkpoint, or of an exported file if it is an EvalConfig."""
-        own = to_dict(config.environment())
-        own["terrain"] = to_dict(config.terrain, brief=True)
-        layout = {name: own["perception"][name] for name in ObservationLayout.model_fields}
+        sections = to_dict(config.environment())
+        sections["terrain"] = to_dict(config.terrain, brief=True)
+        layout = {name: sections["perception"][name] for name in ObservationLayout.model_fields}
         # What overrides replace as a whole, and what stays in all conditions
-        chosen = {name: own.pop(name) for name in ("terrain", "robot", "rewards")}
+        chosen = {name: sections.pop(name) for name in ("terrain", "robot", "rewards")}
         kept = {"perception": layout, "eval": to_dict(config.eval)}
         default = to_dict(EvalConfig(terrain=config.terrain))
-        nominal = {name: default[name] for name in own if name not in ("sim", "perception")}
-        return cls(chosen, kept, nominal, own if isinstance(config, TrainConfig) else None)
+        nominal = {name: default[name] for name in sections if name not in ("sim", "perception")}
+        return cls(chosen, kept, nominal, sections if isinstance(config, TrainConfig) else None)
 
 
 def read_config(
@@ -259,17 +259,17 @@ def policy_notes(
     """
     if not isinstance(trained, TrainConfig):
         return
-    own = EvalConfig(**{name: getattr(trained, name) for name in EnvConfig.model_fields})
-    before, lines = Conditions.of(own).settings, dict[str, None]()
+    training = EvalConfig(**{name: getattr(trained, name) for name in EnvConfig.model_fields})
+    before, lines = Conditions.of(training).settings, dict[str, None]()
     for config in configs:
         # Conditions that the user named are no surprise.
         if config.conditions != NOMINAL:
             continue
         here = Conditions.of(config).settings
         texts = [
-            f"{name}={_short(there)} ({_short(None if ours is ABSENT else ours)})"
+            f"{name}={_short(there)} ({_short(None if value is ABSENT else value)})"
             for section in _CHOSEN
-            for name, there, ours in differences(before[section], here[section], section)
+            for name, there, value in differences(before[section], here[section], section)
             if there is not ABSENT and not {section, name} & set(keys)
         ]
         if len(texts) > _SHOWN:

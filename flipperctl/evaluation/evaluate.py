@@ -1,7 +1,7 @@
 """Evaluate a plan: play what the store lacks, and return the episodes of each of its entries.
 
-In: a plan. Out: a ``Result``, of which every view is a pure function; nothing is printed or written
-here.
+In: a plan. Out: a ``Result``, from which views are made by pure functions; nothing is printed or
+written here.
 """
 
 from __future__ import annotations
@@ -156,7 +156,7 @@ def evaluate(
 
 
 def _lacking(player: Player, entries: Iterable[Entry]) -> int:
-    """Return the number of episodes that the store lacks, without those of references."""
+    """Return the number of episodes that the store lacks, without the references' episodes."""
     episodes_left: set[tuple[str, int]] = set()
     for entry in entries:
         with suppress(FlipperctlError):  # which playing raises again, where it is noted
@@ -202,8 +202,8 @@ class _Scene:
         ``config``: another sensing of the same episodes.
         """
         try:
-            chosen = config or self.entry.config
-            return self.player.play(chosen, source, label, indices, record=record)
+            scene_config = config or self.entry.config
+            return self.player.play(scene_config, source, label, indices, record=record)
         except NOT_A_POLICYS:
             raise
         except FlipperctlError as error:
@@ -250,5 +250,7 @@ class _Scene:
 
 def _with(episodes: Episodes, column: str, values: Mapping[int, str]) -> Episodes:
     """Return the episodes with a further column, by their index."""
-    own = ({column: values[at]} if (at := row["episode"]) in values else {} for row in episodes)
-    return Episodes(tuple(row | more for row, more in zip(episodes, own, strict=True)))
+    additions = (
+        {column: values[at]} if (at := row["episode"]) in values else {} for row in episodes
+    )
+    return Episodes(tuple(row | more for row, more in zip(episodes, additions, strict=True)))

@@ -133,11 +133,11 @@ def _cause(end: RobotState, outcome: str, config: EvalConfig) -> Cause:
 
 def with_friction(config: EvalConfig) -> EvalConfig | None:
     """Return the configuration with twice the friction; None if the engine has no such setting."""
-    own = config.sim.shared_setting("friction")
-    if own is None:
+    friction = config.sim.shared_setting("friction")
+    if friction is None:
         return None
     sampled = config.randomise.find("sim", "friction")
-    changed: dict[str, object] = {"sim.friction": min(_MAX_FRICTION, _FRICTION_FACTOR * own)}
+    changed: dict[str, object] = {"sim.friction": min(_MAX_FRICTION, _FRICTION_FACTOR * friction)}
     if sampled is not None:  # with randomise.spread, samples lie between the friction and the ends
         changed[sampled.key] = [min(_MAX_FRICTION, _FRICTION_FACTOR * mu) for mu in sampled.ends]
     try:

@@ -1,4 +1,4 @@
-"""Episodes by which controllers are tuned: those of trainings, and recorded drives to learn from.
+"""Episodes by which controllers are tuned: of trainings, and of recorded drives to learn from.
 
 In: scenes, an objective, candidates, or a number of episodes and a demonstrator. Out: the scores of
 the candidates, or one ``RecordedEpisode`` after the other, played in this process.
@@ -51,9 +51,9 @@ class Demonstrator:
         self.drives, config = drives.episodes, entries[0].config
         robot = {name: value for name, value in config.robot if isinstance(value, float)}
         for drive in drives.document.environments:
-            theirs = drive.perception.layout.words
-            if theirs != (ours := config.perception.layout.words):
-                raise RequestError(f"from={word}: its observations have {theirs}; here {ours}")
+            recorded = drive.perception.layout.words
+            if recorded != (current := config.perception.layout.words):
+                raise RequestError(f"from={word}: its observations have {recorded}; here {current}")
             for name, value in robot.items():
                 if drive.robot.get(name) != value:
                     raise RequestError(
@@ -75,7 +75,7 @@ class PlayedEpisodes:
         stop: Callable[[], bool] = lambda: False,
         report: Callable[[float], None] = lambda done: None,
     ) -> None:
-        """``count``: episodes that may be played; ``seed``: that of a training.
+        """``count``: episodes that may be played; ``seed``: a training's.
 
         ``stop`` is called before each episode, and once it returns True, no other one begins.
         ``report`` is called with the number of played episodes.

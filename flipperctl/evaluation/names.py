@@ -17,11 +17,11 @@ _JOB = re.compile(r"^\d+_(?=[^/]*=)")
 
 
 def names(labels: Sequence[str]) -> dict[str, str]:
-    """Return a short name for each label: all differ.
+    """Return a short name for each label; no two names are equal.
 
-    Of a path, the last parts that differ from the others'; of a sweep's folder, the values of its
-    settings, with the last part of their keys where the value is a number, and the seed where it is
-    needed.
+    A path is called by the shortest ends that are unique. A folder of a sweep is called by the
+    values of its settings, with the last part of their keys where the value is a number, and the
+    seed only where it is needed.
     """
     whole = {label: _FILES.sub("", label) for label in labels}
     # Take more parts of the paths until all names differ, and seeds only where they must be told.
@@ -34,7 +34,7 @@ def names(labels: Sequence[str]) -> dict[str, str]:
 
 
 def _last(text: str, count: int, with_seed: bool) -> str:
-    """Return the last parts of a path, and of the settings in the last one their values."""
+    """Return the last parts of a path; settings in the last part are shortened to their values."""
     *folders, last = text.split("/")
     parts: list[str] = []
     for part in map(str.strip, _JOB.sub("", last).split(",")):

@@ -2,7 +2,7 @@
 
 In: rows of ``rollout.episode.play``. Out: ``Episodes``, which views select, group and pair. A row
 has the columns of ``episodes.csv``: the episode's index and seed, its outcome, measures, rewards
-and what was drawn for it, in SI units; ``digest`` tells equal episodes bit for bit.
+and drawn values, in SI units. Equal episodes, bit for bit, have an equal ``digest``.
 """
 
 from __future__ import annotations
@@ -28,8 +28,13 @@ CAUSE = "cause"  # column of the cause of a failure, where engines are compared
 END = {name: f"end_{name}" for name in ("x", "pitch", "roll", "yaw", "side")}
 """Columns of the robot's posture at the end of such a failure; [m] and [rad]."""
 _LAST = (
-    *("crossed_by", "failed_by", CAUSE, *END.values()),
-    *("risk_horizon", "risk_threshold", "risks"),
+    "crossed_by",
+    "failed_by",
+    CAUSE,
+    *END.values(),
+    "risk_horizon",
+    "risk_threshold",
+    "risks",
 )
 _MOST_BINS = 8
 """Largest number of different values that have a group each; more are split at their quartiles."""
@@ -43,8 +48,16 @@ def arranged(row: Mapping[str, Any]) -> Row:
     prefixes = (REWARD, DRAWN, SEARCH)
     rest = [name for name in row if name not in known]
     parts = {prefix: [name for name in rest if name.startswith(prefix)] for prefix in prefixes}
-    own = [name for name in rest if not name.startswith(prefixes)]
-    order = [*_FIRST, *measures, "return", *parts[REWARD], *own, *parts[DRAWN], *parts[SEARCH]]
+    drawn_values = [name for name in rest if not name.startswith(prefixes)]
+    order = [
+        *_FIRST,
+        *measures,
+        "return",
+        *parts[REWARD],
+        *drawn_values,
+        *parts[DRAWN],
+        *parts[SEARCH],
+    ]
     return {name: row[name] for name in (*order, *_LAST) if name in row}
 
 
@@ -69,7 +82,7 @@ def number(row: Mapping[str, Any], name: str) -> float | None:
 
 @dataclass(frozen=True)
 class Episodes(Sequence[Row]):
-    """Rows of played episodes, usually those of one policy on one scene."""
+    """Rows of played episodes, usually of one policy on one scene."""
 
     rows: tuple[Row, ...] = ()
 
@@ -79,9 +92,9 @@ class Episodes(Sequence[Row]):
     def __len__(self) -> int:
         return len(self.rows)
 
-    def where(self, chosen: Callable[[Row], bool]) -> Episodes:
-        """Return the rows that ``chosen`` accepts."""
-        return Episodes(tuple(row for row in self.rows if chosen(row)))
+    def where(self, accepts: Callable[[Row], bool]) -> Episodes:
+        """Return the rows for which ``accepts`` is true."""
+        return Episodes(tuple(row for row in self.rows if accepts(row)))
 
     @property
     def reached(self) -> Episodes:
@@ -109,8 +122,8 @@ class Episodes(Sequence[Row]):
 
     def paired(self, others: Iterable[Row]) -> list[tuple[Row, Row]]:
         """Return the pairs of episodes of equal seeds."""
-        theirs = {row["seed"]: row for row in others}
-        return [(row, theirs[row["seed"]]) for row in self.rows if row["seed"] in theirs]
+        by_seed = {row["seed"]: row for row in others}
+        return [(row, by_seed[row["seed"]]) for row in self.rows if row["seed"] in by_seed]
 
     def kinds(self) -> dict[str, Episodes]:
         """Return the episodes of each kind of terrain by label, if there is more than one kind."""
@@ -123,26 +136,26 @@ class Episodes(Sequence[Row]):
     def binned(
         self, names: Sequence[str]
     ) -> Iterator[tuple[dict[str, tuple[float, float]], Episodes]]:
-        """Yield the smallest and largest of the numbers ``names`` in each group, and its episodes.
+        """Yield the ranges of the numbers ``names`` in each group, and the group's episodes.
 
         A number with more than eight different values is split at its quartiles. Episodes without
         one of the numbers, such as other parts of a mix, are in no group.
         """
         # Only episodes with all of the numbers belong to a group.
-        every = [(row, [number(row, name) for name in names]) for row in self.rows]
-        whole = [(row, values) for row, values in every if None not in values]
+        pairs = [(row, [number(row, name) for name in names]) for row in self.rows]
+        whole = [(row, values) for row, values in pairs if None not in values]
         if not whole:
             return
         table = np.array([values for _, values in whole], dtype=float)  # (episodes, names)
         bins = np.column_stack([_bins(column) for column in table.T])
         # A group for each combination of bins that occurs
         for key in product(*(np.unique(column) for column in bins.T)):
-            chosen = np.flatnonzero((bins == key).all(axis=1))
-            if chosen.size:
-                part = table[chosen]
+            members = np.flatnonzero((bins == key).all(axis=1))
+            if members.size:
+                part = table[members]
                 ends = zip(part.min(axis=0).tolist(), part.max(axis=0).tolist(), strict=True)
                 ranges = dict(zip(names, ends, strict=True))
-                yield ranges, Episodes(tuple(whole[at][0] for at in chosen))
+                yield ranges, Episodes(tuple(whole[at][0] for at in members))
 
 
 def _bins(values: Any) -> Any:

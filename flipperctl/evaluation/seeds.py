@@ -78,7 +78,7 @@ def means(scores: Mapping[str, FloatArray]) -> FloatArray:
 def success_interval(method: SeedSamples) -> Interval:
     """Return the success rate.
 
-    Where nothing varies in any scene, the interval is that of one seed, whose episodes all have.
+    Where nothing varies in any scene, it has the interval of one seed's episodes.
     """
     rates = method.successes()
     episodes = sum(values.shape[1] for values in rates.values())
@@ -108,30 +108,32 @@ def within(estimate: Interval, least: float, most: float) -> Interval:
 
 
 def success_difference(
-    ours: SeedSamples, theirs: SeedSamples
+    method: SeedSamples, baseline: SeedSamples
 ) -> tuple[Interval | PairedSuccess, float]:
-    """Return our success minus theirs over seeds and episodes with its interval, and its p-value.
+    """Return a method's success minus a baseline's, with its interval and its p-value.
 
-    If the interval has no width (all seeds agree), that of one seed's episodes is taken: the score
-    interval of each scene and McNemar's exact test; no interval if the seeds' episodes differ.
+    Training seeds and episodes both vary.
+
+    If the interval has no width (all seeds agree), one seed's episodes have one: the score interval
+    of each scene and McNemar's exact test. If the seeds' episodes differ, there is none.
     """
     # On a single scene where the seeds agree, this is a plain paired comparison.
-    if len(ours.reached) == 1 and _agree(ours) and _agree(theirs):
-        (mine,), (other,) = ours.reached.values(), theirs.reached.values()
+    if len(method.reached) == 1 and _agree(method) and _agree(baseline):
+        (mine,), (other,) = method.reached.values(), baseline.reached.values()
         paired = _pair(mine[0], other[0])
         return paired, paired.p
     # Where seeds vary, their variance makes the interval.
-    interval, p = difference_interval(ours.successes(), theirs.successes())
+    interval, p = difference_interval(method.successes(), baseline.successes())
     if interval.low is None or interval.high is None:
         return interval, p
     if interval.low < interval.high:
         return Interval(interval.mean, max(-1.0, interval.low), min(1.0, interval.high)), p
-    if not (_agree(ours) and _agree(theirs)):
+    if not (_agree(method) and _agree(baseline)):
         return Interval(interval.mean, None, None), 1.0
     # Paired intervals for each scene, and one exact test over all of them
     pairs = [
         _pair(values[0], others[0])
-        for values, others in zip(ours.reached.values(), theirs.reached.values(), strict=True)
+        for values, others in zip(method.reached.values(), baseline.reached.values(), strict=True)
     ]
     won, lost = (sum(getattr(pair, name) for pair in pairs) for name in ("won", "lost"))
     return mean_of(pairs), mcnemar_p(won, lost)
@@ -142,8 +144,8 @@ def _agree(method: SeedSamples) -> bool:
     return all((values == values[0]).all() for values in method.reached.values())
 
 
-def _pair(ours: NDArray[np.bool_], theirs: NDArray[np.bool_]) -> PairedSuccess:
-    return paired_success(int(np.sum(ours & ~theirs)), int(np.sum(theirs & ~ours)), len(ours))
+def _pair(first: NDArray[np.bool_], second: NDArray[np.bool_]) -> PairedSuccess:
+    return paired_success(int(np.sum(first & ~second)), int(np.sum(second & ~first)), len(first))
 
 
 Statistic = Callable[[FloatArray], FloatArray]
@@ -177,28 +179,28 @@ def mean_interval(scores: Scores) -> Interval:
     return _interval(float(np.mean(means(scores))), *_parts(scores))
 
 
-def difference_interval(ours: Scores, theirs: Scores) -> tuple[Interval, float]:
-    """Return our mean minus theirs on the same episodes, with its interval and its p-value.
+def difference_interval(scores: Scores, baseline: Scores) -> tuple[Interval, float]:
+    """Return a mean minus a baseline's on the same episodes, with its interval and its p-value.
 
     The training seeds of the two are independent of each other; the episodes are pairs.
     """
-    mine, other = _parts(ours), _parts(theirs)
-    paired = {k: ours[k].mean(axis=0) - theirs[k].mean(axis=0) for k in ours}
+    mine, other = _parts(scores), _parts(baseline)
+    paired = {k: scores[k].mean(axis=0) - baseline[k].mean(axis=0) for k in scores}
     seeds = [part for part in (mine[0], other[0]) if part is not None]
     rest = mine[2] + other[2]
-    mean = float(np.mean(means(ours)) - np.mean(means(theirs)))
+    mean = float(np.mean(means(scores)) - np.mean(means(baseline)))
     return _tested(mean, seeds, _over_episodes(paired), rest)
 
 
-def better_interval(ours: Scores, theirs: Scores) -> Interval:
-    """Return how often a seed of ours has a smaller score than one of theirs on an episode.
+def better_interval(scores: Scores, baseline: Scores) -> Interval:
+    """Return how often a seed has a smaller score on an episode than one of the baseline's.
 
     Ties count one half. Averaged over all pairs of seeds, episodes and scenes, with its interval.
     Two to four seeds have none: where seeds differ much, all win or none, which says nothing of
     the variation of others. Nor have episodes that all say the same.
     """
     # Every seed against every other one, on equal episodes
-    gaps = {k: theirs[k][None, :, :] - ours[k][:, None, :] for k in ours}  # (S, S', E)
+    gaps = {k: baseline[k][None, :, :] - scores[k][:, None, :] for k in scores}  # (S, S', E)
     wins = {k: (gap > 0) + 0.5 * (gap == 0) for k, gap in gaps.items()}
     mean = float(np.mean([w.mean() for w in wins.values()]))
     mine = _parts({k: w.mean(axis=1) for k, w in wins.items()})
@@ -218,19 +220,19 @@ def statistic_interval(
 ) -> Interval:
     """Return a statistic of the seeds' means, such as the interquartile mean, with its interval.
 
-    The part of the seeds is the variance of the statistic over bootstrap samples of whole seeds,
-    times S / (S - 1), since a bootstrap of few values is too narrow; the part of the episodes is
-    that of the jackknife in each scene.
+    The part of the seeds is the variance of the statistic over bootstrap samples of whole seeds. It
+    is multiplied by S / (S - 1), since a bootstrap of few values is too narrow. The part of the
+    episodes comes from the jackknife in each scene.
     """
-    own = means(scores)
-    count = len(own)
-    estimate = float(statistic(own))
+    seed_means = means(scores)
+    count = len(seed_means)
+    estimate = float(statistic(seed_means))
     _, _, rest = _parts(scores)
     seeds: Part | None = None
     # Whole seeds are drawn, since a policy plays all scenes.
     if count > 1:
         rows = rng.integers(count, size=(resamples, count))
-        spread = float(np.var(statistic(own[rows]))) * count / (count - 1)
+        spread = float(np.var(statistic(seed_means[rows]))) * count / (count - 1)
         seeds = Part(spread, count - 1)
     return _interval(estimate, seeds, _jackknifed(scores, statistic), rest)
 
@@ -259,13 +261,13 @@ def _parts(scores: Scores) -> tuple[Part | None, Part | None, float]:
     The first two contain the third each; it is the variance of what neither seed nor episode
     explains. A part is None where there is one seed, or where episodes are too few.
     """
-    own = means(scores)
-    count, scenes = own.shape
+    seed_means = means(scores)
+    count, scenes = seed_means.shape
     episodes = _over_episodes({k: values.mean(axis=0) for k, values in scores.items()})
     if count < 2:
         return None, episodes, 0.0
     # Over seeds: the variance of their means over all scenes
-    seeds = Part(float(np.var(own.mean(axis=1), ddof=1)) / count, count - 1)
+    seeds = Part(float(np.var(seed_means.mean(axis=1), ddof=1)) / count, count - 1)
     rest = 0.0
     # What neither seed nor episode explains, from the residuals of both means
     for values in scores.values():
@@ -289,13 +291,13 @@ def _over_episodes(values: Mapping[str, FloatArray]) -> Part | None:
 
 def _jackknifed(scores: Scores, statistic: Statistic) -> Part | None:
     """Return the variance of the statistic over episodes by the jackknife in each scene."""
-    own, each = means(scores), []
+    seed_means, each = means(scores), []
     for at, values in enumerate(scores.values()):
         size = values.shape[1]
         if size < FEWEST_EPISODES:
             return None
         # The statistic without each episode in turn
-        without = np.repeat(own[None], size, axis=0)  # (E, S, K)
+        without = np.repeat(seed_means[None], size, axis=0)  # (E, S, K)
         without[:, :, at] = ((values.sum(axis=1, keepdims=True) - values) / (size - 1)).T
         estimates = statistic(without)
         spread = (size - 1) / size * float(np.sum((estimates - estimates.mean()) ** 2))
@@ -376,13 +378,13 @@ def interquartile_mean(scores: FloatArray) -> FloatArray:
     return np.asarray(flat[..., cut : flat.shape[-1] - cut].mean(axis=-1))
 
 
-def improvement(ours: FloatArray, theirs: FloatArray) -> FloatArray:
-    """Return the probability that a run of ours beats one of theirs, where greater is better.
+def improvement(scores: FloatArray, baseline: FloatArray) -> FloatArray:
+    """Return the probability that a run beats one of the baseline's, where greater is better.
 
-    It is P(X > Y) + P(X = Y) / 2 over all pairs of runs (Mann and Whitney's U over R·R'), averaged
-    over the tasks: (..., R, T) and (..., R', T) → (...).
+    It is P(X > Y) + P(X = Y) / 2 over all pairs of runs (Mann and Whitney's U over R·R'). The mean
+    over the tasks is returned: (..., R, T) and (..., R', T) → (...).
     """
-    gap = ours[..., :, None, :] - theirs[..., None, :, :]  # (..., R, R', T)
+    gap = scores[..., :, None, :] - baseline[..., None, :, :]  # (..., R, R', T)
     return np.asarray(((gap > 0) + 0.5 * (gap == 0)).mean(axis=(-3, -2, -1)))
 
 

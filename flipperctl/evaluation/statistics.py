@@ -115,13 +115,13 @@ def mean_of(parts: Sequence[Interval]) -> Interval:
 
 
 def paired_success(won: int, lost: int, total: int) -> PairedSuccess:
-    """Return the success rate of a policy minus that of another, over ``total`` equal seeds.
+    """Return the success rate of a policy minus another policy's, over ``total`` equal seeds.
 
     ``won`` and ``lost``: numbers of seeds with which only the policy or only the other succeeded.
     The 95 % interval is the score interval for paired proportions (Tango 1998). Its width is
-    positive even if both are 0: [-0.434, 0.434] for five seeds. ``p`` is that of McNemar's exact
-    test: the probability, if both are equally good, that the seeds with which only one succeeded
-    are split at least as unevenly. ``views.summary.correct`` corrects ``p_holm``.
+    positive even if both are 0: [-0.434, 0.434] for five seeds. ``p`` is McNemar's exact test: the
+    probability, if both are equally good, that the seeds with which only one succeeded are split at
+    least as unevenly. ``views.summary.correct`` corrects ``p_holm``.
     """
     if total == 0:
         raise ValueError("a difference needs at least one pair")

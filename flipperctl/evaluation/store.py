@@ -34,12 +34,12 @@ from flipperctl.text.files import make_folder, write_bytes, write_chunks, write_
 
 FORMAT = 1  # number of the format of a block's file
 FOLDER, VIEW = "cells", "cells.csv"
-"""The folder of the blocks within that of the results, and the table of all their episodes."""
+"""The folder of the blocks within the folder of results, and the table of all their episodes."""
 _BLOCK, _FAILED = ".jsonl", ".failed.json"
 _VIEWED = ("controller", "training_seed", "scene", "conditions", "conditions_hash", "engine")
 """Entries of a block's header that the table of all episodes repeats."""
 _TOLD = {"controller", "conditions_hash", "policy", "training_seed"}
-"""Entries that the header of every block has, and of which readers make use."""
+"""Entries that the header of every block has, for readers."""
 _LONG, _SHORT = 16, 8  # digits of the hashes within a key
 _LIBRARIES = ("numpy", "torch")
 _GIT_PATIENCE = 5.0  # [s]
@@ -202,9 +202,9 @@ class EpisodeStore:
 
     def add(self, key: StoreKey, block: Sequence[Row]) -> None:
         """Keep the episodes of a block, whose indices have no gap."""
-        kept = self._rows.setdefault(key.text, {})
+        rows = self._rows.setdefault(key.text, {})
         for row in block:
-            kept.setdefault(row["episode"], {n: v for n, v in row.items() if n != RECORDED})
+            rows.setdefault(row["episode"], {n: v for n, v in row.items() if n != RECORDED})
 
     def fail(self, key: StoreKey, first: int, last: int, error: FlipperctlError) -> None:
         """Note that a block could not be played; in memory, nothing is kept of it."""
@@ -258,9 +258,9 @@ class FolderStore(EpisodeStore):
         # A header, then a line for each episode, whose digest comes first
         lines = [key.header(first, last)]
         for row in block:
-            own = {DIGEST: row[DIGEST]} if DIGEST in row else {}
+            digest = {DIGEST: row[DIGEST]} if DIGEST in row else {}
             rest = {n: value for n, value in row.items() if n not in (DIGEST, RECORDED)}
-            lines.append({"record": "episode", "cell": name, **own, **rest})
+            lines.append({"record": "episode", "cell": name, **digest, **rest})
         texts = (
             json.dumps(line, separators=(",", ":"), default=lambda number: number.item()) + "\n"
             for line in lines
@@ -307,7 +307,7 @@ class PlayedPolicy:
 
 
 def headers(folder: Path) -> Iterator[dict[str, Any]]:
-    """Yield the header of each block in a folder, without those of damaged files."""
+    """Yield the header of each block in a folder; damaged files are left out."""
     for file in sorted(folder.glob(f"*{_BLOCK}")):
         try:
             with file.open() as lines:
@@ -341,8 +341,8 @@ def read_block(file: Path) -> tuple[dict[str, Any], list[Row]] | None:
         for record in records:
             if not {"seed", "outcome", "terrain", *CORE, "return"} <= record.keys():
                 return None  # it is no episode
-            own = {DIGEST: record.pop(DIGEST)} if DIGEST in record else {}
-            rows.append({n: v for n, v in record.items() if n not in ("record", "cell")} | own)
+            digest = {DIGEST: record.pop(DIGEST)} if DIGEST in record else {}
+            rows.append({n: v for n, v in record.items() if n not in ("record", "cell")} | digest)
         return header, rows
     except _DAMAGE:
         return None

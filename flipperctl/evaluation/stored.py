@@ -228,23 +228,23 @@ class _Reader:
         for method, known in self._runs.items():
             self.notices += _doubts(method, known)
         # Only episodes that every run has can be compared.
-        every = [run for known in self._runs.values() for run in known]
+        runs = [run for known in self._runs.values() for run in known]
         shared: dict[str, list[str]] = {}
-        for scene in dict.fromkeys(scene for run in every for scene in run.episodes):
-            seeds = [set(run.episodes.get(scene, ())) for run in every]
+        for scene in dict.fromkeys(scene for run in runs for scene in run.episodes):
+            seeds = [set(run.episodes.get(scene, ())) for run in runs]
             common = set.intersection(*seeds)
             if common:
-                shared[scene] = [seed for seed in every[0].episodes[scene] if seed in common]
+                shared[scene] = [seed for seed in runs[0].episodes[scene] if seed in common]
             counts = list(map(len, seeds))
             if (most := max(counts)) > len(common):
-                fewest = every[counts.index(min(counts))].folder
+                fewest = runs[counts.index(min(counts))].folder
                 self.notices.append(
                     f"{scene}: {len(common)} of up to {most} episodes were played by all; "
                     f"{fewest} has {min(counts)}"
                 )
         if not shared:
             text = "no episode was played by all methods and seeds"
-            raise RequestError(f"{text}: {_unlike(every)}")
+            raise RequestError(f"{text}: {_unlike(runs)}")
         # Arrays of the shared episodes; a rule counts once, however often it was evaluated.
         names = _short(list(shared))
         methods = []
@@ -274,8 +274,8 @@ def _doubts(method: str, runs: Sequence[_Run]) -> Iterator[str]:
             f"{method}: {len(seeds)} policies, but training seed {again} counts "
             f"{seeds.count(again)} times; trainings of one method differ in their seeds"
         )
-    if told := unlike_trainings([run.training for run in runs if run.training is not None]):
-        yield f"{method}: {told}"
+    if unlike := unlike_trainings([run.training for run in runs if run.training is not None]):
+        yield f"{method}: {unlike}"
 
 
 def _unlike(runs: Sequence[_Run]) -> str:

@@ -40,10 +40,10 @@ class DriveFolder:
         if path.exists() and not path.is_dir():
             raise RequestError(f"--output {path}: it is a file; a folder for drives is allowed")
         for file in drive_files(path):
-            theirs = recording.read(file).document.driver
-            if theirs != driver:
+            other = recording.read(file).document.driver
+            if other != driver:
                 raise RequestError(
-                    f"--output {path}: it holds drives of {theirs!r}, not of {driver!r}; a folder "
+                    f"--output {path}: it holds drives of {other!r}, not of {driver!r}; a folder "
                     "holds the drives of one operator"
                 )
 
@@ -56,20 +56,20 @@ class DriveFolder:
         return self.path / f"drive_{config.terrain.plugin_name}_{seed}.safetensors"
 
     def missing(self, config: EvalConfig, first: int, count: int) -> list[int]:
-        """Return those of the episodes from ``first`` on that were not driven yet."""
+        """Return the episodes that were not driven yet, among ``count`` from ``first`` on."""
         seeds = EvaluationSeeds.of(config.eval.seed, config.terrain)
         wanted = range(first, first + count)
         return [i for i in wanted if not self.file(config, seeds(i)).exists()]
 
     def next(self, config: EvalConfig, first: int | None, count: int) -> list[int]:
-        """Return the episodes to drive from ``first`` on; None: those that were not driven yet."""
+        """Return the episodes to drive from ``first`` on; None: the first that were not driven."""
         if first is None:
             driven = len(drive_files(self.path))
             return self.missing(config, 0, driven + count)[:count]
         wanted = list(range(first, first + count))
-        if kept := set(wanted) - set(self.missing(config, first, count)):
+        if again := set(wanted) - set(self.missing(config, first, count)):
             raise RequestError(
-                f"--episode {min(kept)}: {self.path} holds a drive of it; delete its files to "
+                f"--episode {min(again)}: {self.path} holds a drive of it; delete its files to "
                 "drive it again, or leave --episode out for the next one"
             )
         return wanted

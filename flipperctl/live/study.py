@@ -55,11 +55,11 @@ class Study(BaseModel):
         The rows of a balanced Latin square (Williams 1949): each block follows each other one
         equally often. An odd number of blocks needs every order backwards, too.
         """
-        every = [(helper, scene) for helper in self.helpers for scene in self.scenes]
-        count, at = len(every), self.people.index(person)
+        blocks = [(helper, scene) for helper in self.helpers for scene in self.scenes]
+        count, at = len(blocks), self.people.index(person)
         # Steps 0, 1, -1, 2, -2 and so on: each distance between neighbours occurs once.
         middle = [(i + 1) // 2 if i % 2 else -(i // 2) for i in range(count)]
-        row = [every[(step + at) % count] for step in middle]
+        row = [blocks[(step + at) % count] for step in middle]
         return row[::-1] if count % 2 and (at // count) % 2 else row
 
 
@@ -103,10 +103,10 @@ def tasks_of(
     # Practice comes before the first episode that counts, unless all are driven.
     for helper, scene in study.blocks(person):
         config, source = compose(study.scenes[scene]), None if helper == "none" else find(helper)
-        own = folder(helper)
-        own.check(config)
-        missing = own.missing(config, 0, study.repeats)
-        task = Task(scene, config, 0, own, source, repeatable=False)
+        drives = folder(helper)
+        drives.check(config)
+        missing = drives.missing(config, 0, study.repeats)
+        task = Task(scene, config, 0, drives, source, repeatable=False)
         for index in range(PRACTICE, PRACTICE + study.practice) if missing else ():
             yield replace(task, index=index, practice=True)
         for index in missing:
@@ -114,12 +114,12 @@ def tasks_of(
             yield replace(task, index=index, asks=asks)
 
 
-def add_answers(output: Path, person: str, helper: str, scene: str, given: Sequence[int]) -> None:
+def add_answers(output: Path, person: str, helper: str, scene: str, answers: Sequence[int]) -> None:
     """Add a line of answers to ``answers.csv``; its last column is their mean (raw TLX)."""
     file, text = output / _ANSWERS, io.StringIO()
     lines = csv.writer(text, lineterminator="\n")
     if not file.exists():
         lines.writerow(["person", "helper", "scene", *SCALES, "mean"])
-    lines.writerow([person, helper, scene, *given, sum(given) / len(given)])
+    lines.writerow([person, helper, scene, *answers, sum(answers) / len(answers)])
     before = file.read_bytes() if file.exists() else b""
     write_bytes(file, before + text.getvalue().encode())

@@ -31,13 +31,22 @@ from flipperctl.text.show import NONE, Column, Table, markdown
 from flipperctl.views.summary import compared, risk_text
 
 MEASURES = (
-    *("pitch_variation_100hz", "pitch_variation", "t_cost", "max_pitch", "flipper_travel"),
+    "pitch_variation_100hz",
+    "pitch_variation",
+    "t_cost",
+    "max_pitch",
+    "flipper_travel",
     "flipper_energy",
 )
-"""Measures of a row; those over the episodes that reached the finish, but ``max_pitch``."""
+"""Measures of a row; all but ``max_pitch`` are over the episodes that reached the finish."""
 RISK = (
-    *("horizon", "threshold", "failures", "announced", "reached"),
-    *("false_alarms", "false_warnings"),
+    "horizon",
+    "threshold",
+    "failures",
+    "announced",
+    "reached",
+    "false_alarms",
+    "false_warnings",
 )
 """What a row keeps of how a policy's risk fits the ends of its episodes."""
 Ends = Sequence[float | None]
@@ -76,8 +85,16 @@ _DIFFERENCES = (
     Column("difference", "difference [rad]"),
 )
 _SECTIONS = (
-    *("agent", "network", "rewards", "teacher", "train"),
-    *("episode", "perception", "robot", "sim", "randomise"),
+    "agent",
+    "network",
+    "rewards",
+    "teacher",
+    "train",
+    "episode",
+    "perception",
+    "robot",
+    "sim",
+    "randomise",
 )
 """Sections whose changed settings the card lists."""
 
@@ -90,7 +107,7 @@ def rows_of(document: Mapping[str, Any]) -> Iterator[StoredRow]:
 
 
 def _row(scene: Mapping[str, Any], method: Mapping[str, Any], *, is_policy: bool) -> StoredRow:
-    conditions, told, passable = scene["conditions"], method.get("risk"), _passable(method)
+    conditions, risk, passable = scene["conditions"], method.get("risk"), _passable(method)
     return {
         "terrain": scene["terrain"],
         "conditions": conditions["name"],
@@ -104,7 +121,7 @@ def _row(scene: Mapping[str, Any], method: Mapping[str, Any], *, is_policy: bool
         "success": _ends(method["success"]),
         "measures": {name: _ends(method[name]) for name in MEASURES},
         "difference": None if is_policy else _ends(method["difference"]["pitch_variation_100hz"]),
-        **({} if told is None else {"risk": {name: told[name] for name in RISK}}),
+        **({} if risk is None else {"risk": {name: risk[name] for name in RISK}}),
         **({} if passable is None else {"passable": passable}),
     }
 
@@ -167,6 +184,7 @@ def policy_rows(file: Path, results: Sequence[Path]) -> list[StoredRow]:
     for folder in results:
         rows, played = read_document(folder)["rows"], played_policies(folder / FOLDER)
         policies = list(dict.fromkeys(row["method"] for row in rows if row["is_policy"]))
+        # Results of another policy would stand in its card as its own.
         others = [method for method in policies if not _is(method, file)]
         if others == policies:
             raise RequestError(f"{folder}: it holds results of {', '.join(others)}, not of {file}")
@@ -175,6 +193,7 @@ def policy_rows(file: Path, results: Sequence[Path]) -> list[StoredRow]:
                 f"{folder}: it holds results of {', '.join(others)}, too; a card is of one policy "
                 "and its baselines: evaluate it with --baseline okada,level, alone"
             )
+        # Weights that have changed since then belong to another policy.
         for row in (row for row in rows if row["is_policy"]):
             digests = {policy.digest for policy in played.get((row["method"], row["hash"]), ())}
             if digests and PolicyIdentity.of(PolicySource(checkpoint=file)).digest not in digests:
@@ -197,7 +216,7 @@ def _is(label: str, file: Path) -> bool:
 def card_text(policy: Path, file: Path, rows: Sequence[StoredRow], commands: Sequence[str]) -> str:
     """Return the card of a policy; ``policy`` is the name or path, ``file`` its checkpoint.
 
-    ``rows``: results of ``policy_rows``; ``commands``: those that make the results again.
+    ``rows``: results of ``policy_rows``; ``commands``: commands that make the results again.
     """
     saved = checkpoints.read(file)
     label = PolicySource(checkpoint=file).label()
@@ -213,8 +232,8 @@ def front_matter(name: str, rows: Sequence[StoredRow]) -> str:
     """Return the front matter, whose ``model-index`` has the policy's own results."""
     head: dict[str, Any] = {"library_name": "flipperctl", "tags": list(TAGS)}
     if rows:
-        own = [_result(row) for row in rows if row["is_policy"]]
-        head["model-index"] = [{"name": name, "results": own}]
+        policy_results = [_result(row) for row in rows if row["is_policy"]]
+        head["model-index"] = [{"name": name, "results": policy_results}]
     text = yaml.safe_dump(head, sort_keys=False, allow_unicode=True, width=100)
     return f"---\n{text}---\n"
 
@@ -246,6 +265,7 @@ def _training(policy: Path, saved: Checkpoint) -> Iterator[str]:
         "It was trained in simulation; nothing here says how it does on a robot.\n"
     )
     yield "## How it was trained\n"
+    # The best checkpoint says at which decision it was chosen; a last one has the run's state.
     state = document.state
     count = document.decision if state is None or document.decision is not None else state.decision
     seconds = _seconds(policy)
@@ -255,6 +275,7 @@ def _training(policy: Path, saved: Checkpoint) -> Iterator[str]:
         f"seed {config.seed}{decisions}{'' if seconds is None else f' in {seconds:,.0f} s'}, with "
         f"flipperctl {document.versions['flipperctl']}.\n"
     )
+    # The command, if the run's folder has it, and the settings that it changed
     try:
         words = strict_yaml.read(policy / _OVERRIDES, _OVERRIDES.parent.name)
         yield f"```sh\n{shlex.join(['flipperctl', 'train', *map(str, words or ())])}\n```\n"
@@ -280,19 +301,19 @@ def _changed(config: TrainConfig) -> dict[str, Any]:
     """Return the settings that differ from their defaults, by path, as JSON."""
     changed = {}
     for setting in settings(config):
-        chosen = setting.path.partition(".")[0] in _SECTIONS and "[" not in setting.path
+        listed = setting.path.partition(".")[0] in _SECTIONS and "[" not in setting.path
         plugin = setting.path == setting.section and setting.path not in (
             "agent",
             "teacher.controller",
         )
         default = DEFAULT_LEARNER if setting.path == "agent" else setting.field.default
-        if chosen and not plugin and setting.value not in (default, {}):
+        if listed and not plugin and setting.value not in (default, {}):
             changed[setting.path] = json.dumps(setting.value)
     return changed
 
 
 def results(rows: Sequence[StoredRow]) -> Iterator[str]:
-    """Yield the tables of the policy and its baselines, and that of their differences."""
+    """Yield the tables of the policy and its baselines, and the table of their differences."""
     yield "## Results\n"
     if not rows:
         yield "None yet: `flipperctl card POLICY RESULT_DIR` adds those of `eval --output`.\n"
@@ -301,16 +322,19 @@ def results(rows: Sequence[StoredRow]) -> Iterator[str]:
         "θ̂_R is the sum of the absolute pitch changes, at 100 Hz and at decisions, over the "
         "episodes that reached the finish; 95 % intervals. The last table has paired differences.\n"
     )
+    # A table for each set of conditions, then the differences
     together: dict[str, list[StoredRow]] = {}
     for row in rows:
         label = f"`{row['conditions']}`, engine `{row['engine']}`, seed {row['seed']}"
         together.setdefault(label, []).append(_texts(row))
-    asked = dict.fromkeys(", ".join(r["passable"]["references"]) for r in rows if "passable" in r)
-    for names in asked:
+    references = dict.fromkeys(
+        ", ".join(r["passable"]["references"]) for r in rows if "passable" in r
+    )
+    for names in references:
         yield f"Passable are the episodes that one of these crosses: {names}.\n"
     for label, table_rows in together.items():
         yield f"Conditions {label}:\n"
-        columns = (*_COLUMNS, _PASSABLE) if asked else _COLUMNS
+        columns = (*_COLUMNS, _PASSABLE) if references else _COLUMNS
         yield from (*markdown(Table(columns, table_rows)), "")
     if gaps := [_texts(row) for row in rows if row["difference"] is not None]:
         yield from (*markdown(Table(_DIFFERENCES, gaps)), "")
@@ -336,8 +360,9 @@ def _texts(row: StoredRow) -> StoredRow:
 def limits(rows: Sequence[StoredRow]) -> Iterator[str]:
     """Yield where the policy fails, and where it is worse than a baseline."""
     yield "## Limits\n"
-    own = [row for row in rows if row["is_policy"]]
-    failed = [row for row in own if row["outcomes"]["reached"] < row["episodes"]]
+    # Where the policy itself fails
+    own_rows = [row for row in rows if row["is_policy"]]
+    failed = [row for row in own_rows if row["outcomes"]["reached"] < row["episodes"]]
     for row in failed:
         outcomes = row["outcomes"].items()
         causes = ", ".join(
@@ -345,8 +370,9 @@ def limits(rows: Sequence[StoredRow]) -> Iterator[str]:
         )
         missed = f"{row['episodes'] - row['outcomes']['reached']} of {row['episodes']}"
         yield f"- `{row['terrain']}` ({row['hash']}): {missed} not reached: {causes}."
-    if own and not failed:
+    if own_rows and not failed:
         yield "- Every evaluated episode reached the finish."
+    # Baselines that are smoother beyond chance
     for row in rows:
         low = row["difference"][1] if row["difference"] is not None else None
         if low is not None and low > 0:
@@ -354,7 +380,7 @@ def limits(rows: Sequence[StoredRow]) -> Iterator[str]:
                 f"- `{row['terrain']}` ({row['hash']}): a larger θ̂_R than `{row['method']}`, by "
                 f"{ends_text(row['difference'], 2)} rad."
             )
-    for row in own:
+    for row in own_rows:
         if "risk" in row:
             yield f"- Its risk on `{row['terrain']}` ({row['hash']}): {risk_text(row['risk'])}."
     yield "- Other robots, terrains and conditions than those above were not evaluated.\n"

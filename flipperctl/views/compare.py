@@ -96,6 +96,7 @@ def compare(
     ``against``: the method to compare with, by default the first; ``all`` for every pair.
     ``called``: names of methods, ``NAME=METHOD``.
     """
+    # A score counts failures, which needs a price in the measure's unit.
     measure_class = resolver.get(Measure.kind, measure, "--measure")
     assert issubclass(measure_class, Measure)
     if measure_class.better != "lower":
@@ -107,10 +108,11 @@ def compare(
         )
     if price is not None and not (0 < price < math.inf):
         raise RequestError(f"--price: {price:g}; a number above 0 is allowed")
+    # The methods under the names that the user chose for some
     stored = read(folders, measure)
     known = [method.name for method in stored.methods]
-    chosen = chosen_names(called, known)
-    methods = [replace(row, name=chosen.get(row.name, row.name)) for row in stored.methods]
+    new_names = chosen_names(called, known)
+    methods = [replace(row, name=new_names.get(row.name, row.name)) for row in stored.methods]
     stored = replace(stored, methods=tuple(methods))
     names = shown_names([method.name for method in methods])
     if against is not None and against != ALL:
@@ -125,25 +127,27 @@ def document(comparison: Comparison) -> Document:
     methods = comparison.stored.methods
     rows = [method_row(method, comparison.prices) for method in methods]
     by_name = dict(zip([method.name for method in methods], rows, strict=True))
+    # Every pair of methods, or each against the chosen one
     pairs = [
-        (ours, theirs)
-        for at, ours in enumerate(methods)
-        for other, theirs in enumerate(methods)
+        (method, baseline)
+        for at, method in enumerate(methods)
+        for other, baseline in enumerate(methods)
         if (
             other < at
             if comparison.against == ALL
-            else theirs.name == comparison.against and other != at
+            else baseline.name == comparison.against and other != at
         )
     ]
     gaps = [difference(*pair, comparison.prices) for pair in pairs]
+    # Tests that are shown together are corrected together.
     for key in ("p", "p_success"):
         for gap, p in zip(gaps, holm([gap[key] for gap in gaps]), strict=True):
             gap[f"{key}_holm"] = p
-    for (ours, _), gap in zip(pairs, gaps, strict=True):
+    for (method, _), gap in zip(pairs, gaps, strict=True):
         if comparison.against == ALL:
-            by_name[ours.name].setdefault("comparisons", []).append(gap)
+            by_name[method.name].setdefault("comparisons", []).append(gap)
         else:
-            by_name[ours.name]["comparison"] = gap
+            by_name[method.name]["comparison"] = gap
     return {
         "measure": comparison.measure,
         "price": comparison.price,
@@ -164,6 +168,7 @@ def method_row(method: SeedSamples, prices: Mapping[str, float]) -> Document:
         [values[method.reached[scene]] for scene, values in method.values.items()]
     )
     rng = np.random.default_rng(_SEED)
+    # No score lies outside the least value and the price, so that no interval should either.
     least = min(0.0, *(float(values.min()) for values in scores.values()))
     most = max(prices[scene] for scene in scores)
 
@@ -189,8 +194,8 @@ def difference(method: SeedSamples, other: SeedSamples, prices: Mapping[str, flo
     ``improvement``: probability that a training seed has a better mean score on a scene than one of
     the other method, averaged over scenes (rliable's); ``better``: the same of single episodes.
     """
-    ours, theirs = method.scores(prices), other.scores(prices)
-    score, p = difference_interval(ours, theirs)
+    scores, baseline = method.scores(prices), other.scores(prices)
+    score, p = difference_interval(scores, baseline)
     if score.low is not None and score.low == score.high:
         score, p = Interval(score.mean, None, None), 1.0
     success, p_success = success_difference(method, other)
@@ -200,17 +205,18 @@ def difference(method: SeedSamples, other: SeedSamples, prices: Mapping[str, flo
         "p": p,
         "success": success.to_dict(),
         "p_success": p_success,
-        "improvement": float(improvement(-means(ours), -means(theirs))),
-        "better": better_interval(ours, theirs).to_dict(),
+        "improvement": float(improvement(-means(scores), -means(baseline))),
+        "better": better_interval(scores, baseline).to_dict(),
     }
 
 
 def tables(compared: Document, label: str) -> Iterator[Table]:
-    """Yield the table of methods and that of their differences; ``label``: of the measure."""
+    """Yield the tables of methods and of their differences; ``label``: the measure's."""
     episodes = ", ".join(f"{scene} {count}" for scene, count in compared["episodes"].items())
     rows: list[Document] = []
     gaps: list[Document] = []
     called = shown_names([method["method"] for method in compared["methods"]])
+    # A row for each method, its scenes below it; differences are a table of their own.
     for method in compared["methods"]:
         name = called[method["method"]]
         seeds = f" ({method['seeds']} seeds)" if method["seeds"] > 1 else ""
@@ -227,6 +233,7 @@ def tables(compared: Document, label: str) -> Iterator[Table]:
             success = "±0" if mean == 0 else f"{100 * mean:+.3g} (p {p_text(p)})"
             texts = {"p_text": p_text(gap["p_holm"]), "success_text": success}
             gaps.append(gap | {"name": name, "other": called[gap["against"]], **texts})
+    # On some scenes, a failure counts more than the least price.
     rough = [
         f"{k} {price:.4g}" for k, price in compared["prices"].items() if price > compared["price"]
     ]
@@ -247,6 +254,7 @@ def paper_table(compared: Document, label: str) -> Table:
     called = shown_names([method["method"] for method in methods])
     unit = label[label.rindex("[") :]
     rows: list[Document] = []
+    # A row for each method, its scenes below it
     for method in methods:
         rate = method["success"]
         success = f"{100 * rate['mean']:.0f}"
@@ -254,10 +262,11 @@ def paper_table(compared: Document, label: str) -> Table:
             success += f" [{100 * rate['low']:.0f}, {100 * rate['high']:.0f}]"
         gap = (method["comparison"] or {}).get("score")
         parts = method["by_scene"].items() if len(compared["episodes"]) > 1 else ()
-        own = {"name": called[method["method"]], "success": success, "gap": gap or ""}
-        rows.append(method | own | {"line": bool(parts)})
+        texts = {"name": called[method["method"]], "success": success, "gap": gap or ""}
+        rows.append(method | texts | {"line": bool(parts)})
         empty = {"seeds": "", "success": "", "gap": "", "iqm": ""}
         rows += [{"name": f"  {scene}", "score": score, **empty} for scene, score in parts]
+    # The last column is the difference, if all are compared with the same method.
     against = {method["comparison"]["against"] for method in methods if method["comparison"]}
     last = Column("iqm", f"IQM {unit}")
     if len(against) == 1:

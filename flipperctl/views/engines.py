@@ -38,9 +38,11 @@ def in_default_engine(config: Config) -> Config:
     sim = config.sim
     if sim.plugin_name == DEFAULT_ENGINE:
         return config
+    # Friction and gravity must be equal for a comparison of engines.
     known = {name: sim.shared_setting(name) for name in _SHARED}
     shared: dict[str, Any] = {name: value for name, value in known.items() if value is not None}
     plane = resolver.create("sim", {"name": DEFAULT_ENGINE, **shared}, "sim")
+    # A sampled setting that one engine lacks would make unequal episodes.
     sampled = (setting for setting in config.randomise.sampled() if setting.section == "sim")
     if foreign := [
         setting.key for setting in sampled if setting.field not in type(plane).model_fields
@@ -102,8 +104,9 @@ def _groups(result: Result) -> Iterator[list[Played]]:
 
 
 def _document(group: Sequence[Played]) -> Document:
-    ours, theirs, *rest = group
-    entry, last = theirs.entry, group[-1]
+    first, second, *rest = group
+    entry, last = second.entry, group[-1]
+    # Failures of the last step, beside how the default engine ended the same episodes
     failed = [
         {
             **{name: row[name] for name in ("episode", "seed", "terrain", "outcome")},
@@ -112,28 +115,29 @@ def _document(group: Sequence[Played]) -> Document:
             "time": row["t_cost"],
             **{name: row[column] for name, column in END.items()},
         }
-        for row, before in last.episodes.failed.paired(ours.episodes)
+        for row, before in last.episodes.failed.paired(first.episodes)
     ]
     counts = Counter(failure["cause"] for failure in failed).most_common()
     comparison: Document = {
         "terrain": entry.terrain,
         "controller": entry.label,
-        "engines": [ours.entry.sim, entry.sim],
+        "engines": [first.entry.sim, entry.sim],
         "seed": entry.config.eval.seed,
         "conditions": last.entry.conditions.to_dict(),
-        ours.entry.sim: summary(entry.terrain, ours.episodes),
-        entry.sim: summary(entry.terrain, theirs.episodes),
-        "kept": _kept(ours, theirs),
-        "gap": difference(theirs.episodes, ours.episodes),
+        first.entry.sim: summary(entry.terrain, first.episodes),
+        entry.sim: summary(entry.terrain, second.episodes),
+        "kept": _kept(first, second),
+        "gap": difference(second.episodes, first.episodes),
         "causes": dict(counts),
         "failures": failed,
     }
+    # A sensor that maps the ground makes a third step, in the same engine.
     for sensed in rest:
         comparison["sensed"] = {
             "sensor": sensed.entry.config.perception.plugin_name,
             "summary": summary(entry.terrain, sensed.episodes),
-            "gap": difference(sensed.episodes, theirs.episodes),
-            "kept": _kept(theirs, sensed),
+            "gap": difference(sensed.episodes, second.episodes),
+            "kept": _kept(second, sensed),
         }
     return comparison
 
@@ -141,7 +145,7 @@ def _document(group: Sequence[Played]) -> Document:
 def _kept(first: Played, then: Played) -> float | None:
     """Return the fraction of the episodes reached at first that are reached then."""
     pairs = first.episodes.paired(then.episodes)
-    crossed = [reached(theirs) for ours, theirs in pairs if reached(ours)]
+    crossed = [reached(after) for before, after in pairs if reached(before)]
     return sum(crossed) / len(crossed) if crossed else None
 
 
@@ -165,7 +169,7 @@ def tables(comparisons: Sequence[Mapping[str, Any]]) -> Iterator[Table]:
         if "sensed" in comparison:
             steps[comparison["sensed"]["sensor"]] = comparison["sensed"]
         for at, (step, lost) in enumerate(steps.items(), 1):
-            kept = lost["kept"]
+            fraction = lost["kept"]
             rows.append(
                 {
                     "terrain": comparison["terrain"],
@@ -174,7 +178,7 @@ def tables(comparisons: Sequence[Mapping[str, Any]]) -> Iterator[Table]:
                     "causes": causes if at == len(steps) else "",
                     "success": gap_text(lost["gap"]["success"]),
                     "variation": lost["gap"]["pitch_variation_100hz"],
-                    "kept": NONE if kept is None else f"{100 * kept:.3g} %",
+                    "kept": NONE if fraction is None else f"{100 * fraction:.3g} %",
                 }
             )
     if rows:

@@ -54,15 +54,16 @@ def document(result: Result, by: Sequence[Names] = ()) -> Document:
     ``by``: numbers whose combinations are groups.
     """
     scenes = []
+    # Each scene with its baselines, and the causes of its failures
     for item in result.rows:
         entry, others = item.entry, {o.entry.label: o.episodes for o in result.baselines(item)}
-        told = summary.summary(entry.terrain, item.episodes)
-        if result.references and "passable" in told:
-            told["passable"]["references"] = list(result.references)
+        numbers = summary.summary(entry.terrain, item.episodes)
+        if result.references and "passable" in numbers:
+            numbers["passable"]["references"] = list(result.references)
         causes = Counter(row["failed_by"] for row in item.episodes if "failed_by" in row)
         scenes.append(
             {
-                **told,
+                **numbers,
                 "controller": entry.label,
                 "seed": entry.config.eval.seed,
                 "conditions": entry.conditions.to_dict(),
@@ -72,16 +73,18 @@ def document(result: Result, by: Sequence[Names] = ()) -> Document:
             }
         )
     correct(scenes)
+    # Groups are corrected among themselves, as they are shown together.
     if by:
         for scene, item in zip(scenes, result.rows, strict=True):
-            beside = result.baselines(item)
-            scene["by"] = {"+".join(names): list(_groups(item, beside, names)) for names in by}
+            rivals = result.baselines(item)
+            scene["by"] = {"+".join(names): list(_groups(item, rivals, names)) for names in by}
         correct([group for scene in scenes for part in scene["by"].values() for group in part])
     methods = summary.pooled(result)
     correct(methods)
     result_document: Document = {
         "controller": ", ".join(dict.fromkeys(o.entry.label for o in result.rows))
     }
+    # What is missing, and why
     if (stopped := result.interruption) is not None:
         result_document |= {
             "interrupted": True,
@@ -114,6 +117,7 @@ def parse_groups(text: str | None, option: str, configs: Sequence[EvalConfig]) -
     if not all(all(names) and len(set(names)) == len(names) for names in groups):
         raise RequestError(f"{option}: names as in steps,slope+up are allowed; got {text!r}")
     check_different(f"{option} {text}", ["+".join(sorted(names)) for names in groups])
+    # A few profiles show what a terrain draws; a name must be among it.
     for name in dict.fromkeys(name for names in groups for name in names):
         known: dict[str, None] = {}
         for config in configs:
@@ -135,14 +139,14 @@ def parse_groups(text: str | None, option: str, configs: Sequence[EvalConfig]) -
 def _groups(item: Played, others: Sequence[Played], names: Names) -> Iterator[dict[str, Any]]:
     terrain = item.entry.terrain
     for ranges, episodes in item.episodes.binned(names):
-        own = {
+        paired = {
             other.entry.label: Episodes(tuple(row for _, row in episodes.paired(other.episodes)))
             for other in others
         }
         yield {
             "drawn": {name: {"low": low, "high": high} for name, (low, high) in ranges.items()},
             **summary.summary(terrain, episodes),
-            **baselines(terrain, episodes, own),
+            **baselines(terrain, episodes, paired),
         }
 
 
@@ -150,12 +154,13 @@ def _groups(item: Played, others: Sequence[Played], names: Names) -> Iterator[di
 
 
 def tables(evaluated: Document, title: str, columns: Sequence[str] = ()) -> Iterator[Table]:
-    """Yield the table of policies, that of differences if they are many, and those of groups.
+    """Yield the table of policies, of differences if they are many, and a table for each group.
 
     ``title`` names what was evaluated; ``columns``: further ones, of ``known_columns``.
     """
     table = policies(evaluated, title, columns)
     rows = list(difference_rows(evaluated, "scene" in {column.key for column in table.columns}))
+    # A few differences are sentences below the table; many are a table of their own.
     if 0 < len(rows) <= _LINES and not any(row["scene"] for row in rows):
         table.notes += [
             _sentence(row, several=len({r["policy"] for r in rows}) > 1) for row in rows
@@ -171,16 +176,18 @@ def tables(evaluated: Document, title: str, columns: Sequence[str] = ()) -> Iter
         ]
         shown = [row | {"success_text": gap_text(row["success"])} for row in rows]
         yield Table(head, list(_without_repeats(shown)), "Differences on the same episodes")
+    # Groups, engines and published results follow, where there are any.
     for name, scene in named(evaluated):
         yield from group_tables(name, scene)
     yield from engines.tables(evaluated.get("engines", ()))
-    if beside := published(evaluated):
-        yield beside
+    if papers := published(evaluated):
+        yield papers
 
 
 def policies(evaluated: Document, title: str, columns: Sequence[str] = ()) -> Table:
     """Return a row for each policy and baseline on each scene, methods pooled over their seeds."""
     rows = list(policy_rows(evaluated))
+    # Names that would be the same in every row are left out.
     scenes = dict.fromkeys(row["scene"] for row in rows)
     single = len(scenes) == 1 and not any(row.get("dim") for row in rows)
     several = len({row["policy"] for row in rows}) > 1 or any(
@@ -190,11 +197,12 @@ def policies(evaluated: Document, title: str, columns: Sequence[str] = ()) -> Ta
     counts = dict.fromkeys(
         counted(row["episodes"], "episode") for row in rows if not row.get("dim")
     )
-    chosen = {*columns, "episodes"} if len(counts) > 1 else {*columns}
+    # Further columns: those that were asked for, and the number of episodes where it differs
+    wanted_names = {*columns, "episodes"} if len(counts) > 1 else {*columns}
     further = [
         column
         for name, column in known_columns().items()
-        if name in chosen and any(row.get(column.key) is not None for row in rows)
+        if name in wanted_names and any(row.get(column.key) is not None for row in rows)
     ]
     timed = any(column.key == "t_cost" for column in further)  # which has the interval as well
     columns_if = {
@@ -207,6 +215,7 @@ def policies(evaluated: Document, title: str, columns: Sequence[str] = ()) -> Ta
         Column("time", "time [s]", 1): not timed,
     }
     head = [*(column for column, wanted in columns_if.items() if wanted), *further]
+    # The title says what the columns leave out.
     parts = [title, *([next(iter(scenes))] if single else [])]
     text = " on ".join(part for part in dict.fromkeys(parts) if part)
     if evaluated.get("interrupted"):
@@ -222,8 +231,8 @@ def _without_repeats(rows: Sequence[Row]) -> Iterator[Row]:
     for row in rows:
         repeated, dim = row["scene"] == last, row.get("dim")
         last = last if dim else row["scene"]
-        own = "" if repeated else row["scene"]
-        yield row | {"scene": own, "line": not repeated and not dim}
+        scene = "" if repeated else row["scene"]
+        yield row | {"scene": scene, "line": not repeated and not dim}
 
 
 def _policies(evaluated: Document) -> Iterator[tuple[str, str, Document]]:
@@ -389,12 +398,12 @@ def print_result(result: Result, evaluated: Document, columns: Sequence[str]) ->
 def _alike(result: Result) -> Iterator[str]:
     """Yield a line for each scene whose outcomes and measures are all identical, once for all."""
     names = ("outcome", "t_cost", "pitch_variation_100hz", "max_pitch", "return")
-    told: set[str] = set()
+    hashes: set[str] = set()
     for item in result.rows:
         entry, count = item.entry, len(item.episodes)
         measured = {tuple(row[name] for name in names) for row in item.episodes}
-        if count > 1 == len(measured) and not (entry.method and entry.conditions.hash in told):
-            told.add(entry.conditions.hash)
+        if count > 1 == len(measured) and not (entry.method and entry.conditions.hash in hashes):
+            hashes.add(entry.conditions.hash)
             yield (
                 f"{entry.terrain}: all {count} episodes are identical, since nothing is random; "
                 "their intervals are meaningless (episode.start_noise, perception.noise, randomise "
@@ -417,10 +426,10 @@ def _conditions(result: Result) -> Iterator[str]:
 def _risks(evaluated: Document) -> Iterator[str]:
     """Yield a line for each policy that told its risk, if it failed or warned."""
     for name, scene in named(evaluated):
-        told = scene.get("risk")
-        if told is not None and (told["failures"] or told["false_alarms"]):
+        risk = scene.get("risk")
+        if risk is not None and (risk["failures"] or risk["false_alarms"]):
             who = short(scene.get("method") or scene["controller"])
-            yield f"risk, {who} on {name}: {summary.risk_text(told)}"
+            yield f"risk, {who} on {name}: {summary.risk_text(risk)}"
 
 
 # Files
@@ -433,6 +442,7 @@ def csv_rows(evaluated: Document, digits: int | None = None) -> Iterator[Row]:
     """
     further = [m.plugin_name for m in other_measures()]
     names = ("success", "t_cost", "pitch_variation_100hz", "pitch_variation", "max_pitch")
+    # The scene's own policy, then its baselines
     for scene in evaluated["scenes"]:
         method = scene.get("method", "")
         stored = is_best_known(method)

@@ -1,4 +1,4 @@
-"""The film of an evaluation: which episodes it shows, of which policies.
+"""The film of an evaluation: the choice of its episodes and policies.
 
 In: what a user asked for, the plan, and after it was played its result. Out: a film.
 """

@@ -53,8 +53,11 @@ def by_scene(rows: Iterable[Row]) -> dict[str, dict[str, Row]]:
 
 def _best(rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
     """Yield who is best, by how much: on each of a few scenes, or counted."""
-    scenes = {name: own for name, own in by_scene(rows).items() if len(own) > 1}
-    best = {name: max(own.values(), key=rank) for name, own in scenes.items()}
+    scenes = {
+        name: scene_rows for name, scene_rows in by_scene(rows).items() if len(scene_rows) > 1
+    }
+    best = {name: max(scene_rows.values(), key=rank) for name, scene_rows in scenes.items()}
+    # A few scenes are named, many are counted.
     if 0 < len(scenes) < 4:
         for name, row in best.items():
             yield "good", f"On {name}, {_words(row)} is best{_against(row, scenes[name])}."
@@ -70,9 +73,9 @@ def _best(rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
         yield "good", f"Best of {len(scenes)} scenes: {'; '.join(texts)}."
         if (ratio := _ratio(scenes, ordered[0][0])) is not None:
             yield "good", ratio
-    for name, own in by_scene(rows).items():
-        if len(own) == 1:
-            (row,) = own.values()
+    for name, scene_rows in by_scene(rows).items():
+        if len(scene_rows) == 1:
+            (row,) = scene_rows.values()
             yield "", f"On {name}, {_words(row)}."
 
 
@@ -84,32 +87,40 @@ def _words(row: Row) -> str:
     return f"**{row['policy']}** ({text})"
 
 
-def _against(best: Row, own: Mapping[str, Row]) -> str:
+def _against(best: Row, scene_rows: Mapping[str, Row]) -> str:
     """Return how much better the best is than the ruler, or than the second best."""
-    others = sorted((row for row in own.values() if row is not best), key=rank)
-    other = own.get(RULER, others[-1])
+    others = sorted((row for row in scene_rows.values() if row is not best), key=rank)
+    other = scene_rows.get(RULER, others[-1])
     other = others[-1] if other is best else other
-    ours, theirs = best[VARIATION], other[VARIATION]
+    best_variation, other_variation = best[VARIATION], other[VARIATION]
     name = f"**{other['policy']}**"
     if best["success"]["mean"] > other["success"]["mean"]:
         return f"; {name} reached the finish in {rate_text(other['success'])}"
-    if not (ours and theirs):
+    if not (best_variation and other_variation):
         return ""
-    less = 100 * (1 - ours["mean"] / theirs["mean"]) if theirs["mean"] else 0.0
-    return f", with {less:.0f} % less than {name} ({theirs['mean']:.2f} rad)"
+    less = (
+        100 * (1 - best_variation["mean"] / other_variation["mean"])
+        if other_variation["mean"]
+        else 0.0
+    )
+    return f", with {less:.0f} % less than {name} ({other_variation['mean']:.2f} rad)"
 
 
 def _ratio(scenes: Mapping[str, Mapping[str, Row]], policy: str) -> str | None:
-    """Return the mean ratio of a policy's pitch variation to that of the ruler."""
-    pairs = [(own[policy], own[RULER]) for own in scenes.values() if {policy, RULER} <= own.keys()]
+    """Return the mean ratio of a policy's pitch variation to the ruler's."""
+    pairs = [
+        (scene_rows[policy], scene_rows[RULER])
+        for scene_rows in scenes.values()
+        if {policy, RULER} <= scene_rows.keys()
+    ]
     whole = [
-        (ours[VARIATION]["mean"], theirs[VARIATION]["mean"])
-        for ours, theirs in pairs
-        if all(row["success"]["mean"] == 1 and row[VARIATION] for row in (ours, theirs))
+        (first[VARIATION]["mean"], second[VARIATION]["mean"])
+        for first, second in pairs
+        if all(row["success"]["mean"] == 1 and row[VARIATION] for row in (first, second))
     ]
     if policy == RULER or not whole or min(min(pair) for pair in whole) <= 0:
         return None
-    mean = math.exp(float(np.mean([math.log(ours / theirs) for ours, theirs in whole])))
+    mean = math.exp(float(np.mean([math.log(first / second) for first, second in whole])))
     return (
         f"On the {len(whole)} scenes that both always cross, the pitch variation of "
         f"**{policy}** is {mean:.2f} of that of **{RULER}** (geometric mean)."
@@ -126,19 +137,20 @@ def _losses(document: Document, rows: Sequence[Row]) -> Iterator[tuple[str, str]
         for difference in evaluation.difference_rows(document)
         if difference["against"] == RULER
     }
+    # Paired differences decide, and intervals where the results have none.
     worse, compared = [], False
-    for scene, own in by_scene(rows).items():
-        ruler = own.pop(RULER, {})
-        for policy, row in own.items() if ruler else ():
+    for scene, scene_rows in by_scene(rows).items():
+        ruler = scene_rows.pop(RULER, {})
+        for policy, row in scene_rows.items() if ruler else ():
             compared = True
-            ours, theirs, gap = row[VARIATION], ruler[VARIATION], gaps.get((scene, policy))
+            variation, still, gap = row[VARIATION], ruler[VARIATION], gaps.get((scene, policy))
             name = f"**{policy}** on {scene}"
             if _is_above(ruler["success"], row["success"]["high"]):
                 worse.append(f"{name} (success {rate_text(row['success'])})")
             elif _is_above(gap, 0.0) or (
-                gap is None and theirs and _is_above(ours, theirs["high"])
+                gap is None and still and _is_above(variation, still["high"])
             ):
-                worse.append(f"{name} ({ours['mean']:.2f} rad, not {theirs['mean']:.2f})")
+                worse.append(f"{name} ({variation['mean']:.2f} rad, not {still['mean']:.2f})")
     if worse:
         yield "bad", f"Worse than **{RULER}**, flippers held still: {'; '.join(worse)}."
     elif compared:
@@ -153,23 +165,24 @@ def _is_above(interval: Mapping[str, Any] | None, limit: float | None) -> bool:
 def _failed(rows: Sequence[Row]) -> Iterator[tuple[str, str]]:
     counts: dict[str, dict[str, int]] = {}
     for row in rows:
-        own = counts.setdefault(row["policy"], {})
+        outcomes = counts.setdefault(row["policy"], {})
         for outcome, number in row["counts"].items():
-            own[outcome] = own.get(outcome, 0) + number
-    total = sum(sum(own.values()) for own in counts.values())
+            outcomes[outcome] = outcomes.get(outcome, 0) + number
+    total = sum(sum(outcomes.values()) for outcomes in counts.values())
     failed = {
-        policy: [(o, n) for o, n in own.items() if n and o != Outcome.REACHED]
-        for policy, own in counts.items()
+        policy: [(o, n) for o, n in outcomes.items() if n and o != Outcome.REACHED]
+        for policy, outcomes in counts.items()
     }
-    number = sum(n for own in failed.values() for _, n in own)
+    number = sum(n for outcomes in failed.values() for _, n in outcomes)
+    # Without a failure there is one sentence, and none for a single episode.
     if not number:
         if total > 1:
             yield "good", f"All {total:,} episodes reached the finish."
         return
     texts = [
-        f"**{policy}** {sum(n for _, n in own)}"
-        f" ({', '.join(f'{n} {outcome}' for outcome, n in own)})"
-        for policy, own in failed.items()
-        if own
+        f"**{policy}** {sum(n for _, n in outcomes)}"
+        f" ({', '.join(f'{n} {outcome}' for outcome, n in outcomes)})"
+        for policy, outcomes in failed.items()
+        if outcomes
     ]
     yield "bad", f"{number:,} of {total:,} episodes failed: {', '.join(texts)}."

@@ -139,13 +139,14 @@ class CapabilityMap:
 def capability_map(entry: Entry, axes: tuple[Axis, Axis], player: Player) -> CapabilityMap:
     """Return the map of a policy; ``entry.config.eval`` has the episodes of a point.
 
-    A point's episodes are those of an evaluation with the values of the axes as overrides; one that
-    is not possible raises before any episode. Once a stop is asked for, the map has the finished
+    A point has the episodes of an evaluation with the values of the axes as overrides. An
+    impossible point raises before any episode. Once a stop is asked for, the map has the finished
     points alone.
     """
     size = len(axes[0].values), len(axes[1].values)
-    every = product(range(size[0]), range(size[1]))
-    configs = {point: grid_config(entry.config, axes, point) for point in every}
+    grid = product(range(size[0]), range(size[1]))
+    # All points are composed first, so that an impossible one ends the map before it begins.
+    configs = {point: grid_config(entry.config, axes, point) for point in grid}
     failures: dict[Index, Row] = {}
     entry.source.build(configs[0, 0])  # raises for a wrong layout or robot
 
@@ -193,6 +194,7 @@ def _sample(size: Index, play: Play) -> tuple[dict[Index, GridPoint], bool]:
         points |= {index: GridPoint.of(episodes) for index, episodes in play(missing, label)}
         if any(index not in points for index in missing):
             return points, False
+        # Blocks in which success changes are divided; the others can be interpolated.
         divided = [b for b in blocks if _divides(b, points)]
         if not divided:
             return points | _interpolated(blocks, points), True
@@ -263,6 +265,7 @@ def write(folder: Path, mapped: CapabilityMap) -> None:
     write_csv(folder / "map.csv", mapped.rows())
     about = f"{mapped.title}, conditions {mapped.entry.conditions.label}"
     save(map_figure(document, width=WIDTH), folder / "map.png", about)
+    # Failures near the boundary tell the most.
     points = sorted(mapped.failures, key=lambda at: (abs(mapped.points[at].success - 0.5), at))
     for i, j in points[:MOST_FAILURES]:
         row, config = mapped.failures[i, j], grid_config(mapped.entry.config, mapped.axes, (i, j))
@@ -275,6 +278,7 @@ def lines(mapped: CapabilityMap) -> Iterator[str]:
     """Yield the success of each point as text; a dot marks those that are interpolated."""
     first, second = mapped.axes
     columns, rows = mapped.size
+    # Every column is as wide as the widest text.
     heads, below = _heads(second.values), _heads(first.values)
     indent, width = max(map(len, heads)), max(4, 1 + max(map(len, below)))
     texts = {
@@ -297,8 +301,8 @@ def lines(mapped: CapabilityMap) -> Iterator[str]:
 
 def _heads(values: Sequence[float]) -> list[str]:
     """Return the values with the fewest digits, two or more, that tell them apart."""
-    every = ([f"{value:.{n}g}" for value in values] for n in range(2, DIGITS))
-    apart = (heads for heads in every if len(set(heads)) == len(heads))
+    texts = ([f"{value:.{n}g}" for value in values] for n in range(2, DIGITS))
+    apart = (heads for heads in texts if len(set(heads)) == len(heads))
     return next(apart, [f"{value:.{DIGITS}g}" for value in values])
 
 
@@ -326,8 +330,8 @@ def parse_axes(text: str, config: EvalConfig) -> tuple[Axis, Axis]:
     Each is a setting of the terrain, robot, engine, sensor or episode with a range ``LOW:HIGH`` or
     ``LOW:HIGH:VALUES``, both ends included. A setting that is itself a range has one number at
     each point, and settings joined by ``+`` have a common value. Without a range, an axis leads
-    from half to one and a half times the present value, within the bounds of the setting, or over
-    the bounds if the value is 0 or null.
+    from half to one and a half times the present value, within the bounds of the setting. If the
+    value is 0 or null, it leads over the bounds.
     """
     parts = text.split(",")
     if len(parts) != 2:
@@ -358,6 +362,7 @@ def _axis(text: str, config: EvalConfig, known: Mapping[str, Setting]) -> Axis:
     keys = tuple(key for part in name.split("+") for key in _keys(part, config, known))
     refuse_ineffective(config, {key: f"--over {key}" for key in keys})
     settings = [known[key] for key in keys]
+    # Whole numbers stay whole, which may leave fewer values.
     whole = not any(re.search(r"\b(float|Range)\b", s.field.type) for s in settings)
     low, high, count = _typed_range(ends, text) if ends else (*_default_range(settings), _VALUES)
     values = [float(v) for v in np.linspace(low, high, count)]
@@ -399,12 +404,13 @@ def _typed_range(ends: str, text: str) -> tuple[float, float, int]:
 
 
 def _default_range(settings: Sequence[Setting]) -> tuple[float, float]:
-    """Return both ends of an axis without a typed range; ``found`` are its settings.
+    """Return both ends of an axis without a typed range from its settings.
 
     A bound that is itself not allowed is replaced by a value a twentieth of the range inside it.
     """
     lows, highs = [], []
     for setting in settings:
+        # Common bounds of the settings; an excluded bound gives way to a value inside it.
         ends = {sign: float(number) for sign, number in _BOUND.findall(setting.field.bounds)}
         low = ends.get("≥", ends.get(">", -math.inf))
         high = ends.get("≤", ends.get("<", math.inf))
@@ -412,6 +418,7 @@ def _default_range(settings: Sequence[Setting]) -> tuple[float, float]:
         lows.append(low + (inside if ">" in ends else 0.0))
         highs.append(high - (inside if "<" in ends else 0.0))
     low, high = max(lows), min(highs)
+    # Around the present value, as far as the bounds allow
     if middle := sum(float(np.mean(s.value or 0)) for s in settings) / len(settings):
         near, far = sorted((0.5 * middle, 1.5 * middle))
         low, high = max(low, near), min(high, far)

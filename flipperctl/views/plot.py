@@ -46,12 +46,12 @@ _ALWAYS = ("max_pitch", "decisions", "return")
 
 @dataclass(frozen=True)
 class Request:
-    """What to draw of which folders."""
+    """What to draw, and the folders of its results."""
 
     folders: Sequence[str]
     """``DIR`` or ``METHOD=DIR``."""
     metrics: Sequence[str] = ()
-    """Empty: those of the kind."""
+    """Columns of results; empty: the kind's own."""
     names: Sequence[str] = ()
     """``NAME=METHOD``."""
     only: Sequence[str] = ()
@@ -63,7 +63,7 @@ class Request:
     episode: int | None = None
     """Index of an episode, by default the first that was traced."""
     width: float | None = None
-    """[in]; None: that of the kind."""
+    """[in]; None: the kind's own."""
 
     def sized(self) -> dict[str, float]:
         """Return the width as an argument of a figure."""
@@ -78,7 +78,7 @@ class Request:
     def scenes(self) -> dict[str, str]:
         """Return the names of scenes in tables, where several are of one terrain.
 
-        The keys are those of ``stored``: the terrain with the hash of its conditions.
+        The keys are the terrain with the hash of its conditions, as in ``stored``.
         """
         names_of: dict[str, str] = {}
         for path in self.paths():
@@ -93,8 +93,8 @@ class Request:
     def called(self, labels: Sequence[str]) -> dict[str, str]:
         """Return what the methods that are drawn are called, by label."""
         called = renamed(labels, self.names)
-        chosen = [taken(name, called, "--only") for name in self.only] or called
-        return {label: called[label] for label in chosen}
+        drawn = [taken(name, called, "--only") for name in self.only] or called
+        return {label: called[label] for label in drawn}
 
     def one_metric(self) -> str:
         """Return the metric of a kind that shows one."""
@@ -104,22 +104,22 @@ class Request:
 
 
 def estimates(
-    asked: Request, metrics: Sequence[str]
+    request: Request, metrics: Sequence[str]
 ) -> tuple[list[dict[str, Any]], tuple[str, ...]]:
     """Return a row for each method on each scene, and what was left out, in sentences.
 
     A row has ``method``, ``scene`` and each metric: a mean with its 95 % interval over training
     seeds and episodes, over the episodes that all seeds reached, or None.
     """
-    stored = {m: read(asked.folders, VARIATION if m == SUCCESS else m) for m in metrics}
+    stored = {m: read(request.folders, VARIATION if m == SUCCESS else m) for m in metrics}
     first = next(iter(stored.values()))
-    labels, scenes = [method.name for method in first.methods], asked.scenes()
+    labels, scenes = [method.name for method in first.methods], request.scenes()
     rows = []
-    for label, name in asked.called(labels).items():
+    for label, name in request.called(labels).items():
         for scene in first.episodes:
             row: dict[str, Any] = {"method": name, "scene": scenes.get(scene, scene)}
-            for metric, own in stored.items():
-                row[metric] = _estimate(own.methods[labels.index(label)], scene, metric)
+            for metric, results in stored.items():
+                row[metric] = _estimate(results.methods[labels.index(label)], scene, metric)
             rows.append(row)
     return rows, first.notices
 
@@ -149,15 +149,15 @@ def differences(
     Scores count failures, as in ``compare``; seeds are averaged within an episode.
     """
     (other,) = (m for m in comparison.stored.methods if m.name == against)
-    theirs = other.scores(comparison.prices)
+    baseline = other.scores(comparison.prices)
     for method in (m for label in called for m in comparison.stored.methods if m.name == label):
-        for scene, ours in method.scores(comparison.prices).items():
-            gap, _ = difference_interval({scene: ours}, {scene: theirs[scene]})
+        for scene, scores in method.scores(comparison.prices).items():
+            gap, _ = difference_interval({scene: scores}, {scene: baseline[scene]})
             yield {
                 "method": called[method.name],
                 "scene": scene,
                 metric: gap.to_dict(),
-                "episodes": ours.mean(axis=0) - theirs[scene].mean(axis=0),
+                "episodes": scores.mean(axis=0) - baseline[scene].mean(axis=0),
             }
 
 
@@ -166,16 +166,18 @@ def profiles(
 ) -> tuple[FloatArray, dict[str, FloatArray]]:
     """Return levels, (L,), up to the largest score that was reached, and a curve of each method.
 
-    A curve is the share of episodes at or below each level, averaged over scenes, with both ends of
-    the 95 % band of the bootstrap over seeds and episodes, (3, L).
+    A curve is the share of episodes at or below each level, averaged over scenes, (3, L). Both ends
+    of its 95 % band follow, by a bootstrap over seeds and episodes.
     """
     methods = [m for label in called for m in comparison.stored.methods if m.name == label]
+    # Levels up to the roughest crossing
     largest = [
         float(m.values[scene][reached].max(initial=0.0))
         for m in methods
         for scene, reached in m.reached.items()
     ]
     levels = np.linspace(0.0, 1.02 * (max(largest) or max(comparison.prices.values())), _LEVELS)
+    # A failure is below no level, so that a curve ends at the success rate.
     never = dict.fromkeys(comparison.prices, math.inf)  # reached at no level
     curves = {}
     for method in methods:
@@ -187,49 +189,51 @@ def profiles(
     return levels, curves
 
 
-def _intervals(asked: Request) -> tuple[Figure, Sequence[str]]:
+def _intervals(request: Request) -> tuple[Figure, Sequence[str]]:
     from flipperctl.figures.methods import intervals_figure
 
-    metrics = list(asked.metrics) or [SUCCESS, VARIATION]
-    rows, notices = estimates(asked, metrics)
-    return intervals_figure(rows, metrics, **asked.sized()), notices
+    metrics = list(request.metrics) or [SUCCESS, VARIATION]
+    rows, notices = estimates(request, metrics)
+    return intervals_figure(rows, metrics, **request.sized()), notices
 
 
-def _heat(asked: Request) -> tuple[Figure, Sequence[str]]:
+def _heat(request: Request) -> tuple[Figure, Sequence[str]]:
     from flipperctl.figures.methods import heat_figure
 
-    metric = asked.one_metric()
-    rows, notices = estimates(asked, [metric, SUCCESS])
-    return heat_figure(rows, metric, **asked.sized()), notices
+    metric = request.one_metric()
+    rows, notices = estimates(request, [metric, SUCCESS])
+    return heat_figure(rows, metric, **request.sized()), notices
 
 
-def episodes(asked: Request) -> tuple[list[Trace], list[str]]:
+def episodes(request: Request) -> tuple[list[Trace], list[str]]:
     """Return a trace of each method on one episode, and the methods' names.
 
-    Of a method with several training seeds, the first one's.
+    A method with several training seeds has the trace of the first one.
 
     Raises:
         RequestError: there are no traces, or none of this scene, episode or method.
     """
     traces: list[Trace] = []
-    for path in asked.paths():
+    for path in request.paths():
         file = path / "traces.npz"
         if not file.is_file():
             raise RequestError(
                 f"{file}: there is no such file; the eval --output of this folder writes it, again"
             )
         traces += read_traces(file)
-    scene = _one_of("--scene", asked.scene, [trace.scene for trace in traces])
+    # One episode, which all methods must have
+    scene = _one_of("--scene", request.scene, [trace.scene for trace in traces])
     traces = [trace for trace in traces if trace.scene == scene]
     number = _one_of(
-        "--episode", None if asked.episode is None else str(asked.episode),
+        "--episode", None if request.episode is None else str(request.episode),
         [str(trace.episode) for trace in traces],
     )  # fmt: skip
-    every = {t.policy: t for t in traces if str(t.episode) == number}
+    by_policy = {t.policy: t for t in traces if str(t.episode) == number}
+    # A method's first training seed stands for it.
     first: dict[str, Trace] = {}
-    for policy, trace in every.items():
+    for policy, trace in by_policy.items():
         first.setdefault(policy.partition(", seed ")[0], trace)
-    called = asked.called(list(first))
+    called = request.called(list(first))
     return [first[label] for label in called], list(called.values())
 
 
@@ -244,48 +248,48 @@ def _one_of(option: str, wanted: str | None, known: Sequence[str]) -> str:
     return wanted
 
 
-def _compared(asked: Request) -> tuple[compare.Comparison, dict[str, str]]:
-    comparison = compare.compare(asked.folders, measure=asked.one_metric())
-    return comparison, asked.called([method.name for method in comparison.stored.methods])
+def _compared(request: Request) -> tuple[compare.Comparison, dict[str, str]]:
+    comparison = compare.compare(request.folders, measure=request.one_metric())
+    return comparison, request.called([method.name for method in comparison.stored.methods])
 
 
-def _differences(asked: Request) -> tuple[Figure, Sequence[str]]:
+def _differences(request: Request) -> tuple[Figure, Sequence[str]]:
     from flipperctl.figures.methods import differences_figure
 
-    comparison, called = _compared(asked)
+    comparison, called = _compared(request)
     if len(called) < 2:
-        raise RequestError(f"{asked.folders[0]}: two methods are needed for differences")
-    against = taken(asked.against, called, "--against") if asked.against else next(iter(called))
+        raise RequestError(f"{request.folders[0]}: two methods are needed for differences")
+    against = taken(request.against, called, "--against") if request.against else next(iter(called))
     rows, scenes = (
         list(differences(comparison, called, comparison.measure, against)),
-        asked.scenes(),
+        request.scenes(),
     )
     rows = [row | {"scene": scenes.get(row["scene"], row["scene"])} for row in rows]
-    drawn = differences_figure(rows, comparison.measure, called[against], **asked.sized())
+    drawn = differences_figure(rows, comparison.measure, called[against], **request.sized())
     return drawn, comparison.stored.notices
 
 
-def _profiles(asked: Request) -> tuple[Figure, Sequence[str]]:
+def _profiles(request: Request) -> tuple[Figure, Sequence[str]]:
     from flipperctl.figures.methods import profiles_figure
 
-    comparison, called = _compared(asked)
+    comparison, called = _compared(request)
     levels, curves = profiles(comparison, called)
-    drawn = profiles_figure(levels, curves, comparison.measure, **asked.sized())
+    drawn = profiles_figure(levels, curves, comparison.measure, **request.sized())
     return drawn, comparison.stored.notices
 
 
-def _series(asked: Request) -> tuple[Figure, Sequence[str]]:
+def _series(request: Request) -> tuple[Figure, Sequence[str]]:
     from flipperctl.figures.episode import series_figure
 
-    traces, names = episodes(asked)
-    return series_figure(traces, names, **asked.sized()), ()
+    traces, names = episodes(request)
+    return series_figure(traces, names, **request.sized()), ()
 
 
-def _poses(asked: Request) -> tuple[Figure, Sequence[str]]:
+def _poses(request: Request) -> tuple[Figure, Sequence[str]]:
     from flipperctl.figures.episode import poses_figure
 
-    traces, names = episodes(asked)
-    return poses_figure(traces, names, **asked.sized()), ()
+    traces, names = episodes(request)
+    return poses_figure(traces, names, **request.sized()), ()
 
 
 KINDS: dict[str, Callable[[Request], tuple[Figure, Sequence[str]]]] = {

@@ -28,13 +28,14 @@ def published(evaluated: Document, *, strict: bool = True) -> Table | None:
     """
     scenes: dict[type[Terrain], list[Row]] = {}
     others: dict[str, None] = {}
+    # Our rows on scenes that repeat an experiment
     for scene in evaluated["scenes"]:
         terrain, conditions = registry.get(("terrain", scene["terrain"])), scene["conditions"]
         if terrain is None or not (issubclass(terrain, Terrain) and terrain.published):
             continue
         repeated = terrain.published[0].conditions == conditions["name"]
-        own = {"name": scene["terrain"], **to_dict(terrain())}
-        if conditions["terrain"] != own or not (repeated or not strict):
+        defaults = {"name": scene["terrain"], **to_dict(terrain())}
+        if conditions["terrain"] != defaults or not (repeated or not strict):
             continue
         if not repeated:
             others[conditions["name"]] = None
@@ -51,8 +52,9 @@ def published(evaluated: Document, *, strict: bool = True) -> Table | None:
                 }
             )
     table = Table(_COLUMNS, [], "Beside published results, where reached")
+    # The published rows below ours
     for terrain, rows in scenes.items():
-        theirs = [
+        papers = [
             {
                 "policy": published_row.source,
                 "success": "",
@@ -62,8 +64,11 @@ def published(evaluated: Document, *, strict: bool = True) -> Table | None:
             }
             for published_row in terrain.published
         ]
-        every = [{"terrain": "", "line": False, **row} for row in (*rows, *theirs)]
-        table.rows += [every[0] | {"terrain": terrain.plugin_name, "line": True}, *every[1:]]
+        table_rows = [{"terrain": "", "line": False, **row} for row in (*rows, *papers)]
+        table.rows += [
+            table_rows[0] | {"terrain": terrain.plugin_name, "line": True},
+            *table_rows[1:],
+        ]
     if others:
         word = next(iter(scenes)).published[0].conditions
         table.notes.append(

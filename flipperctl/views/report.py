@@ -90,8 +90,8 @@ def _page(folder: Path, document: Document, recorded: Sequence[Trace]) -> str:
     marks = _marks([*policies, *(trace.policy for trace in recorded)])
     # The published numbers have a section of their own.
     table, *others = evaluation.tables(document, "Policies")
-    beside = published(document, strict=False)
-    others = [further for further in others if beside is None or further.title != beside.title]
+    papers = published(document, strict=False)
+    others = [further for further in others if papers is None or further.title != papers.title]
     heat = _heat(rows, policies, scenes, marks) if len(scenes) > 2 and len(policies) > 1 else ""
     template = Template(_text("report.html"))
     return template.substitute(
@@ -102,7 +102,7 @@ def _page(folder: Path, document: Document, recorded: Sequence[Trace]) -> str:
         summary=_summary(document),
         results="\n".join([heat, *(html(part, marks) for part in (table, *others))]),
         figures=_figures(folder, document, policies),
-        published=_section("The paper's numbers", html(beside, marks)) if beside else "",
+        published=_section("The paper's numbers", html(papers, marks)) if papers else "",
         player=_player(recorded),
         failures=_failures(folder, rows, recorded, marks),
         origin=_origin(folder, document, marks),
@@ -111,7 +111,7 @@ def _page(folder: Path, document: Document, recorded: Sequence[Trace]) -> str:
 
 
 def _marks(names: Sequence[str]) -> dict[str, str]:
-    """Return the colour of each policy; the seeds of a method have that of the method."""
+    """Return the colour of each policy; the seeds of a method have the method's."""
     methods = {name: re.sub(r" \(\d+ seeds\)$|, seed \d+$", "", name) for name in names}
     colours = {name: f"p{at % _COLOURS}" for at, name in enumerate(dict.fromkeys(methods.values()))}
     return {name: colours[method] for name, method in methods.items()} | colours
@@ -169,22 +169,22 @@ def _heat(
     marks: Mapping[str, str],
 ) -> str:
     """Return the table of policies and scenes; a cell is darker the worse it is on its scene."""
-    own = by_scene(rows)
+    scene_rows = by_scene(rows)
     # Shades from the least to the largest pitch variation on each scene
     shade: dict[tuple[str, str], float] = {}
-    for scene, row_of in own.items():
+    for scene, row_of in scene_rows.items():
         values = {name: row[VARIATION]["mean"] for name, row in row_of.items() if row[VARIATION]}
         low, high = min(values.values(), default=0.0), max(values.values(), default=0.0)
         shade |= {(n, scene): (v - low) / (high - low or 1.0) for n, v in values.items()}
     # The best on each scene, by success first
-    best = {scene: max(row_of.values(), key=rank)["policy"] for scene, row_of in own.items()}
+    best = {scene: max(row_of.values(), key=rank)["policy"] for scene, row_of in scene_rows.items()}
     head = "".join(f'<th scope="col">{escape(scene)}</th>' for scene in scenes)
     # A cell for each policy on each scene
     body = []
     for policy in policies:
         cells = []
         for scene in scenes:
-            row = own[scene].get(policy)
+            row = scene_rows[scene].get(policy)
             if row is None:
                 cells.append("<td>–</td>")
                 continue
@@ -340,25 +340,29 @@ def _data(recorded: Sequence[Trace], marks: Mapping[str, str]) -> str:
         place = {"ground": list(grounds).index(key), "policy": policies.index(trace.policy)}
         traces.append(_plain(trace) | place)
     colours = [marks[policy] for policy in policies]
-    beside = policies.index(RULER) if RULER in policies else 1
-    names = {"policies": policies, "colours": colours, "beside": beside}
+    second = policies.index(RULER) if RULER in policies else 1
+    names = {"policies": policies, "colours": colours, "beside": second}
     document = {**names, "grounds": list(grounds.values()), "traces": traces}
     # In a page, a text that looks like the end of the script would be one.
     return json.dumps(document, separators=(",", ":")).replace("<", "\\u003c")
 
 
 def _plain(trace: Trace) -> dict[str, Any]:
-    chosen = np.unique([*range(0, len(trace.time), _PERIOD), len(trace.time) - 1])
+    samples = np.unique([*range(0, len(trace.time), _PERIOD), len(trace.time) - 1])
     columns = {
         "t": trace.time,
         "x": trace.position[:, 0],
         "z": trace.position[:, 1],
-        **{name: getattr(trace, name) for name in ("pitch", "front", "rear")},
+        "pitch": trace.pitch,
+        "front": trace.front,
+        "rear": trace.rear,
     }
     robot = trace.robot
     return {
-        **{name: getattr(trace, name) for name in ("scene", "episode", "outcome")},
-        **{name: _steps(values[chosen]) for name, values in columns.items()},
+        "scene": trace.scene,
+        "episode": trace.episode,
+        "outcome": trace.outcome,
+        **{name: _steps(values[samples]) for name, values in columns.items()},
         "robot": [robot.hinge_offset, robot.flipper_axle, robot.track_radius],
         "decided": np.round(trace.decided, 3).tolist(),
         "heights": [
@@ -404,7 +408,7 @@ def _origin(folder: Path, document: Document, marks: Mapping[str, str]) -> str:
     for header in headers:
         for name, version in header.get("versions", {}).items():
             versions.setdefault(name, {})[str(version)] = None
-    facts = {name: " and ".join(own) for name, own in versions.items()}
+    facts = {name: " and ".join(values) for name, values in versions.items()}
     if commits := dict.fromkeys(str(h["commit"]) for h in headers if h.get("commit")):
         facts["commit"] = " and ".join(commits)
     # Policies by the digest of their weights or settings, and scenes with their conditions
@@ -426,8 +430,12 @@ def _origin(folder: Path, document: Document, marks: Mapping[str, str]) -> str:
         tuple(
             Column(key, heading, named=True)
             for key, heading in (
-                *(("scene", "scene"), ("conditions", "conditions"), ("hash", "their hash")),
-                *(("engine", "engine"), ("seed", "seed"), ("episodes", "episodes")),
+                ("scene", "scene"),
+                ("conditions", "conditions"),
+                ("hash", "their hash"),
+                ("engine", "engine"),
+                ("seed", "seed"),
+                ("episodes", "episodes"),
             )
         ),
         list(

@@ -3,8 +3,8 @@
 In: a policy, or the episodes of several with equal seeds, and sets of reward terms. Out: a
 document, a table and verdicts. A term that is too weak has no effect, one that saturates at most
 steps tells nothing. A reward contradicts θ̂_R at 100 Hz if a policy has a higher return than another
-but also a larger θ̂_R, with both paired differences beyond noise; ``decide`` corrects the tests of
-all pairs of policies, rewards and scenes together. The episodes are played once for all rewards,
+but also a larger θ̂_R. Both paired differences must be beyond noise; ``decide`` corrects the tests
+of all pairs of policies, rewards and scenes together. The episodes are played once for all rewards,
 since the environment computes the terms of all of them.
 """
 
@@ -64,6 +64,7 @@ def audit(
     policy = source.build(config)
     seeds = EvaluationSeeds.of(config.eval.seed, config.terrain)
     collected: dict[str, list[float]] = {name: [] for name in config.rewards}
+    # The values of all terms at every decision
     for index in range(episodes):
 
         def search(fraction: float, before: int = index) -> None:
@@ -73,6 +74,7 @@ def audit(
             for name, value in decision.rewards.items():
                 collected[name].append(value)
         report(index + 1.0)
+    # Shares are of the absolute sum, since terms of opposite signs would cancel.
     values = {name: np.array(column) for name, column in collected.items()}  # each (D,)
     total = sum(float(np.abs(column).sum()) for column in values.values())
     return {
@@ -161,8 +163,9 @@ def _scene(
     player: Player,
 ) -> Document:
     terrain = config.terrain.plugin_name
-    every = {f"{at}.{n}": term for at, terms in rewards.items() for n, term in terms.items()}
-    whole = config.model_copy(update={"rewards": every})
+    # Terms of all rewards at once, so that the episodes are played once
+    terms_of_all = {f"{at}.{n}": term for at, terms in rewards.items() for n, term in terms.items()}
+    whole = config.model_copy(update={"rewards": terms_of_all})
     played = {
         label: player.play(whole, source, f"{terrain}, {label}")
         for label, source in policies.items()
@@ -184,7 +187,10 @@ def common_episodes(played: Mapping[str, Episodes]) -> dict[str, Episodes]:
     """Return each policy's episodes with the seeds that every policy crossed."""
     crossed = [{row["seed"] for row in episodes.reached} for episodes in played.values()]
     seeds = set.intersection(*crossed)
-    return {label: own.where(lambda row: row["seed"] in seeds) for label, own in played.items()}
+    return {
+        label: episodes.where(lambda row: row["seed"] in seeds)
+        for label, episodes in played.items()
+    }
 
 
 def measures(played: Mapping[str, Episodes]) -> dict[str, Document]:
@@ -218,6 +224,7 @@ def rank(label: str, terms: Rewards, played: Mapping[str, Episodes], prefix: str
     paid = {name: returns(episodes, names, prefix).tolist() for name, episodes in common.items()}
     means = {name: _mean(values) for name, values in paid.items()}
     ordered = dict(sorted(means.items(), key=lambda item: -item[1]["mean"] if item[1] else 0.0))
+    # A few common episodes decide nothing.
     enough = len(next(iter(common.values()))) >= FEWEST
     pairs = list(combinations(common, 2)) if enough else []
     tested = (_contradiction(pair, common, paid, names, prefix) for pair in pairs)
@@ -241,6 +248,7 @@ def decide(scenes: list[Document]) -> list[Document]:
     The p-values are corrected for all tests of all scenes together. A pair whose differences have
     opposite signs has a p-value of 1.
     """
+    # Tests without a contradiction count for the correction, too.
     rankings = [ranking for scene in scenes for ranking in scene["rankings"]]
     contradictions = [
         contradiction for ranking in rankings for contradiction in ranking["contradictions"]
@@ -254,15 +262,16 @@ def decide(scenes: list[Document]) -> list[Document]:
     )
     for contradiction, p in zip(contradictions, corrected, strict=False):
         contradiction["p_holm"] = p
+    # Only a contradiction beyond chance remains.
     for ranking in rankings:
-        kept = [
+        significant = [
             contradiction
             for contradiction in ranking["contradictions"]
             if contradiction["p_holm"] <= _SIGNIFICANT
         ]
-        ranking["contradictions"] = kept
+        ranking["contradictions"] = significant
         if ranking.pop("tests"):
-            ranking["verdict"] = str(Verdict.CONTRADICTS if kept else Verdict.AGREES)
+            ranking["verdict"] = str(Verdict.CONTRADICTS if significant else Verdict.AGREES)
     return scenes
 
 
@@ -281,12 +290,14 @@ def _contradiction(
     def differences(values: Mapping[str, Sequence[float]]) -> list[float]:
         return [a - b for a, b in zip(*(values[label] for label in pair), strict=True)]
 
+    # The rougher policy comes first.
     measured = {label: common[label].values(_MEASURES[0]) for label in pair}
     if sum(differences(measured)) < 0:
         pair = pair[::-1]
     variation, gain = differences(measured), differences(paid)
     if not (sum(variation) > 0 and sum(gain) > 0):
         return None
+    # Which terms pay for the rougher drive
     parts = {}
     for name in names:
         column = f"{REWARD}{prefix}{name}"
@@ -345,6 +356,7 @@ def verdict_lines(scenes: Sequence[Document]) -> Iterator[str]:
         Verdict.AGREES: "no contradiction to pitch variation on",
         Verdict.UNDECIDED: f"undecided (fewer than {FEWEST} common episodes) on",
     }
+    # Contradictions one by one, then a verdict on each set of terms
     verdicts: dict[str, dict[str, list[str]]] = {}
     for name, scene in named({"scenes": scenes}):
         for ranking in scene["rankings"]:

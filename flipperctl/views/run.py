@@ -119,7 +119,7 @@ def with_best_known(result: Result, store: EpisodeStore) -> Result:
 
 
 def _best(together: Sequence[Played], store: FolderStore) -> Played | None:
-    """Return the best stored policy with all episodes of a scene, of which these are the rows.
+    """Return the best stored policy with all episodes of a scene; ``together``: the scene's rows.
 
     None if there is none, or one of the rows is as good.
     """
@@ -233,7 +233,7 @@ class _Files:
         # Files are replaced together; the report is of earlier ones, and follows later.
         lost = _lost_rows(path, document)
         self._folder.replace(write, [] if result.interruption else self._later)
-        (path / report.FILE).unlink(missing_ok=True)  # until that of the new files is written
+        (path / report.FILE).unlink(missing_ok=True)  # until the new report is written
         write_view(path)
         self._tell(f"saved to {path}")
         if lost:
@@ -297,8 +297,8 @@ def episode_rows(result: Result) -> Iterator[Row]:
         who = {"scene": entry.terrain, "controller": entry.row_label}
         conditions = {"conditions": entry.conditions.name, "conditions_hash": entry.conditions.hash}
         for row in item.episodes:
-            own = {n: value for n, value in row.items() if n not in (DIGEST, RECORDED)}
-            yield {**who, **own, **conditions, **entry.names}
+            numbers = {n: value for n, value in row.items() if n not in (DIGEST, RECORDED)}
+            yield {**who, **numbers, **conditions, **entry.names}
 
 
 def failure_records(result: Result) -> Iterator[tuple[str, replay.EpisodeRecord]]:

@@ -45,8 +45,8 @@ class Chosen:
     def key(self) -> _Key:
         """What is equal for equal episodes."""
         row = self.row
-        own = self.policy, self.entry.conditions.hash
-        return *own, row["seed"], row["episode"], row.get(DIGEST, "")
+        who = self.policy, self.entry.conditions.hash
+        return *who, row["seed"], row["episode"], row.get(DIGEST, "")
 
 
 def choose(result: Result, document: Document) -> list[Chosen]:
@@ -61,25 +61,25 @@ def choose(result: Result, document: Document) -> list[Chosen]:
             (first, played.episodes[:1]),
             (failed, played.episodes.failed[:FAILURES]),
         ):
-            chosen = [Chosen(played.entry, row, policy, scene) for row in rows]
-            choice.update({c.key: c for c in chosen if c.key not in first})
+            episodes = [Chosen(played.entry, row, policy, scene) for row in rows]
+            choice.update({c.key: c for c in episodes if c.key not in first})
 
     scenes = named(document)
     called = names([scene.get("method") or scene["controller"] for _, scene in scenes])
-    for (scene, told), item in zip(scenes, result.rows, strict=True):
-        seed = f", seed {told['training_seed']}" if "training_seed" in told else ""
-        add(item, scene, called[told.get("method") or told["controller"]] + seed)
+    for (scene, summary), item in zip(scenes, result.rows, strict=True):
+        seed = f", seed {summary['training_seed']}" if "training_seed" in summary else ""
+        add(item, scene, called[summary.get("method") or summary["controller"]] + seed)
         for other in [] if result.plan.has_methods else result.baselines(item):
             add(other, scene, other.entry.label)
     return [*first.values(), *failed.values()][:MOST]
 
 
 class Traces:
-    """The traces of an evaluation, of which those of an earlier command are not played again."""
+    """The traces of an evaluation; traces of an earlier command are not played again."""
 
-    def __init__(self, file: Path, chosen: Sequence[Chosen], tell: Callable[[str], None]) -> None:
-        """Read those that ``file`` has; ``tell`` is called with a line if it is damaged."""
-        self._file, self._chosen = file, chosen
+    def __init__(self, file: Path, episodes: Sequence[Chosen], tell: Callable[[str], None]) -> None:
+        """Read the traces that ``file`` has; ``tell`` is called with a line if it is damaged."""
+        self._file, self._chosen = file, episodes
         self._found: dict[_Key, Trace] = {}
         try:
             earlier = {
@@ -90,12 +90,12 @@ class Traces:
             tell(f"{error}; its episodes are played again")
             return
         # Traces of equal episodes are taken over, under the name that the scene has now.
-        for item in chosen:
+        for item in episodes:
             if item.key in earlier:
                 self._found[item.key] = replace(earlier[item.key], scene=item.scene)
 
     def write(self, file: Path) -> None:
-        """Write those that there are, in the order in which they were chosen, if there are any."""
+        """Write the traces, in the order in which they were chosen, if there are any."""
         if self._found:
             write(file, [self._found[c.key] for c in self._chosen if c.key in self._found])
 
@@ -144,10 +144,10 @@ class Traces:
                     return
                 seed = entry.config.eval.seed
                 runner = runner or EpisodeRunner(entry.config, entry.source, seed, search)
-                made, profile = runner.transitions(item.row["episode"])
+                transitions, profile = runner.transitions(item.row["episode"])
                 policy, conditions, seed, episode, digest = item.key
                 self._found[item.key] = Trace.of(
-                    made,
+                    transitions,
                     profile,
                     policy=policy,
                     scene=item.scene,

@@ -1,7 +1,7 @@
 """Tune a controller's settings on episodes of trainings, by CMA-ES (Hansen 2016) or its ``learn``.
 
 In: scenes with a controller, an objective, a budget of episodes. Out: settings, and their score
-beside that of the start on episodes that neither search nor choice met. All candidates of a
+beside the score of the start, on episodes that neither search nor choice met. All candidates of a
 generation play equal episodes, and each generation has its own.
 """
 
@@ -64,7 +64,7 @@ _COLUMNS = (
 Fields = dict[str, float]
 Measure = Callable[[Sequence[Mapping[str, Any]], int, int, str], list[Scores]]
 """Plays candidates on the draws of a number, so many episodes on each scene, under a label; returns
-the score of each candidate's episodes by scene, (1, E), of which less is better."""
+the score of each candidate's episodes by scene, (1, E); less is better."""
 
 
 @dataclass(frozen=True)
@@ -99,11 +99,15 @@ class Setting:
 def settings_of(controller: Controller, names: Sequence[str] | None = None) -> list[Setting]:
     """Return the numbers of a controller that have two bounds, or the named ones among them."""
     settings = {}
+    # Numbers between two bounds; a range that is wide for its start is searched on a logarithmic
+    # scale.
     for name, info in type(controller).model_fields.items():
         ends = {}
         for side, keys in (("low", ("ge", "gt")), ("high", ("le", "lt"))):
-            given = (getattr(constraint, key, None) for constraint in info.metadata for key in keys)
-            ends[side] = next((bound for bound in given if bound is not None), math.inf)
+            limits = (
+                getattr(constraint, key, None) for constraint in info.metadata for key in keys
+            )
+            ends[side] = next((bound for bound in limits if bound is not None), math.inf)
         if info.annotation in (int, float) and all(map(math.isfinite, ends.values())):
             above, width = getattr(controller, name) - ends["low"], ends["high"] - ends["low"]
             scale = above if 0 < above < width / _WIDE else 0.0
@@ -135,9 +139,10 @@ class Spending:
 
     @classmethod
     def of(cls, budget: int, settings: int, scenes: int, episodes: int | None) -> Spending:
-        """Divide the episodes of a budget; ``episodes``: those of a candidate on each scene."""
+        """Divide the episodes of a budget; ``episodes``: a candidate's on each scene."""
         each = max(_LEAST, EPISODES // scenes) if episodes is None else episodes
         candidates = 4 + int(3 * math.log(max(2, settings)))  # Hansen 2016, Table 1
+        # The comparison at the end takes its share, generations take the rest.
         final = max(_FEWEST, int(_FINAL * budget / (_FINALISTS + 2) / scenes))
         ending, generation = (_FINALISTS + 2) * final * scenes, candidates * each * scenes
         if budget < ending + generation:
@@ -166,7 +171,7 @@ def learning(budget: int, scenes: int, episodes: int | None) -> tuple[int, int]:
 
 @dataclass(frozen=True)
 class Tuned:
-    """The settings that a search found or a controller learnt, beside those of the start."""
+    """The settings that a search found or a controller learnt, and the settings of the start."""
 
     start: Mapping[str, Any]
     found: Mapping[str, Any]
@@ -217,6 +222,7 @@ def search(
     def values(x: Sequence[float]) -> Fields:
         return {s.name: s.at(float(share)) for s, share in zip(settings, x, strict=False)}
 
+    # Costs that an interrupted search measured are taken over; the strategy learns from all.
     for number in range(spending.generations):
         sampled = [
             _sample(strategy, lambda x: valid(values(x))) for _ in range(spending.candidates)
@@ -230,6 +236,7 @@ def search(
             keep(costs)
         strategy.tell(sampled, costs[number])
         bests.append(candidates[int(np.argmin(costs[number]))])
+    # The favourite and the best of the last generations meet the start on fresh episodes.
     favourite = values(strategy.result.xfavorite)
     finalists = [start]
     for candidate in (favourite, *bests[-_RECENT:]):
@@ -328,6 +335,7 @@ class Request:
             InterruptedRunError: ``stop`` returned True, or the player was stopped.
         """
         controller, seed = self.controller, training_seed(self.seed, 0)
+        # The budget is for learning and for the comparison at the end.
         count, final = learning(self.budget, len(self.entries), self.episodes)
         word = self.demonstrator
         shown = None if word is None else Demonstrator(word, self.entries)
@@ -340,6 +348,7 @@ class Request:
             raise refusal(
                 controller, "learn", f"returned {short_repr(learnt)}; its own class is allowed"
             )
+        # Only settings that have changed are shown.
         start, end = resolver.to_dict(controller), resolver.to_dict(learnt)
         changed = [name for name in start if start[name] != end[name]]
         playing = Playing(self.entries, self.objective, self.seed, player, tell_size)
@@ -358,9 +367,10 @@ class Request:
         spending = Spending.of(self.budget, len(settings), len(self.entries), self.episodes)
         start = {setting.name: getattr(controller, setting.name) for setting in settings}
         fixed = resolver.to_dict(controller)
-        asked: dict[str, Any] = {"controller": fixed, "start": start, "words": list(self.words)}
-        asked |= {"spending": asdict(spending), "version": __version__}
-        asked |= {"objective": self.objective, "seed": self.seed}
+        # Generations of an earlier search count only if all of this is equal.
+        identity: dict[str, Any] = {"controller": fixed, "start": start, "words": list(self.words)}
+        identity |= {"spending": asdict(spending), "version": __version__}
+        identity |= {"objective": self.objective, "seed": self.seed}
 
         def valid(fields: Fields) -> bool:
             try:
@@ -370,12 +380,16 @@ class Request:
             return True
 
         def keep(costs: list[list[float]]) -> None:
-            write_json(state, {"search": asked, "costs": costs})
+            write_json(state, {"search": identity, "costs": costs})
 
         playing = Playing(self.entries, self.objective, self.seed, player, tell_size)
-        earlier = _earlier(state, asked)
+        earlier = _earlier(state, identity)
         tuned = search(
-            *(settings, start, valid, spending, playing),
+            settings,
+            start,
+            valid,
+            spending,
+            playing,
             seed=self.seed,
             earlier=earlier,
             keep=keep,
@@ -388,7 +402,7 @@ class Request:
         before, after, difference = (
             Score(**score.to_dict()) for score in (tuned.before, tuned.after, tuned.difference)
         )
-        own = resolver.to_dict(self.controller) | dict(tuned.found)
+        fields = resolver.to_dict(self.controller) | dict(tuned.found)
         tuning = Tuning(
             words=list(self.words),
             objective=self.objective,
@@ -399,7 +413,7 @@ class Request:
             difference=difference,
             version=__version__,
         )
-        return PolicyFile(controller=own.pop("name"), settings=own, tuning=tuning)
+        return PolicyFile(controller=fields.pop("name"), settings=fields, tuning=tuning)
 
     def table(self, tuned: Tuned) -> Table:
         """Return the settings before and after, and the scores."""
@@ -429,7 +443,7 @@ class Request:
 
 
 def _shown(value: Any, model: type[Controller], name: str) -> Any:
-    """Return a value for a cell: of a list, how many numbers, or what its field says of ``empty``.
+    """Return a value for a cell; a list shows its size, an empty one its field's description.
 
     Such a description has ``; empty: those of the package, learnt on…``.
     """
@@ -439,7 +453,7 @@ def _shown(value: Any, model: type[Controller], name: str) -> Any:
 
 
 def _verdict(difference: Interval) -> str:
-    """Return how the settings that were found compare with those of the start."""
+    """Return how the resulting settings compare with the start."""
     if difference.low is not None and difference.low > 0:
         return "worse than before, beyond chance: keep those before, or give a larger budget"
     if difference.high is not None and difference.high < 0:
@@ -447,12 +461,12 @@ def _verdict(difference: Interval) -> str:
     return "no difference beyond chance; a larger budget may find one"
 
 
-def _earlier(state: Path, asked: Mapping[str, Any]) -> list[list[float]]:
+def _earlier(state: Path, identity: Mapping[str, Any]) -> list[list[float]]:
     """Return the costs of the generations that an interrupted search of the same kept."""
     try:
         state_before = json.loads(state.read_bytes())
         costs = [list(map(float, cost)) for cost in state_before["costs"]]
-        same = state_before["search"] == json.loads(json.dumps(asked))
+        same = state_before["search"] == json.loads(json.dumps(identity))
     except FileNotFoundError:
         return []
     except (OSError, ValueError, TypeError, KeyError):
