@@ -61,6 +61,7 @@ def training(config: TrainConfig, sizes: Sizes, report: Report) -> dict[str, Any
     from flipperctl.config import with_overrides
     from flipperctl.training.trainer import Trainer
 
+    # One long training, cut into equal parts afterwards, so that it starts but once
     total = sizes.decisions * sizes.repeats
     begun = [(0, 0.0)]
 
@@ -68,7 +69,7 @@ def training(config: TrainConfig, sizes: Sizes, report: Report) -> dict[str, Any
         begun.append((row["decision"], time.perf_counter()))
         report("training", row["decision"] / total)
 
-    def ignored(*given: object) -> None:
+    def ignored(*arguments: object) -> None:
         """Take what a listener is told besides."""
 
     watch: Any = SimpleNamespace(episode=episode, validation=ignored, note=ignored, close=ignored)
@@ -78,6 +79,7 @@ def training(config: TrainConfig, sizes: Sizes, report: Report) -> dict[str, Any
         trainer.run()
     import numpy as np
 
+    # The times at which each part begins and ends lie between two episodes.
     decisions, times = zip(*begun[1:], strict=True)
     marks = np.interp(np.linspace(decisions[0], decisions[-1], sizes.repeats + 1), decisions, times)
     part = (decisions[-1] - decisions[0]) / sizes.repeats
@@ -103,14 +105,19 @@ def evaluation(config: TrainConfig, sizes: Sizes, report: Report) -> dict[str, A
     from flipperctl.policies.source import load_policy
     from flipperctl.rollout.episode import EvaluationSeeds, decisions
 
-    own, missing = config.environment(), list[str]()
+    # Each engine plays the same episodes, compiled before the clock runs.
+    environment, missing = config.environment(), list[str]()
     clocks: dict[str, Callable[[], float]] = {}
     for engine in registered_names("sim"):
-        one = own if engine == own.sim.plugin_name else with_overrides(own, {"sim": engine})
+        variant = (
+            environment
+            if engine == environment.sim.plugin_name
+            else with_overrides(environment, {"sim": engine})
+        )
         try:
-            env = FlipperEnv(config=one)
-            policy = load_policy(_POLICY, "bench").build(one)
-            seeds = EvaluationSeeds.of(0, one.terrain).first(sizes.episodes)
+            env = FlipperEnv(config=variant)
+            policy = load_policy(_POLICY, "bench").build(variant)
+            seeds = EvaluationSeeds.of(0, variant.terrain).first(sizes.episodes)
 
             def clock(env: FlipperEnv = env, policy: Any = policy, seeds: Any = seeds) -> float:
                 simulated, begun = 0.0, time.process_time()
@@ -125,10 +132,11 @@ def evaluation(config: TrainConfig, sizes: Sizes, report: Report) -> dict[str, A
             missing.append(str(error))
         else:
             clocks[engine] = clock
-    found = measure_in_turn(clocks, sizes.repeats, lambda done: report("engines in turn", done))
+    # In turn, so that a slow moment of the machine slows all of them
+    speeds = measure_in_turn(clocks, sizes.repeats, lambda done: report("engines in turn", done))
     return {
         "about": f"simulated time per second of CPU time of episodes of {_POLICY}",
-        "quantities": {f"evaluation.{name}": quantity(v, "-") for name, v in found.items()},
+        "quantities": {f"evaluation.{name}": quantity(v, "-") for name, v in speeds.items()},
         "missing": missing,
     }
 
@@ -140,6 +148,7 @@ def decision(config: TrainConfig, sizes: Sizes, report: Report) -> dict[str, Any
     from flipperctl.export.policy import export
     from flipperctl.training.trainer import Trainer
 
+    # A short training makes the policy, since only its size matters for the time.
     short = with_overrides(config, {**_short(SMALL.decisions), "train.mode": "exact"})
     rounds: list[dict[str, Any]] = []
     missing = []
@@ -154,7 +163,7 @@ def decision(config: TrainConfig, sizes: Sizes, report: Report) -> dict[str, Any
                 rounds.append(clocked(policy, sizes.calls))
         except MissingExtraError as error:
             missing.append(str(error))
-    values = {what: [found[what] for found in rounds] for what in ("median", "p99") if rounds}
+    values = {what: [timing[what] for timing in rounds] for what in ("median", "p99") if rounds}
     return {
         "about": "one decision of an exported policy on one thread, without torch and pymunk",
         "quantities": {f"decision.{what}": quantity(v, "µs") for what, v in values.items()},
@@ -172,8 +181,8 @@ def clocked(policy: Path, calls: int, seed: int = 0) -> dict[str, Any]:
         MissingExtraError: ONNX Runtime is not installed.
     """
     words = [sys.executable, "-m", "flipperctl.cli.bench", str(policy), str(calls), str(seed)]
-    found: dict[str, Any] = json.loads(output(words, "decision: the policy's own process"))
-    return found
+    timing: dict[str, Any] = json.loads(output(words, "decision: the policy's own process"))
+    return timing
 
 
 def time_decisions(path: str, calls: int, seed: int) -> dict[str, object]:
@@ -198,6 +207,7 @@ def time_decisions(path: str, calls: int, seed: int) -> dict[str, object]:
     shape = 256, policy.interface.size
     observations = np.random.default_rng(seed).uniform(-0.1, 0.1, shape).astype(np.float32)
     took = np.empty(calls)
+    # The first calls are slower; their times are overwritten.
     for index in range(-_WARM_UP, calls):
         observation = observations[index % len(observations)]  # [m, rad]
         begun = time.perf_counter_ns()
@@ -219,11 +229,13 @@ def output(command: Sequence[str], what: str) -> str:
 
     from flipperctl.rollout.pool import python_environment
 
+    # The environment makes the child find this flipperctl, whatever else is installed.
     done = subprocess.run(  # noqa: S603
         command, env=python_environment(), capture_output=True, text=True, check=False
     )
     if done.returncode == 0:
         return done.stdout
+    # The last line of a traceback says what is missing.
     reason = (done.stderr.strip().splitlines() or ["it wrote no message"])[-1]
     if done.returncode == MissingExtraError.exit_code and "install flipperctl[" in reason:
         raise MissingExtraError(reason.removeprefix("error: "))
@@ -272,7 +284,7 @@ def _processor() -> str:
 
 
 def quantity(values: Values, unit: str) -> dict[str, Any]:
-    """Return median and quartiles; one that falls on a run without a number is None."""
+    """Return median and quartiles; a value that falls on a run without a number is None."""
     low, median, high = (finite(quantile(values, q)) for q in (0.25, 0.5, 0.75))
     return {"unit": unit, "median": median, "low": low, "high": high, "values": list(values)}
 
@@ -300,12 +312,12 @@ def measure_in_turn(
     They take turns so that a temporarily slow machine slows all of them. ``report`` is called with
     the finished fraction of the rounds.
     """
-    found: dict[str, list[float]] = {name: [] for name in contestants}
+    results: dict[str, list[float]] = {name: [] for name in contestants}
     for index in range(rounds):
         for name, run in contestants.items():
-            found[name].append(run())
+            results[name].append(run())
         report((index + 1) / rounds)
-    return found
+    return results
 
 
 def table(name: str, measured: Mapping[str, Any]) -> Table:
@@ -318,11 +330,12 @@ def table(name: str, measured: Mapping[str, Any]) -> Table:
     def text(value: float | None, missing: str = NONE) -> str:
         return missing if value is None else number(value)
 
-    def row(what: str, one: Mapping[str, Any], median: str, unit: str) -> dict[str, Any]:
-        known = one["low"] is not None or one["high"] is not None
-        spread = f"{text(one['low'])} … {text(one['high'])}" if known else NONE
+    def row(what: str, numbers: Mapping[str, Any], median: str, unit: str) -> dict[str, Any]:
+        known = numbers["low"] is not None or numbers["high"] is not None
+        spread = f"{text(numbers['low'])} … {text(numbers['high'])}" if known else NONE
         return {"what": what, "median": median, "range": spread, "unit": unit}
 
+    # Medians with their quartiles, then ratios below a line
     rows = [
         row(what, q, text(q["median"], measured.get("unfinished", NONE)), q["unit"])
         for what, q in measured["quantities"].items()

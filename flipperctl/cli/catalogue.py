@@ -147,7 +147,7 @@ class Entry:
     about: str = ""
     """The whole text about a preset; empty for others."""
     settings: Mapping[str, str] = field(default_factory=dict)
-    """Settings of a preset by key; those of a suite by the names of its scenes."""
+    """Settings of a preset by key; a suite's overrides by the names of its scenes."""
 
     @property
     def command(self) -> str:
@@ -174,8 +174,10 @@ class Key:
         """Return a command that sets it to its default; ``used``: by train as it is."""
         kind, _, name = self.owner.partition(" ")
         word = f"{self.key}={override_text(self.field.default)}"
-        if kind == "training" and self.key in (found := _groups()):
-            return found[self.key].command.replace("NAME", found[self.key].example)
+        # A choice of plugin is set by a command that chooses one.
+        if kind == "training" and self.key in (groups := _groups()):
+            return groups[self.key].command.replace("NAME", groups[self.key].example)
+        # A setting of a plugin needs its plugin chosen, unless train has it anyway.
         if "=" in kind:
             word = f"{self.owner} {word}"
         elif kind == "controller":
@@ -187,6 +189,7 @@ class Key:
 
 def entries(group: str) -> list[Entry]:
     """Return the names of a group, sorted."""
+    # Policies and packages have texts of their own; plugins and presets are in registry and files.
     if group == "policy":
         return [Entry(group, name, _of_card(file)) for name, file in shipped_policies().items()]
     if group == "plugin":
@@ -194,11 +197,11 @@ def entries(group: str) -> list[Entry]:
             package: shorten(f"{len(keys)}: {', '.join(map(' '.join, keys))}", 72, placeholder=" …")
             for package, keys in plugins.packages().items()
         }
-        inside |= {one.package: f"broken: {one.reason}" for one in broken}
+        inside |= {package.package: f"broken: {package.reason}" for package in broken}
         return [Entry(group, name, text) for name, text in sorted(inside.items())]
     if any(kind == group for kind, _ in registry):
-        found = [(name, cls) for (kind, name), cls in sorted(registry.items()) if kind == group]
-        return [Entry(group, name, summary(cls).rstrip(".")) for name, cls in found]
+        classes = [(name, cls) for (kind, name), cls in sorted(registry.items()) if kind == group]
+        return [Entry(group, name, summary(cls).rstrip(".")) for name, cls in classes]
     return [preset(group, name, file) for name, file in files(group).items()]
 
 
@@ -212,19 +215,20 @@ def preset(group: str, name: str, file: Any) -> Entry:
     """Return a named set of settings; its first comment, or a suite's ``about``, is about it."""
     text = strict_yaml.read_text(file, file.name)
     document = strict_yaml.parse(text, file.name) or {}
+    # The first comment of a preset says what it is for.
     first = re.match(r"(?:# @package .*\n)?((?:#.*\n)*)", text)
     comment = " ".join(line.lstrip("# ") for line in (first[1] if first else "").splitlines())
     if group == "suite":
-        about, held = str(document.get("about", "")), dict(document.get("scenes", {}))
+        about, settings = str(document.get("about", "")), dict(document.get("scenes", {}))
     else:
         about = " ".join(comment.split())
         prefix = "" if group in ("experiment", "conditions") else f"{group}."
-        held = dict(_flat(document, prefix))
+        settings = dict(_flat(document, prefix))
         if group == "experiment":  # and what it sets of single learners
             for part, inner in files("by_learner").items():
                 if part.startswith(f"{name}-"):
-                    held |= _flat(strict_yaml.read(inner, part) or {}, f"{Learner.kind}.")
-    return Entry(group, name, first_sentence(about), about, held)
+                    settings |= _flat(strict_yaml.read(inner, part) or {}, f"{Learner.kind}.")
+    return Entry(group, name, first_sentence(about), about, settings)
 
 
 def first_sentence(text: str) -> str:
@@ -238,21 +242,25 @@ def first_clause(text: str) -> str:
 
 
 def keys() -> Iterator[Key]:
-    """Yield every setting of every section and plugin, and those outside of all sections."""
-    for one in fields(TrainConfig):
-        choices = [e.name for e in entries(one.name)]
-        choices += [word[2] for name in SECTIONS if (word := name.partition("="))[0] == one.name]
-        if one.description:
-            allowed = one.bounds or ", ".join(filter(None, choices))
-            yield Key(one.name, "training", TrainConfig, replace(one, bounds=allowed))
+    """Yield every setting of every section and plugin, and the settings outside of sections."""
+    # Choices of the configuration itself, such as network or collector
+    for setting in fields(TrainConfig):
+        choices = [e.name for e in entries(setting.name)]
+        choices += [
+            word[2] for name in SECTIONS if (word := name.partition("="))[0] == setting.name
+        ]
+        if setting.description:
+            allowed = setting.bounds or ", ".join(filter(None, choices))
+            yield Key(setting.name, "training", TrainConfig, replace(setting, bounds=allowed))
+    # Sections without a plugin, then every plugin
     for name, cls in SECTIONS.items():
         path, _, choice = name.partition("=")
-        own = (f for f in fields(cls) if not (choice and f.name == "name"))
-        yield from (Key(f"{path}.{f.name}", name, cls, f) for f in own)
+        section_fields = (f for f in fields(cls) if not (choice and f.name == "name"))
+        yield from (Key(f"{path}.{f.name}", name, cls, f) for f in section_fields)
     for (kind, name), plugin in sorted(registry.items()):
         path = PLUGIN_KEYS.get(kind, "").replace("NAME", name)
-        for one in fields(plugin) if path else ():
-            yield Key(f"{path}.{one.name}", f"{kind} {name}", plugin, one)
+        for setting in fields(plugin) if path else ():
+            yield Key(f"{path}.{setting.name}", f"{kind} {name}", plugin, setting)
 
 
 def _arguments() -> Iterator[Key]:
@@ -268,29 +276,30 @@ def _arguments() -> Iterator[Key]:
 
 
 def keys_named(word: str) -> list[Key]:
+    # A whole key first, then a section; a field's name alone may be that of many.
     """Return the settings that a word names: by key, by section, by ``stair.rise`` or ``rise``."""
-    found = list(keys())
-    whole = [one for one in found if one.key == word]
+    known = list(keys())
+    whole = [key for key in known if key.key == word]
     if not whole and word.count(".") > 1 and word.startswith(f"{Learner.kind}."):
-        found = list(_arguments())
-        whole = [one for one in found if one.key == word]
-    whole += [one for one in found if one.owner.partition("=")[0] == word]
+        known = list(_arguments())
+        whole = [key for key in known if key.key == word]
+    whole += [key for key in known if key.owner.partition("=")[0] == word]
     if whole:
         return whole
-    return [one for one in found if word in (one.field.name, one.alias)]
+    return [key for key in known if word in (key.field.name, key.alias)]
 
 
 def set_by(key: Key) -> dict[str, str]:
     """Return the presets that set a setting, each with its value."""
     section, _, plugin = key.owner.partition(" ")
     return {
-        f"{one.group}={one.name}": one.settings[key.key]
-        for one in presets()
-        if key.key in one.settings and one.settings.get(section, plugin) == plugin
+        f"{entry.group}={entry.name}": entry.settings[key.key]
+        for entry in presets()
+        if key.key in entry.settings and entry.settings.get(section, plugin) == plugin
     } | {
-        f"suite={one.name}": "some scenes"
-        for one in entries("suite")
-        if any(key_of(word) == key.key for s in one.settings.values() for word in s.split())
+        f"suite={entry.name}": "some scenes"
+        for entry in entries("suite")
+        if any(key_of(word) == key.key for s in entry.settings.values() for word in s.split())
     }
 
 
@@ -309,6 +318,8 @@ def search(words: str, commands: Mapping[str, str], most: int = 10) -> list[Hit]
     needed = 1 if " " in words else len(tokens)  # agent.gama is a misspelling
     scored = []
     for hit in _everything(commands):
+        # Whole words of a name weigh more than their beginnings, and these more than the
+        # description.
         name, text = re.findall(r"[^\W_]+", hit.name.lower()), hit.summary.lower()
         each = [
             8 if t in name
@@ -317,7 +328,7 @@ def search(words: str, commands: Mapping[str, str], most: int = 10) -> list[Hit]
         ]  # fmt: skip
         if sum(map(bool, each)) >= needed:
             scored.append((sum(map(bool, each)), sum(each), -len(name), hit))
-    scored.sort(key=lambda one: one[:3], reverse=True)
+    scored.sort(key=lambda scored_hit: scored_hit[:3], reverse=True)
     return list({(hit.name, hit.kind): hit for *_, hit in reversed(scored)}.values())[::-1][:most]
 
 
@@ -344,8 +355,8 @@ def runs(folder: Path) -> list[dict[str, Any]]:
     """Return the training runs below a folder, the newest first."""
     if not folder.is_dir():
         raise RequestError(f"{folder}: there is no such folder; runs are in runs/ by default")
-    found = [_run(Path(place)) for place in _run_folders(folder)]
-    return sorted(found, key=lambda row: str(row["date"]), reverse=True)
+    rows = [_run(Path(place)) for place in _run_folders(folder)]
+    return sorted(rows, key=lambda row: str(row["date"]), reverse=True)
 
 
 def _run_folders(folder: Path) -> Iterator[str]:
@@ -358,18 +369,19 @@ def _run_folders(folder: Path) -> Iterator[str]:
 
 def _run(folder: Path) -> dict[str, Any]:
     """Return what a run trained and how its best validation was."""
+    # A run that was killed has no summary, but a configuration.
     config, _ = read_config(folder / CONFIG)
     plain: dict[str, Any] = config if isinstance(config, dict) else {}
     try:
-        found: dict[str, Any] = json.loads((folder / SUMMARY).read_text("utf-8"))
+        document: dict[str, Any] = json.loads((folder / SUMMARY).read_text("utf-8"))
     except (OSError, ValueError):  # it still trains, or was killed
-        found = {}
-    best = of_reached(found.get("best") or {})
+        document = {}
+    best = of_reached(document.get("best") or {})
     changed = max(file.stat().st_mtime for file in (folder, *folder.glob("*.*")))
     return {
         "name": str(folder),
         "terrain": (plain.get("terrain") or {}).get("name"),
-        "decisions": found.get("decisions"),
+        "decisions": document.get("decisions"),
         "success_rate": best.get("success_rate"),
         "pitch_variation_100hz": best.get("pitch_variation_100hz"),
         "date": datetime.fromtimestamp(changed).strftime("%Y-%m-%d %H:%M"),
@@ -396,12 +408,12 @@ def _flat(node: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, str]]:
 
 
 def _choices(defaults: Iterable[Any], prefix: str) -> Iterator[tuple[str, str]]:
-    for one in defaults:
-        if isinstance(one, str):
-            if one != "_self_":
-                yield "begins with", one
+    for choice in defaults:
+        if isinstance(choice, str):
+            if choice != "_self_":
+                yield "begins with", choice
             continue
-        for key, value in one.items():
+        for key, value in choice.items():
             group = key.removeprefix("override ").lstrip("/").rpartition("@")[2]
             yield (group if "override" in key or "@rewards" in key else prefix + group), value
 
@@ -442,7 +454,7 @@ def print_explained(document: Row) -> None:
         _print_setting(document["settings"][0])
     elif settings := document["settings"]:
         columns = Column("key", "setting", named=True), Column("of", "of", named=True)
-        rows = [_cells(one) | {"description": one["short"]} for one in settings]
+        rows = [_cells(setting) | {"description": setting["short"]} for setting in settings]
         print_table(Table((*columns, *_FIELD_COLUMNS), rows), out)
         print(f"More about one: flipperctl explain {settings[0]['alias']}")
     if document["found"]:
@@ -450,39 +462,40 @@ def print_explained(document: Row) -> None:
         print_table(Table(_HIT_COLUMNS, [dict(hit) for hit in document["found"]], title), out)
 
 
-def _print_entry(found: Row) -> None:
+def _print_entry(entry: Row) -> None:
     """Print a plugin with its settings, or a preset with what it sets."""
-    out, plugin = console(), found.get("plugin")
-    print_lines(out, [f"{found['name']} ({found['group']}): {found['about'] or found['summary']}"])
+    # What it is, how it is written, and what it sets
+    out, plugin = console(), entry.get("plugin")
+    print_lines(out, [f"{entry['name']} ({entry['group']}): {entry['about'] or entry['summary']}"])
     print_facts(
-        {"write": found["command"], **({"source": plugin["source"]} if plugin else {})}, out
+        {"write": entry["command"], **({"source": plugin["source"]} if plugin else {})}, out
     )
     if plugin and plugin["fields"]:
         columns = (Column("name", "setting", named=True), *_FIELD_COLUMNS)
         print_table(Table(columns, [_cells(field) for field in plugin["fields"]]), out)
-    if found["settings"]:
-        rows = [{"key": key, "value": value} for key, value in found["settings"].items()]
+    if entry["settings"]:
+        rows = [{"key": key, "value": value} for key, value in entry["settings"].items()]
         print_table(Table(_PRESET_COLUMNS, rows), out)
 
 
-def _print_setting(one: Row) -> None:
+def _print_setting(setting: Row) -> None:
     out = console()
-    default = override_text(one["default"])
-    if one["train"] not in (None, one["default"]):
-        default += f"; flipperctl train has {override_text(one['train'])}"
+    default = override_text(setting["default"])
+    if setting["train"] not in (None, setting["default"]):
+        default += f"; flipperctl train has {override_text(setting['train'])}"
     facts = {
         "default": default,
-        "allowed": one["bounds"] or "any",
-        "unit": one["unit"] if one["unit"] not in ("-", "") else "none",
-        "part of": f"{one['of']} ({one['class']})",
-        "set by": ", ".join(f"{name} ({value})" for name, value in one["set_by"].items()),
-        "write": one["command"],
+        "allowed": setting["bounds"] or "any",
+        "unit": setting["unit"] if setting["unit"] not in ("-", "") else "none",
+        "part of": f"{setting['of']} ({setting['class']})",
+        "set by": ", ".join(f"{name} ({value})" for name, value in setting["set_by"].items()),
+        "write": setting["command"],
     }
-    print_lines(out, [f"{one['key']}: {one['description']}"])
+    print_lines(out, [f"{setting['key']}: {setting['description']}"])
     print_facts({name: text for name, text in facts.items() if text}, out)
 
 
-def _cells(found: Row) -> dict[str, Any]:
+def _cells(row: Row) -> dict[str, Any]:
     """Return the cells of a row of ``_FIELD_COLUMNS``."""
-    unit = "" if found["unit"] == "-" else found["unit"]
-    return {**found, "default": override_text(found["default"]), "unit": unit}
+    unit = "" if row["unit"] == "-" else row["unit"]
+    return {**row, "default": override_text(row["default"]), "unit": unit}

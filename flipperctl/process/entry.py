@@ -42,6 +42,7 @@ def run(program: Callable[[], int]) -> NoReturn:
     closed by its reader (``| head``) with 1.
     """
     code = _code_of(program)
+    # The interpreter's own flush at exit would print its error in its own way; this comes first.
     for stream in filter(None, (sys.stdout, sys.stderr)):
         try:
             stream.flush()

@@ -88,6 +88,7 @@ def interrupts(
                 entry.discard(stream)
         on_request()
 
+    # Of the signals that the caller handles, only SIGINT and SIGTERM are taken from it.
     before = {}
     try:
         for number in STOPS:

@@ -174,12 +174,14 @@ def read_csv(path: Path, needed: Collection[str] = ()) -> list[CsvRow]:
         header = next(lines, [])
         if twice := {name for name in header if header.count(name) > 1}:
             raise RequestError(f"{path}, line 1: a column is named twice: {', '.join(twice)}")
+        # Columns are checked before rows, so that a wrong file is named by its header.
         for name in needed:
             if name not in header:
                 raise RequestError(
                     f"{path}, line 1: there is no column {name!r}{close_match(name, header)}; "
                     f"names separated by commas are allowed; it has {','.join(header)!r:.60}"
                 )
+        # A short last row without an end of line is one that is being written.
         rows = []
         for cells in filter(None, lines):
             row = CsvRow(zip(header, cells, strict=False))
@@ -221,12 +223,15 @@ def check_output(path: Path, kind: OutputKind) -> None:
     Raises:
         OutputError: the suffix is another, the path cannot be written, or its file is kept.
     """
+    # What stands in the way of any file
     if path.is_dir():
         raise OutputError(f"{path} cannot be written: it is a folder")
     if not path.parent.is_dir():
         raise OutputError(f"{path} cannot be written: there is no folder {path.parent}")
     if not os.access(path.parent, os.W_OK):
         raise OutputError(f"{path} cannot be written: permission denied")
+
+    # What stands in the way of this kind of file
     suffix, suffixes = path.suffix.lower(), kind.suffixes
     if suffix not in suffixes:
         allowed = ", ".join(suffixes[:-1]) + " or " * (len(suffixes) > 1) + suffixes[-1]
@@ -234,6 +239,8 @@ def check_output(path: Path, kind: OutputKind) -> None:
             f"{path}: {kind.noun} is a {allowed} file; the suffix is {path.suffix!r}"
             + close_match(suffix, suffixes)
         )
+
+    # What would be lost
     if path.exists() and not _is_of(path, kind):
         raise OutputError(
             f"{path} exists and is kept, since it is not {kind.noun} that flipperctl wrote; move "
@@ -262,6 +269,6 @@ def failure(path: Path, error: OSError, *, keeps_old: bool = False) -> Flipperct
     """
     reason = os.strerror(error.errno) if error.errno else str(error)
     if error.errno in _RAN_OUT:
-        kept = "; the old file is kept" if keeps_old else ""
-        return WriteError(f"{path}: writing failed half way ({reason}){kept}")
+        remainder = "; the old file is kept" if keeps_old else ""
+        return WriteError(f"{path}: writing failed half way ({reason}){remainder}")
     return OutputError(f"{path} cannot be written: {reason}")

@@ -27,8 +27,8 @@ def counted(number: int, noun: str) -> str:
 def closest(word: str, known: Iterable[str]) -> str | None:
     """Return the known word that ``word`` is probably a misspelling or abbreviation of."""
     words = list(known)
-    if found := difflib.get_close_matches(word.lower(), words, n=1, cutoff=_ALIKE):
-        return found[0]
+    if matches := difflib.get_close_matches(word.lower(), words, n=1, cutoff=_ALIKE):
+        return matches[0]
     begins = [w for w in words if _begins(w, word.lower())]  # eval, evaluate
     return begins[0] if len(begins) == 1 else None
 
@@ -40,8 +40,8 @@ def close_match(word: str, known: Iterable[str]) -> str:
 
 def suggestion(*meant: str, quoted: bool = True) -> str:
     """Return `` (did you mean 'x' or 'y'?)``, which follows what was typed; empty for none."""
-    found = " or ".join(repr(word) if quoted else word for word in meant)
-    return f" (did you mean {found}?)" if found else ""
+    alternatives = " or ".join(repr(word) if quoted else word for word in meant)
+    return f" (did you mean {alternatives}?)" if alternatives else ""
 
 
 def _begins(first: str, second: str) -> bool:
@@ -54,7 +54,7 @@ def broken_hint(name: str = "") -> str:
     """Return a hint at the installed packages that do not load: those with a name, or all."""
     from flipperctl.api.plugin import broken
 
-    reasons = [one.reason for one in broken if not name or name in one.names]
+    reasons = [package.reason for package in broken if not name or name in package.names]
     return f"; it may be in a package that does not load: {'; '.join(reasons)}" if reasons else ""
 
 
@@ -66,6 +66,8 @@ def missing_name(kind: str, name: str, known: Iterable[str]) -> str:
     """
     if hint := broken_hint(name):
         return hint
+
+    # What the user may have meant: a setting's value, a file, or a name that is misspelt
     known = list(known)
     key, _, value = name.partition("=")
     if value in known:
@@ -76,6 +78,8 @@ def missing_name(kind: str, name: str, known: Iterable[str]) -> str:
         return f"; {name}.py is loaded by --plugins {name}.py"
     if close := close_match(name, known):
         return close
+
+    # Otherwise its package does not load, or it is not installed.
     if hint := broken_hint():
         return hint
     if kind in ("sim", "perception"):
@@ -90,8 +94,8 @@ def missing_plugin(kind: str, name: str, file: str | Path | None) -> str:
     """
     advice = "install it or name its file with --plugins"
     if file is not None:
-        found = "this run brings" if isinstance(file, Path) else "it came from"
-        advice = f"{found} {Path(file).name}: add --plugins {shlex.quote(str(file))}"
+        origin = "this run brings" if isinstance(file, Path) else "it came from"
+        advice = f"{origin} {Path(file).name}: add --plugins {shlex.quote(str(file))}"
     return f"there is no {kind} plugin {name!r}; {advice}{broken_hint(name) or broken_hint()}"
 
 
@@ -121,8 +125,8 @@ def _split(model: type[BaseModel], field: str) -> tuple[str, str]:
     if field not in model.model_fields:  # a factor, of ``Settings.factors``
         return "", ""
     text = model.model_fields[field].description or ""
-    found = re.fullmatch(r"(.*) \[([^\]]*)\]", text, flags=re.DOTALL)
-    return (found[1], found[2]) if found else (text, "")
+    match = re.fullmatch(r"(.*) \[([^\]]*)\]", text, flags=re.DOTALL)
+    return (match[1], match[2]) if match else (text, "")
 
 
 def explain(
@@ -138,6 +142,8 @@ def explain(
     first = error.errors()[0]
     location = ".".join(map(str, (*([where] if where else []), *first["loc"])))
     owner, known = _owner(model, first["loc"], validated or {})
+
+    # The errors that have a text of their own: an unknown key and an unknown plugin
     leaf = str(first["loc"][-1]) if first["loc"] else ""
     if first["type"] == "extra_forbidden":
         hint = close_match(leaf, known)
@@ -148,6 +154,8 @@ def explain(
             f"{location}: {first['msg']}{missing_name(leaf, str(name), known)}; "
             f"registered: {', '.join(known)}"
         )
+
+    # For all others the validator's message, with the bounds and the value that it leaves out
     allowed = f" ({bounds(owner, leaf)})" if owner and bounds(owner, leaf) else ""
     more = len(error.errors()) - 1
     rest = f" (and {more} more)" if more else ""
@@ -159,6 +167,7 @@ def explain(
 
 def explain_unknown_key(key: str, node: Mapping[str, Any]) -> str:
     """Return the error for a dotted key that the nested mapping ``node`` does not have."""
+    # The first part of the key that does not exist is the one to explain.
     *parents, leaf = key.split(".")
     inside = ""  # the innermost existing section on the path to the key
     for parent in parents:
@@ -166,6 +175,8 @@ def explain_unknown_key(key: str, node: Mapping[str, Any]) -> str:
             leaf = parent
             break
         node, inside = node[parent], f"{inside}.{parent}".lstrip(".")
+
+    # What there is in its place, and where else a key of this name is
     known = sorted(name for name in node if name != "name")
     place = f"{inside}={node['name']}" if "name" in node else inside
     inner = [path for path in _paths(node) if not inside and path.endswith(f".{leaf}")]
@@ -215,7 +226,7 @@ def _model_in(annotation: Any, base: type[BaseModel]) -> type[BaseModel] | None:
     if isinstance(annotation, type) and issubclass(annotation, base):
         return annotation
     inner = (_model_in(item, base) for item in get_args(annotation))
-    return next((found for found in inner if found is not None), None)
+    return next((owner for owner in inner if owner is not None), None)
 
 
 def _short(value: object) -> str:

@@ -167,11 +167,14 @@ def lines(table: Table, to: Console) -> Iterator[Text]:
     if table.title:
         for text in _broken(table.title, to):
             yield Text(text, "bold")
+    # The widths that show everything on one line
     cells = [list(row) for row in table.texts()]
     headings = [column.heading for column in table.columns]
     columns = [[row[at] for row in cells] for at in range(len(headings))]
     cell_widths = [max([1, *map(cell_len, column)]) for column in columns]
     widths = [max(pair) for pair in zip(cell_widths, map(cell_len, headings), strict=True)]
+
+    # Too wide: headings break at spaces, then sentences and names, then names within words.
     words = list(map(_longest_word, headings))
     if _total(widths) > to.width:  # headings break at spaces
         widths = [max(pair) for pair in zip(cell_widths, words, strict=True)]
@@ -188,6 +191,8 @@ def lines(table: Table, to: Console) -> Iterator[Text]:
         most = max(_NARROWEST, to.width // 3)
         limits = {at: most if at in names else max(most, least[at]) for at in least}
         widths = [min(width, limits.get(at, width)) for at, width in enumerate(whole)]
+
+    # Parts of the table stand below each other, each with the names at its left.
     for part in _parts(widths, names, to.width):
         yield from _block([folded(headings[at], widths[at]) for at in part], part, widths, "dim")
         for number, (row, texts) in enumerate(zip(table.rows, cells, strict=True)):
@@ -266,6 +271,7 @@ def latex(table: Table) -> str:
 
     It is as small as tables of journals are, so that five columns fit into one of a page's two.
     """
+    # Names stand at the left of their columns, numbers at the right.
     names = sum(column.named for column in table.columns)
     head = [c.latex or latex_text(c.heading[:1].upper() + c.heading[1:]) for c in table.columns]
     rows_text = [
@@ -277,6 +283,8 @@ def latex(table: Table) -> str:
         " & ".join(head) + r" \\",
         r"\midrule",
     ]
+
+    # A cell that begins with a space is a part of the row above it.
     for at, (row, texts) in enumerate(zip(table.rows, table.texts(), strict=True)):
         if row.get("line") and at:
             rows_text.append(r"\addlinespace")
@@ -310,11 +318,14 @@ def html(table: Table, marks: Mapping[str, str]) -> str:
     Rows from one with ``line`` to the next are a group, whose name is the text of the first column.
     ``marks``: names of CSS variables, the colours of rows with these texts.
     """
+    # A group's name is a row of its own, so that its column is left out.
     cells, columns = table.texts(), list(table.columns)
     grouped = any(row.get("line") for row in table.rows)
     shown = columns[1:] if grouped else columns
     kinds = ["text" if column.named or column.wrapped else "number" for column in shown]
     body, group = list[str](), list[dict[str, Any]]()
+
+    # Each group begins with a row that has its name alone.
     for at, (row, texts) in enumerate(zip(table.rows, cells, strict=True)):
         if row.get("line") or not at:
             later = (i for i in range(at + 1, len(cells)) if table.rows[i].get("line"))
@@ -327,6 +338,7 @@ def html(table: Table, marks: Mapping[str, str]) -> str:
         colour = next((marks[text] for text in texts if text in marks), "")
         style = f' style="--c:var(--{colour})"' if colour else ""
         part = f"{texts[0].strip()}: " if grouped and row.get("dim") else ""
+        # The first cell of a group's part is named like the part.
         inner = []
         for column, kind, text in zip(shown, kinds, texts[grouped:], strict=True):
             dot = f'<i class="dot" style="--c:var(--{marks[text]})"></i>' if text in marks else ""
@@ -334,6 +346,8 @@ def html(table: Table, marks: Mapping[str, str]) -> str:
             bar = _bar(row, column, group) if kind == "number" else ""
             inner.append(f'<td class="{kind}">{dot}{escape(name + text)}{bar}</td>')
         body.append(f'<tr class="{"part" * bool(row.get("dim"))}"{style}>{"".join(inner)}</tr>')
+
+    # Title above, notes below
     title = f'<p class="note">{escape(table.title)}</p>' if table.title else ""
     head = "".join(
         f'<th scope="col" class="{kind}">{escape(column.heading)}</th>'
@@ -348,6 +362,7 @@ def html(table: Table, marks: Mapping[str, str]) -> str:
 
 def _bar(row: Mapping[str, Any], column: Column, group: Sequence[Mapping[str, Any]]) -> str:
     """Return the bar of an interval; an empty one where another row of the group has one."""
+    # All bars of a group have one scale, which includes 0.
     intervals = [cell for other in group if isinstance(cell := other.get(column.key), Mapping)]
     ends = [
         0.0,
