@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import inspect
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, Self, TypeVar, runtime_checkable
 
 import numpy as np
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from flipperctl.api.plugin import Plugin, register
 from flipperctl.api.profile import Profile
+from flipperctl.api.rewards import RewardTerm
 from flipperctl.api.robot import Robot
 from flipperctl.api.values import (
     ObservationLayout,
@@ -26,7 +27,7 @@ from flipperctl.api.values import (
     RobotState,
 )
 from flipperctl.core import FloatArray
-from flipperctl.core.targets import Action
+from flipperctl.core.targets import Action, ActionKind
 
 if TYPE_CHECKING:
     import torch
@@ -145,6 +146,63 @@ class CostPolicy(Policy, Protocol):
         """Receive the action that was taken after ``costs``, the cheapest or any other."""
 
 
+class ValuedPolicy(Policy, Protocol):
+    """A policy of a file: trained, exported or shipped."""
+
+    kind: ActionKind
+    """``turns``, by a Q-value of each action, or ``rates``, which have none."""
+
+    def q_values(self, p: Perception, /) -> Sequence[float]:
+        """Return the Q-values, (9,)."""
+
+
+TOLERANCE = 0.02
+"""Largest relative difference of a dimension that was not randomised in the training [-]."""
+
+
+@dataclass(frozen=True)
+class LearnedValue:
+    """The value of a trained policy, with which a search can end its plans."""
+
+    value: Callable[[NDArray[np.float32]], FloatArray]
+    """Returns the expected discounted return from observations (M, n), (M,) [-]."""
+    rewards: Mapping[str, RewardTerm]
+    """Reward terms that it was trained with."""
+    gamma: float
+    """Discount per decision [-]."""
+    layout: ObservationLayout
+    """Layout of its observations."""
+    sizes: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    """Smallest and largest dimension of the robots of its training, by field of ``RobotGeometry``
+    [m, rad]; a missing dimension may have any size."""
+
+    def misfits(self, robot: RobotGeometry, layout: ObservationLayout) -> Iterator[str]:
+        """Yield each property of a robot and its observations that the training did not cover."""
+        for name, (low, high) in self.sizes.items():
+            if not low <= (size := getattr(robot, name)) <= high:
+                yield f"robot.{name}={size:.4g} ({low:.4g} to {high:.4g})"
+        if layout.reach < (1 - TOLERANCE) * self.layout.reach:
+            yield f"ground perceived up to {layout.reach:.4g} m ({self.layout.reach:.4g} m)"
+
+
+class Task(Protocol):
+    """What a controller is about to drive, and the policies that its settings name."""
+
+    @property
+    def config(self) -> Any:
+        """Configuration of the environment; its sections are attributes, as in ``config.robot``."""
+
+    @property
+    def path(self) -> str:
+        """Section of the controller's settings, ``controller`` or ``teacher.controller``."""
+
+    def policy(self, setting: str, /) -> ValuedPolicy:
+        """Return the policy that a setting of ``uses`` names; its layout fits the environment."""
+
+    def value(self, setting: str, /) -> LearnedValue:
+        """Return the values of the run, checkpoint or shipped policy that the setting names."""
+
+
 class TrainingEpisodes(Protocol):
     """Episodes from which a controller learns its settings in ``flipperctl tune``."""
 
@@ -180,6 +238,9 @@ class Controller(Plugin):
     A rule without memory implements ``act``. Every other controller implements ``build``, which
     returns an object that may keep state, as a network's settings build its module. One that learns
     its settings implements ``learn``.
+
+    Before ``build``, ``using`` and then ``paying`` are called. One that drives by files or plans on
+    the configured rewards overrides them, and builds from the copy that it returned.
     """
 
     kind: ClassVar[str] = "controller"
@@ -215,6 +276,27 @@ class Controller(Plugin):
         """Return the next action, an index or rates, from this perception alone."""
         raise TypeError(f"controller {type(self).__name__} decides through build() only")
 
+    def uses(self) -> Mapping[str, str]:
+        """Return the policies and files that the settings name, by setting.
+
+        A key is a field, or an entry of one that holds several: ``policy``, ``others[0]``. A value
+        is a run, a checkpoint, an exported file, a shipped policy or any other file. Their content
+        counts in the keys of stored episodes, in place of the settings.
+        """
+        return {}
+
+    def using(self, task: Task) -> Self:
+        """Return a copy with what ``uses`` names; raise ``ValueError`` if it cannot do the task."""
+        return self
+
+    def paying(self, rewards: Mapping[str, RewardTerm]) -> Self:
+        """Return a copy that plans on the reward terms of the configuration, by their names."""
+        return self
+
+    def remarks(self, task: Task) -> Iterable[str]:
+        """Return sentences on what it will do otherwise than its settings say; none by default."""
+        return ()
+
     def learn(self, episodes: TrainingEpisodes) -> Self:
         """Return a controller with settings that were learnt; ``flipperctl tune`` calls it."""
         raise TypeError(f"controller {type(self).__name__} learns nothing")
@@ -228,6 +310,11 @@ def _implements(cls: type[Controller], method: str) -> bool:
 def is_rule(controller: Controller) -> bool:
     """Return whether the controller decides by each perception alone."""
     return not _implements(type(controller), "build")
+
+
+def plans_on_rewards(controller: Controller) -> bool:
+    """Return whether the controller drives for the configured rewards."""
+    return _implements(type(controller), "paying")
 
 
 def learns(controller: Controller) -> bool:

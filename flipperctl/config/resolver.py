@@ -261,6 +261,8 @@ _REFUSALS: dict[tuple[str, str], type[FlipperctlError]] = {
     ("terrain", "at"): TerrainError,
     ("terrain", "generate"): TerrainError,
     ("terrain", "labelled"): TerrainError,
+    ("controller", "using"): ConfigError,
+    ("controller", "paying"): ConfigError,
 }
 """(kind, method) → the error in place of a ValueError, with which the method rejects a request."""
 _PASSED_ON: dict[str, type[BaseException]] = {

@@ -42,7 +42,6 @@ from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.names import names
 from flipperctl.evaluation.play import EpisodeDigest, Progress, no_progress
 from flipperctl.evaluation.rows import DIGEST, Row, arranged, sampled
-from flipperctl.policies.identity import named_files
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import Decision, EpisodeRisks, play
 from flipperctl.rollout.trace import Trace
@@ -219,7 +218,7 @@ def read_record(path: Path) -> EpisodeRecord:
 def _digests(source: PolicySource) -> dict[str, str | None]:
     """Return the SHA-256 of each file that a controller names, None for one that is missing."""
     digests: dict[str, str | None] = {}
-    for _, name in named_files(source.controller()):
+    for name in source.controller().uses().values():
         try:
             digests[name] = content_digest(checkpoint.find(Path(name)))
         except CheckpointError:

@@ -5,21 +5,16 @@ Importing this package registers them; building their policies imports numba.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from typing import Any, ClassVar
 
 from pydantic import PrivateAttr
 
-from flipperctl.api import Controller, Policy, RewardTerm, controller
+from flipperctl.api import Controller, LearnedValue, Policy, RewardTerm, Task, controller
 from flipperctl.config import PAPER_REWARDS
 from flipperctl.config.resolver import create
 from flipperctl.errors import ConfigError
-from flipperctl.lookahead.settings import (
-    LearnedValue,
-    MpcSettings,
-    PlannerSettings,
-    ValueIterationSettings,
-)
+from flipperctl.lookahead.settings import MpcSettings, PlannerSettings, ValueIterationSettings
 
 __all__ = ["Mpc", "Planner", "ValueIteration"]
 
@@ -42,23 +37,40 @@ class Mpc(MpcSettings, Controller):
     _learned: LearnedValue | None = PrivateAttr(None)
 
     def ending_with(self, learned: LearnedValue) -> Mpc:
-        """Return these settings with the values that ``value`` names.
-
-        The caller reads the file: this package knows neither checkpoints nor networks.
-        """
+        """Return these settings with the values that ``value`` names."""
         settings = self.model_copy()
         settings._learned = learned
         return settings
 
-    def without_value(self) -> Mpc:
-        """Return these settings with the hand-set cost."""
-        return self.model_copy(update={"value": ""})
+    def uses(self) -> Mapping[str, str]:
+        """Return ``value``, if it names a policy."""
+        return {"value": self.value} if self.value else {}
+
+    def using(self, task: Task) -> Mpc:
+        """Return these settings with the values that ``value`` names.
+
+        With ``fallback`` and a robot for which they were not trained, with the hand-set cost.
+        """
+        if not self.value:
+            return self
+        learned = task.value("value")
+        if self.fallback and any(_misfits(learned, task)):
+            return self.model_copy(update={"value": ""})
+        return self.ending_with(learned)
+
+    def remarks(self, task: Task) -> Iterator[str]:
+        """Yield a sentence if ``using`` falls back to the hand-set cost."""
+        if self.value and self.fallback and (misfits := [*_misfits(task.value("value"), task)]):
+            yield (
+                f"{task.path}.value: {self.value} was not trained for {', '.join(misfits)}; plans "
+                f"have the hand-set cost instead; {task.path}.value={self.value} keeps the values"
+            )
 
     def build(self) -> Policy:
         """Return a policy that plans with these settings.
 
         Raises:
-            ConfigError: ``value`` names values that ``ending_with`` was not given, there are
+            ConfigError: ``value`` names values that ``using`` has not read, there are
                 ``rewards`` without it, or a term needs what predictions lack.
         """
         from flipperctl.lookahead.mpc import MpcPolicy, ReturnPolicy
@@ -78,6 +90,10 @@ class Mpc(MpcSettings, Controller):
         return MpcPolicy(self)
 
 
+def _misfits(learned: LearnedValue, task: Task) -> Iterator[str]:
+    return learned.misfits(task.config.robot, task.config.perception.layout)
+
+
 @controller("planner")
 class Planner(PlannerSettings, Controller):
     """Search for the best trajectory before the episode begins, then play it.
@@ -95,25 +111,23 @@ class Planner(PlannerSettings, Controller):
 
     _trained: Policy | None = PrivateAttr(None)
 
-    @property
-    def named(self) -> Mapping[str, str]:
-        """The setting that names a file, and its value; empty without one."""
+    def uses(self) -> Mapping[str, str]:
+        """Return ``policy``, if it names one."""
         return {"policy": self.policy} if self.policy else {}
 
-    def starting_from(self, policies: Sequence[Policy]) -> Planner:
-        """Return these settings with the policy that ``policy`` names.
-
-        The caller reads the file: this package knows neither checkpoints nor networks.
-        """
+    def using(self, task: Task) -> Planner:
+        """Return these settings with the policy that ``policy`` names."""
+        if not self.policy:
+            return self
         settings = self.model_copy()
-        (settings._trained,) = policies
+        settings._trained = task.policy("policy")
         return settings
 
     def build(self) -> Policy:
         """Return a policy that searches for a plan at the start of each episode.
 
         Raises:
-            ConfigError: ``policy`` names a policy that ``starting_from`` was not given.
+            ConfigError: ``policy`` names a policy that ``using`` has not read.
         """
         from flipperctl.lookahead.planner import PlannerPolicy
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from flipperctl.api import (
     FloatArray,
+    LearnedValue,
     Perception,
     Profile,
     RewardTerm,
@@ -47,7 +48,7 @@ from flipperctl.lookahead.search import (
     Search,
     none_yet,
 )
-from flipperctl.lookahead.settings import LearnedValue, MpcSettings
+from flipperctl.lookahead.settings import MpcSettings
 from flipperctl.sim.ground import kept_points
 
 HURRY = 5.0

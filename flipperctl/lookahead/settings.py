@@ -1,47 +1,15 @@
-"""The fields of ``mpc``, ``planner`` and ``value_iteration``, and a learned value."""
+"""The fields of ``mpc``, ``planner`` and ``value_iteration``."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from flipperctl.api import FloatArray, ObservationLayout, RewardTerm, RobotGeometry, Settings
+from flipperctl.api import Settings
 from flipperctl.config.models import AnyRewards
-
-TOLERANCE = 0.02
-"""Largest relative difference of a dimension that was not randomised in the training [-]."""
-
-
-@dataclass(frozen=True)
-class LearnedValue:
-    """The value of a trained policy."""
-
-    value: Callable[[NDArray[np.float32]], FloatArray]
-    """Returns the expected discounted return from observations (M, n), (M,) [-]."""
-    rewards: Mapping[str, RewardTerm]
-    """Reward terms that it was trained with."""
-    gamma: float
-    """Discount per decision [-]."""
-    layout: ObservationLayout
-    """Layout of its observations."""
-    sizes: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    """Smallest and largest dimension of the robots of its training, by field of ``RobotGeometry``
-    [m, rad]; a missing dimension may have any size."""
-
-    def misfits(self, robot: RobotGeometry, layout: ObservationLayout) -> Iterator[str]:
-        """Yield each property of a robot and its observations that the training did not cover."""
-        for name, (low, high) in self.sizes.items():
-            if not low <= (size := getattr(robot, name)) <= high:
-                yield f"robot.{name}={size:.4g} ({low:.4g} to {high:.4g})"
-        if layout.reach < (1 - TOLERANCE) * self.layout.reach:
-            yield f"ground perceived up to {layout.reach:.4g} m ({self.layout.reach:.4g} m)"
-
 
 STEEP_FROM, STEEP = 0.9, 30.0
 """Pitch above which steepness is charged, below overturning [rad], and its cost weight [s/rad]."""

@@ -7,16 +7,21 @@ another policy, such as a smaller network.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from pydantic import Field, PrivateAttr
 
-from flipperctl.api import Controller, FloatArray, Perception, Policy, Simulator, controller
+from flipperctl.api import (
+    Controller,
+    FloatArray,
+    Perception,
+    Policy,
+    Simulator,
+    Task,
+    ValuedPolicy,
+    controller,
+)
 from flipperctl.errors import ConfigError
-
-if TYPE_CHECKING:  # what lists plugins is quick
-    from flipperctl.policies.source import FilePolicy
 
 
 @controller("greedy")
@@ -39,21 +44,20 @@ class Greedy(Controller):
         description="further policies; the mean of the Q-values of all drives [-]",
     )
 
-    _trained: tuple[FilePolicy, ...] = PrivateAttr(())
+    _trained: tuple[ValuedPolicy, ...] = PrivateAttr(())
 
-    @property
-    def named(self) -> Mapping[str, str]:
-        """The settings that name files, and their values."""
+    def uses(self) -> Mapping[str, str]:
+        """Return the settings that name policies, and their values."""
         others = {f"others[{number}]": name for number, name in enumerate(self.others)}
         return {"policy": self.policy, **others} if self.policy else others
 
-    def starting_from(self, policies: Sequence[FilePolicy]) -> Greedy:
-        """Return these settings with the loaded policies that ``named`` names, in its order."""
-        for (setting, name), policy in zip(self.named.items(), policies, strict=True):
+    def using(self, task: Task) -> Greedy:
+        """Return these settings with the policies that ``uses`` names, in its order."""
+        settings = self.model_copy()
+        settings._trained = tuple(map(task.policy, self.uses()))
+        for (setting, name), policy in zip(self.uses().items(), settings._trained, strict=True):
             if policy.kind == "rates":
                 raise ConfigError(f"{setting}: {name} has rates; a policy of Q-values is allowed")
-        settings = self.model_copy()
-        settings._trained = tuple(policies)
         return settings
 
     def build(self) -> Policy:
@@ -69,7 +73,7 @@ class Greedy(Controller):
 class GreedyPolicy:
     """Acts by the mean Q-values of other policies."""
 
-    def __init__(self, valued: Sequence[FilePolicy]) -> None:
+    def __init__(self, valued: Sequence[ValuedPolicy]) -> None:
         """Act by the Q-values of ``valued``, one policy or more."""
         self._valued = valued
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -24,9 +24,7 @@ from flipperctl.config.identity import (
     foreign_sources,
 )
 from flipperctl.errors import CheckpointError
-from flipperctl.lookahead import Mpc
-from flipperctl.policies.operator import Operator
-from flipperctl.policies.source import ExportedPolicy, PolicySource, PolicyUser
+from flipperctl.policies.source import ExportedPolicy, PolicySource
 
 _ATTEMPTS = 10
 _PLACES = ("seed", "device", "collector", "logger")
@@ -99,20 +97,10 @@ def without_input_paths(settings: Mapping[str, Any]) -> dict[str, Any]:
 
 def _of_controller(controller: Controller) -> str:
     document: dict[str, Any] = identity(controller)
-    for key, named in named_files(controller):  # their content counts, not their place
+    for key, named in controller.uses().items():  # their content counts, not their place
         document["settings"].pop(key.partition("[")[0], None)
         document[key] = _content(find(Path(named)))
     return _digest([document, *foreign_sources([controller])])
-
-
-def named_files(controller: Controller) -> Iterator[tuple[str, str]]:
-    """Yield each setting that names a policy's file, and its value."""
-    if isinstance(controller, PolicyUser):
-        yield from controller.named.items()
-    if isinstance(controller, Mpc) and controller.value:
-        yield "value", controller.value
-    if isinstance(controller, Operator):
-        yield from ((f"drives[{at}]", str(file)) for at, file in enumerate(controller.files))
 
 
 def _content(file: Path) -> str:

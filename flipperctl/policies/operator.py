@@ -20,6 +20,7 @@ from flipperctl.api import (
     Policy,
     RecordedEpisode,
     Simulator,
+    Task,
     World,
     controller,
 )
@@ -67,6 +68,19 @@ class Operator(Controller):
     def drivers(self) -> list[str]:
         """Who drove, such as ``person: anna`` or ``script: slow``."""
         return list(dict.fromkeys(recording.read(file).document.driver for file in self.files))
+
+    def uses(self) -> Mapping[str, str]:
+        """Return the file of each drive."""
+        return {f"drives[{at}]": str(file) for at, file in enumerate(self.files)}
+
+    def using(self, task: Task) -> Operator:
+        """Return these settings for the environment in which the drives were driven."""
+        self.check(task.config)
+        return self
+
+    def remarks(self, task: Task) -> Iterator[str]:
+        """Yield who drove."""
+        yield f"{self.drives}: driven by {', '.join(self.drivers)}"
 
     def build(self) -> Policy:
         """Return a policy that plays the recorded drive of each draw."""

@@ -14,13 +14,22 @@ import shlex
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, TypeAlias, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.agent.frames import stacked
-from flipperctl.api import Controller, ObservationLayout, Perception, Policy, Robot, Simulator
+from flipperctl.api import (
+    Controller,
+    LearnedValue,
+    ObservationLayout,
+    Perception,
+    Policy,
+    Robot,
+    Simulator,
+)
+from flipperctl.api.controllers import plans_on_rewards
 from flipperctl.api.plugin import registered_names
 from flipperctl.checkpoint import LAST, find, hub, read_policy, shipped_policies
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig, parse, policy_file, resolver
@@ -28,10 +37,8 @@ from flipperctl.config.models import with_stand_ins
 from flipperctl.core.risk import RiskSign
 from flipperctl.core.targets import Action, turns
 from flipperctl.errors import CheckpointError, ConfigError, PolicyError, RequestError
-from flipperctl.lookahead import Mpc, ValueIteration
-from flipperctl.lookahead.settings import LearnedValue
+from flipperctl.guard import refusal, short_repr
 from flipperctl.policies.controllers import PluginPolicy, plugin_policy
-from flipperctl.policies.operator import Operator
 from flipperctl.runtime import OnnxPolicy
 from flipperctl.runtime.interface import Interface
 
@@ -46,21 +53,6 @@ _APPLIED = ("angle_step", "angle_limit", "flipper_speed", "control_period")
 
 FilePolicy: TypeAlias = "ExportedPolicy | TrainedPolicy"
 """A policy of a file, which acts by a Q-value of each action, on observations alone."""
-
-
-@runtime_checkable
-class PolicyUser(Protocol):
-    """A controller that uses policies of files."""
-
-    @property
-    def named(self) -> Mapping[str, str]:
-        """Runs, checkpoints, exported files or shipped policies, by the settings that name them.
-
-        A key is a field, or an entry of one that holds several: ``policy``, ``others[0]``.
-        """
-
-    def starting_from(self, policies: Sequence[Policy], /) -> Controller:
-        """Return the same settings with the loaded policies, in the order of ``named``."""
 
 
 Takes = Literal["any", "file", "checkpoint", "controller"]
@@ -204,7 +196,7 @@ class PolicySource:
     @property
     def plans_for_rewards(self) -> bool:
         """Whether the policy is a controller that drives for the configured rewards."""
-        return self.checkpoint is None and isinstance(self.controller(), ValueIteration)
+        return self.checkpoint is None and plans_on_rewards(self.controller())
 
     def notes(self, config: EnvConfig) -> Iterator[str]:
         """Yield what a controller does otherwise than its settings name in this environment."""
@@ -230,21 +222,35 @@ def with_files(controller: Controller, config: EnvConfig, path: str = "controlle
 
     ``path``: section of the controller, for errors.
     """
-    if isinstance(controller, PolicyUser) and controller.named:
-        named = controller.named.items()
-        sources = [load_policy(name, f"{path}.{key}", "file") for key, name in named]
-        controller = controller.starting_from([source.build_file(config) for source in sources])
-    if isinstance(controller, Mpc) and controller.value:
-        learned = learned_value(controller.value, f"{path}.value")
-        if controller.fallback and any(learned.misfits(config.robot, config.perception.layout)):
-            controller = controller.without_value()
-        else:
-            controller = controller.ending_with(learned)
-    if isinstance(controller, ValueIteration):
-        controller = controller.paying(config.rewards)
-    if isinstance(controller, Operator):
-        controller.check(config)
-    return controller
+    controller = _copy(controller, "using", _Task(controller.uses(), config, path))
+    return _copy(controller, "paying", config.rewards)
+
+
+def _copy(controller: Controller, hook: str, argument: object) -> Controller:
+    """Return the copy that a hook of the controller returns."""
+    result = getattr(controller, hook)(argument)
+    if not isinstance(result, Controller):
+        text = f"returned {short_repr(result)}; a copy of the controller is allowed"
+        raise refusal(controller, hook, text, ConfigError)
+    return result
+
+
+@dataclass(frozen=True)
+class _Task:
+    """The environment that a controller drives, and the files that its settings name."""
+
+    names: Mapping[str, str]
+    config: EnvConfig
+    path: str
+
+    def policy(self, setting: str) -> FilePolicy:
+        return load_policy(*self._named(setting), "file").build_file(self.config)
+
+    def value(self, setting: str) -> LearnedValue:
+        return learned_value(*self._named(setting))
+
+    def _named(self, setting: str) -> tuple[str, str]:
+        return self.names[setting], f"{self.path}.{setting}"
 
 
 def learned_value(name: str, path: str) -> LearnedValue:
@@ -261,17 +267,8 @@ def learned_value(name: str, path: str) -> LearnedValue:
 def controller_notes(
     controller: Controller, config: EnvConfig, path: str = "controller"
 ) -> Iterator[str]:
-    """Yield a line if ``with_files`` replaces a controller's values, and on who drove drives."""
-    if isinstance(controller, Operator):
-        yield f"{controller.drives}: driven by {', '.join(controller.drivers)}"
-    if isinstance(controller, Mpc) and controller.value and controller.fallback:
-        learned = learned_value(controller.value, f"{path}.value")
-        misfits = list(learned.misfits(config.robot, config.perception.layout))
-        if misfits:
-            yield (
-                f"{path}.value: {controller.value} was not trained for {', '.join(misfits)}; plans "
-                f"have the hand-set cost instead; {path}.value={controller.value} keeps the values"
-            )
+    """Yield the controller's remarks on an environment; ``path``: its section."""
+    yield from controller.remarks(_Task(controller.uses(), config, path))
 
 
 def check_layout(file: Path, theirs: ObservationLayout, config: EnvConfig) -> None:

@@ -22,18 +22,19 @@ from flipperctl.agent.risk import Risk, RiskNetwork, uncalibrated
 from flipperctl.api import (
     ACTIONS,
     FloatArray,
+    LearnedValue,
     Perception,
     RobotGeometry,
     Simulator,
     StateGroups,
 )
+from flipperctl.api.controllers import TOLERANCE
 from flipperctl.checkpoint import Checkpoint, read_policy
 from flipperctl.checkpoint.document import require_equal_layout
 from flipperctl.config import TrainConfig
 from flipperctl.core.risk import EpisodeRisk, Escape, EscapeRule, RiskCalibration, drawn
 from flipperctl.core.targets import Action, ActionKind, rates_of
 from flipperctl.errors import CheckpointError, ConfigError
-from flipperctl.lookahead.settings import TOLERANCE, LearnedValue
 from flipperctl.policies.controllers import from_costs, no_label
 
 

@@ -22,7 +22,6 @@ from flipperctl.config.identity import all_files_read, content_digest
 from flipperctl.env.metrics import measures
 from flipperctl.errors import FlipperctlError, WorkerDiffersError
 from flipperctl.plugging import plugins
-from flipperctl.policies.identity import named_files
 from flipperctl.rollout import cluster
 from flipperctl.sim.versions import engine_versions
 
@@ -86,7 +85,7 @@ class Statement:
         plugged += [*measures().values(), *(value for value in others if isinstance(value, Plugin))]
         files = [*all_files_read(plugged), *(value for value in others if isinstance(value, Path))]
         for controller in (value for value in others if isinstance(value, Controller)):
-            files += [find(Path(named)) for _, named in named_files(controller)]
+            files += [find(Path(named)) for named in controller.uses().values()]
         return cls(_states([*engine_versions(config.sim), *(str(f.absolute()) for f in files)]))
 
     def enter(self) -> None:

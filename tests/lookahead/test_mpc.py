@@ -12,6 +12,7 @@ from flipperctl import checkpoint
 from flipperctl.api import (
     Controller,
     FloatArray,
+    LearnedValue,
     ObservationLayout,
     Outcome,
     Perception,
@@ -25,7 +26,6 @@ from flipperctl.config import EnvConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError, ConfigError
 from flipperctl.lookahead import Mpc, mpc
-from flipperctl.lookahead.settings import LearnedValue
 from flipperctl.policies.source import PolicySource, learned_value
 from flipperctl.policies.trained import policy_module
 from flipperctl.rollout.episode import decisions, play

@@ -107,7 +107,9 @@ def test_a_given_policy_is_one_of_the_first_drives(monkeypatch: pytest.MonkeyPat
     mpc = resolver.create("controller", MPC, "test").build()
     row = play(env, mpc, seed=1, watch=lambda d: actions.append(d.action))
     settings = {**QUICK, "budget": 1, "policy": "a script"}
-    plans = resolver.create("controller", settings, "test").starting_from([Script(actions)])
+    plans = resolver.create("controller", settings, "test").using(
+        SimpleNamespace(policy=lambda setting: Script(actions))
+    )
     again = play(env, plans.build(), seed=1)
     assert again["search_source"] == "policy"
     assert again["pitch_variation_100hz"] == row["pitch_variation_100hz"]

@@ -1,0 +1,110 @@
+"""What a stranger adds comes in by the same doors as what is built in.
+
+Each door is one file of the documentation in an empty folder, and no class of a plugin is asked for
+outside its family's room.
+"""
+
+import ast
+import importlib
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from flipperctl import plugins
+from flipperctl.api import registry
+from flipperctl.api.controllers import plans_on_rewards
+from flipperctl.config import EvalConfig, resolver
+from flipperctl.policies.source import PolicySource, with_files
+from tests.cli.call import call
+
+ROOT = Path(__file__).parents[1]
+SAVED = re.compile(r"[Ss]ave this as `([\w.]+)`:\n\n```\w+\n(.*?)^```", re.DOTALL | re.MULTILINE)
+ROOMS = {"flipperctl": ROOT / "flipperctl", "flipperctl_plugins": ROOT / "plugins"}
+CLASSES = ("isinstance", "issubclass")
+
+
+def saved(page: str, name: str, folder: Path) -> Path:
+    """Save a file that a page shows in an otherwise empty folder."""
+    file = folder / name
+    file.write_text(dict(SAVED.findall((ROOT / "docs" / page).read_text()))[name])
+    return file
+
+
+def modules() -> Iterator[tuple[str, Path]]:
+    for package, folder in ROOMS.items():
+        for file in folder.rglob("*.py"):
+            parts = file.relative_to(folder).with_suffix("").parts
+            yield ".".join([package, *parts]).removesuffix(".__init__"), file
+
+
+def classes_asked_for(module: str, file: Path) -> Iterator[tuple[int, type]]:
+    """Yield line and class of each class that the code compares an object with."""
+    tree = ast.parse(file.read_text())
+    package = module if file.name == "__init__.py" else module.rpartition(".")[0]
+    imported: dict[str, str] = {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom):
+            base = importlib.util.resolve_name("." * node.level + (node.module or ""), package)
+            imported |= {name.asname or name.name: f"{base}.{name.name}" for name in node.names}
+        elif isinstance(node, ast.Import):
+            imported |= {name.asname or name.name: name.name for name in node.names}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and getattr(node.func, "id", "") in CLASSES:
+            asked = node.args[1]
+        elif isinstance(node, ast.MatchClass):
+            asked = node.cls
+        elif isinstance(node, ast.Compare) and ast.unparse(node.left).startswith("type("):
+            asked = node.comparators[0]
+        else:
+            continue
+        for part in ast.walk(asked):
+            if isinstance(part, ast.Name | ast.Attribute):
+                first, _, rest = ast.unparse(part).partition(".")
+                path = f"{imported.get(first, f'{module}.{first}')}{'.' if rest else ''}{rest}"
+                owner, _, name = path.rpartition(".")
+                if owner.partition(".")[0] in ROOMS:
+                    cls = getattr(importlib.import_module(owner), name, None)
+                    if isinstance(cls, type):
+                        yield node.lineno, cls
+
+
+def test_no_class_of_a_plugin_is_asked_for_outside_its_room() -> None:
+    """A room is the folder of the class; a base of plugins counts unless the contract has it."""
+    bases = {base for cls in registry.values() for base in cls.__mro__}
+    ours = {cls for cls in bases if cls.__module__.partition(".")[0] in ROOMS}
+    ours = {cls for cls in ours if not cls.__module__.startswith("flipperctl.api.")}
+    assert len(ours) > len(registry) / 2
+    asked = [
+        f"{module}:{line}: {cls.__qualname__}"
+        for module, file in modules()
+        for line, cls in classes_asked_for(module, file)
+        if cls in ours and not module.startswith(cls.__module__.rpartition(".")[0])
+    ]
+    assert asked == []
+
+
+@pytest.mark.usefixtures("registry")
+def test_a_planner_is_given_the_rewards_as_ours_is(tmp_path: Path) -> None:
+    plugins.load([saved("tutorials/controller.md", "nearsighted.py", tmp_path)])
+    config = EvalConfig(terrain="step", rewards={"end": {"name": "end", "weight": 2.5}})
+    for name in ("nearsighted", "value_iteration"):
+        planner = resolver.create("controller", name, "controller")
+        assert plans_on_rewards(planner)
+        assert PolicySource(settings={"name": name}).plans_for_rewards
+        assert with_files(planner, config)._rewards == config.rewards
+    assert not PolicySource(settings={"name": "mpc"}).plans_for_rewards
+
+
+def test_a_planner_drives_for_the_rewards_of_the_user(tmp_path: Path) -> None:
+    file = saved("tutorials/controller.md", "nearsighted.py", tmp_path)
+    words = ["eval", "nearsighted", "terrain=step", "--episodes", "1", "--plugins", file.name]
+    driven = [
+        call(*words, "--output", str(number), *rewards, cwd=tmp_path)
+        for number, rewards in enumerate((["rewards=smooth"], ["rewards=smooth"], ["~rewards"]))
+    ]
+    assert [done.code for done in driven] == [0, 0, 0], driven[0].err
+    first, again, unpaid = ((tmp_path / str(n) / "episodes.csv").read_text() for n in range(3))
+    assert first == again
+    assert first != unpaid
