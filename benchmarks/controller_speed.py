@@ -87,7 +87,7 @@ def measure(policy: Path, steps: list[Step], setup: RobotSetup) -> Durations:
 def main(policy: Path, bag: Path, parts: int, dense: int, repeats: int) -> int:
     """Print a table of the durations."""
     recording = read_recording(bag, Names())
-    setup = setup_of(recording, LidarSensor(), "belts")
+    setup = setup_of(recording, LidarSensor().lidar, "belts")
     whole = denser(list(recording.steps()), dense)
     clouds = [step.messages.get("cloud") for step in whole]
     points = [len(np.asarray(c.points)) for c in clouds if isinstance(c, Cloud)]

@@ -11,7 +11,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 from pydantic import Field
@@ -21,6 +21,9 @@ from flipperctl.api.plugin import Plugin, register
 from flipperctl.api.profile import Profile
 from flipperctl.api.values import ObservationLayout, RobotGeometry, RobotState
 from flipperctl.core.sensing import Estimator, SensedAngles, SensedGround
+
+if TYPE_CHECKING:
+    from flipperctl.core.lidar.ground import Lidar
 
 
 class GroundSensor(Protocol):
@@ -115,6 +118,14 @@ class Sensor(ObservationLayout, Plugin):
         Override it in a sensor whose defaults are not exact.
         """
         return type(self)(**self.layout.model_dump())
+
+    @property
+    def lidar(self) -> Lidar | None:
+        """What a robot's controller has to know if the estimator maps the scans of a LiDAR.
+
+        It is in exported files, and recordings of a robot are read by it. None: there is no map.
+        """
+        return None
 
     @property
     def without_effect(self) -> frozenset[str]:

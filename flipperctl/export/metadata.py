@@ -22,7 +22,6 @@ from flipperctl.core.risk import LAGS, SCALE, RiskSign
 from flipperctl.core.risk import MEANING as MEANING_OF_RISK
 from flipperctl.core.targets import JOINTS, MEANING, turns
 from flipperctl.runtime.interface import FORMAT_VERSION, PREFIX
-from flipperctl.sim.lidar import LidarSensor
 
 
 def policy_metadata(config: TrainConfig, risk: RiskSign | None = None) -> dict[str, str]:
@@ -59,8 +58,8 @@ def policy_metadata(config: TrainConfig, risk: RiskSign | None = None) -> dict[s
         settings = config.agent.failure_risk
         if settings is not None and (escape := settings.escape) is not None:
             values["escape"] = {"meaning": MEANING_OF_ESCAPE, **asdict(escape)}
-    if isinstance(layout, LidarSensor):
-        values["map"] = {"meaning": MEANING_OF_MAP, **asdict(layout.map_quality)}
+    if layout.lidar is not None:
+        values["map"] = {"meaning": MEANING_OF_MAP, **asdict(layout.lidar.quality)}
     return {
         f"{PREFIX}{name}": value if isinstance(value, str) else json.dumps(value)
         for name, value in values.items()

@@ -37,7 +37,7 @@ from flipperctl.config.models import with_stand_ins
 from flipperctl.core.risk import RiskSign
 from flipperctl.core.targets import Action, turns
 from flipperctl.errors import CheckpointError, ConfigError, PolicyError, RequestError
-from flipperctl.guard import refusal, short_repr
+from flipperctl.plugging.guard import refusal, short_repr
 from flipperctl.policies.controllers import PluginPolicy, plugin_policy
 from flipperctl.runtime import OnnxPolicy
 from flipperctl.runtime.interface import Interface

@@ -26,11 +26,10 @@ from flipperctl.errors import RequestError
 from flipperctl.ros.ground import POSES, read_folder
 from flipperctl.ros.reading import Pose as FramePose
 from flipperctl.ros.reading import estimated
-from flipperctl.ros.recording import Recording, Step, read_recording
+from flipperctl.ros.recording import Recording, Step, lidar_of, read_recording
 from flipperctl.ros.topics import Names
 from flipperctl.runtime.intake import Intake
 from flipperctl.runtime.messages import Cloud, Limits, RobotSetup
-from flipperctl.sim.lidar import LidarSensor
 
 
 def drift(poses: Sequence[tuple[Pose, Pose]]) -> dict[str, float | None] | None:
@@ -105,10 +104,7 @@ def replay(source: Path, sensor: Sensor, robot: Robot, pose: str | None, names: 
     ``pose``: ``belts``, ``matched``, or ``true``, which takes the poses of the recording; None: by
     belts if it has an inertial unit and belt speeds, otherwise ``true``.
     """
-    if not isinstance(sensor, LidarSensor):
-        raise RequestError(
-            f"perception={sensor.plugin_name} has no map of clouds; perception=lidar is allowed"
-        )
+    lidar_of(sensor)
     if source.is_dir() and (source / POSES).exists():
         if pose not in (None, "true"):
             raise RequestError(
@@ -116,7 +112,7 @@ def replay(source: Path, sensor: Sensor, robot: Robot, pose: str | None, names: 
                 f"{pose} needs a bag with an Imu"
             )
         place = {"mount_x": 0.0, "mount_z": 0.0, "mount_axis": math.pi / 2, "pose": "true"}
-        run = _Run(sensor.model_copy(update=place), robot, RobotSetup())
+        run = _Run(sensor.model_copy(update=place), "true", robot, RobotSetup())
         scans, stamps = read_folder(source)
         if stamps is None:
             raise RequestError(
@@ -130,8 +126,8 @@ def replay(source: Path, sensor: Sensor, robot: Robot, pose: str | None, names: 
     recording = read_recording(source, names)
     x, _, z = recording.mount.place.tolist()
     place = {"mount_x": x, "mount_z": z, "mount_axis": recording.axis}
-    place["pose"] = _pose(recording, pose)
-    run = _Run(sensor.model_copy(update=place), robot, recording.setup, recording.topics)
+    place["pose"] = pose = _pose(recording, pose)
+    run = _Run(sensor.model_copy(update=place), pose, robot, recording.setup, recording.topics)
     for step in recording.steps():
         cloud = step.messages.get("cloud")
         run.take(step, None if cloud is None else recording.pose(cloud.time))
@@ -154,15 +150,22 @@ class _Run:
     """Feeds an estimator and asks it once in each period, as a controller does."""
 
     def __init__(
-        self, sensor: LidarSensor, robot: Robot, setup: RobotSetup, topics: Collection[str] = ()
+        self,
+        sensor: Sensor,
+        pose: str,
+        robot: Robot,
+        setup: RobotSetup,
+        topics: Collection[str] = (),
     ) -> None:
         """``topics``: the devices that were recorded; a cloud waits for the posture by them."""
+        lidar = lidar_of(sensor)
         estimator = sensor.estimator(robot)
         assert isinstance(estimator, LidarEstimator)
-        self._estimator, self._sensor = estimator, sensor
-        self._tracked = sensor.pose == "true"
-        self._mount = np.array([sensor.mount_x, 0.0, sensor.mount_z])
-        self._turn = mounting(sensor.mount_axis)
+        self._estimator, self._pose = estimator, pose
+        self._widths = sensor.bin_width, lidar.quality.half_width
+        self._tracked = pose == "true"
+        self._mount = np.array([lidar.mount.x, 0.0, lidar.mount.z])
+        self._turn = mounting(lidar.mount.axis)
         self._limits, self._period = Limits(), robot.decision_period
         needs = () if self._tracked else {"joints", "attitude"} & set(topics)
         self._intake = Intake(setup, self._limits, needs)
@@ -258,12 +261,12 @@ class _Run:
         seen = np.array([one.ground.seen for one in instants])  # (T, N)
         filled = [one.ground.filled for one in instants if one.ground.filled is not None]
         deviation = np.array([one.ground.deviation for one in instants])  # (T, N) [m]
-        width, half_width = self._sensor.bin_width, self._sensor.half_width
+        width, half_width = self._widths
         middle = (np.arange(seen.shape[1]) - (seen.shape[1] - 1) / 2) * width
         summary = {
             "source": str(source),
             "topics": topics,
-            "pose": self._sensor.pose,
+            "pose": self._pose,
             "seconds": instants[-1].time,
             "scans": self._scans,
             "refused": {

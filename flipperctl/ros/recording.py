@@ -18,7 +18,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from flipperctl.api import Sensor
-from flipperctl.core.lidar.body import Mount, mounting
+from flipperctl.core.lidar.body import mounting
+from flipperctl.core.lidar.ground import Lidar
 from flipperctl.errors import RequestError
 from flipperctl.ros.checking import Checked, examine, tells
 from flipperctl.ros.reading import (
@@ -45,7 +46,6 @@ from flipperctl.runtime.messages import (
 )
 from flipperctl.runtime.point_cloud import PointTimes
 from flipperctl.runtime.recordings import Shadow
-from flipperctl.sim.lidar import LidarSensor
 from flipperctl.text.files import OutputKind, check_output, write_bytes
 
 Message = Cloud | Attitude | JointAngles | Odometry
@@ -252,13 +252,13 @@ def shadow(
     ``sensor`` has the widths and errors of the robot, see ``USED``; ``pose`` is ``belts`` or
     ``matched``; None: ``belts``.
     """
-    assert isinstance(sensor, LidarSensor)
+    lidar = lidar_of(sensor)
     check_output(log, LOG)
     if pose == "true":
         raise RequestError("perception.pose=true: no robot knows this; belts or matched is allowed")
     recording = read_recording(source, names)
     lines: list[str] = []
-    decided = Shadow(policy, setup_of(recording, sensor, pose), lines.append)
+    decided = Shadow(policy, setup_of(recording, lidar, pose), lines.append)
     for step in recording.steps():
         decided.take(step.now, step.messages)
     write_bytes(log, "".join(f"{line}\n" for line in lines).encode())
@@ -273,15 +273,24 @@ def shadow(
     }
 
 
-def setup_of(recording: Recording, sensor: LidarSensor, pose: str | None) -> RobotSetup:
-    """Return the devices of a recorded robot, with the widths and errors of ``sensor``."""
+def lidar_of(sensor: Sensor) -> Lidar:
+    """Return what a robot knows of the LiDAR of ``sensor``, which has to have one."""
+    if sensor.lidar is None:
+        raise RequestError(
+            f"perception={sensor.plugin_name} has no map of clouds; perception=lidar is allowed"
+        )
+    return sensor.lidar
+
+
+def setup_of(recording: Recording, lidar: Lidar, pose: str | None) -> RobotSetup:
+    """Return the devices of a recorded robot, with the widths and errors of ``lidar``."""
     x, _, z = recording.mount.place.tolist()
     return replace(
         recording.setup,
-        mount=Mount(x, z, recording.axis, sensor.near, sensor.filter_margin),
-        chassis_width=sensor.chassis_width,
-        overall_width=sensor.overall_width,
+        mount=replace(lidar.mount, x=x, z=z, axis=recording.axis),
+        chassis_width=lidar.chassis_width,
+        overall_width=lidar.overall_width,
         pose="matched" if pose == "matched" else "belts",
-        range_bias=sensor.range_bias,
-        tilt_error=math.hypot(sensor.tilt_wander, sensor.tilt_noise),
+        range_bias=lidar.range_bias,
+        tilt_error=lidar.tilt_error,
     )

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.core import FloatArray, observation
-from flipperctl.core.lidar.body import turned
+from flipperctl.core.lidar.body import Mount, turned
 from flipperctl.core.lidar.cells import Cells
 from flipperctl.core.lidar.outline import (
     Accuracy,
@@ -169,6 +169,22 @@ class MapQuality:
     """Standard deviation of the height of a point [m]."""
     deskew: bool = True
     """Whether points are corrected for the robot's motion within a scan."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lidar:
+    """What a robot's controller has to know of its LiDAR, and of what that is mounted on."""
+
+    quality: MapQuality
+    mount: Mount
+    chassis_width: float
+    """Width of the chassis between the flippers [m]."""
+    overall_width: float
+    """Width over the outer sides of the flippers [m]."""
+    range_bias: float
+    """Largest error of all distances [m]."""
+    tilt_error: float
+    """Standard deviation of roll and pitch [rad]."""
 
 
 @dataclass(frozen=True)

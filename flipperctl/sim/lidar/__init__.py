@@ -24,7 +24,7 @@ from flipperctl.api import (
 )
 from flipperctl.core.lidar.body import Body, Mount
 from flipperctl.core.lidar.estimator import LidarEstimator
-from flipperctl.core.lidar.ground import MapQuality, MapSettings
+from flipperctl.core.lidar.ground import Lidar, MapQuality, MapSettings
 from flipperctl.core.lidar.matching import ScanMatcher
 from flipperctl.core.lidar.outline import accuracy_of
 from flipperctl.errors import MissingExtraError
@@ -296,10 +296,8 @@ class LidarSensor(Sensor):
         Raises:
             MissingExtraError: ``pose`` is ``matched``, and small_gicp is not installed.
         """
-        # The slow and the white error of the tilt are independent, so their variances add.
-        tilt = math.hypot(self.tilt_wander, self.tilt_noise)
-        accuracy = accuracy_of(self.pose, self.range_bias, tilt)
-        settings = MapSettings(self.bins, self.bin_width, self.highest, self.map_quality, accuracy)
+        accuracy = accuracy_of(self.pose, self.range_bias, self._tilt_error)
+        settings = MapSettings(self.bins, self.bin_width, self.highest, self._quality, accuracy)
         try:
             matcher = ScanMatcher() if self.pose == "matched" else None
         except ImportError as error:
@@ -314,8 +312,24 @@ class LidarSensor(Sensor):
         return PlanarSensor(**self.layout.model_dump())
 
     @property
-    def map_quality(self) -> MapQuality:
-        """Settings of the map, which exported files state for the robot's controller."""
+    def lidar(self) -> Lidar:
+        """What the robot's controller has to know of the LiDAR and its map."""
+        return Lidar(
+            quality=self._quality,
+            mount=self._mount,
+            chassis_width=self.chassis_width,
+            overall_width=self.overall_width,
+            range_bias=self.range_bias,
+            tilt_error=self._tilt_error,
+        )
+
+    @property
+    def _tilt_error(self) -> float:
+        # The slow and the white error of the tilt are independent, so their variances add.
+        return math.hypot(self.tilt_wander, self.tilt_noise)
+
+    @property
+    def _quality(self) -> MapQuality:
         return MapQuality(
             cell=self.cell,
             lane=self.lane,
