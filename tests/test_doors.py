@@ -5,22 +5,23 @@ outside its family's room.
 """
 
 import ast
-import csv
 import importlib.util
 import pkgutil
 import re
 from collections.abc import Iterator
 from contextlib import suppress
+from itertools import islice
 from pathlib import Path
 
 import pytest
 
 from flipperctl import plugins
-from flipperctl.api import registry
+from flipperctl.api import action_index, registry
 from flipperctl.api.controllers import plans_on_rewards
 from flipperctl.config import EvalConfig, resolver
+from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.policies.source import PolicySource, with_files
-from tests.cli.call import call
+from flipperctl.rollout.episode import decisions
 
 ROOT = Path(__file__).parents[1]
 SAVED = re.compile(r"[Ss]ave this as `([\w.]+)`:\n\n```\w+\n(.*?)^```", re.DOTALL | re.MULTILINE)
@@ -99,14 +100,11 @@ def test_a_planner_is_given_the_rewards_as_ours_is(tmp_path: Path) -> None:
     assert not PolicySource(settings={"name": "mpc"}).plans_for_rewards
 
 
+@pytest.mark.usefixtures("registry")
 def test_a_planner_drives_for_the_rewards_of_the_user(tmp_path: Path) -> None:
-    file = saved("tutorials/controller.md", "nearsighted.py", tmp_path)
-    words = ["eval", "nearsighted", "controller.ahead=1", "terrain=flat", "--episodes", "1"]
-    for rewards in ("rewards=smooth", "rewards=paper"):
-        done = call(*words, rewards, "--output", rewards, "--plugins", file.name, cwd=tmp_path)
-        assert done.code == 0, done.err
-    smooth, paper = (
-        next(csv.DictReader((tmp_path / rewards / "episodes.csv").open()))["pitch_variation"]
-        for rewards in ("rewards=smooth", "rewards=paper")
-    )
-    assert smooth != paper
+    plugins.load([saved("tutorials/controller.md", "nearsighted.py", tmp_path)])
+    source = PolicySource(settings={"name": "nearsighted", "ahead": 1})
+    held, unpaid = (EvalConfig(terrain="flat", rewards=paid) for paid in ({"travel": "travel"}, {}))
+    for config, action in ((held, action_index(0, 0)), (unpaid, 0)):  # any is as good as the first
+        driven = decisions(FlipperEnv(config=config), source.build(config), seed=1)
+        assert [decision.action for decision in islice(driven, 3)] == [action] * 3
