@@ -15,11 +15,11 @@ from pathlib import Path
 
 import pytest
 
-from flipperctl import plugins
 from flipperctl.api import action_index, registry
 from flipperctl.api.controllers import plans_on_rewards
 from flipperctl.config import EvalConfig, resolver
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.plugging import plugins
 from flipperctl.policies.source import PolicySource, with_files
 from flipperctl.rollout.episode import decisions
 

@@ -151,7 +151,7 @@ def test_each_of_several_policies_is_part_of_the_identity(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("names", "error", "text"),
     [
-        (("generalist", "nowhere"), CheckpointError, r"^controller\.others\[0\]: nowhere: there"),
+        (("mpc_value", "nowhere"), CheckpointError, r"^controller\.others\[0\]: nowhere: there"),
         (("",), ConfigError, "policy: '' is no policy of a file"),
     ],
 )
