@@ -66,6 +66,7 @@ class Simulator(Protocol):
         Columns: x [m], z [m], pitch, front and rear flipper angle [rad].
         """
 
+    # Decisions, as the policy would meet them.
     def step(self, action: int) -> Outcome | None:
         """Simulate one decision; return the outcome, or None while the episode runs."""
 
@@ -84,6 +85,7 @@ class Simulator(Protocol):
         has none. Call it like ``perceive``: once after ``restart`` and once after each ``step``.
         """
 
+    # Snapshots, and the start.
     def save(self) -> Any:
         """Return a snapshot of the scene for ``load``.
 
@@ -100,6 +102,7 @@ class Simulator(Protocol):
     def restart(self) -> None:
         """Return to the start, from which equal actions reproduce the episode's states exactly."""
 
+    # Reports about a search.
     def report_progress(self, fraction: float) -> None:
         """Report the completed fraction of a long search, in [0, 1]."""
 

@@ -110,6 +110,7 @@ class World(Protocol):
     def pitch(self) -> float:
         """Pitch of the chassis, nose up positive [rad]."""
 
+    # Driving.
     def command(self, front: float, rear: float) -> None:
         """Set the target angles of the flippers in frame R [rad].
 
@@ -124,12 +125,14 @@ class World(Protocol):
         terminates.
         """
 
+    # Reading the world.
     def state(self) -> RobotState:
         """Return the current state."""
 
     def penetration(self) -> float:
         """Return the largest depth by which the robot overlaps the ground [m]."""
 
+    # Snapshots, for policies that look ahead.
     def save(self) -> Any:
         """Return a snapshot of the changing state for ``load``."""
 

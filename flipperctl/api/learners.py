@@ -37,12 +37,14 @@ class Step:
     next_observation: NDArray[np.float32]
     ending: Mapping[str, Any] | None
     """``seed``, ``outcome``, metrics and difficulty after the episode's last step; None before."""
+    # What drove, if it was a teacher or explored.
     label: NDArray[np.float32] | None = None
     """The ``label`` of what drove, such as a distribution over actions, (9,), if it has one."""
     groups: StateGroups | None = None
     """After the last step, the states that a teacher valued on the episode's ground."""
     explored: bool = False
     """Whether the action was random."""
+    # What only a simulation knows.
     privileged: NDArray[np.float32] | None = None
     """Privileged state at ``observation``, (P,), if the learner asks for them."""
     next_privileged: NDArray[np.float32] | None = None
@@ -105,6 +107,7 @@ class Loop(Protocol):
 class Learning(ABC):
     """What a learner has in one run: networks, memory, counters."""
 
+    # Networks.
     policy: torch.nn.Module
     """The network that is validated and exported, of the shape of ``Training.policy_network``."""
     driving: torch.nn.Module
@@ -112,11 +115,13 @@ class Learning(ABC):
     risk: torch.nn.Module | None = None
     """The network of the policy's risk, a ``flipperctl.agent.risk.RiskNetwork``, if it learns
     one; see ``Learner.failure_risk``."""
+    # Progress.
     updates: int = 0
     """Number of updates so far; workers get new weights when it has changed."""
     loss: float = 0.0
     """Loss of the last update."""
 
+    # The course of a run.
     def begin(self) -> None:  # noqa: B027  # most have nothing to do
         """Begin a new training; a resumed one is restored instead."""
 
@@ -141,6 +146,7 @@ class Learning(ABC):
         """Return the probability of a random action, for ``metrics.csv``; None without one."""
         return None
 
+    # State for checkpoints.
     @abstractmethod
     def tensors(self) -> Mapping[str, Mapping[str, torch.Tensor]]:
         """Return the state by part and name, between episodes.
@@ -189,10 +195,12 @@ class Learner(Plugin, ABC):
     """The frozen settings of a way to learn."""
 
     kind: ClassVar[str] = "agent"
+    # What this kind of learner can do.
     takes_teacher: ClassVar[bool] = False
     """Whether it learns from the labels and recorded episodes of the section ``teacher``."""
     own_loop: ClassVar[bool] = False
     """Whether its ``Learning`` plays the episodes itself, by ``train``."""
+    # What commands and checkpoints need to know of it.
     default_network: ClassVar[str] = ""
     """Name of the network that ``agent=NAME`` chooses with it; empty: none."""
     resumes_exactly: ClassVar[bool] = True
@@ -229,6 +237,7 @@ class Learner(Plugin, ABC):
         """
         return ()
 
+    # Before a run.
     def check(self, config: Any) -> None:
         """Check the settings against the rest of the training's configuration.
 
@@ -246,6 +255,7 @@ class Learner(Plugin, ABC):
         """
         return None
 
+    # In a run.
     def privileged(self, config: Any) -> bool:
         """Return whether the steps shall have privileged states."""
         return False

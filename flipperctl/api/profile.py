@@ -129,6 +129,7 @@ class Profile:
         """World x of the last edge [m]."""
         return float(self.points[-1, 0])
 
+    # Heights of the ground.
     def heights(self, x: FloatArray) -> FloatArray:
         """Return ``height`` at each of x (M,) [m], (M,) [m]."""
         at, up = self.points.T
@@ -167,6 +168,7 @@ class Profile:
         (x0, z0), (x1, z1) = points[right - 1], points[right]
         return float(z0 + (z1 - z0) * (x - x0) / (x1 - x0))
 
+    # Points of the ground, as sensors and rules take them.
     def sample(self, spacing: float, margin: float) -> FloatArray:
         """Return points along the outline, vertical faces included, (P, 2) in world [m].
 

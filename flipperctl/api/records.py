@@ -25,10 +25,12 @@ class Measure(Plugin, ABC):
     """
 
     kind: ClassVar[str] = "measure"
+    # How it is shown.
     unit: ClassVar[str] = "-"
     """Unit of the value, as tables show it."""
     digits: ClassVar[int] = 2
     """Number of decimals in tables."""
+    # Which episodes have it.
     reached_only: ClassVar[bool] = False
     """Whether only episodes that reached the finish are compared, as for a duration."""
     mapped_only: ClassVar[bool] = False

@@ -16,6 +16,7 @@ from flipperctl.core import FloatArray
 class Robot(RobotGeometry):
     """Geometry from the paper, and masses from the laboratory's public robot model."""
 
+    # What ``randomise`` may sample, and how.
     not_sampled: ClassVar[frozenset[str]] = frozenset(
         {"angle_limit", "angle_step", "control_period"}
     )
@@ -26,8 +27,10 @@ class Robot(RobotGeometry):
         "track_force": math.inf,
         **dict.fromkeys(("payload", "payload_x", "payload_z"), 0.0),
     }
+    # Masses.
     chassis_mass: float = Field(35.0, gt=1, le=500, description="chassis with main tracks [kg]")
     flipper_mass: float = Field(5.0, gt=0.1, le=100, description="one pair of flippers [kg]")
+    # Motors.
     track_speed: float = Field(
         0.2, gt=0, le=2, description="speed of all belts' surfaces along their outline [m/s]"
     )
@@ -54,6 +57,7 @@ class Robot(RobotGeometry):
         description="largest force of all belts together along the ground, the torque limit of the "
         "tracks' motors over the sprockets' radius; null: friction alone limits it [N]",
     )
+    # A load, as a point on the chassis.
     payload: float | None = Field(
         None, ge=0, le=500, description="mass of a load on the chassis; null: none [kg]"
     )
@@ -69,6 +73,7 @@ class Robot(RobotGeometry):
         le=2,
         description="height of the load's centre above the chassis centre; null: 0 [m]",
     )
+    # Decisions.
     control_period: float | None = Field(
         None,
         gt=0,

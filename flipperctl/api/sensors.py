@@ -93,6 +93,7 @@ class Sensor(ObservationLayout, Plugin):
     not_sampled: ClassVar[frozenset[str]] = frozenset(ObservationLayout.model_fields)
     delay: float = Field(0.0, ge=0, le=0.5, description="age of the perception at a decision [s]")
 
+    # One call for each decision, from the true state: in simulation alone.
     def over(self, profile: Profile, margin: float) -> GroundSensor:
         """Return a sensor for the ground of one episode.
 
@@ -101,6 +102,7 @@ class Sensor(ObservationLayout, Plugin):
         """
         raise TypeError(f"sensor {type(self).__name__} measures by its instruments only")
 
+    # Or instruments, which simulation alone has, and an estimator, which a robot runs, too.
     def instruments(self, mounting: Mounting) -> Mapping[str, Instrument] | None:
         """Return the instruments of one episode by name; None: the sensor implements ``over``."""
         return None

@@ -63,6 +63,7 @@ class Settings(BaseModel):
         arbitrary_types_allowed=True,
         validate_default=True,
     )
+    # What ``randomise`` reads of a section of settings.
     not_sampled: ClassVar[frozenset[str]] = frozenset()
     """Names of the settings that ``randomise`` must not sample, since policies rely on them."""
 
@@ -166,6 +167,7 @@ class Outcome(StrEnum):
 class RobotState:
     """The robot at one instant."""
 
+    # Pose.
     position: FloatArray
     """World coordinates (x, z) of the chassis centre, (2,) [m]."""
     pitch: float
@@ -174,12 +176,14 @@ class RobotState:
     """Angle of the front flippers in frame R, above the chassis positive [rad]."""
     rear: float
     """Angle of the rear flippers in frame R, above the chassis positive [rad]."""
+    # Motion.
     velocity: FloatArray
     """Velocity (x, z) of the chassis centre in world, (2,) [m/s]."""
     pitch_rate: float
     """Angular velocity of the chassis, nose up positive [rad/s]."""
     time: float
     """Time since the start of the episode [s]."""
+    # In three dimensions; engines of the side plane leave these as they are.
     roll: float = 0.0
     """Roll of the chassis, left side up positive; 0 in an engine of the side plane [rad]."""
     yaw: float = 0.0
@@ -275,12 +279,14 @@ class Perception:
     """Sensed angle of the front flippers in frame R [rad]."""
     rear: float
     """Sensed angle of the rear flippers in frame R [rad]."""
+    # What a policy knows without sensing.
     robot: RobotGeometry
     layout: ObservationLayout
     rng: np.random.Generator
     """Generator for random policies, seeded by the episode."""
     recent: tuple[NDArray[np.float32], ...]
     """The newest observations of the episode, ``observation`` last, at most ``MAX_HISTORY``."""
+    # What only some sensors tell.
     filled: NDArray[np.bool_] | None = None
     """(P,) whether a point fills unseen ground; None: every point was seen."""
     friction: float | None = None
@@ -309,6 +315,7 @@ class Transition:
     robot: RobotGeometry
     outcome: Outcome | None = field(default=None)
     """How the episode ended; None while it runs."""
+    # Optional, with defaults for a first decision and for bare predictions.
     path: FloatArray = field(default_factory=lambda: np.empty((0, 3)))
     """Poses of the chassis from ``before`` to ``after``, (S + 1, 3): x [m], z [m], pitch [rad]."""
     previous_action: tuple[int, int] = (0, 0)
@@ -317,6 +324,7 @@ class Transition:
     """Front and rear flipper angle in frame R at each pose of ``path``, (S + 1, 2) [rad]."""
     sample_period: float = 0.01
     """Time between two poses of ``path`` [s]."""
+    # What measures may use besides.
     perception: Perception | None = None
     """What the policy perceived when it decided; None in predictions. Measures may use it."""
     flipper_work: float | None = None
