@@ -156,6 +156,7 @@ def describe(
         format=documents.FORMAT,
         kind=kind,
         config=documents.PartialConfig.model_validate(to_dict(config)),
+        # Engines and learners name the libraries that their results depend on.
         versions={
             "flipperctl": __version__,
             "torch": torch.__version__,
