@@ -53,6 +53,7 @@ static:
 	nice $(BIN)/ruff format --check .
 	nice $(BIN)/mypy
 	nice $(BIN)/lint-imports
+	nice $(BIN)/python -m docs.lint
 
 tests:
 	$(BIN)/python -m tests.machine_code

@@ -14,6 +14,7 @@ from _pytest import runner
 
 from flipperctl import api
 from flipperctl.evaluation.play import EpisodeRunner
+from flipperctl.export import policy
 from flipperctl.plugging import plugins
 from tests.short import short_config, trainer
 
@@ -24,6 +25,7 @@ if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as shells start what ru
     # Processes inherit it, and tests interrupt them.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 plugins.load()  # at import, since tests are parametrised over the registry
+policy.OBSERVATIONS = 100  # on which a file is compared with its network; test_export.py has 1000
 
 
 def pytest_collection_finish() -> None:

@@ -12,7 +12,7 @@ import pytest
 from tests.machine_code import compile_environment
 
 FOLDERS = ("agent", "checkpoint", "config", "core", "env", "runtime", "sim")
-FILES = ("test_api.py", "test_habits.py", "test_transitions.py")
+FILES = ("test_api.py", "test_transitions.py")
 LIMIT = 3.0
 """Largest computing time of a quick test, its child processes included [s]."""
 

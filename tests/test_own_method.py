@@ -18,7 +18,8 @@ from tests.test_documentation import OWN_METHOD, ROOT, blocks
 pytestmark = pytest.mark.slow
 
 NOTEBOOKS = sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))
-FEWER = {"20_000": "150", "15_000": "150", "1_000": "50", "range(1, 6)": "range(1, 3)"}
+FEWER = {"20_000": "150", "15_000": "150", "1_000": "50", "range(1, 6)": "range(1, 2)"}
+FEWER |= {', output="ruled"': ""}  # pictures and tables are those of dqn
 FEWER |= {"episodes=30": "episodes=1", "--episodes 30": "--episodes 1"}
 FEWER |= {'{"decisions": 150}': BUDGET, "n_steps=500, batch_size=100": "n_steps=75, batch_size=75"}
 
@@ -41,11 +42,12 @@ def test_every_method_of_the_page_is_trained_saved_and_evaluated(tmp_path: Path)
                 names["model"] = PPO("MlpPolicy", env, n_steps=64).learn(64)
             exec(fewer(block), names)
     seeds = {file.stem: OnnxPolicy(file).interface.seed for file in tmp_path.glob("*.onnx")}
-    assert seeds == {"sb3_dqn": 1, "sb3_ppo": 1, "sb3_sac": 1, "loop_dqn": 1, "dqn1": 1, "dqn2": 2}
+    assert seeds == {"sb3_dqn": 1, "sb3_ppo": 1, "sb3_sac": 1, "loop_dqn": 1, "dqn1": 1}
     assert sorted(scene["controller"] for scene in names["result"].scenes) == ["follow", "level"]
-    assert all((tmp_path / "dqn" / seed / "episodes.csv").is_file() for seed in "12")
+    assert (tmp_path / "dqn" / "1" / "episodes.csv").is_file()
 
 
+@pytest.mark.long  # tests/scripting calls the same functions, and shows progress in a cell
 @pytest.mark.parametrize("file", NOTEBOOKS, ids=lambda file: file.stem)
 def test_a_notebook_runs(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PATH", str(Path(sys.executable).parent), prepend=os.pathsep)

@@ -278,6 +278,15 @@ inspect config seed=1 seed=2 -> seed is given twice: seed=1 and seed=2; one is a
 train agent.gamma=0.9 +agent.gamma=0.8 \
     -> agent.gamma is given twice: agent.gamma=0.9 and +agent.gamma=0.8; one is allowed
 train -m seed=1,2 seed=3 -> seed is given twice: seed=1,2 and seed=3; one is allowed
+watch --no-open -> name a policy
+watch generalist --port 70000 --no-open -> --port
+watch okad --no-open -> did you mean 'okada'
+drive --as ../x --no-open -> --as '../x'
+drive --with generalis --no-open -> did you mean 'generalist'
+drive --study none.yaml --no-open -> --study none.yaml: it cannot be read
+drive terrain=stare --no-open -> stair
+drive --port 99999 --no-open -> --port
+drive --output file --no-open -> it is a file
 inspect reward --compare okada,level seed=1 seed=1 \
     -> seed is given twice: seed=1 and seed=1; one is allowed
 """

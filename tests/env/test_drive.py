@@ -110,14 +110,3 @@ def test_rates_of_whole_steps_are_the_nine_actions_and_others_turn_by_parts() ->
 @pytest.mark.parametrize("rates", [(1, -1), [1, -1.0], np.array([1, -1])])
 def test_rates_may_be_whole_numbers(rates: object) -> None:
     assert as_action(rates) == (1.0, -1.0)
-
-
-@pytest.mark.parametrize(
-    "wrong",
-    [(1.1, 0.0), (0.5,), (math.nan, 0.0), (2, 0), np.zeros((2, 1)), 0.5, "00", (True, False), 9],
-)
-def test_other_values_are_no_actions(wrong: object) -> None:
-    env = FlipperEnv("flat")
-    env.reset(seed=0)
-    with pytest.raises(ValueError, match="from 0 to 8, or the rates of the front and the rear"):
-        env.step(wrong)

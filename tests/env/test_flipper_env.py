@@ -248,7 +248,10 @@ def test_a_wrong_override_is_named_with_what_is_allowed(
 
 @pytest.mark.parametrize(
     "action",
-    [4.5, "3", None, True, np.float64(4.0), np.array([4]), -1, 9, [4], math.nan, np.bool_(True)],
+    [
+        *(4.5, "3", None, True, np.float64(4.0), np.array([4]), -1, 9, [4], math.nan),
+        *((1.1, 0.0), (math.nan, 0.0), (True, False)),  # no rates either
+    ],
     ids=repr,
 )
 def test_what_is_no_action_is_refused(action: Any) -> None:

@@ -1,12 +1,12 @@
 """The report in a real browser without a window: what it shows, its player, light, dark, print."""
 
-import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from benchmarks import browser as chromium
 from flipperctl.rollout.trace import write as write_traces
 from flipperctl.text.files import write_csv, write_json
 from flipperctl.views import evaluation, report, traces
@@ -14,11 +14,7 @@ from flipperctl.views.run import episode_rows
 from tests.evaluation.samples import result, sample
 from tests.figures.test_figures import trace
 
-sync_api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
-CHROMIUM = next((found for name in NAMES if (found := shutil.which(name))), None)
-pytestmark = pytest.mark.skipif(CHROMIUM is None, reason=f"no browser is installed ({NAMES[0]})")
-ALONE = ["--no-sandbox", "--disable-background-networking", "--disable-component-update"]
+pytestmark = pytest.mark.skipif(chromium.installed() is None, reason="no Chromium is installed")
 
 
 @pytest.fixture(scope="module")
@@ -42,10 +38,8 @@ def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
-    with sync_api.sync_playwright() as playwright:
-        found = playwright.chromium.launch(executable_path=CHROMIUM, args=ALONE)
-        yield found
-        found.close()
+    with chromium.chromium() as opened:
+        yield opened
 
 
 @pytest.fixture

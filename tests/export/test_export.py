@@ -39,7 +39,9 @@ def saved(short_run: Path) -> checkpoint.Checkpoint:
 @pytest.fixture(scope="module")
 def onnx_file(saved: checkpoint.Checkpoint, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("export") / "step.onnx"
-    found = policy.export(saved, path)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(policy, "OBSERVATIONS", 1000)
+        found = policy.export(saved, path)
     check_output(path, policy.FILE)  # a file of before is replaced
     assert found["observations"] >= 1000
     assert found["largest_difference"] < 1e-4

@@ -19,7 +19,6 @@ from matplotlib.figure import Figure
 from flipperctl.api import Profile, RobotGeometry
 from flipperctl.config import EvalConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.errors import OutputError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.plan import Entry
 from flipperctl.figures.episode import episode_figure
@@ -158,22 +157,6 @@ def test_figures_are_drawn_under_a_backend_that_does_not_exist() -> None:
         capture_output=True, text=True, timeout=120,
     )  # fmt: skip
     assert (done.stdout, done.returncode) == ("nonsense agg\n", 0), done.stderr
-
-
-@pytest.mark.parametrize(
-    ("name", "why"),
-    [
-        ("none/a.png", "there is no folder"),
-        ("file/a.png", "there is no folder"),
-        ("folder.png", "it is a folder"),
-    ],
-)
-def test_save_states_why_a_path_cannot_be_written(name: str, why: str, tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("mine")
-    (tmp_path / "folder.png").mkdir()
-    with pytest.raises(OutputError, match=f"{name} cannot be written: {why}"):
-        save(Figure(), tmp_path / name)
-    assert (tmp_path / "file").read_text() == "mine"
 
 
 def test_each_scene_of_an_evaluation_has_a_picture_of_its_own() -> None:

@@ -6,7 +6,6 @@ The browser's clock stands still but for ``run``, so that messages and latencies
 import json
 import queue
 import re
-import shutil
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,10 +13,12 @@ from typing import Any
 
 import pytest
 
-pytestmark = pytest.mark.slow
-CHROMIUM = (
-    shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-)
+from benchmarks import browser
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(browser.installed() is None, reason="no Chromium is installed"),
+]
 PAGE = Path(__file__).parents[2] / "flipperctl" / "live" / "drive.html"
 POLICY = (  # nothing but the page's own code and its own server
     "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
@@ -114,25 +115,25 @@ class Tab:
         self.page.clock.run_for(40)  # two frames: it is drawn
 
 
-@pytest.fixture
-def tab() -> Iterator[Tab]:
-    if CHROMIUM is None:
-        pytest.skip("no Chromium is installed")
-    from playwright.sync_api import sync_playwright
-
-    server, problems = Server(), []
-    with sync_playwright() as play:
-        browser = play.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        page = browser.new_page(viewport={"width": 1280, "height": 800})
-        page.on("pageerror", lambda error: problems.append(str(error)))
-        page.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)
-        page.clock.install(time=0)
-        page.clock.pause_at(1000)
-        page.goto(server.address)
-        opened = Tab(page, server)
-        opened.shows("state !== null")
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with browser.chromium() as opened:
         yield opened
-        browser.close()
+
+
+@pytest.fixture
+def tab(chromium: Any) -> Iterator[Tab]:
+    server, problems = Server(), []
+    page = chromium.new_page(viewport={"width": 1280, "height": 800})
+    page.on("pageerror", lambda error: problems.append(str(error)))
+    page.on("console", lambda m: problems.append(m.text) if m.type == "error" else None)
+    page.clock.install(time=0)
+    page.clock.pause_at(1000)
+    page.goto(server.address)
+    opened = Tab(page, server)
+    opened.shows("state !== null")
+    yield opened
+    page.close()
     server.server.shutdown()
     assert problems == []
 
@@ -182,21 +183,18 @@ def test_keys(tab: Tab) -> None:
     assert tab.hands() == (0, 0, 0, -1, 0)
 
 
-@pytest.mark.parametrize("end", ["up", "pointercancel", "leave"])
-def test_a_hold_button_holds_until_its_pointer_ends(tab: Tab, end: str) -> None:
-    mouse = tab.page.mouse
-    tab.page.hover("#forward")
-    mouse.down()
-    assert tab.hands() == (0, 0, 1, 0, 0)
-    mouse.move(600, 300)  # off the button, over the scene
-    assert tab.hands() == (0, 0, 1, 0, 0)
-    if end == "up":
+def test_a_hold_button_holds_until_its_pointer_ends(tab: Tab) -> None:
+    mouse, cancel = tab.page.mouse, ("#forward", "pointercancel", {"pointerId": 1})
+    ends = mouse.up, lambda: mouse.move(600, -20), lambda: tab.page.dispatch_event(*cancel)
+    for end in ends:
+        tab.page.hover("#forward")
+        mouse.down()
+        assert tab.hands() == (0, 0, 1, 0, 0)
+        mouse.move(600, 300)  # off the button, over the scene
+        assert tab.hands() == (0, 0, 1, 0, 0)
+        end()
+        assert tab.hands() == (0, 0, 0, 0, 0)
         mouse.up()
-    elif end == "leave":
-        mouse.move(600, -20)
-    else:
-        tab.page.dispatch_event("#forward", "pointercancel", {"pointerId": 1})
-    assert tab.hands() == (0, 0, 0, 0, 0)
 
 
 PAD = """navigator.getGamepads = () => [null, {mapping: '%s', index: 1, axes: [0, %s, 0, %s],
@@ -216,11 +214,11 @@ def test_a_gamepad(tab: Tab) -> None:
     assert tab.hands() == (0, -1, 0, 0, 0)
 
 
-@pytest.mark.parametrize("mapping", ["", "xr-standard"])
-def test_a_gamepad_of_another_layout_drives_nothing(tab: Tab, mapping: str) -> None:
-    tab.page.evaluate(PAD % (mapping, -1, -1, 0, 1))  # as triggers that rest at -1
-    assert not [message for message in tab.run(300) if message["kind"] == "do"]
-    assert tab.page.inner_text("#pad") == "gamepad not used: its layout is not the standard one"
+def test_a_gamepad_of_another_layout_drives_nothing(tab: Tab) -> None:
+    for mapping in ("", "xr-standard"):
+        tab.page.evaluate(PAD % (mapping, -1, -1, 0, 1))  # as triggers that rest at -1
+        assert not [message for message in tab.run(300) if message["kind"] == "do"]
+        assert tab.page.inner_text("#pad") == "gamepad not used: its layout is not the standard one"
     tab.page.keyboard.down("q")
     assert tab.hands() == (0, 0, 0, 1, 0)
 

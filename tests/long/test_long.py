@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.long import bags, golden
+from tests.long import bags
 from tests.long.files import BAD, fuzz
 
 ROOT = Path(__file__).parents[2]
@@ -55,25 +55,15 @@ def test_a_few_cases_of_a_long_check_pass(
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_golden_runs_commands_apart_and_lists_what_differs(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    jobs = {"command": "train terrain=stiar", "python": 'flipperctl.load("nope")'}
-    done = golden.run(jobs | {"function": lambda: {"a": [1, {"seconds": 2}]}}, tmp_path)
-    assert [one.code for one in done.values()] == [2, 2, 0]
-    assert "'stair'" in done["command"].err
-    assert done["python"].err.startswith("ConfigError: policy: ")
-    entries = golden.document("function", done["function"])
-    assert entries == {"function/a/0": 1}
-    assert not golden.compare("part", entries, {**entries, "b": 1})
-    assert golden.compare("part", {**entries, "c": 2}, {"function/a/0": 1.5})
-    out = capsys.readouterr().out
-    assert "part: 1 equal, 0 changed, 0 missing, 1 new" in out
-    assert "changed function/a/0: 1 → 1.5\n  missing c: 2\n" in out
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(("kind", "count"), [("checkpoint", 12), ("onnx", 6), ("ground", 40)])
+@pytest.mark.parametrize(
+    ("kind", "count"),
+    [
+        ("ground", 40),
+        pytest.param("checkpoint", 12, marks=pytest.mark.long),
+        pytest.param("onnx", 6, marks=pytest.mark.long),
+    ],
+)
 def test_damaged_files_are_refused_or_read_as_the_original(kind: str, count: int) -> None:
     with fuzz(kind, seed=0) as found:
         verdicts = list(found.run(count))

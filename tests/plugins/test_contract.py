@@ -16,9 +16,10 @@ KINDS = FAMILIES.split()
 
 
 AT_NIGHT = re.compile(
-    r"perception-lidar-(episodes|returns)|controller-mpc-(actions|repeats|in time)"
-    r"|.*-another process"
-    r"|network-(?!conv|stacked).*-onnx|network-(?!noisy).*-trains|terrain-(?!midway).*-picture"
+    r"perception-lidar-(episodes|returns)|.*-another process"
+    r"|controller-(?!okada-|greedy|hfc|random|level).*-(actions|repeats|in time)"
+    r"|network-(?!conv).*-onnx|network-(?!noisy).*-trains|agent-(?!d3qn).*-trains"
+    r"|terrain-(?!midway).*-picture"
 )
 """They take long, and tests of these rooms and one of their kind prove the same in short."""
 

@@ -58,7 +58,7 @@ def test_a_result_says_what_the_search_did() -> None:
 
 
 def test_the_progress_of_the_search_never_falls() -> None:
-    env = FlipperEnv("pallet")
+    env = FlipperEnv({"name": "step", "height": 0.1})
     env.reset(seed=0)
     fractions: list[float] = []
     built({**QUICK, "budget": 300}).reset(env.simulator(fractions.append))

@@ -7,7 +7,6 @@ import errno
 import importlib
 import itertools
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -15,7 +14,6 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import Future
 from contextlib import closing
-from multiprocessing import Pipe
 from pathlib import Path
 from typing import Any
 
@@ -262,19 +260,3 @@ def test_a_worker_that_cannot_start_says_why(count: int, monkeypatch: pytest.Mon
     text = r"Too many open files; .*--jobs 1 .*train.mode=exact"
     with pytest.raises(FlipperctlError, match=text):
         asked(count, mask)
-
-
-@pytest.mark.long
-def test_a_worker_needs_few_descriptors() -> None:
-    """A limit of 64 open files, of which a test may have many, bears two workers."""
-    ours, theirs = Pipe()
-    lowest = ours.fileno()
-    ours.close()
-    theirs.close()
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    asked(2, mask)
-    resource.setrlimit(resource.RLIMIT_NOFILE, (max(64, lowest + 16), hard))
-    try:
-        assert asked(2, mask) == set()
-    finally:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))

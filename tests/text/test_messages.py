@@ -15,27 +15,15 @@ OPTIONS = ["checkpoint", "controller", "baseline", "episodes", "seed", "jobs", "
 WORDS = [*PLUGINS, *SETTINGS, *OPTIONS, *COMMANDS]
 
 
-@pytest.mark.parametrize(
-    ("typed", "meant"),
-    [
-        *(("stiar", "stair"), ("Stair", "stair"), ("pich", "pitch"), ("paper-step", "paper_step")),
-        *(("batchsize", "batch_size"), ("controler", "controller"), ("evaluate", "eval")),
-    ],
-)
-def test_a_slip_finds_the_word(typed: str, meant: str) -> None:
-    assert closest(typed, WORDS) == meant
-    assert close_match(typed, WORDS) == f" (did you mean {meant!r}?)"
-
-
-@pytest.mark.parametrize(
-    "typed",
-    [
-        *("none", "resume", "x", "lr", "config", "123", "model", "verbose", ""),
-    ],
-)
-def test_another_word_finds_nothing(typed: str) -> None:
-    assert closest(typed, WORDS) is None
-    assert close_match(typed, WORDS) == ""
+def test_a_slip_finds_the_word_and_another_word_finds_nothing() -> None:
+    slips = {"stiar": "stair", "Stair": "stair", "pich": "pitch", "paper-step": "paper_step"}
+    slips |= {"batchsize": "batch_size", "controler": "controller", "evaluate": "eval"}
+    for typed, meant in slips.items():
+        assert closest(typed, WORDS) == meant
+        assert close_match(typed, WORDS) == f" (did you mean {meant!r}?)"
+    for typed in ("none", "resume", "x", "lr", "config", "123", "model", "verbose", ""):
+        assert closest(typed, WORDS) is None
+        assert close_match(typed, WORDS) == ""
 
 
 @pytest.mark.parametrize(("module", "package"), [("PIL.Image", "pillow"), ("numba", "numba")])

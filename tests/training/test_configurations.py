@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 
-from tests.configurations import Overrides, attempt, command, left_out, overrides
+from tests.configurations import Overrides, attempt, left_out, overrides
 
 pytestmark = pytest.mark.slow
 
@@ -24,8 +24,7 @@ def test_a_configuration_trains_or_is_refused_by_name(count: int) -> None:
     @given(drawn=overrides())
     def draw(drawn: Overrides) -> None:
         with tempfile.TemporaryDirectory() as folder:
-            found = attempt(drawn, Path(folder) / "run")
-        assert found.kind in ("trained", "refused"), f"{found.text}\n{command(drawn)}"
+            assert attempt(drawn, Path(folder) / "run") == "", drawn
 
     draw()
 

@@ -26,9 +26,8 @@ pytestmark = pytest.mark.slow
     ["quantile", *(pytest.param(n, marks=pytest.mark.long) for n in ("conv", "stacked", "noisy"))],
 )
 def test_the_exported_policy_acts_as_the_trained_one(
-    name: str, runs: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str, runs: Callable[[str], Path], tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(export_policy, "OBSERVATIONS", 100)
     best = runs(name) / checkpoint.BEST
     saved, path = checkpoint.read(best), tmp_path / "policy.onnx"
     assert export_policy.export(saved, path)["action_agreement"] == 1.0

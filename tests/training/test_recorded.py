@@ -26,7 +26,6 @@ from flipperctl.training import episodes
 from flipperctl.training.episodes import EPISODES, PARTS
 from flipperctl.training.folder import clear_leftovers
 from flipperctl.training.trainer import Trainer
-from tests.cli.call import EXACT, call
 from tests.played import play_episodes
 from tests.rollout.notes import Notes
 from tests.short import few, short_config, trainer
@@ -199,26 +198,6 @@ def test_that_sums_over_recorded_decisions_are_not_cut_is_stated(
         "its decisions are not cut, whatever agent.cut_at_random"
     ]
     assert run.progress.updates == 40 // 2  # the recorded decisions count before learning
-
-
-def test_what_eval_records_is_refused_where_it_does_not_fit(tmp_path: Path) -> None:
-    made = ("--controller", "okada", "terrain=step", "--record", "a.safetensors")
-    assert call("eval", *made, "--episodes", "1", cwd=tmp_path).code == 0
-    found = call("eval", "--checkpoint", "a.safetensors", cwd=tmp_path)
-    assert "it describes recorded episodes" in found.err
-    (tmp_path / "bad.safetensors").write_bytes((tmp_path / "a.safetensors").read_bytes()[:-1])
-    words = [*(f"{key}={value}" for key, value in EXACT.items()), "terrain=step"]
-    words += ["agent.privileged_value=false"]  # of which a recording holds no states
-    for name, text in (
-        ("a.safetensors robot.angle_step=0.2", f"robot.angle_step={math.pi / 12} (here 0.2)"),
-        ("bad.safetensors", "is damaged"),
-        ("", "teacher.episodes: the name of a file is needed"),
-    ):
-        more = f"teacher.episodes={name}".split() if name else []
-        done = call("train", *words, "teacher=recorded", "hydra.run.dir=run", *more, cwd=tmp_path)
-        assert (done.code, len(done.err.splitlines())) == (2, 1), done.err
-        assert text in done.err
-        assert not (tmp_path / "run").exists()
 
 
 # When the student drives: as soon as it learns.

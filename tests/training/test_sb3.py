@@ -21,6 +21,7 @@ from flipperctl.policies.trained import TrainedPolicy, policy_module
 from flipperctl.rollout.episode import decisions
 from flipperctl.runtime import OnnxPolicy
 from flipperctl.training.trainer import Trainer
+from tests.rollout.notes import Notes
 from tests.short import few
 
 pytestmark = pytest.mark.slow
@@ -131,19 +132,6 @@ def test_an_exported_file_of_rates_drives_the_same_episode(tmp_path: Path) -> No
     assert max(map(abs, rates)) <= 1
 
 
-class Notes:
-    """A listener that keeps its notes."""
-
-    def __init__(self) -> None:
-        self.texts: list[str] = []
-
-    def note(self, text: str) -> None:
-        self.texts.append(text)
-
-    def __getattr__(self, name: str) -> Any:
-        return lambda *given: None
-
-
 def learnt(algorithm: str, folder: Path, **settings: object) -> tuple[Trainer, list[str]]:
     """Train, or resume the run in ``folder``; return its trainer and notes."""
     config = config_of(algorithm, "turns", **settings)
@@ -153,7 +141,7 @@ def learnt(algorithm: str, folder: Path, **settings: object) -> tuple[Trainer, l
     if (folder / checkpoint.LAST).is_file():
         trainer.restore(checkpoint.read(folder / checkpoint.LAST))
     trainer.run()
-    return trainer, notes.texts
+    return trainer, notes.notes
 
 
 def test_the_rest_of_a_rollout_is_learnt_from(tmp_path: Path) -> None:
