@@ -6,9 +6,9 @@ Two lines in a test file are enough:
         plugin = Ridge
 
 or, for several plugins at once, ``@pytest.mark.parametrize("check", checks(Ridge, Gap), ids=str)``
-over ``def test_mine(check): check()``; ``package_checks(my_package)`` are those of all plugins of
-a package. ``flipperctl inspect plugins --check`` runs the same checks
-on all installed plugins.
+over ``def test_mine(check): check()``. ``package_checks(my_package)`` has the checks of all
+plugins of a package. ``flipperctl inspect plugins --check`` runs the same checks on all installed
+plugins.
 """
 
 from flipperctl.errors import ConformanceError

@@ -1,8 +1,8 @@
 """The checks of a plugin: callables whose error states the fault, its place and the value.
 
 In: a plugin's class. Out: its checks. Each runs on the plugin at its defaults, most of them also at
-the outermost values of each field. Those of every kind of plugin are here, its registration,
-documentation and serialisation; those of one kind are marked ``@of(kind, name)`` in the module of
+the outermost values of each field. The checks of every kind of plugin are here: its registration,
+documentation and serialisation. A check of one kind is marked ``@of(kind, name)`` in the module of
 ``_MODULES``.
 """
 
@@ -34,9 +34,14 @@ from flipperctl.plugging import plugins as loader
 from flipperctl.plugging.guard import error_line, error_place, plugin_label
 
 _MODULES = {
-    **{"terrain": "terrain", "sim": "engine", "perception": "sensor"},
-    **dict.fromkeys(("reward", "measure", "logger"), "recorded"),
-    **dict.fromkeys(("network", "controller"), "policies"),
+    "terrain": "terrain",
+    "sim": "engine",
+    "perception": "sensor",
+    "reward": "recorded",
+    "measure": "recorded",
+    "logger": "recorded",
+    "network": "policies",
+    "controller": "policies",
     "agent": "learner",
 }
 """Kind of plugin → module with its checks."""
@@ -87,8 +92,8 @@ class Conformance:
     def pytest_generate_tests(self, metafunc: Any) -> None:
         """Make one test of each check."""
         if "check" in metafunc.fixturenames:
-            found = checks(self.plugin, pictures=self.pictures)
-            metafunc.parametrize("check", found, ids=str)
+            tests = checks(self.plugin, pictures=self.pictures)
+            metafunc.parametrize("check", tests, ids=str)
 
     def test_keeps_the_contract(self, check: Check) -> None:
         """Fail with the plugin, the value and the allowed values."""
@@ -117,18 +122,18 @@ def checks(*plugins: type[Plugin], pictures: Path | None = None) -> list[Check]:
 def package_checks(package: ModuleType) -> list[Check]:
     """Return all checks of all plugins that an imported package has registered."""
     begin = package.__name__.partition(".")[0]
-    found = [c for _, c in sorted(registry.items()) if c.__module__.partition(".")[0] == begin]
-    if not found:
+    classes = [c for _, c in sorted(registry.items()) if c.__module__.partition(".")[0] == begin]
+    if not classes:
         raise ConformanceError(f"the package {begin} registers no plugin")
-    return checks(*found)
+    return checks(*classes)
 
 
 def _checks(cls: type[Plugin], pictures: Path | None) -> Iterator[Check]:
-    every = cache(lambda: variants(cls))
+    all_variants = cache(lambda: variants(cls))
 
     def at(name: str, test: Callable[[Any], None], *, everywhere: bool) -> Check:
         last = None if everywhere else 1
-        return Check(cls, name, lambda: _run_on_variants(every()[:last], test))
+        return Check(cls, name, lambda: _run_on_variants(all_variants()[:last], test))
 
     yield Check(cls, "registered", lambda: _registered(cls))
     yield Check(cls, "documented", lambda: _documented(cls))
@@ -144,13 +149,13 @@ def _checks(cls: type[Plugin], pictures: Path | None) -> Iterator[Check]:
         elsewhere = import_module("flipperctl.testing.elsewhere")
         yield at("another process", elsewhere.another_process, everywhere=False)
     if cls.kind == "terrain" and pictures is not None:
-        yield Check(cls, "pictures", lambda: module.write_pictures(every(), pictures))
+        yield Check(cls, "pictures", lambda: module.write_pictures(all_variants(), pictures))
 
 
 def run_checks(todo: Sequence[Check], report: Callable[[str, float], None]) -> list[dict[str, Any]]:
     """Run every check; return whether each passed or was skipped, its message and its time [s].
 
-    ``report`` is given the name of the next one and the finished fraction.
+    ``report`` is called with the name of the next one and the finished fraction.
     """
     rows = []
     for index, check in enumerate(todo):
@@ -210,8 +215,8 @@ def _failure(run: Callable[[], None], plugin: Plugin | type[Plugin]) -> Conforma
 def _run_on_variants(variants: Sequence[Variant], test: Callable[[Any], None]) -> None:
     """Run a test on every variant; the error describes the first failure and names the others."""
     with np.errstate(all="ignore"):  # at the smallest float, a quotient may overflow
-        found = ((v.label, _failure(partial(test, v.plugin), v.plugin)) for v in variants)
-        failed = [(label, error) for label, error in found if error]
+        results = ((v.label, _failure(partial(test, v.plugin), v.plugin)) for v in variants)
+        failed = [(label, error) for label, error in results if error]
     if failed:
         label, first = failed[0]
         others = ", ".join(label for label, _ in failed[1:])
@@ -231,26 +236,29 @@ def variants(cls: type[Plugin]) -> list[Variant]:
 
     Values that the plugin's validator rejects with other fields at their defaults are left out.
     """
+    # Fields that the contracts declare are not the plugin's own.
     bases = (base for base in cls.__mro__[1:] if base.__module__.startswith("flipperctl.api."))
     shared = {name for base in bases for name in getattr(base, "model_fields", ())}
     try:
         default = cls()
     except ValidationError as error:
         raise _invalid("its defaults", error) from error
-    found = [Variant("its defaults", default)]
+    accepted = [Variant("its defaults", default)]
+
+    # One setting at a time leaves its default, so that a failure names its cause.
     for field in (name for name in cls.model_fields if name not in shared):
         for value in _edges(cls, field):
             if value == getattr(default, field):
                 continue
             label = f"{field}={value}"
             try:
-                found.append(Variant(label, cls(**{field: value})))
+                accepted.append(Variant(label, cls(**{field: value})))
             except ConfigError:  # of a validator, as below
                 continue
             except ValidationError as error:
                 if error.errors()[0]["type"] != "value_error":
                     raise _invalid(label, error) from error
-    return found
+    return accepted
 
 
 def _invalid(label: str, error: ValidationError) -> ConformanceError:
@@ -262,6 +270,7 @@ def _invalid(label: str, error: ValidationError) -> ConformanceError:
 
 def _edges(cls: type[Plugin], field: str) -> Iterator[Any]:
     """Yield the outermost values that a field's bounds allow, or its choices."""
+    # A strict bound is not allowed itself; its nearest neighbour is.
     info = cls.model_fields[field]
     for bound in info.metadata:
         for name, direction in _BOUNDS.items():
@@ -288,14 +297,15 @@ def _registered(cls: type[Plugin]) -> None:
     """Check that the plugin is registered under its name."""
     name = cls.__dict__.get("plugin_name")
     require(name is not None, f"has no name; decorate {cls.__name__} with @{cls.kind}(<name>)")
-    found = registry.get((cls.kind, str(name)))
-    require(found is cls, f"is not the class registered under its name, which is {found}")
+    registered = registry.get((cls.kind, str(name)))
+    require(registered is cls, f"is not the class registered under its name, which is {registered}")
 
 
 def _documented(cls: type[Plugin]) -> None:
     """Check that the plugin has a docstring, and each field a description, a unit and bounds."""
-    own = cls.__dict__.get("__doc__")
-    require(bool(inspect.cleandoc(own or "").strip()), "has no docstring; describe it")
+    # A docstring for people; for each field a unit for tables, and bounds for these checks
+    docstring = cls.__dict__.get("__doc__")
+    require(bool(inspect.cleandoc(docstring or "").strip()), "has no docstring; describe it")
     for field, info in cls.model_fields.items():
         text = info.description or ""
         require(

@@ -60,11 +60,11 @@ class Probe:
 
 def probe(config: EnvConfig, source: PolicySource) -> list[Probe]:
     """Return the probes of both engines, of sensing and, if it is exported, of a policy's file."""
-    found = [*probe_world(in_default_engine(config)), *probe_world(config), *probe_sensing(config)]
+    probes = [*probe_world(in_default_engine(config)), *probe_world(config), *probe_sensing(config)]
     if source.is_exported:
         interface = ExportedPolicy(source.file).interface
-        found += probe_export(interface, config.robot, str(source.file))
-    return found
+        probes += probe_export(interface, config.robot, str(source.file))
+    return probes
 
 
 def require_conventions(probes: Sequence[Probe]) -> None:
@@ -110,12 +110,13 @@ def probe_world(config: EnvConfig) -> Iterator[Probe]:
     """
     robot, name = config.robot, f"sim={config.sim.plugin_name}"
 
-    def probe(meaning: str, unit: str, found: float, expected: float, tolerance: float) -> Probe:
-        return Probe(name, meaning, unit, found, expected, tolerance)
+    def probe(meaning: str, unit: str, measured: float, expected: float, tolerance: float) -> Probe:
+        return Probe(name, meaning, unit, measured, expected, tolerance)
 
     def place(profile: Profile, x: float) -> World:
         return place_guarded(config.sim, profile, robot, Start(x), np.random.default_rng(0))
 
+    # Forwards on level ground: x, z, velocity and time
     world = place(_FLAT, 0.0)
     world.advance(200)
     state = world.state()
@@ -126,6 +127,8 @@ def probe_world(config: EnvConfig) -> Iterator[Probe]:
     )
     yield probe("velocity along x", "m/s", state.velocity[0], distance / 2, 0.1 * distance)
     yield probe("time of 200 samples", "s", state.time, 2.0, 1e-6)
+
+    # Each pair turned up, while the other one stays
     step = min(robot.angle_step, robot.angle_limit)
     samples = round(100 * (robot.angle_step / robot.flipper_speed))
     for pair, index in (("front", 0), ("rear", 1)):
@@ -140,6 +143,8 @@ def probe_world(config: EnvConfig) -> Iterator[Probe]:
             f"other flippers while the {pair} ones turn", "rad", angles[1 - index], 0.0, 0.15 * step
         )
         yield from _lifting(probe, place(_FLAT, 0.0), pair, index, robot)
+
+    # Up a ramp, until the whole chassis is on it
     run = 3.0
     ramp = Profile([(0.0, 0.0), (run, run * math.tan(_SLOPE))])
     world = place(ramp, -0.9)
@@ -152,6 +157,7 @@ def probe_world(config: EnvConfig) -> Iterator[Probe]:
 
 def _lifting(probe: Any, world: World, pair: str, index: int, robot: Robot) -> Iterator[Probe]:
     """Yield probes of the pitch while one pair presses on the ground and still turns."""
+    # The flippers must still turn at the end, so that the pitch rate is of a moving robot.
     samples = math.ceil(100 * min(0.5, 0.8 * robot.angle_limit / robot.flipper_speed))
     turned = samples / 100 * robot.flipper_speed
     world.command(*[-robot.angle_limit if i == index else 0.0 for i in range(2)])
@@ -172,6 +178,7 @@ def _lifting(probe: Any, world: World, pair: str, index: int, robot: Robot) -> I
 
 def probe_sensing(config: EnvConfig) -> Iterator[Probe]:
     """Yield the probes of the observation in front of a step, without noise, bias and delay."""
+    # The step ahead and the level ground behind are exact without noise, bias and delay.
     plain = config.perception.exact()
     layout, radius = plain.layout, config.robot.track_radius
     rngs = np.random.default_rng(0), np.random.default_rng(0)
@@ -189,6 +196,8 @@ def probe_sensing(config: EnvConfig) -> Iterator[Probe]:
     mounting = Mounting(config.robot, ground, layout.reach + 3.0, world, rngs[1])
     perceiver = Perceiver(plain, mounting, config.robot, rngs)
     perceiver.measure(state)
+
+    # The observation in its documented order
     seen: FloatArray = perceiver.perceive(state).observation.astype(np.float64)
     name = f"perception={config.perception.plugin_name}"
 
@@ -207,14 +216,16 @@ def probe_export(interface: Interface, robot: Robot, file: str) -> Iterator[Prob
     """Yield the probes of an exported policy's actions, targets and timing against a robot's."""
     for index, row in enumerate(turns(robot.angle_step, interface.kind).tolist()):
         for side, (pair, expected) in enumerate(zip(JOINTS, row, strict=True)):
-            found = float(interface.actions[index, side])
+            turned = float(interface.actions[index, side])
             yield Probe(
-                file, f"turn of the {pair} pair by action {index}", "rad", found, expected, 1e-6
+                file, f"turn of the {pair} pair by action {index}", "rad", turned, expected, 1e-6
             )
+
+    # Targets and timing, which the controller on a robot computes from the file
     rule = interface.targets
-    largest, held = "largest target, in both directions", "distance between target and angle"
+    largest, window = "largest target, in both directions", "distance between target and angle"
     yield Probe(file, largest, "rad", rule.limit, robot.angle_limit, 1e-6)
-    yield Probe(file, held, "rad", rule.window, robot.angle_step, 1e-6)
+    yield Probe(file, window, "rad", rule.window, robot.angle_step, 1e-6)
     period = interface.decision_period
     yield Probe(file, "time between two actions", "s", period, robot.decision_period, 1e-6)
     right = tuple(quantity.name for quantity in interface.observation[-3:]) == ANGLES

@@ -1,8 +1,8 @@
 """The check that a plugin gives in another process what it gives here, whatever came before.
 
-In: a registered plugin. Out: a refusal that names the first thing that differs: results may depend
-on the settings, the input and the generators alone, not on the process, the hash of a text, what a
-module or a class remembers, or the order of the calls.
+In: a registered plugin. Out: a refusal that names the first thing that differs. Results may depend
+on the settings, the input and the generators alone. They may not depend on the process, the hash of
+a text, what a module or a class remembers, or the order of the calls.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ _SEEDS = (0, 1, 2)
 
 def another_process(plugin: Plugin) -> None:
     """Check that another process, which takes the seeds in another order, gives the same."""
+    # The seeds are taken in another order there, so that a memory of earlier ones shows.
     here = _results(plugin, _SEEDS)
     settings, module = resolver.to_dict(plugin), type(plugin).__module__
     child = _child(tuple(plugins.configured_paths()))
@@ -64,6 +65,7 @@ def _elsewhere(
     module: str, kind: str, settings: Mapping[str, Any], seeds: Sequence[int]
 ) -> dict[str, object] | None:
     """Return the results of a plugin in this process; None if its class is not registered here."""
+    # A class that no plugin file holds is registered once its module is imported.
     if (kind, settings["name"]) not in registry:
         with contextlib.suppress(ImportError):
             importlib.import_module(module)
@@ -81,6 +83,8 @@ def _results(plugin: Plugin, seeds: Sequence[int]) -> dict[str, object]:
         return {f"its action at decision {at}": action for at, action in enumerate(actions)}
     if isinstance(plugin, Measure):
         return {"its value": recorded.first_value(plugin)}
+
+    # All others act within an environment, with the plain one of each other kind.
     scene: dict[str, Any] = {"terrain": recorded.Ground(points=recorded.SCENES[0].points)}
     scene["rewards"] = {"none": recorded.NoReward()}
     if plugin.kind == "reward":

@@ -41,6 +41,7 @@ _BEYOND = 0.05
 @of("sim", "drives", everywhere=False)
 def drives(engine: Engine) -> None:
     """Check that the robot drives at about track speed on level ground and turns its flippers."""
+    # The robot of double speed goes first; the poses of the usual one are read below.
     for robot in (Robot(track_speed=2 * Robot().track_speed), Robot()):
         world = _place(engine, LEVEL, robot=robot)
         begun, poses = world.state(), _run(world)
@@ -61,6 +62,7 @@ def drives(engine: Engine) -> None:
 @of("sim", "end stops", everywhere=False)
 def end_stops(engine: Engine) -> None:
     """Check that the flippers begin as the start says, and that no command turns them too far."""
+    # In both directions, from within the limit to a command beyond it
     limit = Robot().angle_limit
     for sign in (1, -1):
         begun = sign * (limit - _TARGET)
@@ -119,8 +121,11 @@ def returns(engine: Engine) -> None:
     world = _place(engine, GROUND)
     world.command(2 * _TARGET, 2 * _TARGET)
     world.advance(SAMPLES // 2)  # the flippers are turning
+    # What follows the snapshot is seen once, before the world is led astray.
     saved, state = world.save(), _numbers(world.state())
     later = world.advance(SAMPLES // 2)[-1]
+
+    # Another motion, which loading must undo altogether
     world.command(-_TARGET, -_TARGET)
     world.advance(SAMPLES // 2)
     world.load(saved)

@@ -31,6 +31,7 @@ _MOST = 400
 def short(learner: Learner) -> Learner:
     """Return the learner with settings of a short training."""
     cls = type(learner)
+    # Sizes and waits are among the whole numbers, which become small within their bounds.
     values = {name: getattr(learner, name) for name in cls.model_fields}
     small: dict[str, Any] = {}
     for name, value in values.items():
@@ -78,6 +79,8 @@ def trains(learner: Learner) -> None:
     from flipperctl.policies.trained import policy_module
 
     learner = short(learner)
+
+    # The first update must come soon, since the check plays two trainings or three.
     first = learner.first_update(_config(learner, _MORE))
     before = 0 if first is None else first[0]
     text = f"its first update is after {before} decisions; its ClassVar short can make it sooner"
@@ -85,6 +88,7 @@ def trains(learner: Learner) -> None:
     config = _config(learner, 2 * before + _MORE)
     with TemporaryDirectory() as name:
         folder = Path(name)
+        # Nothing is learned before the first update that was promised.
         if before > 1:
             early = _trainer(_config(learner, before - 1), folder / "early")
             begun = {k: t.clone() for k, t in early.learning.policy.state_dict().items()}
@@ -95,6 +99,8 @@ def trains(learner: Learner) -> None:
                 ),
                 f"its policy changes before the {before} decisions that first_update returns",
             )
+
+        # The whole training, and the policy that its file holds
         whole = _trainer(config, folder / "whole")
         whole.run()
         require(
@@ -109,7 +115,7 @@ def trains(learner: Learner) -> None:
             here = whole.learning.policy.eval()(torch.from_numpy(rows))
         require(bool(torch.equal(here, there)), "the policy of its file is another one")
         if learner.resumes_exactly:
-            _resumes(config, folder, before)
+            _resumes(config, folder)
         try:
             compare_onnx(module, config, rows)
         except MissingExtraError as error:
@@ -118,7 +124,7 @@ def trains(learner: Learner) -> None:
             require(False, str(error))
 
 
-def _resumes(config: TrainConfig, folder: Path, before: int) -> None:
+def _resumes(config: TrainConfig, folder: Path) -> None:
     """Require the files of the whole training from one that is stopped after its first update."""
     from flipperctl import checkpoint
 

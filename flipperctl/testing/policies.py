@@ -80,6 +80,7 @@ def gradient(network: Network) -> None:
 
     A weight with ``requires_grad`` False is frozen and has none.
     """
+    # Squares, since the sum of the Q-values has no gradient of a duelling network's advantages.
     module = _built(network)
     observations = _observations(network).requires_grad_()
     module(observations).square().sum().backward()
@@ -93,6 +94,8 @@ def gradient(network: Network) -> None:
             slope is not None and finite and bool(slope.any()),
             f"the gradient of parameter {name!r} is {fault}; it must be finite and not 0",
         )
+
+    # Each number that a sensor gives should matter.
     slope = observations.grad
     used = slope.any(dim=0).tolist() if slope is not None else [False]
     unused = [i for i, effect in enumerate(used) if not effect]
@@ -142,6 +145,7 @@ def trains(network: Network) -> None:
     from flipperctl.policies.trained import policy_module
     from flipperctl.training.trainer import Trainer
 
+    # Values of a whole training, of its file, and of the same two after an interruption
     scene = {"terrain": Ground(points=SHORT.points), "rewards": {"none": NoReward()}}
     config = parse(TrainConfig, {**scene, "network": network, **SHORT.settings, **_TRAINING})
     rows, values = _observations(network), []
@@ -235,6 +239,7 @@ def same_again(controller: Controller) -> None:
     That holds for another policy of the controller, and for one that has played before.
     """
     for index in range(len(_scenes(controller))):
+        # A new policy, then the first one again, which must not remember
         first, other = (_Player(controller, index) for _ in range(2))
         actions, _ = first.play()
         for player, text in (

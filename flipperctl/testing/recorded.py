@@ -44,8 +44,13 @@ from flipperctl.testing.check import NotChecked, of, require
 HOLD = action_index(0, 0)
 _ROUNDING = 1e-9
 _ROW: dict[str, Any] = {
-    **{"episode": 1, "seed": 7, "terrain": "flat", "outcome": Outcome.REACHED},
-    **{"success_rate": 1.0, "return": -2.5, "loss": None},
+    "episode": 1,
+    "seed": 7,
+    "terrain": "flat",
+    "outcome": Outcome.REACHED,
+    "success_rate": 1.0,
+    "return": -2.5,
+    "loss": None,
 }
 
 
@@ -95,8 +100,8 @@ class Scene:
 
     def environment(self) -> FlipperEnv:
         """Return the environment on this ground."""
-        own = {"terrain": Ground(points=self.points), "rewards": {"none": NoReward()}}
-        return FlipperEnv(config=parse(EnvConfig, {**own, **self.settings}))
+        scene = {"terrain": Ground(points=self.points), "rewards": {"none": NoReward()}}
+        return FlipperEnv(config=parse(EnvConfig, {**scene, **self.settings}))
 
     @property
     def policy(self) -> FunctionPolicy:
@@ -138,7 +143,8 @@ def transitions() -> tuple[Transition, ...]:
 
 @cache
 def transitions_in_arrays() -> tuple[Transitions, ...]:
-    """Return all transitions in arrays, those with few last pitches apart."""
+    """Return all transitions in arrays; transitions with few last pitches are in others."""
+    # Arrays hold transitions of one ground and equal shapes alone.
     groups: dict[object, list[Transition]] = {}
     for t in transitions():
         pitches = min(len(t.pitches), LAST_PITCHES)
@@ -160,6 +166,7 @@ def finite(reward: RewardTerm) -> None:
 @of("reward", "bounded")
 def bounded(reward: RewardTerm) -> None:
     """Check that every reward lies within ``bounds``."""
+    # Rounding may carry a value just past a bound.
     low, high = reward.bounds
     require(low <= high, f"bounds are {reward.bounds}; the lower one must come first")
     for t in transitions():
@@ -187,6 +194,7 @@ def pure(reward: RewardTerm) -> None:
 def arrays(reward: RewardTerm) -> None:
     """Check that ``array`` returns what ``__call__`` returns, and does not change its input."""
     for ts in transitions_in_arrays():
+        # The next term gets the same arrays, which none may change.
         before = [array.tobytes() for array in _arrays(ts)]
         result: object = reward.array(ts)
         shape, kind = getattr(result, "shape", None), getattr(result, "dtype", np.dtype("O"))
@@ -230,6 +238,7 @@ def named(measure: Measure) -> None:
 @of("measure", "values", everywhere=False)
 def values(measure: Measure) -> None:
     """Check that values are finite and depend on the episode alone, which they do not change."""
+    # Each episode apart, at its first decision and whole
     recorded = _recorded_for(measure, transitions())
     ends = [0, *(at + 1 for at, t in enumerate(recorded) if t.outcome is not None)]
     for episode in (recorded[first:last] for first, last in pairwise(ends)):

@@ -1,7 +1,6 @@
 """Checks of a sensor: perceptions, sampling, randomness, snapshots and portability.
 
-What the code of an estimator needs beyond Python, numpy and ``flipperctl.core`` a robot's computer
-may lack.
+A robot's computer may lack what an estimator needs beyond Python, numpy and ``flipperctl.core``.
 """
 
 from __future__ import annotations
@@ -64,6 +63,8 @@ def episodes(sensor: Sensor) -> None:
     (first, taken), (other, _) = _episode(sensor), _episode(sensor)
     moved = moved_since(before)
     require(not moved, f"draws from {moved}; only rng is allowed")
+
+    # Each instrument measures plain data, at the times of its period.
     for name, instrument in (sensor.instruments(_mounting(_drive(sensor))) or {}).items():
         for measured, _, fault in taken:
             if measured == name:
@@ -130,6 +131,7 @@ def _foreign(value: object, home: str, seen: set[int]) -> Iterator[str]:
     if id(value) in seen:
         return
     seen.add(id(value))
+    # Code of the estimator's own module is followed; other modules are judged by their names.
     named = isinstance(value, type | FunctionType)
     module = str(getattr(value if named else type(value), "__module__", "builtins"))
     if isinstance(value, ModuleType):
@@ -156,7 +158,7 @@ def _absent(module: str) -> Iterator[str]:
 
 
 def _instructions(code: CodeType) -> Iterator[dis.Instruction]:
-    """Yield the instructions of a function and of those inside it."""
+    """Yield the instructions of a function and of the functions inside it."""
     yield from dis.get_instructions(code)
     for inner in code.co_consts:
         if isinstance(inner, CodeType):

@@ -37,6 +37,7 @@ MIN_DRIVEN, MAX_DEPTH = 0.15, 0.02
 @of("terrain", "profiles")
 def profiles(terrain: Terrain) -> None:
     """Check that equal generators alone give equal profiles, not too long or high for a robot."""
+    # The seeds are drawn once, then again in the other order and by an equal terrain.
     before = global_states()
     drawn = [_draw(terrain, seed) for seed in SEEDS]
     moved = moved_since(before)
@@ -49,6 +50,8 @@ def profiles(terrain: Terrain) -> None:
                 f"two profiles from generators of seed {seed} differ; "
                 "every random choice must come from rng",
             )
+
+    # Not too long or high for a robot
     for profile in drawn:
         length = profile.end - profile.start
         require(
@@ -64,6 +67,7 @@ def profiles(terrain: Terrain) -> None:
 @of("terrain", "varies", everywhere=False)
 def varies(terrain: Terrain) -> None:
     """Check that the ground of a terrain with sampled settings varies over the seeds."""
+    # A terrain that seeds its generator anew would leave equal states.
     generators = [np.random.default_rng(seed) for seed in range(_DRAWS)]
     grounds = {_generated(terrain, rng, at).points.tobytes() for at, rng in enumerate(generators)}
     states = {repr(generator.bit_generator.state) for generator in generators}
@@ -71,6 +75,8 @@ def varies(terrain: Terrain) -> None:
         len(states) == _DRAWS,
         "generate leaves generators of unequal seeds in equal states; it may only draw from rng",
     )
+
+    # A range of settings must show in the ground.
     sampled = [
         name for name, value in terrain if isinstance(value, Range) and value.low < value.high
     ]
@@ -83,7 +89,7 @@ def varies(terrain: Terrain) -> None:
 
 @of("terrain", "difficulty")
 def graded(terrain: Terrain) -> None:
-    """Check that difficulties from 0 to 1 work and are followed by ones from 0 to 1."""
+    """Check that difficulties from 0 to 1 work and are followed by such."""
     for difficulty in (0.0, terrain.first_difficulty, 1.0):
         for reached in (False, True):
             following = terrain.next_difficulty(difficulty, reached)
@@ -104,6 +110,7 @@ def graded(terrain: Terrain) -> None:
 @of("terrain", "start")
 def starts(terrain: Terrain) -> None:
     """Check that the robot starts ahead of the terrain and drives off without penetrating it."""
+    # The chassis never enters the ground, and the robot gets going.
     env = _environment(terrain)
     for seed in SEEDS[:2]:
         try:
