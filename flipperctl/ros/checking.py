@@ -50,14 +50,16 @@ class Checked:
 
     def require(self, path: Path) -> None:
         """Raise RequestError if stamps or poses are contradicted, on which all depends."""
-        for one in self.differences:
-            if one.verdict == "refused" and one.check.name.startswith(("stamps", "transforms")):
-                raise RequestError(f"{path}: {one.sentence(self.begun)}")
+        for difference in self.differences:
+            if difference.verdict == "refused" and difference.check.name.startswith(
+                ("stamps", "transforms")
+            ):
+                raise RequestError(f"{path}: {difference.sentence(self.begun)}")
 
     @property
     def rows(self) -> list[dict[str, Any]]:
         """The rows of the table of checks."""
-        return [one.row(self.begun) for one in self.differences]
+        return [difference.row(self.begun) for difference in self.differences]
 
 
 class _Heard:
@@ -70,9 +72,10 @@ class _Heard:
         """Stamp, frame, vertical, turn rates and acceleration of the inertial unit."""
         self.belts: list[tuple[float, float, Pose | None]] = []
         self.apart: list[tuple[float, float, str]] = []  # stamp, angle and names of two joints
+        # One pass keeps numbers alone: a bag's clouds may not fit into memory.
         joints = NewestJoints(names.front, names.rear)
         wanted = {topics.clouds, topics.attitude, topics.belts, *topics.joints} - {None}
-        for topic, received, message in messages(reader, {str(one) for one in wanted}):
+        for topic, received, message in messages(reader, {str(name) for name in wanted}):
             stamp = received
             if hasattr(message, "header"):
                 stamp = seconds(message.header.stamp)
@@ -100,12 +103,12 @@ def _unit(message: Any) -> tuple[str, FloatArray, FloatArray, FloatArray]:
     q, rates, a = message.orientation, message.angular_velocity, message.linear_acceleration
     x, y, z, w = q.x, q.y, q.z, q.w
     up = np.array([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
-    told = message.orientation_covariance[0] != -1 and 0.5 < math.hypot(x, y, z, w) < 1.5
+    has_attitude = message.orientation_covariance[0] != -1 and 0.5 < math.hypot(x, y, z, w) < 1.5
     push = np.array([a.x, a.y, a.z])
     if message.linear_acceleration_covariance[0] == -1:
         push[:] = np.nan
     frame = message.header.frame_id.lstrip("/")
-    return frame, up if told else up * np.nan, np.array([rates.x, rates.y, rates.z]), push
+    return frame, up if has_attitude else up * np.nan, np.array([rates.x, rates.y, rates.z]), push
 
 
 def tells(message: Any) -> bool:
@@ -135,24 +138,27 @@ def examine(reader: Any, names: Names, transforms: Transforms, topics: Topics) -
     # Devices against the poses and against each other.
     differences += _attitude(heard, topics, names, transforms)
     if topics.belts is not None and len(posed) > 1:
-        turns = Rotation.from_quat([one.turn for one in poses]).as_matrix()
-        told = np.array([row[:2] for row in heard.belts])
+        turns = Rotation.from_quat([pose.turn for pose in poses]).as_matrix()
+        belts = np.array([row[:2] for row in heard.belts])
         if topics.belts not in stamps and abs(usual) > _OTHER_CLOCK:
-            told[:, 0] -= usual  # they have no stamps
-        places = np.array([one.place for one in poses])
-        ways = crosschecks.by_way(told[:, 0], told[:, 1], posed, places, turns[:, :, 0])
+            belts[:, 0] -= usual  # they have no stamps
+        places = np.array([pose.place for pose in poses])
+        ways = crosschecks.by_way(belts[:, 0], belts[:, 1], posed, places, turns[:, :, 0])
         differences += compared(topics.belts, **ways)
     if heard.apart:
-        stamp, apart, which = max(heard.apart, key=lambda one: one[1])
+        stamp, apart, which = max(heard.apart, key=lambda pair: pair[1])
         differences += compared(which, joints_pair=Peak(apart, stamp))
+
+    # Clouds that say the same although the robot has moved
     repeated: list[int] = []
     if len(times) and len(posed) > 1:
-        steps = np.linalg.norm(np.diff([one.place for one in poses], axis=0), axis=1)
+        steps = np.linalg.norm(np.diff([pose.place for pose in poses], axis=0), axis=1)
         moved = np.interp(times, posed, np.append(0.0, np.cumsum(steps)))
         again, peak = crosschecks.repeats(heard.contents, moved)
         repeated = np.flatnonzero(again).tolist()
         differences += compared(topics.clouds, cloud_repeats=peak)
 
+    # What is wrong, and by which clock times count
     largest = crosschecks.largest(differences)
     begun = min((float(rows[:, 1].min()) for rows in stamps.values()), default=0.0)
     checked = Checked(topics, largest, begun=begun, repeated=frozenset(repeated))
@@ -182,8 +188,11 @@ def _poses(
     chassis = ((time, _pose(transforms, names.fixed, names.base, time)) for time in _spread(times))
     known = [(time, pose) for time, pose in chassis if pose is not None]
     if not known:
-        kept = {round(time / _PERIOD): (time, p) for time, _, p in heard.belts if p is not None}
-        known = sorted(kept.values(), key=lambda one: one[0])
+        # Without transforms, the pose in the odometry of the belts, if it has one
+        by_period = {
+            round(time / _PERIOD): (time, p) for time, _, p in heard.belts if p is not None
+        }
+        known = sorted(by_period.values(), key=lambda timed_pose: timed_pose[0])
     return np.array([time for time, _ in known]), [pose for _, pose in known]
 
 
@@ -204,20 +213,25 @@ def _attitude(
         return compared(topics.attitude, attitude_absent=Peak(1.0))
     times = np.array([row[0] for row in heard.units])
     ups, rates, pushes = (np.array([row[i] for row in heard.units]) for i in (2, 3, 4))
+    # Tilts against the turn rates, message by message
     changes, by_rates = crosschecks.Tilts(), Peak(0.0)
     for time, up, rate in zip(times.tolist(), ups.tolist(), rates.tolist(), strict=True):
         size = changes.add(time, up, rate).get("attitude_rates", 0.0)
         by_rates = max(by_rates, Peak(size, time))
+
+    # Accelerations shake: gravity is compared with their means.
     parts = np.floor((times - times[0]) / _AVERAGED)
     groups = [parts == part for part in np.unique(parts)]
-    middle = np.array([times[one].mean() for one in groups])
-    up, push = (np.array([rows[one].mean(axis=0) for one in groups]) for rows in (ups, pushes))
+    middle = np.array([times[mask].mean() for mask in groups])
+    up, push = (np.array([rows[mask].mean(axis=0) for mask in groups]) for rows in (ups, pushes))
     peaks = {
         "attitude_absent": Peak(1 - float(np.mean(np.isfinite(ups).all(axis=1)))),
         "attitude_rates": by_rates,
         "attitude_gravity": crosschecks.by_gravity(middle, up, push),
         "attitude_return": _returns(times, ups),
     }
+
+    # Against the poses, the verticals in the fixed frame, where the unit's place is known
     wanted = set(_spread(times))
     sampled = [
         (time, mount.directions(vertical[None])[0], Rotation.from_quat(pose.turn).as_matrix())
@@ -241,11 +255,14 @@ def _returns(times: FloatArray, ups: FloatArray) -> Peak | None:
 def _judge(checked: Checked) -> None:
     """Leave out the devices that are contradicted, and say so."""
     topics = checked.topics
-    for one in checked.differences:
-        device, sentence = one.check.name.partition("_")[0], one.sentence(checked.begun)
-        if one.verdict == "ok":
+    for difference in checked.differences:
+        device, sentence = (
+            difference.check.name.partition("_")[0],
+            difference.sentence(checked.begun),
+        )
+        if difference.verdict == "ok":
             continue
-        if one.verdict == "refused" and device in ("attitude", "belts"):
+        if difference.verdict == "refused" and device in ("attitude", "belts"):
             sentence += "; the device is not used"
             absent: dict[str, Any] = {device: None}
             topics = replace(topics, **absent)

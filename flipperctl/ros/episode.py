@@ -111,6 +111,7 @@ def export_bag(
 ) -> dict[str, Any]:
     """Play one episode of an evaluation into a new bag; return what it holds."""
     check_bag(folder)
+    # What a policy perceived is stamped by the state that was sensed, not by the decision.
     watch, env = Watch(), FlipperEnv(config=config)
     seed = EvaluationSeeds.of(config.eval.seed, config.terrain)(episode)
     decided, sensed, ending = [], 0.0, None
@@ -120,6 +121,8 @@ def export_bag(
         decided.append(_Decided(at, sensed, decision.perception, decision.action, targets))
         sensed, ending = env.drive.delayed_state.time, decision.ending
     assert ending is not None  # decisions() yields until there is one
+
+    # The bag, and what it holds by topic
     messages = list(_messages(watch, decided, config.perception))
     write_bag(folder, messages)
     return {
@@ -141,11 +144,12 @@ def write_bag(folder: Path, messages: Sequence[Stamped]) -> None:
         new_folder(folder) as inside,
         bag.Writer(inside, version=8, storage_plugin=bag.StoragePlugin.MCAP) as writer,
     ):
+        # Each topic has its type's definition, which readers without ROS need.
         topics = {}
         for topic in dict.fromkeys(stamped.topic for stamped in messages):
             more = {"typestore": types, "offered_qos_profiles": _qos(topic)}
             topics[topic] = writer.add_connection(topic, TYPES[topic], **more)
-        for time, topic, message in sorted(messages, key=lambda one: one.time):
+        for time, topic, message in sorted(messages, key=lambda stamped: stamped.time):
             data = types.serialize_cdr(message, TYPES[topic])
             writer.write(topics[topic], nanoseconds(time), data)
 
@@ -157,14 +161,15 @@ def _qos(topic: str) -> Sequence[Any]:
     from rosbags import interfaces as ros
 
     forever, liveliness = ros.QosTime(2**31 - 1, 0), ros.QosLiveliness.AUTOMATIC
-    kept, reliable = ros.QosHistory.KEEP_LAST, ros.QosReliability.RELIABLE
+    last, reliable = ros.QosHistory.KEEP_LAST, ros.QosReliability.RELIABLE
     local = ros.QosDurability.TRANSIENT_LOCAL
     timing = forever, forever, liveliness, forever
-    return [ros.Qos(kept, 1, reliable, local, *timing, avoid_ros_namespace_conventions=False)]
+    return [ros.Qos(last, 1, reliable, local, *timing, avoid_ros_namespace_conventions=False)]
 
 
 def _messages(watch: Watch, decided: Sequence[_Decided], sensor: Sensor) -> Iterator[Stamped]:
-    """Yield all messages; what no instrument measures is that of the truth."""
+    """Yield all messages; the truth stands in for what no instrument measures."""
+    # Where scans are measured, if there are any
     make, kinds = Messages(), {type(m.value) for m in watch.measurements}
     if Scan in kinds:
         if not all(hasattr(sensor, name) for name in _MOUNT):
@@ -173,21 +178,30 @@ def _messages(watch: Watch, decided: Sequence[_Decided], sensor: Sensor) -> Iter
                 f"the settings {', '.join(_MOUNT)} do"
             )
         yield Stamped(0.0, STATIC, make.mount(*(getattr(sensor, name) for name in _MOUNT)))
+
+    # The truth at 100 Hz
     for state in watch.states:
         time = state.time
         yield Stamped(time, TRANSFORMS, make.transforms(state))
         yield Stamped(time, ODOMETRY, make.odometry(state))
         yield Stamped(time, JOINT_STATES, make.joint_state(time, state.front, state.rear))
-    for one in decided:
-        numbers = one.perception.observation.astype(np.float64)
-        yield Stamped(one.time, OBSERVATION, make.numbers(numbers))
-        yield Stamped(one.time, ACTION, make.number(one.action))
-        yield Stamped(one.time, TARGETS, make.numbers(one.targets))
+
+    # What the policy perceived and did
+    for decision in decided:
+        numbers = decision.perception.observation.astype(np.float64)
+        yield Stamped(decision.time, OBSERVATION, make.numbers(numbers))
+        yield Stamped(decision.time, ACTION, make.number(decision.action))
+        yield Stamped(decision.time, TARGETS, make.numbers(decision.targets))
+
+    # Measurements, and the truth in place of an instrument that the robot lacks
     yield from _of_measurements(make, watch.measurements)
     if Inertial not in kinds:
         yield from (Stamped(s.time, IMU, _true_attitude(make, s)) for s in watch.states)
     if Scan not in kinds:
-        yield from (Stamped(one.sensed, CLOUD, _perceived_ground(make, one)) for one in decided)
+        yield from (
+            Stamped(decision.sensed, CLOUD, _perceived_ground(make, decision))
+            for decision in decided
+        )
 
 
 def _true_attitude(make: Messages, state: RobotState) -> Any:
@@ -198,17 +212,17 @@ def _true_attitude(make: Messages, state: RobotState) -> Any:
     return make.imu(state.time, angles, rates)
 
 
-def _perceived_ground(make: Messages, one: _Decided) -> Any:
+def _perceived_ground(make: Messages, decision: _Decided) -> Any:
     """Return the points that a sensor of the side plane saw, without those that fill gaps."""
-    points, filled = one.perception.points, one.perception.filled
+    points, filled = decision.perception.points, decision.perception.filled
     points = points if filled is None else points[~filled]
     cloud = np.column_stack([points[:, 0], np.zeros(len(points)), points[:, 1]])
-    return make.cloud(one.sensed, LEVEL, cloud)
+    return make.cloud(decision.sensed, LEVEL, cloud)
 
 
 def _of_measurements(make: Messages, measurements: Sequence[Measured]) -> Iterator[Stamped]:
-    for one in measurements:
-        time, value = one.time, one.value
+    for measured in measurements:
+        time, value = measured.time, measured.value
         if isinstance(value, Scan):
             yield Stamped(time, CLOUD, make.cloud(time, LIDAR, value.points, value.ages))
         elif isinstance(value, Inertial):

@@ -1,9 +1,9 @@
 """Recorded ground from what a robot has measured: clouds with poses → one cloud and a line.
 
 In: a bag; or a folder of clouds with ``poses.txt``, one line for each of them in the order of their
-names, 2 before 10: 8 numbers, stamp, place and quaternion (x y z qx qy qz qw), as TUM's
+names, 2 before 10. A line has 8 numbers, stamp, place and quaternion (x y z qx qy qz qw), as TUM's
 tools write them, or 12, the upper rows of the matrix, as KITTI's do. Out: the points of the ground
-in one frame without those of the robot, thinned, as an ``.xyz`` file that ``terrain=profile_file``
+in one frame without the robot's own, thinned, as an ``.xyz`` file that ``terrain=profile_file``
 reads, and the line that the robot drove.
 """
 
@@ -61,9 +61,10 @@ def convert(
 ) -> dict[str, Any]:
     """Write the ground of a bag or folder to an ``.xyz`` file; return what it covers.
 
-    ``reach``: largest distance of a point from the chassis [m]; ``cell``: edge of a cube of which
-    the mean of the points is kept [m].
+    ``reach``: largest distance of a point from the chassis [m]; ``cell``: edge of a cube, whose
+    points are replaced by their mean [m].
     """
+    # Clouds in the frame of the chassis with its poses, from whichever source
     check_output(output, GROUND)
     if source.is_dir() and (source / POSES).exists():
         scans, _ = read_folder(source, output)
@@ -72,6 +73,8 @@ def convert(
     else:
         scans, sizes, skipped, recording = _scans(source, names)
         remarks, checks = recording.remarks, recording.checked.rows
+
+    # The ground without the robot, and where it drove straight on over it
     ahead = robot.reach + _MARGIN
     points = _thinned(_seen(scans, ahead, reach, cell), cell)
     line = _known_line(source, points, scans, ahead)
@@ -80,6 +83,8 @@ def convert(
             f"the robot nowhere drove {_SHORTEST} m straight on, so that no line is proposed: set "
             "terrain.start and terrain.end"
         )
+
+    # Plain text, which every tool for clouds reads
     rows = (f"{x:.4f} {y:.4f} {z:.4f}\n" for x, y, z in points.tolist())
     write_bytes(output, (_HEADER + "".join(rows)).encode())
     return {
@@ -115,15 +120,18 @@ def _known_line(
     The way is the longest part that was nearly straight, and as far ``ahead`` as the robot reaches.
     The ground below the robot at the start is never seen. None: it never drove straight on.
     """
+    # Distances along the way and beside it
     first, last = _straightest(np.array([pose.place[:2] for _, pose in scans]))
     length = float(np.linalg.norm(last - first))
     if length < _SHORTEST:
         return None
     direction = (last - first) / length
     offset = points[:, :2] - first
-    beside = offset @ np.array([-direction[1], direction[0]])
-    along = np.sort((offset @ direction)[np.abs(beside) <= _SLICE / 2])
+    across = offset @ np.array([-direction[1], direction[0]])
+    along = np.sort((offset @ direction)[np.abs(across) <= _SLICE / 2])
     along = along[(along >= 0) & (along <= length + ahead)]
+
+    # The strip in one piece, up to gaps that the terrain bridges
     parts = np.split(along, np.flatnonzero(np.diff(along) > _GAP) + 1)
     longest = max(parts, key=lambda part: float(np.ptp(part)) if len(part) else 0.0)
     if not len(longest) or np.ptp(longest) < _SHORTEST:
@@ -136,10 +144,13 @@ def _known_line(
 
 def _straightest(places: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the ends of the longest nearly straight part of a way, (N, 2) [m]."""
+    # Places at equal distances, so few that all pairs can be tried
     steps = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(places, axis=0), axis=1)))
     spacing = max(_STEP, steps[-1] / _MOST_STEPS)
     _, thinned = np.unique(np.floor(steps / spacing), return_index=True)
     way = places[np.unique(np.append(thinned, len(places) - 1))]
+
+    # The farthest place from each one first: the first way that is straight is its longest.
     best = way[0], way[0]
     for i in range(len(way)):
         lengths = np.linalg.norm(way - way[i], axis=1)
@@ -158,6 +169,7 @@ def _scans(source: Path, names: Names) -> tuple[Scans, list[int], int, Recording
     That is the number of points of each that is used, and the number of those without a pose.
     """
     scans, sizes, count, points = [], Counter[int](), 0, 0
+    # Each point is placed by the poses at its own time, since the robot moves while a LiDAR turns.
     recording = read_recording(source, names, clouds_alone=True)
     transforms, repeated = recording.transforms, recording.checked.repeated
     topic = recording.used.clouds
@@ -173,6 +185,8 @@ def _scans(source: Path, names: Names) -> tuple[Scans, list[int], int, Recording
                 if pose is not None and mount is not None:
                     sizes[number] += len(part.points)
                     scans.append((mount.apply(part.points), pose))
+
+    # Two reasons for which nothing is left
     if not points:
         raise RequestError(f"{source}: the {count} clouds of {topic} have no points")
     if not scans:
@@ -184,13 +198,13 @@ def _scans(source: Path, names: Names) -> tuple[Scans, list[int], int, Recording
 
 
 def _parts(cloud: Points) -> Iterator[Points]:
-    """Yield the points of a message, those of about one instant together."""
+    """Yield the points of a message by the instants at which they were measured."""
     if cloud.shifts is None or not len(cloud.shifts):
         yield cloud
         return
     parts = np.round(cloud.shifts / _PART).astype(np.int64)
-    for one in np.unique(parts):
-        yield Points(cloud.time + _PART * one, cloud.frame, cloud.points[parts == one])
+    for part in np.unique(parts):
+        yield Points(cloud.time + _PART * part, cloud.frame, cloud.points[parts == part])
 
 
 def _seen(scans: Scans, ahead: float, reach: float, cell: float) -> FloatArray:
@@ -198,9 +212,10 @@ def _seen(scans: Scans, ahead: float, reach: float, cell: float) -> FloatArray:
     parts = [np.empty((0, 3))]
     for points, pose in scans:
         x, y, _ = points.T
-        own = (np.abs(x) <= ahead) & (np.abs(y) <= HALF_WIDTH)
+        # The box around the robot holds its own flippers, which scans show too.
+        on_robot = (np.abs(x) <= ahead) & (np.abs(y) <= HALF_WIDTH)
         near = np.linalg.norm(points, axis=1) <= reach
-        parts.append(_thinned(pose.apply(points[near & ~own]), cell))
+        parts.append(_thinned(pose.apply(points[near & ~on_robot]), cell))
     return np.concatenate(parts)
 
 
@@ -208,6 +223,7 @@ def _thinned(points: FloatArray, cell: float) -> FloatArray:
     """Return the mean of the points in each cube of edge ``cell`` [m], (C, 3), sorted by cube."""
     if not len(points):
         return points
+    # One number for each cube that has points; the means follow its order.
     cubes = np.floor(points / cell).astype(np.int64)
     _, group = np.unique(cubes, axis=0, return_inverse=True)
     group = group.reshape(-1)
@@ -255,6 +271,8 @@ def _read_poses(file: Path) -> tuple[list[Pose], FloatArray | None]:
         raise RequestError(f"{file}: it is empty; one line for each cloud is needed")
     finite = np.asarray(np.isfinite(rows).all(axis=1))
     _require(file, rows, finite, "finite numbers are allowed")
+
+    # TUM's lines with stamp and quaternion
     if rows.shape[1] == 8:
         length = np.linalg.norm(rows[:, 4:], axis=1)
         _require(file, rows, length > 0, "the quaternion (its last four numbers) must not be 0")

@@ -24,8 +24,10 @@ from flipperctl.errors import MissingExtraError
 
 ODOM, BASE, LEVEL, LIDAR = "odom", "base_link", "base_stabilized", "lidar"
 JOINTS = (
-    *("front_left_flipper", "front_right_flipper"),
-    *("rear_left_flipper", "rear_right_flipper"),
+    "front_left_flipper",
+    "front_right_flipper",
+    "rear_left_flipper",
+    "rear_right_flipper",
 )
 """Joints in the order of all messages; ``export urdf`` has the same."""
 TIME = "time"
@@ -61,7 +63,7 @@ def nanoseconds(time: float) -> int:
 
 
 def joint_angles(front: float, rear: float) -> FloatArray:
-    """Return the angles of ``JOINTS`` in ROS, (4,) [rad], from those in frame R."""
+    """Return the angles of ``JOINTS`` in ROS, (4,) [rad], from the angles in frame R."""
     return np.array([-front, -front, rear, rear]) + 0.0  # no -0
 
 
@@ -88,9 +90,9 @@ class Messages:
 
     def joint_state(self, time: float, front: float, rear: float) -> Any:
         """Return the angles of both pairs in frame R [rad] as a ``JointState``."""
-        told = {"name": list(JOINTS), "position": joint_angles(front, rear)}
-        told |= {"velocity": np.empty(0), "effort": np.empty(0)}
-        return self._make("sensor_msgs/JointState", header=self.header(time, BASE), **told)
+        content = {"name": list(JOINTS), "position": joint_angles(front, rear)}
+        content |= {"velocity": np.empty(0), "effort": np.empty(0)}
+        return self._make("sensor_msgs/JointState", header=self.header(time, BASE), **content)
 
     def imu(
         self,
@@ -103,6 +105,7 @@ class Messages:
         ``attitude_angles``: roll, pitch and heading [rad]; ``rates`` about x, y and z of ROS
         [rad/s].
         """
+        # A covariance that begins with -1 says that there is no acceleration.
         unknown = np.zeros(9)
         unknown[0] = _NOT_MEASURED
         return self._make(
@@ -155,6 +158,7 @@ class Messages:
         of negative seconds relative to the stamp, as drivers of turning LiDARs write it.
         """
         names = "xyz" if ages is None else ("x", "y", "z", TIME)
+        # Single precision and one time for each point, as drivers write them
         columns = points if ages is None else np.column_stack([points, -ages])
         fields = [
             self._make("sensor_msgs/PointField", name=name, offset=4 * i, datatype=7, count=1)
@@ -198,10 +202,10 @@ class Messages:
         for child, (place, turn) in turns.items():
             placed = {"translation": self._xyz("Vector3", *place)}
             placed |= {"rotation": self._orientation(turn)}
-            told = {"child_frame_id": child}
-            told["transform"] = self._make("geometry_msgs/Transform", **placed)
+            content = {"child_frame_id": child}
+            content["transform"] = self._make("geometry_msgs/Transform", **placed)
             kind = "geometry_msgs/TransformStamped"
-            transforms.append(self._make(kind, header=header, **told))
+            transforms.append(self._make(kind, header=header, **content))
         return self._make("tf2_msgs/TFMessage", transforms=transforms)
 
     def _make(self, name: str, /, **fields: Any) -> Any:

@@ -1,8 +1,8 @@
 """Perception once more on what a robot has recorded: does its sensing do?
 
 In: a bag, or a folder of clouds with poses. Out: what the estimator of ``perception=lidar`` knew of
-the ground at each decision, and how it fared: scans that it refused, coverage, certainty, times,
-and how far its odometry drifts from the poses that the bag holds.
+the ground at each decision, and how it fared. That is the scans that it refused, coverage,
+certainty, times, and how far its odometry drifts from the poses that the bag holds.
 """
 
 from __future__ import annotations
@@ -36,16 +36,17 @@ def drift(poses: Sequence[tuple[Pose, Pose]]) -> dict[str, float | None] | None:
     """Return how far a way drifts from another one, each relative to its own start.
 
     ``poses``: of both ways at the same instants; None without any. ``way`` is the length of the
-    second one and ``horizontal`` and ``height`` are the errors at its end [m], ``share`` is the
-    horizontal one per way [-], and ``heading`` is in [rad].
+    second one, and ``horizontal`` and ``height`` are the errors at its end [m]. ``share`` is the
+    horizontal error per way [-], and ``heading`` is in [rad].
     """
     if not poses:
         return None
-    ours, theirs = (
+    # Each way begins at its own origin and heading, so that only the motion counts.
+    estimates, recorded = (
         np.array([_since(way[0], pose) for pose in way]) for way in zip(*poses, strict=True)
     )
-    way = float(sum(np.linalg.norm(step) for step in np.diff(theirs[:, :3], axis=0)))
-    x, y, z, turn = (ours[-1] - theirs[-1]).tolist()
+    way = float(sum(np.linalg.norm(step) for step in np.diff(recorded[:, :3], axis=0)))
+    x, y, z, turn = (estimates[-1] - recorded[-1]).tolist()
     horizontal = math.hypot(x, y)
     return {
         "way": way,
@@ -111,6 +112,7 @@ def replay(source: Path, sensor: Sensor, robot: Robot, pose: str | None, names: 
                 f"{source}: a folder of clouds has poses alone, so that perception.pose is true; "
                 f"{pose} needs a bag with an Imu"
             )
+        # The clouds of a folder are in the frame of the chassis.
         place = {"mount_x": 0.0, "mount_z": 0.0, "mount_axis": math.pi / 2, "pose": "true"}
         run = _Run(sensor.model_copy(update=place), "true", robot, RobotSetup())
         scans, stamps = read_folder(source)
@@ -123,6 +125,8 @@ def replay(source: Path, sensor: Sensor, robot: Robot, pose: str | None, names: 
         for (points, where), time in zip(scans, stamps.tolist(), strict=True):
             run.take(Step(time, {"cloud": Cloud(time, frame, points)}), where)
         return run.finish(source, {"cloud": "files"}, [], [])
+
+    # A bag: its devices, as a robot would have received them
     recording = read_recording(source, names)
     x, _, z = recording.mount.place.tolist()
     place = {"mount_x": x, "mount_z": z, "mount_axis": recording.axis}
@@ -158,6 +162,7 @@ class _Run:
         topics: Collection[str] = (),
     ) -> None:
         """``topics``: the devices that were recorded; a cloud waits for the posture by them."""
+        # The intake of a robot's controller decides which messages count.
         lidar = lidar_of(sensor)
         estimator = sensor.estimator(robot)
         assert isinstance(estimator, LidarEstimator)
@@ -177,7 +182,7 @@ class _Run:
         self._due = -math.inf
         self._cloud: FloatArray | None = None
         self._estimates: list[float] = []  # their durations [ms]
-        self._updates: list[float] = []  # those of the scans [ms]
+        self._updates: list[float] = []  # durations of the scans [ms]
         self._poses: list[tuple[Pose, Pose]] = []  # by the estimator and by the recording
         self._origin: FloatArray | None = None  # the first place of the chassis by the recording
 
@@ -186,6 +191,8 @@ class _Run:
         self._begun = step.now if self._begun is None else self._begun
         order = ("odometry", "attitude", "joints", "cloud")  # a scan enters at the newest pose
         messages: dict[str, object] = {k: step.messages[k] for k in order if k in step.messages}
+
+        # The pose first, since the scan enters the map where the chassis was
         before = self._intake.refused("cloud")
         if where is not None:  # relative to the first, since maps begin anywhere, as in UTM
             self._origin = where.place if self._origin is None else self._origin
@@ -197,6 +204,8 @@ class _Run:
             self._estimator.update(
                 Measured("tracking", step.messages["cloud"].time, estimated(where))
             )
+
+        # Every message that the intake passes, with the time that each scan took
         scans = self._scans
         for device, time, message in self._intake.receive(step.now, **messages):
             begun = perf_counter()
@@ -208,11 +217,15 @@ class _Run:
                 self._cloud = message.points
                 if where is not None and not self._tracked:
                     self._poses.append((self._estimator.pose, estimated(where)))
+
+        # A scan may be refused by the intake, or left out as one that is too old.
         fault = self._intake.refused("cloud")
         if "cloud" in messages and fault is not None and fault is not before:
             self.refuse(fault.name, fault.reason)
         elif "cloud" in messages and self._scans == scans:
             self.refuse("cloud_older", "it is no newer than the one before, as of two LiDARs")
+
+        # Decisions at the robot's period, and none to catch up after a pause
         if self._cloud is not None and step.now >= self._due - 1e-6:
             late = step.now - self._due > self._period
             self._due = step.now + self._period if late else self._due + self._period
@@ -235,6 +248,8 @@ class _Run:
         seen = 1.0 if ground.seen is None else float(np.mean(ground.seen))
         held = "coverage" if seen < self._limits.coverage else ""  # no decision is made
         assert self._begun is not None
+
+        # What a picture of this decision shows
         self._instants.append(
             Instant(
                 now - self._begun,
@@ -258,9 +273,13 @@ class _Run:
             why = "; ".join(f"{n} × {self._reasons[name]}" for name, n in self._refused.items())
             why = "; ".join([why or "there is none", *remarks])
             raise RequestError(f"{source}: no cloud can be used: {why}")
-        seen = np.array([one.ground.seen for one in instants])  # (T, N)
-        filled = [one.ground.filled for one in instants if one.ground.filled is not None]
-        deviation = np.array([one.ground.deviation for one in instants])  # (T, N) [m]
+
+        # Each bin over all decisions: how often it was seen, and how certain it was
+        seen = np.array([instant.ground.seen for instant in instants])  # (T, N)
+        filled = [
+            instant.ground.filled for instant in instants if instant.ground.filled is not None
+        ]
+        deviation = np.array([instant.ground.deviation for instant in instants])  # (T, N) [m]
         width, half_width = self._widths
         middle = (np.arange(seen.shape[1]) - (seen.shape[1] - 1) / 2) * width
         summary = {
@@ -274,7 +293,7 @@ class _Run:
                 for name, count in self._refused.most_common()
             },
             "decisions": len(instants),
-            "held": dict(Counter(one.held for one in instants if one.held)),
+            "held": dict(Counter(instant.held for instant in instants if instant.held)),
             "coverage": {"mean": float(seen.mean()), "least": float(seen.mean(axis=1).min())},
             "filled": float(np.concatenate(filled).mean()),
             "deviation": _median(deviation[np.isfinite(deviation)]),

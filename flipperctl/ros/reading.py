@@ -1,8 +1,8 @@
 """What a bag holds: point clouds, and where frames are in each other over time.
 
 In: a bag of ROS 1 or ROS 2, such as a folder of ``ros2 bag record``, an ``.mcap`` or a ``.bag``.
-Out: its messages; points with their stamps and frames; and what tf2 answers, in numpy: the pose of
-a frame in another at a time, interpolated between the transforms that were recorded.
+Out: its messages; points with their stamps and frames; and in numpy what tf2 answers. That is the
+pose of a frame in another at a time, interpolated between the transforms that were recorded.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ class _Track:
     @cached_property
     def _sorted(self) -> tuple[list[float], list[Pose], bool]:
         """Times and poses in their order, and whether several poses are all the same."""
-        heard = sorted(self._heard, key=lambda one: one[0])
+        heard = sorted(self._heard, key=lambda row: row[0])
         poses = [pose for *_, pose in heard]
         still = len(poses) > 1 and all(poses[0].near(pose) for pose in poses)
         return [time for time, *_ in heard], poses, still
@@ -114,12 +114,16 @@ class _Track:
         """
         if self.fixed:
             return self.fixed[-1]
+
+        # A recorded pose, if there is one at this very time
         times, poses, still = self._sorted
         after = bisect_right(times, time)
         if after and times[after - 1] == time:
             return poses[after - 1]
         first, last = max(0, after - 1), min(after, len(times) - 1)
         nearest = min(first, last, key=lambda i: abs(times[i] - time))
+
+        # Otherwise between the poses before and after, where they are near enough
         inside = first != last
         same = still or (inside and poses[first].near(poses[last]))
         if abs(times[nearest] - time) > FARTHEST and not same:
@@ -136,6 +140,7 @@ class _Track:
 
     def checked(self, link: str) -> tuple[list[Difference], float | None]:
         """Return what its poses and stamps contradict, and their delay [s], if they have any."""
+        # A fixed link must not change; another one must not jump.
         heard = [*self.fixed, *(pose for *_, pose in self._heard)]
         places, turns = np.array([p.place for p in heard]), np.array([p.turn for p in heard])
         if self.fixed:  # all poses that it has must be the same
@@ -194,7 +199,7 @@ class Transforms:
         A frame needs no transform to itself.
         """
         frame, of = frame.lstrip("/"), of.lstrip("/")
-        told: list[tuple[list[_Link], Pose]] = []
+        results: list[tuple[list[_Link], Pose]] = []
         if not (ways := self._ways(frame, of)):
             for name in (frame, of):
                 if name not in self.frames:
@@ -204,29 +209,31 @@ class Transforms:
                         f"{known}"
                     )
             raise RequestError(f"{self._where}nothing connects the frames {frame!r} and {of!r}")
+
+        # Every way must tell the same; the first one counts.
         for up, down in ways:
-            ours, theirs = self._along(down, time), self._along(up, time)
-            if ours is not None and theirs is not None:
-                told.append(([*up, *down], ours.inverse().after(theirs)))
-        for way, pose in told[1:]:
-            if not told[0][1].near(pose):
-                one = told[0][0]
-                child, first = next(link for link in one if link not in way)
+            frame_in_top, other_in_top = self._along(down, time), self._along(up, time)
+            if frame_in_top is not None and other_in_top is not None:
+                results.append(([*up, *down], frame_in_top.inverse().after(other_in_top)))
+        for way, pose in results[1:]:
+            if not results[0][1].near(pose):
+                first_way = results[0][0]
+                child, first = next(link for link in first_way if link not in way)
                 second = next((parent for name, parent in way if name == child), way[0][1])
                 raise RequestError(
                     f"{self._where}{child!r} has two parents, {first!r} and {second!r}, by which "
                     f"the poses of {of!r} in {frame!r} differ; a recording with one of them is "
                     "needed"
                 )
-        return told[0][1] if told else None
+        return results[0][1] if results else None
 
     def checked(self, frame: str, of: str) -> tuple[list[Difference], list[float]]:
-        """Return what the links between two frames contradict, and the delays of those [s]."""
+        """Return what the links between two frames contradict, and their delays [s]."""
         links = dict.fromkeys(
             link for way in self._ways(frame, of) for part in way for link in part
         )
         results = [self._tracks[c][p].checked(f"transform {p} → {c}") for c, p in links]
-        differences = [one for part, _ in results for one in part]
+        differences = [difference for part, _ in results for difference in part]
         return differences, [delay for _, delay in results if delay is not None]
 
     def _ways(self, frame: str, of: str) -> list[tuple[list[_Link], list[_Link]]]:
@@ -236,6 +243,7 @@ class Transforms:
         """
         if (frame, of) not in self._known:
             ways = []
+            # Up to a common frame and down again, without a frame twice
             above = list(self._above(frame))
             for up in self._above(of):
                 passed = {of, *(parent for _, parent in up)}
@@ -282,40 +290,47 @@ def messages(
     reader: Any, topics: Collection[str] = (), kinds: Collection[str] = ()
 ) -> Iterator[tuple[str, float, Any]]:
     """Yield topic, time of recording [s] and message, of these topics and of these types."""
-    chosen = [c for c in reader.connections if c.topic in topics or c.msgtype in kinds]
-    for connection, stamp, data in reader.messages(chosen):
+    connections = [c for c in reader.connections if c.topic in topics or c.msgtype in kinds]
+    for connection, stamp, data in reader.messages(connections):
         yield connection.topic, stamp * 1e-9, reader.deserialize(data, connection.msgtype)
 
 
 def read_transforms(path: Path, reader: Any) -> Transforms:
-    """Return all transforms of a bag; those of ``tf_static`` are fixed.
+    """Return all transforms of a bag; transforms of ``tf_static`` are fixed.
 
     The pose of an odometry is a transform as well, for a frame that has no other.
     """
+    # Poses of odometry wait, since a transform of the same frame goes before them.
     transforms, odometry = Transforms(path), list[tuple[str, float, Any]]()
     for topic, received, message in messages(reader, kinds=(*_FRAMES, ODOMETRY)):
         if hasattr(message, "pose"):
             odometry.append((topic, received, message))
             continue
         static = topic.rstrip("/").endswith(_STATIC)
-        for one in message.transforms:
-            time = None if static else seconds(one.header.stamp)
-            pose = pose_of(one.transform.translation, one.transform.rotation)
+        for transform in message.transforms:
+            time = None if static else seconds(transform.header.stamp)
+            pose = pose_of(transform.transform.translation, transform.transform.rotation)
             if pose is not None:
-                transforms.add(one.header.frame_id, one.child_frame_id, time, pose, received)
+                transforms.add(
+                    transform.header.frame_id, transform.child_frame_id, time, pose, received
+                )
+
+    # Odometry, one source for each frame
     known = {frame for frame in transforms.frames if transforms.has(frame)}
     sources: dict[str, str] = {}  # frame → topic of its odometry
-    for topic, received, one in odometry:
-        if (frame := one.child_frame_id.lstrip("/")) in known:
+    for topic, received, message in odometry:
+        if (frame := message.child_frame_id.lstrip("/")) in known:
             continue
         if (first := sources.setdefault(frame, topic)) != topic:
             raise RequestError(
                 f"{path}: the poses of {frame!r} come from {' and '.join(sorted((first, topic)))}, "
-                "and from no transform; a bag with one of them, or with tf, is allowed"
+                "and from no message; a bag with one of them, or with tf, is allowed"
             )
-        pose = pose_of(one.pose.pose.position, one.pose.pose.orientation)
+        pose = pose_of(message.pose.pose.position, message.pose.pose.orientation)
         if pose is not None:
-            transforms.add(one.header.frame_id, frame, seconds(one.header.stamp), pose, received)
+            transforms.add(
+                message.header.frame_id, frame, seconds(message.header.stamp), pose, received
+            )
     return transforms
 
 
@@ -352,11 +367,12 @@ def times_of(path: Path, reader: Any, topic: str) -> PointTimes:
 def read_points(where: str, message: Any, times: PointTimes) -> Points:
     """Return what a ``PointCloud2`` holds; ``times`` of its topic; ``where`` begins errors."""
     time, frame, cloud = _read(where, message)
+    # Without the time of a point, the place of a moving LiDAR is unknown.
     shifts = times.shifts(cloud.times, time)
     if shifts is None:
         return Points(time, frame, cloud.points)
-    kept = np.isfinite(shifts)
-    return Points(time, frame, cloud.points[kept], shifts[kept])
+    timed = np.isfinite(shifts)
+    return Points(time, frame, cloud.points[timed], shifts[timed])
 
 
 def _read(where: str, message: Any) -> tuple[float, str, Any]:

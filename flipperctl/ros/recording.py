@@ -2,7 +2,7 @@
 
 In: a bag of ROS 1 or 2 and the names of its topics, frames and joints; an exported policy. Out:
 clouds, attitudes, joint angles and belt speeds as ``FlipperController.step`` takes them, each with
-the time at which it was recorded; in shadow mode a file of JSON lines, and how often each fault
+the time at which it was recorded. In shadow mode, a file of JSON lines, and how often each fault
 came. The bag is read twice, first for its transforms, and never held in memory.
 """
 
@@ -104,7 +104,7 @@ class Recording:
     def setup(self) -> RobotSetup:
         """Frames and signs of the messages, with all else by default."""
         angles = CONVENTIONS[self.names.signs]
-        # Attitudes are made of quaternions, whose signs are always those of REP-103.
+        # Attitudes are made of quaternions, whose signs are always by REP-103.
         signs = Signs(front=angles.front, rear=angles.rear, pitch=REP_103.pitch)
         return RobotSetup(signs, cloud_frame=self.names.base, attitude_frame=self.names.base)
 
@@ -115,11 +115,13 @@ class Recording:
         return self.transforms.pose(self.names.fixed, self.names.base, time)
 
     def steps(self) -> Iterator[Step]:
-        """Yield the messages in the order in which they were recorded, those of one time at once.
+        """Yield the messages in the order in which they were recorded, all of one time at once.
 
-        The points of clouds come as a ``Mount`` at the place of the sensor ahead of and above the
-        chassis centre, (x, 0, z), with its ``axis`` would measure them, so that rings stay rings.
+        The points of clouds come as a ``Mount`` would measure them, so that rings stay rings. It is
+        at the place of the sensor ahead of and above the chassis centre, (x, 0, z), with its
+        ``axis``.
         """
+        # Topic → device; several topics may have joints.
         used, clouds, last = self.used, -1, -math.inf
         devices = {used.clouds: "cloud", **dict.fromkeys(used.joints, "joints")}
         others = ("attitude", used.attitude), ("odometry", used.belts)
@@ -132,38 +134,41 @@ class Recording:
                 if self.checked.by_stamps:
                     stamp = seconds(message.header.stamp) if hasattr(message, "header") else last
                     now = last = max(last, stamp)
-                told: Message | None
+                content: Message | None
                 match device := devices[topic]:
                     case "cloud":
                         clouds += 1
                         again = clouds in self.checked.repeated
-                        told = None if again else self._cloud(message)
+                        content = None if again else self._cloud(message)
                     case "attitude":
-                        told = self._attitude(message)
+                        content = self._attitude(message)
                     case "joints":
-                        told = self._joints(joints, topic, message)
+                        content = self._joints(joints, topic, message)
                     case _ if hasattr(message, "twist"):
-                        told = Odometry(_stamp(message), float(message.twist.twist.linear.x))
+                        content = Odometry(_stamp(message), float(message.twist.twist.linear.x))
                     case _:
-                        told = Odometry(now, float(message.data))  # it has no stamp of its own
-                if told is None:
+                        content = Odometry(now, float(message.data))  # it has no stamp of its own
+                if content is None:
                     continue
+
+                # Messages of one time go together, but no device twice.
                 if waiting is not None and (now != waiting.now or device in waiting.messages):
                     yield waiting
                     waiting = None
                 waiting = waiting or Step(now, {})
-                waiting.messages[device] = told
+                waiting.messages[device] = content
         if waiting is not None:
             yield waiting
 
     def _joints(self, joints: NewestJoints, topic: str, message: Any) -> JointAngles | None:
         """Return the newest angles; None as long as one is unknown, or of other joints."""
-        ours = self.used.joints[topic]
+        device_joints = self.used.joints[topic]
         pairs = zip(message.name, message.position, strict=False)
-        angles = {name: angle for name, angle in pairs if name in ours}
+        angles = {name: angle for name, angle in pairs if name in device_joints}
         return joints.take(_stamp(message), angles.keys(), angles.values())
 
     def _cloud(self, message: Any) -> Cloud:
+        # Where the sensor was when the cloud was measured
         read = read_points(f"{self.path}: {self.used.clouds}", message, self.times)
         mount = self.transforms.pose(self.names.base, read.frame, read.time)
         time, ages = read.time, None
@@ -173,6 +178,8 @@ class Recording:
             time, ages = read.time + end, end - read.shifts
         if mount is None:  # refused by its frame
             return Cloud(time, read.frame, read.points, ages)
+
+        # Moved into the chassis, but seen from the mount, so that rings are still rings
         points = mount.apply(read.points) - self.mount.place * (1.0, 0.0, 1.0)
         return Cloud(time, self.names.base, points @ mounting(self.axis), ages)
 
@@ -181,6 +188,8 @@ class Recording:
             return None
         frame, time = message.header.frame_id.lstrip("/"), _stamp(message)
         q, rates = message.orientation, message.angular_velocity
+
+        # What the unit measured, turned into the chassis where it is mounted otherwise
         turn = np.array([q.x, q.y, q.z, q.w])
         rate = np.array([rates.x, rates.y, rates.z])
         if frame != self.names.base:
@@ -199,6 +208,7 @@ def read_recording(path: Path, names: Names, *, clouds_alone: bool = False) -> R
     """Return what a bag holds, or its clouds alone; its messages are not read yet."""
     remarks: list[str] = []
     with opened(path) as reader:
+        # The devices, and where each is
         topics = (
             Topics(cloud_topic(path, reader, names))
             if clouds_alone
@@ -208,11 +218,13 @@ def read_recording(path: Path, names: Names, *, clouds_alone: bool = False) -> R
         times = times_of(path, reader, topics.clouds)
         checked = examine(reader, names, transforms, topics)
         checked.require(path)
+
+        # Where the sensor is: the first cloud whose transform is known tells.
         heads = (message.header for *_, message in messages(reader, [topics.clouds]))
         places = (
             transforms.pose(names.base, head.frame_id, seconds(head.stamp)) for head in heads
         )  # transforms may begin later than the clouds
-        mount = next((one for one in places if one is not None), Pose.none())
+        mount = next((place for place in places if place is not None), Pose.none())
     remarks += [*checked.remarks, *transforms.remarks(names.fixed, names.base)]
     return Recording(path, names, checked, transforms, times, mount, remarks)
 
@@ -226,14 +238,20 @@ LOG = OutputKind(
     "a log", (".jsonl",), re.compile(rb'\A\{"time": [^\n]*"setpoints": [^\n]*"measured": ')
 )
 USED = (
-    *("near", "filter_margin", "chassis_width", "overall_width"),
-    *("pose", "range_bias", "tilt_wander", "tilt_noise"),
+    "near",
+    "filter_margin",
+    "chassis_width",
+    "overall_width",
+    "pose",
+    "range_bias",
+    "tilt_wander",
+    "tilt_noise",
 )
 """Settings of ``perception=lidar`` that the setup of a robot has too."""
 
 
 def check_used(keys: Iterable[str]) -> None:
-    """Refuse settings other than those of a robot's setup, which the policy's file states."""
+    """Refuse settings that are none of a robot's setup, since the policy's file states them."""
     allowed = [f"perception.{name}" for name in USED]
     for key in keys:
         if key not in allowed:
@@ -254,8 +272,11 @@ def shadow(
     """
     lidar = lidar_of(sensor)
     check_output(log, LOG)
+    # What a robot could not do is refused before the bag is read.
     if pose == "true":
         raise RequestError("perception.pose=true: no robot knows this; belts or matched is allowed")
+
+    # The controller of a robot decides on what was recorded.
     recording = read_recording(source, names)
     lines: list[str] = []
     decided = Shadow(policy, setup_of(recording, lidar, pose), lines.append)

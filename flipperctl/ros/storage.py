@@ -1,4 +1,4 @@
-"""The messages of a bag, of which each channel is read by itself.
+"""Reads the messages of a bag, each channel by itself.
 
 In: an ``.mcap``, a ``.db3``, a folder of either, or a ``.bag`` of ROS 1. Out: its channels, and the
 messages of some of them. A channel's encoding and the definition of its type matter only to who
@@ -63,7 +63,7 @@ class Bag:
         """Yield connection, time of recording [ns] and bytes of messages, by time."""
         parts = [([c for c in channels if c in connections], r) for channels, r in self._storages]
         with self._named():
-            yield from merge(*(read(part) for part, read in parts if part), key=lambda one: one[1])
+            yield from merge(*(read(part) for part, read in parts if part), key=lambda row: row[1])
 
     def deserialize(self, data: bytes, msgtype: str) -> Any:
         """Return the message of a type that bytes hold."""
@@ -79,6 +79,7 @@ class Bag:
         channels = [c for c in self.connections if c.msgtype == msgtype and c.msgdef.data]
         if not channels:
             return typestore()
+        # The bag's own definition, since a type may have changed since it was recorded
         text, store = channels[0].msgdef.data, get_typestore(Stores.EMPTY)
         if channels[0].msgdef.format == MessageDefinitionFormat.MSG:
             store.register(get_types_from_msg(text, msgtype))
@@ -86,6 +87,8 @@ class Bag:
             several = text.startswith(f"{_IDL}IDL: ")
             files = [f.partition("\n")[2] for f in text.split(_IDL)[1:]] if several else [text]
             store.register({k: v for file in files for k, v in get_types_from_idl(file).items()})
+
+        # A definition that is not of the recorded type would give wrong numbers.
         stated, ros1 = channels[0].digest, self._is_ros1
         actual = store.generate_msgdef(msgtype)[1] if ros1 else store.hash_rihs01(msgtype)
         if stated not in ("", actual):
@@ -108,6 +111,7 @@ def _storages(path: Path, stack: ExitStack) -> Iterator[_Storage]:
     if path.is_dir():
         import yaml
 
+        # A folder names its files; compressed ones are read by rosbags.
         content = yaml.safe_load((path / METADATA).read_text())
         try:
             information = content["rosbag2_bagfile_information"]
@@ -153,6 +157,7 @@ def _mcap(path: Path, stack: ExitStack) -> _Storage:
             f"it is cut off, since it does not end as an MCAP does; 'mcap recover {path} "
             "-o whole.mcap' mends it"
         )
+    # The summary lists the channels without a reading of the whole file.
     summary = reader.get_summary()
     channels, schemas = ({}, {}) if summary is None else (summary.channels, summary.schemas)
     pairs = {c.id: (schemas.get(c.schema_id), c) for c in channels.values()}
@@ -173,6 +178,8 @@ def _mcap(path: Path, stack: ExitStack) -> _Storage:
 
     if not is_indexed:
         pairs = {c.id: (s, c) for s, c, _ in messages(None)}
+
+    # Channels with the definitions of their types
     stated = {
         number: (s.name, s.encoding, s.data.decode(errors="replace")) if s else ("", "", "")
         for number, (s, _) in pairs.items()
@@ -186,6 +193,7 @@ def _mcap(path: Path, stack: ExitStack) -> _Storage:
 def _sqlite(path: Path, stack: ExitStack) -> _Storage:
     address = f"{path.resolve().as_uri()}?immutable=1"
     base = stack.enter_context(closing(sqlite3.connect(address, uri=True)))
+    # Broken bytes in a text of no interest shall not stop the reading.
     base.text_factory = lambda text: text.decode(errors="replace")
     base.row_factory = sqlite3.Row
     stated = {}
@@ -203,6 +211,7 @@ def _sqlite(path: Path, stack: ExitStack) -> _Storage:
         for number, time, data in rows:
             yield by_number[number], time, data
 
+    # Channels by their topics, with their types' definitions since Iron
     channels = []
     for row in map(dict, base.execute("SELECT * FROM topics ORDER BY id")):
         encoding, digest = row["serialization_format"], row.get("type_description_hash", "")

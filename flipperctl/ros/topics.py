@@ -1,4 +1,4 @@
-"""The topics of a bag by the devices that they are of.
+"""Finds the topics of a robot's devices in a bag.
 
 In: an opened bag, and what its topics, frames and joints are called. Out: topics that can be used.
 """
@@ -54,9 +54,9 @@ class Topics:
 
     clouds: str
     attitude: str | None = None
-    """That of an ``Imu``."""
+    """Topic of an ``Imu``."""
     belts: str | None = None
-    """That of the belts' speed."""
+    """Topic of the belts' speed."""
     joints: Mapping[str, Collection[str]] = field(default_factory=dict)
     """Topic → the joints whose angles come from it."""
 
@@ -66,6 +66,7 @@ def found_devices(path: Path, reader: Any, names: Names, remarks: list[str]) -> 
     clouds = cloud_topic(path, reader, names)
     attitude = _only(path, reader, names.imu, (_IMU,), "--imu")
     joints = _joint_topics(reader, names, remarks)
+    # The simulator's own belts come first, since its bags have odometry as well.
     belts = names.belts
     if belts is None and any(c.topic == BELTS for c in reader.connections):
         belts = BELTS
@@ -74,24 +75,27 @@ def found_devices(path: Path, reader: Any, names: Names, remarks: list[str]) -> 
 
 
 def _joint_topics(reader: Any, names: Names, remarks: list[str]) -> dict[str, list[str]]:
-    """Return from which topics the angles of which joints come; none unless there are all.
+    """Return topic → joints whose angles come from it; empty unless all joints are found.
 
     One topic with all joints is taken before several with a part each.
     """
+    # Fewest topics: those with the most of the wanted joints first
     wanted = list(dict.fromkeys(name.lstrip("-") for name in (*names.front, *names.rear)))
     topics = sorted({c.topic for c in reader.connections if c.msgtype == _JOINTS})
     has = {topic: _joints_in(reader, topic, wanted) for topic in topics}
     joints: dict[str, list[str]] = {}
     left = list(wanted)
-    for topic in sorted(topics, key=lambda one: -len(has[one])):
+    for topic in sorted(topics, key=lambda name: -len(has[name])):
         if taken := [name for name in left if name in has[topic]]:
             joints[topic] = taken
             left = [name for name in left if name not in taken]
     if not left:
         return joints
+
+    # What is missing, and what could have been meant
     known = [name for name in wanted if name not in left]
     heads = [_first(reader, topic) for topic in topics]
-    others = dict.fromkeys(n for one in heads if one for n in one.name if n not in wanted)
+    others = dict.fromkeys(n for head in heads if head for n in head.name if n not in wanted)
     there = f", only {', '.join(known)}" if known else ""
     if not known and others:
         there = f"; the bag has {', '.join([*others][:_LISTED])} (--front and --rear name them)"
@@ -103,8 +107,8 @@ def _joint_topics(reader: Any, names: Names, remarks: list[str]) -> dict[str, li
 def _joints_in(reader: Any, topic: str, wanted: Sequence[str]) -> set[str]:
     """Return the wanted joints that the messages of a topic have, all or a part in each."""
     names: set[str] = set()
-    chosen = [c for c in reader.connections if c.topic == topic]
-    for connection, _, data in reader.messages(chosen):
+    connections = [c for c in reader.connections if c.topic == topic]
+    for connection, _, data in reader.messages(connections):
         # Most messages are of known or other joints: their bytes are searched before they are read.
         if any(name not in names and name.encode() in data for name in wanted):
             message = reader.deserialize(data, connection.msgtype)
@@ -121,7 +125,7 @@ def _only(
     known = sorted({c.topic for c in reader.connections if c.msgtype in kinds})
     if topic in known or (topic is None and len(known) < 2):
         return topic or next(iter(known), None)
-    kind = " or ".join(one.rpartition("/")[2] for one in kinds)
+    kind = " or ".join(name.rpartition("/")[2] for name in kinds)
     problem = f"no {kind} is on {topic!r}{close_match(topic or '', known)}"
     if topic is None:
         problem = f"several topics have {kind}; {option} chooses one"

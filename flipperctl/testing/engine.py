@@ -84,7 +84,7 @@ def end_stops(engine: Engine) -> None:
 
 @of("sim", "samples")
 def samples(engine: Engine) -> None:
-    """Check that ``advance`` returns finite poses, (S, 5), the last of which equals the state."""
+    """Check that ``advance`` returns finite poses, (S, 5), and that the last equals the state."""
     world = _place(engine, GROUND)
     poses = _run(world)
     require(poses.shape == (SAMPLES, 5), f"advance({SAMPLES}) has shape {poses.shape}")
