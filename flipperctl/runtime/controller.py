@@ -10,7 +10,6 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from numbers import Real
 from pathlib import Path
 from typing import Literal
 
@@ -21,9 +20,9 @@ from flipperctl.core.lidar.body import Body
 from flipperctl.core.lidar.estimator import LidarEstimator
 from flipperctl.core.lidar.ground import MapQuality, MapSettings
 from flipperctl.core.lidar.matching import ScanMatcher
-from flipperctl.core.lidar.messages import Belts, Joints
+from flipperctl.core.lidar.messages import Belts, Joints, real, short
 from flipperctl.core.lidar.outline import accuracy_of
-from flipperctl.core.sensing import Measured
+from flipperctl.core.sensing import Measured, SensedGround
 from flipperctl.core.targets import JOINTS, Action
 from flipperctl.errors import MissingExtraError, PolicyError
 from flipperctl.runtime.intake import Intake
@@ -214,7 +213,6 @@ class FlipperController:
 
         It enters the map at the pose that the others tell.
         """
-        fault = None
         for device, stamp, message in self._intake.receive(now, **messages):
             if device == "attitude" and "odometry" not in self._intake.known:
                 speed = self._driving_speed if self._answer.drive else 0.0
@@ -223,14 +221,16 @@ class FlipperController:
             if isinstance(message, Belts):
                 self._states.belts(now, message.speed)
             elif isinstance(message, Joints):
-                fault = self._motion_fault(now, message)
-        return fault or self._intake.fault(now) or self._speed_fault(now) or self._stall_fault(now)
+                self._compare(now, message)
+        faults = self._stall_fault(now), self._intake.fault(now), self._speed_fault(now)
+        present = [fault for fault in faults if fault is not None]
+        return max(present, key=lambda fault: fault.at_once, default=None)
 
     def _clock_fault(self, now: object) -> Fault | None:
         """Return a fault if the clock is no clock; after a jump nothing old is of use."""
-        time = _finite(now)
-        if time is None:
-            text = f"the time is {_short(now)}; a finite number is allowed"
+        time = real(now)
+        if time is None or not math.isfinite(time):
+            text = f"the time is {short(now)}; a finite number is allowed"
             return Fault("clock", text, at_once=True)
         if self._last is None:
             return None
@@ -253,10 +253,10 @@ class FlipperController:
         text = f"no odometry was received yet; a robot without it decides after {longest:g} s"
         return Fault("odometry_missing", text)
 
-    def _motion_fault(self, now: float, joints: Joints) -> Fault | None:
+    def _compare(self, now: float, joints: Joints) -> None:
         """Compare the new angles with the commands; after a fault, hold the flippers there."""
         if self._held:
-            return None
+            return
         targets = self._targets or (None, None)
         pairs = zip(self._motions.values(), targets, self._intake.sides, strict=False)
         faults = [motion.compare(now, target, angles) for motion, target, angles in pairs]
@@ -265,7 +265,6 @@ class FlipperController:
             self._stall = fault, now + self._limits.stall_hold
             if self._targets is not None:
                 self._hold(joints, faults)
-        return fault
 
     def _stall_fault(self, now: float) -> Fault | None:
         if self._stall is not None and now >= self._stall[1]:
@@ -282,17 +281,8 @@ class FlipperController:
         late = now - self._due > self._period  # or the first decision
         self._due = now + self._period if late else self._due + self._period
         ground, angles = self._estimator.estimate(now)
-        covered = 1.0 if ground.seen is None else float(np.mean(ground.seen))
-        least = self._limits.coverage
-        if covered < least:
-            text = f"ground was seen in {covered:.0%} of the bins; {least:.0%} or more is allowed"
-            self._undecided = Fault("coverage", text, gap=True)
-            self._states.update(now, self._undecided)
-            return None
-        pairs = zip(self._motions.values(), self._intake.sides, strict=False)
-        unlike = [fault for motion, pair in pairs if (fault := motion.unlike(pair))]
-        if unlike:
-            self._undecided = unlike[0]
+        self._undecided = self._uncertain(ground)
+        if self._undecided is not None:
             self._states.update(now, self._undecided)
             return None
         measured = front, rear = angles.front, angles.rear
@@ -302,7 +292,6 @@ class FlipperController:
             layout.assemble(ground.heights, front=front, rear=rear, pitch=angles.pitch),
             (pose.x, pose.y, pose.z),
         )
-        self._undecided = None
         if self._states.update(now, None) != "driving":
             self.policy.reset()
             return None
@@ -318,6 +307,16 @@ class FlipperController:
             motion.decide()
         self._advance(now, 0.0)
         return action
+
+    def _uncertain(self, ground: SensedGround) -> Fault | None:
+        """Return a fault if too little ground is known, or joints differ before the first turn."""
+        covered = 1.0 if ground.seen is None else float(np.mean(ground.seen))
+        least = self._limits.coverage
+        if covered < least:
+            text = f"ground was seen in {covered:.0%} of the bins; {least:.0%} or more is allowed"
+            return Fault("coverage", text, gap=True)
+        pairs = zip(self._motions.values(), self._intake.sides, strict=False)
+        return next((fault for motion, pair in pairs if (fault := motion.unlike(pair))), None)
 
     def _advance(self, now: float, elapsed: float) -> None:
         """Move the setpoints towards the targets, no faster than in the training."""
@@ -367,7 +366,8 @@ class FlipperController:
             name, reason = cause.name, f"{cause.reason}; it goes on when {until}"
         elif fault is not None:
             name, reason = fault.name, fault.reason
-        time = _finite(now)
+        time = real(now)
+        time = time if time is not None and math.isfinite(time) else None
         answer = Answer(
             self._theirs(self._shown),
             self._theirs(self._setpoints),
@@ -385,7 +385,7 @@ class FlipperController:
         before, self._answer = self._answer, answer
         changed = (answer.state, answer.fault) != (before.state, before.fault)
         if self._log is not None and (changed or action is not None):
-            line = {"time": _short(now) if time is None else time}
+            line = {"time": short(now) if time is None else time}
             line |= {k: v for k, v in asdict(answer).items() if k not in ("time", "valid_for")}
             if policy.interface.risk is None:  # the lines of files without a risk stay
                 del line["risk"], line["warning"]
@@ -428,22 +428,3 @@ def new_estimator(interface: Interface, setup: RobotSetup, *, level: bool = True
             "pose='matched' needs small_gicp, which is not installed; run pip install small_gicp"
         ) from error
     return LidarEstimator(body, setup.mount, settings, matcher, level=level)
-
-
-def _finite(number: object) -> float | None:
-    """Return a finite real number, of Python or numpy; None for anything else."""
-    if isinstance(number, bool) or not isinstance(number, Real):
-        return None
-    try:
-        found = float(number)
-    except OverflowError:
-        return None
-    return found if math.isfinite(found) else None
-
-
-def _short(value: object) -> str:
-    """Return a value as text of at most 40 characters."""
-    try:
-        return str(value)[:40]
-    except ValueError:  # Python writes no integer of more than 4300 digits
-        return type(value).__name__

@@ -14,7 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from flipperctl.core.crosschecks import Tilts, exceeds
-from flipperctl.core.lidar.messages import Belts, Inertial, Joints, Scan
+from flipperctl.core.lidar.messages import (
+    Belts,
+    Inertial,
+    Joints,
+    Scan,
+    checked_scan,
+    real,
+    short,
+)
 from flipperctl.core.targets import JOINTS
 from flipperctl.runtime.messages import (
     ABSENT,
@@ -222,27 +230,22 @@ class Intake:
 
     def _scan(self, cloud: Cloud) -> Scan:
         _check_frame("cloud", cloud.frame, self._setup.cloud_frame)
-        points = _array(cloud.points, 2)
-        if points.shape[1:] != (3,):
-            found = f"has points of shape {points.shape}"
-            raise _refusal("cloud", "shape", found, "(P, 3) of numbers")
-        kept, ages = np.isfinite(points).all(axis=1), None
-        if cloud.ages is not None:
-            ages = _array(cloud.ages, 1)
-            if ages.shape != (len(points),):
-                found = f"has ages of shape {ages.shape} for {len(points)} points"
-                raise _refusal("cloud", "shape", found, "one for each point")
-            kept &= (ages >= 0) & (ages <= _LONGEST_TURN)
-        kept &= (points != 0).any(axis=1)  # of rays without return
-        points = points[kept]
-        if len(points) < _FEWEST_POINTS:
-            aged = "" if ages is None else f" and measured up to {_LONGEST_TURN:g} s before"
-            found = f"has {len(points)} points that are finite, not 0{aged}"
-            raise _refusal("cloud", "points", found, f"{_FEWEST_POINTS} or more")
-        ages = None if ages is None else ages[kept]
+        try:
+            ages = None if cloud.ages is None else np.asarray(cloud.ages, dtype=np.float64)
+            scan = checked_scan(Scan(np.asarray(cloud.points, dtype=np.float64), ages))
+        except (TypeError, ValueError, OverflowError) as error:
+            raise _RefusedError(Fault("cloud_shape", f"cloud: {error}")) from error
+        usable, aged = (scan.points != 0).any(axis=1), ""  # 0 of rays without return
+        if scan.ages is not None:
+            usable &= (scan.ages >= 0) & (scan.ages <= _LONGEST_TURN)
+            aged = f" and measured up to {_LONGEST_TURN:g} s before"
+        if (count := int(usable.sum())) < _FEWEST_POINTS:
+            text = f"has {count} points that are finite, nearer than 1 km, not 0{aged}"
+            raise _refusal("cloud", "points", text, f"{_FEWEST_POINTS} or more")
+        scan = scan.take(np.flatnonzero(usable))
         if self._setup.signs.x < 0:  # a turn by π about z keeps the frame right-handed
-            points = points * (-1.0, -1.0, 1.0)
-        return Scan(points, ages)
+            return Scan(scan.points * (-1.0, -1.0, 1.0), scan.ages)
+        return scan
 
     def _attitude(self, time: float, message: Attitude) -> Inertial:
         _check_frame("attitude", message.frame, self._setup.attitude_frame)
@@ -287,30 +290,18 @@ def _all_joints(sides: Any) -> list[list[float]]:
         front = rear = []
     if front and rear:
         return [front, rear]
-    raise _refusal("joints", "value", f"has sides {str(sides)[:40]}", "the angles of both pairs")
+    raise _refusal("joints", "value", f"has sides {short(sides)}", "the angles of both pairs")
 
 
 def _check_frame(device: str, found: object, allowed: str) -> None:
     if not isinstance(found, str) or found != allowed:
-        raise _refusal(device, "frame", f"is in the frame {str(found)[:40]!r}", repr(allowed))
+        raise _refusal(device, "frame", f"is in the frame {short(found)!r}", repr(allowed))
 
 
 def _number(device: str, name: str, value: object, limit: float) -> float:
     """Return a finite number of at most ``limit`` in magnitude."""
-    try:
-        number = float(value)  # type: ignore[arg-type]  # any content is possible
-    except (TypeError, ValueError, OverflowError):
-        number = math.nan
-    if math.isfinite(number) and abs(number) <= limit:
+    number = real(value)
+    if number is not None and math.isfinite(number) and abs(number) <= limit:
         return number
     allowed = "a finite number" if math.isinf(limit) else f"a number within ±{limit:.3g}"
-    raise _refusal(device, "value", f"has {name} {str(value)[:40]}", allowed)
-
-
-def _array(values: object, dimensions: int) -> NDArray[np.float64]:
-    """Return an array; an empty one if it has another number of dimensions or other content."""
-    try:
-        array = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError, OverflowError):
-        return np.empty(0)
-    return array if array.ndim == dimensions else np.empty(0)
+    raise _refusal(device, "value", f"has {name} {short(value)}", allowed)

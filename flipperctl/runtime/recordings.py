@@ -82,8 +82,6 @@ _PATIENCE = 60.0
 _NEAR = 0.3, 1.0, 0.3
 """A board is looked for between the first two distances ahead or behind, and no lower below the
 LiDAR than the third [m]."""
-_FEWEST = 10
-"""Points that make up a board [-]."""
 
 
 class _Part(NamedTuple):
@@ -106,7 +104,9 @@ _PARTS = (
         "yaw", "attitude", "Lower it, and turn the robot to the left by 20° or more.", 0.3, "rad"
     ),
     _Part("x", "odometry", "Drive ahead by 0.2 m or more.", 0.15, "m"),
-    _Part("x", "cloud", "Stand still; hold a board upright 0.5 m ahead of the LiDAR.", 0.15, "m"),
+    _Part(
+        "x", "cloud", "Stand still; hold a board upright 0.5 m ahead of the LiDAR.", 10, "points"
+    ),
 )
 """The motions in their order; one whose device never reports is told as not measured."""
 
@@ -133,9 +133,9 @@ class SelfTest:
         self._setup = setup
         self._intake = Intake(setup, Limits())
         self._rotation = mounting(setup.mount.axis)
-        self._values: dict[str, float] = {"yaw": 0.0, "odometry": 0.0}
+        self._values: dict[tuple[str, str], float] = {}  # sign and device → what is watched
         self._times: dict[str, float] = {}
-        self._base: dict[str, float] = {}  # the values when the motion was asked for
+        self._base: float | None = None  # the value when the motion was asked for
         self._begun: float | None = None
         self.verdicts: list[Verdict] = []
 
@@ -165,7 +165,7 @@ class SelfTest:
         verdict = None if self.over else self._verdict(now - self._begun)
         if verdict is not None:
             self.verdicts.append(verdict)
-            self._begun, self._base = now, {}
+            self._begun, self._base = now, None
             lines += [f"  {verdict.text}", self._next()]
         return "\n".join(lines)
 
@@ -183,26 +183,33 @@ class SelfTest:
         """Update what is watched: angles, the heading, the way and the points of a board."""
         elapsed = time - self._times.get(device, time)
         self._times[device] = time
+        values = self._values
         match message:
             case Joints():
-                self._values |= {"front": message.front, "rear": message.rear}
+                values["front", device], values["rear", device] = message.front, message.rear
             case Inertial():
-                self._values["pitch"] = message.pitch
-                self._values["yaw"] += message.yaw_rate * elapsed
+                values["pitch", device] = message.pitch
+                values["yaw", device] = (
+                    values.get(("yaw", device), 0.0) + message.yaw_rate * elapsed
+                )
             case Belts():
-                self._values["odometry"] += message.speed * elapsed
+                values["x", device] = values.get(("x", device), 0.0) + message.speed * elapsed
             case Scan():
                 mount, (near, far, low) = self._setup.mount, _NEAR
                 points = np.asarray(message.points) @ self._rotation.T + (mount.x, 0.0, mount.z)
-                beside = (np.abs(points[:, 1]) < near) & (points[:, 2] > mount.z - low)
-                for side, x in (("ahead", points[:, 0]), ("behind", -points[:, 0])):
-                    self._values[side] = float(np.sum(beside & (x >= near) & (x <= far)))
+                x, y, z = points.T
+                beside = (np.abs(y) < near) & (z > mount.z - low)
+                board = beside & (np.abs(x) >= near) & (np.abs(x) <= far)
+                values["x", device] = float(np.sign(x[board]).sum())  # ahead less behind
 
     def _verdict(self, elapsed: float) -> Verdict | None:
         """Return what the present motion showed, once it was made or nobody makes it."""
         part = _PARTS[len(self.verdicts)]
         sign, device = part.sign, part.device
-        grown = self._grown(part)
+        value = self._values.get((sign, device))
+        if self._base is None:
+            self._base = value
+        grown = 0.0 if value is None or self._base is None else value - self._base
         if abs(grown) < part.threshold:
             if elapsed < _PATIENCE:
                 return None
@@ -216,22 +223,6 @@ class SelfTest:
             f"grow; set signs.{sign} to {-getattr(self._setup.signs, sign)}"
         )
         return Verdict(sign, device, False, text)
-
-    def _grown(self, part: _Part) -> float:
-        """Return by how much what the motion must raise has grown since its beginning.
-
-        Of a board: 1 if it appeared ahead, -1 if behind, 0 if nowhere.
-        """
-        if part.device not in self._times:
-            return 0.0
-        names = {"cloud": ("ahead", "behind"), "odometry": ("odometry",)}
-        grown = [
-            self._values[name] - self._base.setdefault(name, self._values[name])
-            for name in names.get(part.device, (part.sign,))
-        ]
-        if part.device != "cloud":
-            return grown[0]
-        return 0.0 if max(grown) < _FEWEST else 1.0 if grown[0] > grown[1] else -1.0
 
 
 def self_test(lines: Iterable[str], where: str, setup: RobotSetup) -> SelfTest:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
@@ -133,27 +134,44 @@ def checked(
     if not abs(at) <= _LARGEST_TIME:  # nor NaN
         return None
     if isinstance(value, Scan):
-        return at, _scan(value)
+        return at, checked_scan(value)
     kind, limits = next(entry for entry in _LIMITS.items() if isinstance(value, entry[0]))
     numbers = {name: number(getattr(value, name), name) for name in limits}
     within = all(abs(numbers[name]) <= most for name, most in limits.items())
     return (at, kind(**numbers)) if within else None
 
 
+def real(value: object) -> float | None:
+    """Return a real number of Python or numpy as a float, also if not finite; else None."""
+    if isinstance(value, bool) or not isinstance(value, Real):
+        return None
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf
+
+
 def number(value: object, name: str) -> float:
     """Return ``value`` as a float, which may be infinite or NaN; else raise an error."""
-    if isinstance(value, float):
-        return float(value)  # of numpy's too
-    if isinstance(value, int | np.integer | np.floating):
-        try:
-            return float(value)
-        except OverflowError:
-            return math.inf
-    raise PerceptionError(f"{name} is {_kind(value)}; a number is needed")
+    if (result := real(value)) is None:
+        raise PerceptionError(f"{name} is {_kind(value)}; a number is needed")
+    return result
 
 
-def _scan(scan: Scan) -> Scan:
-    """Return the scan with finite points alone, each with what is measured about it."""
+def short(value: object) -> str:
+    """Return a value as text of at most 40 characters."""
+    try:
+        return str(value)[:40]
+    except ValueError:  # Python writes no integer of more than 4300 digits
+        return type(value).__name__
+
+
+def checked_scan(scan: Scan) -> Scan:
+    """Return the scan with possible points alone, each with what is measured about it.
+
+    Raises:
+        PerceptionError: an array has another shape or type.
+    """
     points = _array(scan.points, "points")
     if points.ndim != 2 or points.shape[1] != 3:
         raise PerceptionError(f"points have the shape {points.shape}; (P, 3) is needed")
