@@ -1,7 +1,5 @@
 """Profiles that are stored as points in a CSV file."""
 
-import csv
-import math
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,33 +8,32 @@ from numpy.typing import NDArray
 
 from flipperctl.api import FloatArray
 
-from .reading import read_lines, without_missing
+from .reading import without_missing
+from .tables import read_table
 
-_DELIMITERS = ";\t,"
-"""Delimiters by precedence; a comma may be the decimal sign if another separates the columns."""
-_COMMENTS = ("#", "//")
-"""Beginnings of lines that are comments."""
 _STRAIGHT = 1.05
 """Largest ratio of a profile's way in x and y to its length in x [-]."""
-_LARGE = 1 << 20
-"""Smallest size of a file that numpy's compiled reader tries first [bytes]."""
 
 
 def read_csv(path: Path, largest_gap: float, width: float) -> tuple[FloatArray, list[str]]:
     """Return columns ``x`` and ``z`` of a CSV file with a header, (V, 2) in the file's unit.
 
-    Columns are separated by commas, or by semicolons or tabs with decimal points or commas, as
-    spreadsheets write them. Lines that begin with # or // are comments. A line whose x or z is NaN
-    or a value for missing heights is a gap, which is interpolated linearly up to ``largest_gap``
-    in the file's unit. A column ``y`` may vary by the ``width`` [the file's unit] beside the line.
-    Also returns remarks on missing values and on unknown heights at the ends.
+    A line whose x or z is not known, or a value for missing heights, is a gap, which is
+    interpolated linearly up to ``largest_gap`` in the file's unit. A column ``y`` may vary by the
+    ``width`` [the file's unit] beside the line. Also returns remarks on missing values and on
+    unknown heights at the ends.
 
     Raises:
-        ValueError: a column is missing, a value is not a number, x decreases, a gap is too long,
-            there are fewer than two points, or the points are a cloud.
+        ValueError: the file is no table of x and z, x decreases, a gap is too long, there are fewer
+            than two points, or the points are a cloud.
     """
-    table, numbers, columns = (path.stat().st_size >= _LARGE and _compiled(path)) or _rows(path)
-    points, y = table[:, :2], table[:, 2]
+    table = read_table(path, "xz", "y")
+    points, y, numbers, columns = (
+        table.values[:, :2],
+        table.values[:, 2],
+        table.lines,
+        len(table.names),
+    )
     if _is_cloud(points[:, 0], y, width):
         raise ValueError(
             f"its column y varies from {np.nanmin(y):g} to {np.nanmax(y):g}: it is a point cloud, "
@@ -111,62 +108,6 @@ def _check_faces(
         )
 
 
-def _rows(path: Path) -> tuple[FloatArray, NDArray[np.int64], int]:
-    """Return x, z and y of each line, (R, 3), which may be NaN, and the lines' numbers, (R,).
-
-    The last is the number of columns.
-    """
-    lines = read_lines(path)
-    texts = [
-        (number, line)
-        for number, line in enumerate(lines, start=1)
-        if line.strip() and not line.lstrip().startswith(_COMMENTS)
-    ]
-    if texts and texts[0][1].lower().startswith("sep="):  # some spreadsheets write this line first
-        texts = texts[1:]
-    header = texts[0][1] if texts else ""
-    delimiter = next((sign for sign in _DELIMITERS if sign in header), ",")
-    try:
-        parsed = csv.reader(
-            (line for _, line in texts), delimiter=delimiter, skipinitialspace=True, strict=False
-        )
-        rows = list(parsed)
-    except csv.Error as error:
-        raise ValueError(f"it is not a CSV file: {error}") from error
-    columns = [name.strip().lower() for name in rows[0]] if rows else []
-    if columns.count("x") != 1 or columns.count("z") != 1:
-        cloud = "; a point cloud needs terrain.start and terrain.end" if len(columns) > 2 else ""
-        raise ValueError(f"a header with columns x and z is needed; it has {columns}{cloud}")
-    places = columns.index("x"), columns.index("z")
-    beside = columns.index("y") if columns.count("y") == 1 else len(columns)
-    points: list[tuple[float, float, float]] = []
-    numbers: list[int] = []
-    for (number, _), row in zip(texts[1:], rows[1:], strict=False):
-        if not any(text.strip() for text in row):
-            continue  # spreadsheets write such lines at the end
-        x, z = _point(row, number, len(columns), places, delimiter)
-        y = _number(row[beside], delimiter) if beside < len(row) else None
-        points.append((x, z, math.nan if y is None else y))
-        numbers.append(number)
-    return np.array(points).reshape(-1, 3), np.array(numbers, dtype=np.int64), len(columns)
-
-
-def _point(
-    row: list[str], number: int, columns: int, places: tuple[int, int], delimiter: str
-) -> tuple[float, float]:
-    """Return x and z of a line, which may be NaN."""
-    if len(row) > columns and any(text.strip() for text in row[columns:]):
-        raise ValueError(
-            f"line {number}: it has {len(row)} values for {columns} columns; where the "
-            "decimal sign is a comma, semicolons must separate the columns"
-        )
-    found = tuple(row[at] if at < len(row) else "" for at in places)
-    x, z = (_number(text, delimiter) for text in found)
-    if x is None or z is None:
-        raise ValueError(f"line {number}: x and z must be numbers; they are {found}")
-    return x, z
-
-
 def _check_gaps(
     x: FloatArray, known: NDArray[np.bool_], numbers: NDArray[np.int64], largest: float
 ) -> None:
@@ -189,40 +130,3 @@ def _remarks_on_ends(x: FloatArray, known: NDArray[np.bool_], largest: float) ->
     for first, last in ((outer[0], inner[0]), (inner[-1], outer[-1])):
         if last - first > largest:
             yield f"no height is known from x = {first:g} to {last:g}, which is left out"
-
-
-def _number(text: str, delimiter: str) -> float | None:
-    """Return the number in ``text``, which may be NaN, or None if it is infinite or no number."""
-    if delimiter != "," and "." not in text:
-        text = text.replace(",", ".")
-    try:
-        number = math.inf if "_" in text else float(text)
-    except ValueError:
-        return None
-    return None if math.isinf(number) else number
-
-
-def _compiled(path: Path) -> tuple[FloatArray, NDArray[np.int64], int] | None:
-    """Return what ``_rows`` does for a plain file, or None if ``_rows`` must read it.
-
-    For plain tables of numbers this takes a fifth of the time and a tenth of the memory. Files with
-    faults or missing heights give None, so that ``read_csv`` names the line.
-    """
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            columns = [name.strip().lower() for name in file.readline().split(",")]
-            if columns.count("x") != 1 or columns.count("z") != 1:
-                return None
-            used = [columns.index("x"), columns.index("z")]
-            # All columns: with ``usecols``, numpy takes rows of another width without a word.
-            table = np.loadtxt(file, delimiter=",", ndmin=2, comments=None)
-    except ValueError:
-        return None
-    if len(table) < 2 or table.shape[1] != len(columns):
-        return None
-    points = table[:, used]
-    y = table[:, columns.index("y")] if columns.count("y") == 1 else np.full(len(table), np.nan)
-    _, missing = without_missing(points[:, 1])
-    if missing or not np.isfinite(points).all():
-        return None
-    return np.column_stack([points, y]), np.arange(len(table)) + 2, len(columns)

@@ -1,39 +1,14 @@
-"""Reading files of recorded ground: text of any encoding, missing values, readers' warnings."""
+"""Reading files of recorded ground: missing values, rounding, readers' warnings."""
 
 import logging
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import numpy as np
 
 from flipperctl.api import FloatArray
 from flipperctl.core.crosschecks import Peak, compared, rounding
-
-_MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
-
-
-def read_lines(path: Path) -> list[str]:
-    """Return the file's lines without their ends.
-
-    A file without a byte order mark is read as UTF-8 or else as Windows-1252, which spreadsheets
-    write.
-
-    Raises:
-        ValueError: the file is not text.
-    """
-    data = path.read_bytes()
-    encoding = next((name for mark, name in _MARKS.items() if data.startswith(mark)), None)
-    for name in (encoding,) if encoding else ("utf-8", "cp1252"):
-        try:
-            text = data.decode(name)
-        except UnicodeDecodeError:
-            continue
-        if "\0" not in text:
-            return text.splitlines()
-    raise ValueError("it is not a text file; it holds binary data")
-
 
 TYPICAL = (-9999.0, -99999.0, -32767.0, -32768.0)
 """Values that mapping programs write for unknown heights [the file's unit]."""

@@ -230,8 +230,8 @@ def test_a_pcd_may_have_fields_without_numbers(tmp_path: Path) -> None:
         ("# z y x", "{2} {1} {0}", None),
         ("", "{0}, {1}, {2} 255 0 0", None),
         ("", "{0};;{2}", "only 0 points"),
-        ("easting northing height", "{0} {1} {2}", "line 1: three numbers, or a header that names"),
-        ("x y z", "{0} {1} up", "line 2: x, y and z must be numbers; it is '0.000 -0.350 up'"),
+        ("easting northing height", "{0} {1} {2}", "line 1: numbers, or a header with"),
+        ("x y z", "{0} {1} up", "line 2: x, y and z must .* '-0\\.350', 'up'\\)"),
     ],
 )
 def test_columns_of_a_text_file_are_named_or_the_first(
