@@ -46,7 +46,8 @@ from flipperctl.evaluation.statistics import proportion
 from flipperctl.plugging import plugins
 from flipperctl.policies.trained import TrainedPolicy, policy_module
 from flipperctl.process import entry
-from flipperctl.rollout.episode import EpisodeRisks, play
+from flipperctl.rollout.episode import play
+from flipperctl.rollout.risks import EpisodeRisks
 from flipperctl.text.files import OutputKind, check_output
 from flipperctl.training.validation import calibrated, sigmoid
 from flipperctl.views.summary import summarise

@@ -231,9 +231,9 @@ def replay(
 
       flipperctl replay evaluated/failure_stair_3.json --film stair.gif
     """
-    from flipperctl.evaluation.replay import lines, replay_file
     from flipperctl.terminal.progress import episodes_progress
     from flipperctl.text.show import console, print_lines
+    from flipperctl.views.replay import lines, replay_file
 
     found = replay_file(file, checkpoint, output, film, progress=episodes_progress, tell=print_note)
     show(found.to_dict(), lambda: print_lines(console(), lines(found)), as_json=as_json)

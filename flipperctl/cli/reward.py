@@ -157,6 +157,7 @@ def _regret(
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.cli.plan import player, scenes
     from flipperctl.evaluation.plan import policies
+    from flipperctl.evaluation.regret import RegretScene, measure
     from flipperctl.text.show import console, print_lines, print_table
     from flipperctl.views import regret
 
@@ -167,13 +168,13 @@ def _regret(
     labels = [_split(combination)[1] for combination in overrides.combinations()]
     default, name = "own" if checkpoint else _DEFAULT, str(checkpoint or controller)
     chosen = [
-        regret.RegretScene(config, label or default, name, source, others)
+        RegretScene(config, label or default, name, source, others)
         for (config, source), label in zip(
             scenes(overrides.words, checkpoint, controller), labels, strict=True
         )
     ]
     with player(output, "regret") as (plays, _):
-        found = [one for scene in chosen if (one := regret.measure(scene, plays)) is not None]
+        found = [one for scene in chosen if (one := measure(scene, plays)) is not None]
     if not found:
         raise InterruptedRunError("interrupted: no scene is finished")
 

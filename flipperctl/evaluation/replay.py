@@ -1,4 +1,4 @@
-"""Episodes that are played again: from a small file bit for bit, and for a picture or a film.
+"""Episodes that are played again from a small file, bit for bit.
 
 In: an episode of an evaluation, its configuration and the policy's source. Out: a JSON document, a
 record; and, from such a file, the episode, and whether it is the recorded one, once versions and
@@ -7,8 +7,7 @@ contents are checked.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack
+from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from itertools import zip_longest
@@ -27,7 +26,6 @@ from pydantic import (
 from flipperctl import __version__, checkpoint
 from flipperctl.api import Outcome, Profile, Transition
 from flipperctl.checkpoint.document import decode
-from flipperctl.checkpoint.results import result_folder
 from flipperctl.config import EnvConfig, EvalConfig, parse, to_dict
 from flipperctl.config.identity import content_digest
 from flipperctl.env.flipper_env import FlipperEnv
@@ -39,17 +37,14 @@ from flipperctl.errors import (
     other_format,
 )
 from flipperctl.evaluation.conditions import Conditions
-from flipperctl.evaluation.names import names
 from flipperctl.evaluation.play import EpisodeDigest, Progress, no_progress
 from flipperctl.evaluation.rows import DIGEST, Row, arranged, sampled
 from flipperctl.policies.source import PolicySource
-from flipperctl.rollout.episode import Decision, EpisodeRisks, play
-from flipperctl.rollout.trace import Trace
+from flipperctl.rollout.episode import Decision, play
+from flipperctl.rollout.risks import EpisodeRisks
 from flipperctl.sim.versions import engine_versions
-from flipperctl.text.files import write_json
 from flipperctl.text.messages import explain
 
-NAMES = ("replay.json", "replay.png")
 _FORMAT = 1
 
 
@@ -298,72 +293,3 @@ def replay(path: Path, checkpoint: Path | None = None, progress: Progress = no_p
         row = play(env, policy, record.seed, watch=watch, report_progress=report)
     episode = arranged({"episode": record.episode, **row}) | {DIGEST: digest.hexdigest()}
     return Replay(record, config, source, episode, tuple(transitions), env.profile)
-
-
-def replay_file(
-    path: Path,
-    checkpoint: Path | None,
-    output: Path | None,
-    film: Path | None,
-    *,
-    progress: Progress = no_progress,
-    tell: Callable[[str], None] = lambda text: None,
-) -> Replay:
-    """Return the episode of a record after writing its files; see ``replay``.
-
-    ``tell`` is called with a line for each output.
-    """
-    with ExitStack() as stack:
-        # Outputs are checked and locked before the episode is played.
-        if film is not None:
-            from flipperctl.figures.animation import check_film
-
-            check_film(film)
-        folder = None
-        if output is not None:
-            folder = stack.enter_context(result_folder(output, "replay", NAMES))
-        replayed = replay(path, checkpoint, progress)
-        # The document and a picture
-        if folder is not None:
-
-            def write(part: Path) -> None:
-                write_json(part / "replay.json", replayed.to_dict())
-                from flipperctl.figures.episode import episode_figure
-                from flipperctl.figures.figure import save
-
-                trace = Trace.of(replayed.transitions, replayed.profile)
-                save(episode_figure(trace), part / "replay.png", replayed.title)
-
-            folder.replace(write)
-            tell(f"wrote {' and '.join(NAMES)} to {folder.path}")
-        # A film of this episode alone
-        if film is not None:
-            from flipperctl.figures.film import Part, Take
-            from flipperctl.figures.film import film as make_film
-
-            config, source, terrain = (
-                replayed.config,
-                replayed.source,
-                replayed.config.terrain.plugin_name,
-            )
-            label = source.label()
-            part = Part(names([label])[label], config.environment(), source, replayed.record.seed)
-            with progress(f"{terrain}, film", 1) as report:
-                take = Take(f"{terrain}, episode {replayed.record.episode}", [part])
-                make_film(film, [take], report_progress=report)
-            tell(f"wrote {film}")
-    return replayed
-
-
-def lines(replayed: Replay) -> Iterator[str]:
-    """Yield outcome and measures of the episode, and whether it is bit-identical."""
-    episode = replayed.episode
-    yield replayed.title
-    yield (
-        f"{episode['decisions']} decisions, {episode['t_cost']:.2f} s, pitch variation "
-        f"{episode['pitch_variation_100hz']:.3f} rad, largest pitch {episode['max_pitch']:.3f} rad"
-    )
-    if not replayed.differences:
-        digest = f"bit-identical to the recorded episode, digest {episode[DIGEST]:.16}…"
-        none = "equal to the recorded episode by its measures; it has no digest of the poses"
-        yield none if replayed.record.digest is None else digest

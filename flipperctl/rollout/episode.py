@@ -11,7 +11,7 @@ import hashlib
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,6 +35,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.pictures import Observer
 from flipperctl.env.privileged import PrivilegedStates
 from flipperctl.errors import FlipperctlError
+from flipperctl.rollout.risks import EpisodeRisks
 from flipperctl.sim.versions import samples_in
 
 NO_LABEL = np.zeros(len(ACTIONS), np.float32)
@@ -93,54 +94,6 @@ class EpisodeRecorder:
             labels=np.array(labels, np.float32),
             commands=commands,
         )
-
-
-AHEAD = 3
-"""Decisions from a warning to the failure, at least, for the warning to be in time [-]."""
-_RISKS, _HORIZON, _THRESHOLD = "risks", "risk_horizon", "risk_threshold"
-
-
-@dataclass(frozen=True)
-class EpisodeRisks:
-    """The risk at each decision of an episode that has ended."""
-
-    sign: RiskSign
-    values: tuple[float, ...]
-    """Risk before each of the T decisions, (T,) [-]."""
-
-    def due(self, failed: bool) -> list[bool]:
-        """Return at which decisions the episode failed within the horizon, (T,)."""
-        first = len(self.values) - self.sign.horizon
-        return [failed and t >= first for t in range(len(self.values))]
-
-    @property
-    def warnings(self) -> list[bool]:
-        """At which decisions the policy warned, (T,)."""
-        return list(map(self.sign.warns, self.values))
-
-    @property
-    def in_time(self) -> bool:
-        """Whether it warned within the horizon before the end and ``AHEAD`` decisions ahead."""
-        count = len(self.values)
-        return any(self.warnings[max(0, count - self.sign.horizon) : max(0, count - AHEAD)])
-
-    @classmethod
-    def of(cls, sign: RiskSign, risks: Sequence[float]) -> Self:
-        """Return the risks with the six digits that rows keep."""
-        return cls(sign, tuple(float(f"{risk:.6g}") for risk in risks))
-
-    def to_row(self) -> dict[str, Any]:
-        """Return the entries of a flat row of an episode."""
-        risks = " ".join(map(repr, self.values))
-        return {_HORIZON: self.sign.horizon, _THRESHOLD: self.sign.threshold, _RISKS: risks}
-
-    @classmethod
-    def pop(cls, row: dict[str, Any]) -> Self | None:
-        """Take the entries out of a flat row; None if it has none."""
-        if _RISKS not in row:
-            return None
-        risks = tuple(map(float, row.pop(_RISKS).split()))
-        return cls(RiskSign(row.pop(_HORIZON), row.pop(_THRESHOLD)), risks)
 
 
 Row = dict[str, Any]

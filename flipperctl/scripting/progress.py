@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import Any
 
 from flipperctl.evaluation.play import Progress, no_progress
@@ -101,8 +102,8 @@ def _episodes_in_a_cell() -> Progress:
 def training_reports(shown: bool) -> Reports:
     """Return the reports that show a training."""
     if not shown:
-        return Reports()
-    return Reports([TrainingCell], print_note) if is_running() else reports()
+        return replace(reports(), listeners=(), tell=lambda text: None)
+    return replace(reports(), listeners=[TrainingCell]) if is_running() else reports()
 
 
 def episodes(shown: bool) -> Progress:

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from flipperctl.config import TrainConfig
+from flipperctl.evaluation.regret import final_regret
 from flipperctl.process.session import command
 from flipperctl.terminal.progress import TrainingProgress, way_text
 from flipperctl.terminal.streams import print_note, print_notices
@@ -17,8 +18,8 @@ from flipperctl.views import regret, summary
 
 
 def reports() -> Reports:
-    """Return callbacks that show a training on stderr."""
-    return Reports([TrainingProgress], print_note)
+    """Return callbacks that show a training on stderr and judge its best policy."""
+    return Reports([TrainingProgress], print_note, print_note, final_regret)
 
 
 def check_resumed(config: TrainConfig) -> None:

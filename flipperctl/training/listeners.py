@@ -29,7 +29,6 @@ from flipperctl.env.metrics import logged
 from flipperctl.errors import CheckpointError, MissingExtraError, WriteError
 from flipperctl.plugging import guard
 from flipperctl.text.files import failure, write_bytes, write_json
-from flipperctl.text.show import print_text
 
 
 def columns() -> tuple[str, ...]:
@@ -188,15 +187,16 @@ def _verified(
 
 
 def openers(
-    config: TrainConfig, directory: Path, resume_at: int | None
+    config: TrainConfig, directory: Path, resume_at: int | None, warn: Callable[[str], None]
 ) -> list[Callable[[], Listener]]:
     """Return for each logger a function that opens it for the run in ``directory``.
 
-    ``resume_at``: decision from which the run continues; None for a new run.
+    ``resume_at``: decision from which the run continues; None for a new run. ``warn`` is called
+    with a line if a logger fails and is dropped.
     """
     plain = to_dict(config)
     return [
-        partial(GuardedLogger, logger, RunInfo(directory, directory / key, plain, resume_at))
+        partial(GuardedLogger, logger, RunInfo(directory, directory / key, plain, resume_at), warn)
         for key, logger in config.logger.items()
     ]
 
@@ -204,9 +204,9 @@ def openers(
 class GuardedLogger:
     """Forwards all events to a logger's listener until the listener fails."""
 
-    def __init__(self, logger: Logger, run: RunInfo) -> None:
+    def __init__(self, logger: Logger, run: RunInfo, warn: Callable[[str], None]) -> None:
         """Open the logger."""
-        self._logger = logger
+        self._logger, self._warn = logger, warn
         self._listener: Listener | None = None
         try:
             self._listener = logger.open(run)
@@ -248,10 +248,9 @@ class GuardedLogger:
             with contextlib.suppress(Exception):
                 listener.close()
         where = guard.error_place(error, self._logger, method)
-        print_text(
+        self._warn(
             f"warning: {guard.plugin_label(self._logger)}: {method} raised "
-            f"{guard.error_line(error)} ({where}); the training continues without it",
-            stderr=True,
+            f"{guard.error_line(error)} ({where}); the training continues without it"
         )
 
 

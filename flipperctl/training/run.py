@@ -1,8 +1,7 @@
 """Train in a run directory: start, continue or resume a run, with its lock, files and Ctrl-C.
 
-In: a training's configuration and a directory. Out: the files of the run, and its summary, with the
-returns of its best policy and of simple rules on episodes with seeds of their own. Nothing is
-printed here; ``Reports`` holds the caller's callbacks.
+In: a training's configuration and a directory. Out: the files of the run, and its summary. Nothing
+is printed or judged here; ``Reports`` holds the caller's callbacks.
 """
 
 from __future__ import annotations
@@ -19,20 +18,10 @@ import torch
 from flipperctl import checkpoint
 from flipperctl.agent.contract import check_contract
 from flipperctl.api import Listener
-from flipperctl.api.controllers import is_rule
 from flipperctl.checkpoint import Checkpoint
 from flipperctl.checkpoint.document import State
 from flipperctl.checkpoint.results import METRICS, finished, hold, holds_run, names
-from flipperctl.config import (
-    EnvConfig,
-    Eval,
-    EvalConfig,
-    Train,
-    TrainConfig,
-    to_dict,
-    with_overrides,
-)
-from flipperctl.config.reward_sum import paying_terms
+from flipperctl.config import Train, TrainConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.repeating import require_repeatable
 from flipperctl.errors import (
@@ -45,15 +34,11 @@ from flipperctl.errors import (
     RunHeldError,
     WriteError,
 )
-from flipperctl.evaluation.conditions import TRAINED
-from flipperctl.evaluation.play import Player
-from flipperctl.policies.source import PolicySource, load_policy
 from flipperctl.process.session import command, interrupts, quote_path
 from flipperctl.text.files import make_folder
 from flipperctl.training import folder as run_folder
 from flipperctl.training.listeners import MetricsCsv, openers
 from flipperctl.training.trainer import Trainer, closer
-from flipperctl.views.regret import LEVEL, RegretScene, measure
 
 _RESUMABLE = ("train.", "device", "collector", "logger")
 """What the overrides of a resumed run begin with."""
@@ -118,58 +103,12 @@ def check_device(config: TrainConfig) -> None:
         raise ConfigError(f"device: {config.device!r} cannot be used: {reason}") from error
 
 
-SEED = 2_718_281_828
-"""Seed of the evaluation, unlike the default one of ``eval``: a run that is chosen by this measure
-can then be evaluated on other episodes."""
-
-
-def final_regret(
-    config: TrainConfig, directory: Path, stop: Callable[[], bool], tell: Callable[[str], None]
-) -> dict[str, Any] | None:
-    """Compare the best policy of a finished run with simple rules; None if turned off or failed.
-
-    ``tell`` is called with a line if a policy or the environment fails. Raises InterruptedRunError
-    if ``stop``, called between episodes, returned True.
-    """
-    if not config.train.regret_episodes or not paying_terms(config.rewards):
-        return None
-    regret = None
-    try:
-        with Player(stop=stop) as player:
-            regret = measure(regret_scene(config, directory), player)
-    except KeyboardInterrupt:  # a second Ctrl-C; the summary is still to be written
-        pass
-    except FlipperctlError as error:
-        tell(f"the return of the best policy is not measured: {error}")
-        return None
-    if regret is None:
-        raise InterruptedRunError(
-            "interrupted while the best policy was compared with simple rules; the training is "
-            "finished and saved. "
-            f"Compare with: {command('inspect', 'reward', '--regret', '--checkpoint', directory)}"
-        )
-    # The terrain, the rewards and the conditions are those of the training.
-    results = {k: v for k, v in regret.items() if k not in ("terrain", "rewards", "conditions")}
-    return {"seed": SEED, **results}
-
-
-def regret_scene(config: TrainConfig, directory: Path) -> RegretScene:
-    """Return the episodes in the conditions of the training, with its own reward terms.
-
-    The references are rules, and the teacher if it is another rule; a search takes too long.
-    """
-    best = PolicySource(checkpoint=directory / checkpoint.BEST)
-    sections = {name: getattr(config, name) for name in EnvConfig.model_fields}
-    settings = Eval(episodes=config.train.regret_episodes, seed=SEED)
-    evaluation = EvalConfig(**sections, conditions=TRAINED, eval=settings)
-    # The references: rules that need no training.
-    references = {name: load_policy(name, "controller") for name in (LEVEL, "okada")}
-    teacher = config.teacher.controller
-    if teacher is not None and is_rule(teacher):
-        source = PolicySource(settings=to_dict(teacher))
-        if source not in references.values():
-            references["teacher"] = source
-    return RegretScene(evaluation, "own", "best policy", best, references)
+Judge = Callable[
+    [TrainConfig, Path, Callable[[], bool], Callable[[str], None]], dict[str, Any] | None
+]
+"""A function of a finished run's configuration and directory, of whether to stop, which it asks
+between episodes, and of what shows a line. It returns plain data or None, and may raise
+InterruptedRunError."""
 
 
 @dataclass(frozen=True)
@@ -180,6 +119,10 @@ class Reports:
     """Functions of the total number of decisions and the number already made → listener."""
     tell: Callable[[str], None] = lambda text: None
     """Called with a line about where the run begins, or that there is nothing to train."""
+    warn: Callable[[str], None] = lambda text: None
+    """Called with a line about a logger that fails, without which the training continues."""
+    judge: Judge = lambda config, directory, stop, tell: None
+    """Called once the budget is spent; its result is ``regret`` of the run's summary."""
 
 
 @dataclass(frozen=True)
@@ -365,7 +308,7 @@ def _train(
     # Listeners are opened one after the other; if one fails, those before it are closed.
     makers: list[Callable[[], Listener]] = [
         metrics,
-        *openers(config, directory, resume_at),
+        *openers(config, directory, resume_at, reports.warn),
         *(partial(make, total, done) for make in reports.listeners),
     ]
     if resume_at is None:  # else a kill leaves a metrics.csv that belongs to no run
@@ -387,7 +330,7 @@ def _train(
 
             def regret() -> dict[str, Any] | None:
                 try:
-                    return final_regret(config, directory, stopped, reports.tell)
+                    return reports.judge(config, directory, stopped, reports.tell)
                 except InterruptedRunError as error:  # the summary is still to be written
                     stopped_late.append(error)
                     return None

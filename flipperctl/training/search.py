@@ -36,7 +36,7 @@ from flipperctl.errors import (
 )
 from flipperctl.process.session import command
 from flipperctl.text.messages import explain
-from flipperctl.training.sweep import JobResult, Sweep, SweepRun, sweep_command, sweep_run
+from flipperctl.training.sweep import JobResult, Sweep, SweepRun, sweep_run
 
 if TYPE_CHECKING:
     from optuna import Study
@@ -310,9 +310,7 @@ class _Search:
 
     def _interrupted(self) -> InterruptedRunError:
         done = f"{len(self._finished())} of {self.settings.n_trials} trials are finished"
-        return InterruptedRunError(
-            f"interrupted; {done}. Continue with: {sweep_command(self.jobs.folder)}"
-        )
+        return InterruptedRunError(f"interrupted; {done}. Continue with: {self.jobs.command()}")
 
     def _run_of(self, trial: FrozenTrial) -> Path:
         """Return the run of a trained trial, below the search's folder if that was moved."""

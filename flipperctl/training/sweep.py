@@ -11,7 +11,6 @@ import contextlib
 import json
 import os
 import re
-import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -44,17 +43,6 @@ def _short(value: str) -> str:
         return value if len(value) <= 8 else f"{float(value):.5g}"
     except ValueError:
         return value
-
-
-def sweep_command(folder: Path) -> str:
-    """Return the command that continues the sweep in ``folder``, which this process runs."""
-    words = [word for word in sys.argv[1:] if word != "--multirun"]
-    if not any(word.startswith(("hydra.sweep.dir=", "--output")) for word in words):
-        short = os.path.relpath(folder) if folder.is_relative_to(Path.cwd()) else str(folder)
-        plain = re.fullmatch(r"[\w./-]+", short) is not None
-        key = "hydra.sweep.dir"
-        words.append(f"{key}={short}" if plain else literal_override(key, short))
-    return command("train", "-m", *words)
 
 
 _MARK = ".sweep.stop"
@@ -220,6 +208,7 @@ class Sweep:
         named: bool,
         serial: bool,
         numbered: bool = False,
+        words: Sequence[str] = (),
         tell: Callable[[str], None] = lambda text: None,
     ) -> None:
         """``folder`` is that of the sweep; ``show`` is called with it and the runs at the end.
@@ -227,11 +216,11 @@ class Sweep:
         ``named``: whether runs are named after the swept values. ``serial``: whether jobs are
         launched one by one, so that none begins after Ctrl-C; ``tell`` is then called with a line
         before each of several. ``numbered``: whether another folder beside ``folder`` is taken if
-        another process works in it.
+        another process works in it. ``words``: those of the command that runs the sweep.
         """
         self.folder, self._numbered = folder, numbered
         self._launcher, self._show, self._named, self._serial = launch, show, named, serial
-        self._tell = tell
+        self._tell, self._words = tell, words
         self.stop: Callable[[], bool] = lambda: False
         """Called before each launch; once it returns True, no further job begins."""
         self.jobs = 0
@@ -239,6 +228,17 @@ class Sweep:
         self.swept: list[str] = []
         """Keys that the sweep varies."""
         self.runs: list[SweepRun] = []
+
+    def command(self) -> str:
+        """Return the command that continues the sweep, quoted for the shell."""
+        words = [word for word in self._words if word != "--multirun"]
+        if not any(word.startswith(("hydra.sweep.dir=", "--output")) for word in words):
+            inside = self.folder.is_relative_to(Path.cwd())
+            short = os.path.relpath(self.folder) if inside else str(self.folder)
+            plain = re.fullmatch(r"[\w./-]+", short) is not None
+            key = "hydra.sweep.dir"
+            words.append(f"{key}={short}" if plain else literal_override(key, short))
+        return command("train", "-m", *words)
 
     @contextlib.contextmanager
     def held(self) -> Iterator[None]:

@@ -21,10 +21,9 @@ from flipperctl.config.reward_sum import paying_terms
 from flipperctl.core.risk import RiskCalibration, RiskSign
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.metrics import DRAWN
-from flipperctl.evaluation.rows import reached
 from flipperctl.rollout.collect import Collector, GreedyPlayer
-from flipperctl.rollout.episode import EpisodeRisks, Row, validation_seed
-from flipperctl.views.summary import predicted_and_actual, summarise, threshold_for
+from flipperctl.rollout.episode import Row, validation_seed
+from flipperctl.rollout.risks import EpisodeRisks, agreement, predicted_and_actual, threshold_for
 
 _LEAST: Final = 0.05
 """Smallest threshold of a warning [-], however few false alarms a smaller one would give."""
@@ -64,12 +63,11 @@ def calibrated(
     final = [
         (EpisodeRisks(calibration.sign, risks.values), fails) for risks, fails in probabilities
     ]
-    summary = summarise(final)
-    assert summary is not None  # there are episodes
+    result = agreement(final)
     counts = ("reached", "failures", "announced", "false_alarms")
-    metrics = {f"risk_{name}": float(summary[name]) for name in counts}
-    metrics["risk_false_warnings"] = summary["false_warnings"] or 0.0
-    metrics["risk_brier"] = summary["brier"]
+    metrics = {f"risk_{name}": float(result[name]) for name in counts}
+    metrics["risk_false_warnings"] = result["false_warnings"] or 0.0
+    metrics["risk_brier"] = result["brier"]
     return calibration, calibration.to_metrics() | metrics
 
 
@@ -167,7 +165,7 @@ class Validator:
         rows = collector.evaluate(weights, self._seeds, self._greedy.play)
         if rows is None:
             return None
-        reached_rows = [row for row in rows if reached(row)]
+        reached_rows = [row for row in rows if row["outcome"] == Outcome.REACHED]
         risk = calibrated(rows, self._risk)
         numbers = [n for n, v in rows[0].items() if isinstance(v, float | int) and n != "seed"]
         names = [n for n in numbers if not n.startswith(DRAWN)]  # parts of a mix draw others

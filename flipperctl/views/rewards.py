@@ -25,12 +25,12 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.play import Player
+from flipperctl.evaluation.regret import returns
 from flipperctl.evaluation.rows import REWARD, Episodes
 from flipperctl.evaluation.statistics import FEWEST, holm, interval, mean_p
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import EvaluationSeeds, decisions
 from flipperctl.text.show import Column, Table, interval_text
-from flipperctl.views.regret import returns
 from flipperctl.views.summary import VARIATION, Document, named, short
 
 Rewards = Mapping[str, RewardTerm]

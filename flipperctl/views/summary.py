@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -26,7 +25,8 @@ from flipperctl.evaluation.seeds import (
     success_interval,
 )
 from flipperctl.evaluation.statistics import holm, interval, paired_success, proportion
-from flipperctl.rollout.episode import AHEAD, SEARCH, EpisodeRisks
+from flipperctl.rollout.episode import SEARCH
+from flipperctl.rollout.risks import AHEAD, Ended, EpisodeRisks, agreement
 
 Document = dict[str, Any]
 _MEASURED = tuple(name for name in CORE if name not in ("decisions", "max_pitch"))
@@ -276,10 +276,6 @@ def _pooled_difference(group: Sequence[Played], other: Played) -> dict[str, Any]
 # How a policy's risk fits the ends of its episodes
 
 
-_EDGES = (0.0, 0.02, 0.05, 0.1, 0.2, 0.4, 0.6, 0.8, 1.0)
-"""Edges of the bins in which told and true rates are compared; finer where most risks are."""
-
-
 def risk_text(risk: Mapping[str, Any]) -> str:
     """Return the counts of a summary in one sentence."""
     failures, announced = risk["failures"], risk["announced"]
@@ -291,79 +287,25 @@ def risk_text(risk: Mapping[str, Any]) -> str:
     )
 
 
-Ended = tuple[EpisodeRisks, bool]
-"""The risks of an episode, and whether it failed."""
+def summarise(episodes: Sequence[Ended]) -> Document | None:
+    """Return ``agreement`` with the rates of its counts and their intervals; None without episodes.
 
-
-def summarise(episodes: Sequence[Ended]) -> dict[str, Any] | None:
-    """Return how risks fit the ends of episodes, as plain data; None without episodes.
-
-    All are of one policy, and so have the same sign. ``announced``: failures with a warning within
-    the horizon and three or more decisions ahead; ``false_alarms``: episodes that reached the
-    finish, with a warning; ``false_warnings``: the share of their decisions with one; ``brier``:
-    mean squared difference between the risk and what came, 1 or 0, and that of a constant risk.
+    Rates are ``announced_rate`` of the failures and ``false_alarm_rate`` of the reached episodes.
     """
     if not episodes:
         return None
-    sign = episodes[0][0].sign
-    failed = [risks for risks, fails in episodes if fails]
-    good = [risks for risks, fails in episodes if not fails]
-    announced, alarms = sum(r.in_time for r in failed), sum(any(r.warnings) for r in good)
-    warned = [warning for risks in good for warning in risks.warnings]
-    told, came = predicted_and_actual(episodes)
-    return {
-        "horizon": sign.horizon,
-        "threshold": sign.threshold,
-        "failures": len(failed),
-        "announced": announced,
-        "announced_rate": proportion(announced, len(failed)).to_dict() if failed else None,
-        "reached": len(good),
-        "false_alarms": alarms,
-        "false_alarm_rate": proportion(alarms, len(good)).to_dict() if good else None,
-        "false_warnings": float(np.mean(warned)) if warned else None,
-        "brier": brier(told, came),
-        "brier_of_mean": brier(np.full(len(came), came.mean()), came),
-        "bins": list(_bins(told, came)),
+    shares = {
+        "announced": ("announced_rate", "failures"),
+        "false_alarms": ("false_alarm_rate", "reached"),
     }
-
-
-def predicted_and_actual(episodes: Iterable[Ended]) -> tuple[FloatArray, FloatArray]:
-    """Return the risk of each decision, and 1 if the failure came in time, else 0, (D,) each."""
-    pairs = [
-        pair
-        for risks, fails in episodes
-        for pair in zip(risks.values, risks.due(fails), strict=True)
-    ]
-    told, came = np.array(pairs, np.float64).reshape(-1, 2).T
-    return told, came
-
-
-def threshold_for(episodes: Sequence[Ended], false_alarms: float, least: float) -> float:
-    """Return the smallest threshold, ``least`` or more, with no more than so many false alarms.
-
-    ``false_alarms``: largest share of the reached episodes with a warning [-].
-    """
-    highest = sorted((max(risks.values) for risks, fails in episodes if not fails), reverse=True)
-    allowed = int(false_alarms * len(highest) + 1e-9)
-    if allowed >= len(highest):
-        return least
-    # Above the first episode that must not warn; a risk of 1 cannot be exceeded.
-    return min(1.0, max(least, float(np.nextafter(highest[allowed], 2.0))))
-
-
-def brier(told: FloatArray, came: FloatArray) -> float:
-    """Return the mean squared difference (Brier 1950) of (D,) probabilities and outcomes [-]."""
-    return float(np.square(told - came).mean())
-
-
-def _bins(told: FloatArray, came: FloatArray) -> Iterable[dict[str, float]]:
-    """Yield predicted and actual rates by risk; bins without decisions are left out."""
-    places = np.clip(np.searchsorted(_EDGES, told, side="right") - 1, 0, len(_EDGES) - 2)
-    for at, (low, high) in enumerate(pairwise(_EDGES)):
-        chosen = places == at
-        if chosen.any():
-            rates = {"told": float(told[chosen].mean()), "true": float(came[chosen].mean())}
-            yield {"low": low, "high": high, "decisions": int(chosen.sum()), **rates}
+    document: Document = {}
+    counts = agreement(episodes)
+    for name, value in counts.items():
+        document[name] = value
+        if name in shares:
+            rate, whole = shares[name]
+            document[rate] = proportion(value, counts[whole]).to_dict() if counts[whole] else None
+    return document
 
 
 # Texts

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from flipperctl.errors import FlipperctlError
-from flipperctl.training import run as final_regret
-from flipperctl.training.run import SEED, regret_scene
+from flipperctl.evaluation import regret as final_regret
+from flipperctl.evaluation.regret import SEED, regret_scene
 from tests.cli.call import EXACT, call
 from tests.short import short_config
 

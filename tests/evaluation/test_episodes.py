@@ -15,8 +15,9 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.evaluation.play import Player
 from flipperctl.evaluation.rows import RECORDED, Row, arranged
 from flipperctl.policies.source import PolicySource, load_policy
-from flipperctl.rollout.episode import EpisodeRisks, EvaluationSeeds, play
+from flipperctl.rollout.episode import EvaluationSeeds, play
 from flipperctl.rollout.pool import WorkerPool
+from flipperctl.rollout.risks import EpisodeRisks
 from tests.rollout.notes import process_ids
 
 LEVEL = PolicySource(settings={"name": "level"})

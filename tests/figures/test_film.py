@@ -13,7 +13,7 @@ from flipperctl.config import EvalConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import FlipperctlError, MissingExtraError, RequestError
 from flipperctl.evaluation.play import EpisodeRunner
-from flipperctl.evaluation.replay import EpisodeRecord, replay_file
+from flipperctl.evaluation.replay import EpisodeRecord
 from flipperctl.figures.animation import FILM, LAST, check_film
 from flipperctl.figures.episode import episode_figure
 from flipperctl.figures.film import Part, SideView, Take, _Shots, film
@@ -23,6 +23,7 @@ from flipperctl.rollout.trace import Trace, instants, map_points, mapped
 from flipperctl.sim.mujoco import Mujoco, shown
 from flipperctl.sim.mujoco.world import MujocoWorld
 from flipperctl.text.files import check_output, write_json
+from flipperctl.views.replay import replay_file
 
 STEP = Profile([(0.0, 0.0), (0.0, 0.2), (0.5, 0.2)])
 LEVEL = load_policy("level", "--controller")

@@ -19,7 +19,8 @@ from flipperctl.evaluation.play import EpisodeRunner
 from flipperctl.export import policy
 from flipperctl.policies.source import PolicySource
 from flipperctl.policies.trained import policy_risk
-from flipperctl.rollout.episode import Decision, EpisodeRisks, Row, play
+from flipperctl.rollout.episode import Decision, Row, play
+from flipperctl.rollout.risks import EpisodeRisks
 from flipperctl.runtime import OnnxPolicy
 from flipperctl.runtime.interface import read_interface
 from flipperctl.training.validation import calibrated, fit

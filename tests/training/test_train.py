@@ -10,6 +10,7 @@ from flipperctl.checkpoint.document import Validation
 from flipperctl.config import TrainConfig, with_overrides
 from flipperctl.config.resolver import guard_class
 from flipperctl.errors import MissingExtraError, WriteError
+from flipperctl.terminal.streams import print_note
 from flipperctl.text.files import read_csv
 from flipperctl.training import run as training
 from flipperctl.training.listeners import GuardedLogger, MetricsCsv
@@ -157,7 +158,8 @@ class Broken(Logger):
 def guarded(listener: Any, folder: Path) -> GuardedLogger:
     """Open the logger as a training does, whose plugins are guarded when they are created."""
     guard_class(Broken)
-    return GuardedLogger(Broken(listener=listener), RunInfo(folder, folder / "broken", {}, None))
+    run = RunInfo(folder, folder / "broken", {}, None)
+    return GuardedLogger(Broken(listener=listener), run, print_note)
 
 
 @pytest.mark.parametrize("method", ["open", "validation", "note", "close"])

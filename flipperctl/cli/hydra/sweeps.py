@@ -33,7 +33,7 @@ from flipperctl.terminal.streams import print_note
 from flipperctl.text.messages import counted
 from flipperctl.text.show import NONE, Column, Table, console, print_lines, print_table
 from flipperctl.training.search import Interval, check_settings, search
-from flipperctl.training.sweep import FILE, Job, JobResult, Sweep, SweepRun, sweep_command
+from flipperctl.training.sweep import FILE, Job, JobResult, Sweep, SweepRun
 
 _OBJECT_STORE = 75 * 2**20
 """Memory for objects of a cluster of the launcher's own, which is its default [B]."""
@@ -103,6 +103,7 @@ def launched_by(launcher: Launcher, config: DictConfig) -> Sweep:
         # Hydra's basic launcher runs the jobs in sequence and would continue after Ctrl-C.
         serial=OmegaConf.select(config, "hydra.runtime.choices.hydra/launcher") == "basic",
         numbered=named_by_time(config, "sweep"),
+        words=sys.argv[1:],  # as the application set them for Hydra
         tell=print_note,
     )
     return sweep
@@ -154,7 +155,7 @@ def list_sweep(settings: Mapping[str, Any], **given: Any) -> Callable[[list[str]
                 done = sum(run.state == "finished" for run in jobs.runs)
                 raise InterruptedRunError(
                     f"interrupted; {done} of {jobs.jobs} runs are finished. "
-                    f"Continue with: {sweep_command(jobs.folder)}"
+                    f"Continue with: {jobs.command()}"
                 ) from error
 
     return run

@@ -9,18 +9,10 @@ from flipperctl.config.reward_sum import paying_terms
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.evaluation.play import Player
+from flipperctl.evaluation.regret import RegretScene, Verdict, measure, regret
 from flipperctl.evaluation.rows import Episodes
 from flipperctl.policies.source import load_policy
-from flipperctl.views.regret import (
-    RegretScene,
-    Verdict,
-    falls_short,
-    line,
-    measure,
-    regret,
-    sentences,
-    table,
-)
+from flipperctl.views.regret import falls_short, line, sentences, table
 from tests.evaluation.samples import episodes as rows
 from tests.evaluation.samples import sample
 

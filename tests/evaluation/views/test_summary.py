@@ -4,13 +4,12 @@ import pytest
 
 from flipperctl.core.risk import RiskSign
 from flipperctl.evaluation.statistics import paired_success, proportion
-from flipperctl.rollout.episode import EpisodeRisks
+from flipperctl.rollout.risks import EpisodeRisks, threshold_for
 from flipperctl.views.summary import (
     difference,
     estimate,
     summarise,
     summary,
-    threshold_for,
 )
 from tests.evaluation.samples import episodes, sample
 
