@@ -75,6 +75,7 @@ class Mpc(MpcSettings, Controller):
         """
         from flipperctl.lookahead.mpc import MpcPolicy, ReturnPolicy
 
+        # Values of what follows a plan go with rewards; the hand-set cost has neither.
         if self._learned is not None:
             return ReturnPolicy(self, self._learned)
         if self.value:

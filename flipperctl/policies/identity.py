@@ -58,7 +58,8 @@ class PolicyIdentity:
             return cls(source.label(), _of_controller(source.controller()), None)
         file = source.checkpoint
         digest = ""
-        for _ in range(_ATTEMPTS):  # what is read and the digest are of one file
+        # Digest and settings must be of one file, though a training may replace it in between.
+        for _ in range(_ATTEMPTS):
             before, digest = digest, _content(file)
             if digest == before:
                 break
@@ -69,7 +70,8 @@ class PolicyIdentity:
         if exported is not None:
             return cls(source.label(), digest, exported.seed)
         assert config is not None
-        # Its code and its files act as well.
+
+        # What else the policy acts by counts as well: a network's code and its files.
         files = map(content_digest, all_files_read([config.network]))
         if sources := [*foreign_sources([config.network]), *files]:
             digest = _digest([digest, *sources])
@@ -115,6 +117,7 @@ def _digest(document: object) -> str:
 
 def unlike_trainings(trainings: Sequence[Mapping[str, Any]]) -> str:
     """Return a sentence on the settings that differ; an empty one if none does."""
+    # Each later training against the first, setting by setting
     first, *others = map(without_input_paths, trainings or [{}])  # none, of a rule
     unlike: dict[str, list[Any]] = {}
     for other in others:
@@ -122,6 +125,8 @@ def unlike_trainings(trainings: Sequence[Mapping[str, Any]]) -> str:
             # A setting that one lacks is newer than its training; a plugin was left out.
             if ABSENT not in (here, there) or isinstance(here if there is ABSENT else there, dict):
                 unlike.setdefault(path, [here]).append(there)
+
+    # As many settings and values as a sentence holds
     if not unlike:
         return ""
     named = ", ".join(f"{key} ({_shown(values)})" for key, values in [*unlike.items()][:_NAMED])

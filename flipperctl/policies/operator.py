@@ -126,6 +126,7 @@ class _Recorded:
 
     def reset(self, simulator: Simulator) -> None:
         """Begin the drive of the episode's seed."""
+        # Each draw has a seed; there is no drive with another one.
         recorded_drive = None if simulator.seed is None else self._drives.get(simulator.seed)
         if recorded_drive is None:
             labels = [drive.episode.terrain for drive in self._drives.values()]
@@ -139,6 +140,7 @@ class _Recorded:
 
     def act(self, p: Perception) -> int:
         """Check what is perceived; the action has no effect."""
+        # Bit for bit: a smallest difference shows that the commands would be of another drive.
         recorded = self._drive.episode.observations
         if self._decision >= len(recorded) or not np.array_equal(
             recorded[self._decision], p.observation

@@ -1,7 +1,7 @@
-"""Policies by name, and picklable references to them.
+"""Finds policies by their names, and makes picklable references to them.
 
 In: a word, or the name and settings of a controller. Out: the policy. Torch is imported only for a
-file of torch's: rules need none. An exported file runs as on the robot, which is checked against
+file of torch's; rules need none. An exported file runs as on the robot, which is checked against
 the values that the file applies itself.
 """
 
@@ -56,7 +56,7 @@ FilePolicy: TypeAlias = "ExportedPolicy | TrainedPolicy"
 
 
 Takes = Literal["any", "file", "checkpoint", "controller"]
-"""What a word may name: any policy, one of a file, one of a checkpoint, or a controller."""
+"""What a word may name: any policy, a file's alone, a checkpoint's alone, or a controller."""
 
 
 def load_policy(
@@ -71,27 +71,33 @@ def load_policy(
     The name of a registered controller means it, though a folder is called so; ``./okada`` is the
     folder. A ``.yaml`` file of ``flipperctl tune`` means its controller with its settings, a folder
     of ``flipperctl drive`` the drives in it. Else the word is a run, a checkpoint or an exported
-    file, the name of a shipped policy, or ``hf:user/name[@revision]`` for one of the Hugging Face
-    Hub. A controller has its ``reference_settings``, or the ``fields`` if they are given. ``tell``
-    is called with a line if no validation has chosen the best policy of a run. Errors begin with
+    file, the name of a shipped policy, or ``hf:user/name[@revision]`` on the Hugging Face Hub.
+
+    A controller has its ``reference_settings``, or the ``fields`` if there are any. ``tell`` is
+    called with a line if no validation has chosen the best policy of a run. Errors begin with
     ``where``, the option or setting that holds the word.
     """
     if not isinstance(word, str | os.PathLike):
         raise ConfigError(f"{where}: a path or a name is allowed; the value is {word!r}")
     name, prefix = os.fspath(word), f"{where}: " if where else ""
+    # Words that name a controller, or a file of its settings
     known = registered_names("controller") if takes in ("any", "controller") else []
     if name in known:
-        own = resolver.reference(name, where) if fields is None else {"name": name, **fields}
-        return PolicySource(settings=resolver.to_dict(resolver.create("controller", own, where)))
+        reference = resolver.reference(name, where) if fields is None else {"name": name, **fields}
+        return PolicySource(
+            settings=resolver.to_dict(resolver.create("controller", reference, where))
+        )
     if policy_file.is_policy_file(name):
         if takes in ("file", "checkpoint"):
             raise CheckpointError(
-                f"{prefix}{name}: a policy file is that of a controller; a trained policy is needed"
+                f"{prefix}{name}: a policy file sets a controller; a trained policy is needed"
             )
         stored = policy_file.settings_of(name, where)
-        own = {**stored, **(fields or {}), "name": stored["name"]}
-        settings = resolver.to_dict(resolver.create("controller", own, prefix + name))
+        reference = {**stored, **(fields or {}), "name": stored["name"]}
+        settings = resolver.to_dict(resolver.create("controller", reference, prefix + name))
         return PolicySource(settings=settings, name=name)
+
+    # Where only a controller will do, anything else is refused by what it is.
     if takes == "controller":
         shared = name in shipped_policies() or name.startswith(hub.PREFIX)
         if shared or os.path.exists(name):  # noqa: PTH110  # of any length
@@ -100,6 +106,8 @@ def load_policy(
                 "which may be repeated: policies stand in one table, on the same episodes"
             )
         resolver.get("controller", name, where)
+
+    # Whatever else a word may name: a run, a file, a shipped policy, one of the Hub
     try:
         file = find(Path(name), controllers=known)
     except CheckpointError as error:
@@ -128,7 +136,7 @@ class PolicySource:
 
     @property
     def is_exported(self) -> bool:
-        """Whether the policy is that of an exported file."""
+        """Whether the policy is in an exported file."""
         return self.checkpoint is not None and self.checkpoint.suffix == ".onnx"
 
     @property
@@ -144,6 +152,7 @@ class PolicySource:
         otherwise the file's path.
         """
         if self.checkpoint is not None:
+            # Names that are the same on every machine go before a path.
             shipped = {file: name for name, file in shipped_policies().items()}
             known = shipped.get(self.checkpoint) or hub.label(self.checkpoint)
             return known or str(self.checkpoint)
@@ -159,7 +168,7 @@ class PolicySource:
         return () if self.checkpoint is not None else self.controller().baselines
 
     def config(self) -> TrainConfig | EvalConfig:
-        """Return the configuration of a file's training, of an exported file the part it holds."""
+        """Return the configuration of a file's training; an exported file holds a part of it."""
         if self.is_exported:
             return exported_config(self.file)
         return read_policy(self.file).policy_config()
@@ -176,21 +185,24 @@ class PolicySource:
 
     def build_file(self, config: EnvConfig) -> FilePolicy:
         """Build the policy of a file; see ``build``."""
+        # A file of ONNX states its layout, and applies a part of the robot itself.
         if self.is_exported:
             exported = ExportedPolicy(self.file)
             interface = exported.interface
             check_layout(self.file, layout_of(interface), config)
             check_robot(interface, config.robot, self.file)
             return exported
+
+        # A checkpoint has the whole configuration of its training.
         from flipperctl.policies.trained import TrainedPolicy, policy_module, policy_risk
 
         checkpoint = read_policy(self.file)
-        own = checkpoint.policy_config()
+        trained = checkpoint.policy_config()
         module, risk = policy_module(checkpoint), policy_risk(checkpoint)
-        settings = own.agent.failure_risk
+        settings = trained.agent.failure_risk
         escape = None if settings is None else settings.escape
-        policy = TrainedPolicy(module, own.network.frames, risk, escape, own.actions)
-        check_layout(self.file, own.perception.layout, config)
+        policy = TrainedPolicy(module, trained.network.frames, risk, escape, trained.actions)
+        check_layout(self.file, trained.perception.layout, config)
         return policy
 
     @property
@@ -271,11 +283,11 @@ def controller_notes(
     yield from controller.remarks(_Task(controller.uses(), config, path))
 
 
-def check_layout(file: Path, theirs: ObservationLayout, config: EnvConfig) -> None:
+def check_layout(file: Path, layout: ObservationLayout, config: EnvConfig) -> None:
     """Check that an environment has the observation layout of a policy."""
-    if theirs != (ours := config.perception.layout):
+    if layout != (current := config.perception.layout):
         raise CheckpointError(
-            f"{file}: the policy was trained on {theirs.words}; perception asks for {ours.words}"
+            f"{file}: the policy was trained on {layout.words}; perception asks for {current.words}"
         )
 
 
@@ -346,16 +358,20 @@ def check_robot(interface: Interface, robot: Robot, file: Path) -> None:
     disagreements = list(_disagreements(interface, robot))
     if not disagreements:
         return
-    own = parse(Robot, interface.robot)
-    changed = [name for name in _APPLIED if not _close(getattr(own, name), getattr(robot, name))]
+    file_robot = parse(Robot, interface.robot)
+    changed = [
+        name for name in _APPLIED if not _close(getattr(file_robot, name), getattr(robot, name))
+    ]
     if not changed:
         raise ConfigError(
             f"{file} applies {', '.join(disagreements)}, unlike the robot in its own metadata; "
             f"flipperctl inspect checkpoint {shlex.quote(str(file))} --check shows where"
         )
+
+    # The settings with which a new file would agree, as they are typed
     values = {name: json.dumps(getattr(robot, name)) for name in changed}
-    asked = " ".join(f"robot.{name}={value}" for name, value in values.items())
-    advice = f"export a matching file: flipperctl export onnx --checkpoint RUN {asked}"
+    overrides = " ".join(f"robot.{name}={value}" for name, value in values.items())
+    advice = f"export a matching file: flipperctl export onnx --checkpoint RUN {overrides}"
     if changed == ["flipper_speed"]:
         speed = values["flipper_speed"]
         advice += f", or keep the file's period with randomise.flipper_speed={speed}"
@@ -376,13 +392,13 @@ def _disagreements(interface: Interface, robot: Robot) -> Iterator[str]:
     if math.isfinite(rule.limit) and not _close(rule.limit, limit):
         yield f"a limit of {rule.limit:.6g} rad (robot.angle_limit asks for {limit:.6g})"
     if not _close(interface.decision_period, period):
-        given = robot.control_period is not None
-        cause = "robot.control_period" if given else "robot.angle_step / robot.flipper_speed"
+        is_set = robot.control_period is not None
+        cause = "robot.control_period" if is_set else "robot.angle_step / robot.flipper_speed"
         period_text = f"{interface.decision_period:.6g} s"
         yield f"a decision period of {period_text} ({cause} asks for {period:.6g})"
 
 
-def _close(ours: float | None, theirs: float | None) -> bool:
-    if ours is None or theirs is None:
-        return ours is theirs
-    return abs(ours - theirs) <= _CLOSE
+def _close(first: float | None, second: float | None) -> bool:
+    if first is None or second is None:
+        return first is second
+    return abs(first - second) <= _CLOSE
