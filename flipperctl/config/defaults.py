@@ -1,9 +1,8 @@
 """The defaults from which a configuration is composed: of each plugin, variant and section.
 
-In: the registry and the models. Out: entries of groups, of which one is chosen by name, and the
-sections that are not chosen; notices of plugins, and sentences on budgets of decisions that are too
-small to learn anything, on robots that do not fit their conditions, and on overrides of settings
-that are sampled anew for every episode.
+In: the registry and the models. Out: entries of groups, which are chosen by name, and the sections
+that are not chosen. Also: notices of plugins, sentences on robots that do not fit their conditions,
+and errors for overrides of settings that are sampled anew for every episode.
 """
 
 from __future__ import annotations
@@ -42,16 +41,23 @@ def notes_on_robot(config: EnvConfig) -> Iterator[str]:
     The named conditions have ranges for nubot; with another robot, its own value may lie outside.
     A sensor's body, which hides ground, should be as long as the chassis.
     """
+    # Ranges of conditions that leave the robot itself out
     robot, perception = config.robot, config.perception
-    for one in config.randomise.sampled():
-        own, (low, high) = getattr(robot, one.field, None), one.ends
-        if one.section != "robot" or own is None:  # a factor, or a load of none
+    for sampled in config.randomise.sampled():
+        configured, (low, high) = getattr(robot, sampled.field, None), sampled.ends
+        if sampled.section != "robot" or configured is None:  # a factor, or a load of none
             continue
-        if own != Robot.model_fields[one.field].default and not low <= own <= high:
+        if (
+            configured != Robot.model_fields[sampled.field].default
+            and not low <= configured <= high
+        ):
             yield (
-                f"{one.key}: no episode has the robot's robot.{one.field}={own:.4g}, since its "
-                f"range is {low:g} to {high:g}; give a range around it, or {one.key}=null"
+                f"{sampled.key}: no episode has the robot's robot.{sampled.field}="
+                f"{configured:.4g}, since its range is {low:g} to {high:g}; give a range around "
+                f"it, or {sampled.key}=null"
             )
+
+    # A body that hides more or less ground than the chassis does
     body, length = getattr(perception, "body_length", None), robot.chassis_length
     hides = config.randomise.find("perception", "occlusion") or getattr(
         perception, "occlusion", False
@@ -66,49 +72,61 @@ def notes_on_robot(config: EnvConfig) -> Iterator[str]:
 _COLLECTING = ("collector", "train.mode", "train.workers")
 
 
-def refuse_ineffective(config: EnvConfig, given: Mapping[str, str]) -> None:
+def refuse_ineffective(config: EnvConfig, overrides: Mapping[str, str]) -> None:
     """Refuse an override of a setting that is sampled anew for every episode.
 
-    With a learner that plays its episodes itself, those of the collectors are refused, too.
+    With a learner that plays its episodes itself, overrides of the collectors are refused, too.
 
-    ``given`` holds the overridden keys, and the override of each as it was typed.
+    ``overrides`` holds the overridden keys, and the override of each as it was typed.
 
     With ``randomise.spread``, samples lie around the value of the setting, which then has one. All
-    settings of the robot at once are those of a file, ``robot=FILE``, of which some may be sampled.
+    settings of the robot at once come from a file, ``robot=FILE``; some of them may be sampled.
     """
+    # Collectors play nothing for a learner that plays itself.
     if isinstance(config, TrainConfig) and config.agent.own_loop:
-        for key, typed in given.items():
+        for key, typed in overrides.items():
             if key.startswith(_COLLECTING):
                 name = config.agent.plugin_name
                 raise ConfigError(
                     f"{typed}: it has no effect with agent={name}, which plays its episodes itself"
                 )
+
+    # A sampled value replaces the setting, unless ``spread`` samples around it.
     if config.randomise.spread is not None:
         return
-    whole = all(f"robot.{field}" in given for field in type(config.robot).model_fields)
-    for key, typed in given.items():
+    whole = all(f"robot.{field}" in overrides for field in type(config.robot).model_fields)
+    for key, typed in overrides.items():
         if whole and key.startswith("robot."):
             continue
-        for one in config.randomise.sampled():
+        for sampled in config.randomise.sampled():
             # The nominal turning rate still sets the decision period.
-            if key == f"{one.section}.{one.field}" and one.field != "flipper_speed":
-                value = one.value
+            if key == f"{sampled.section}.{sampled.field}" and sampled.field != "flipper_speed":
+                value = sampled.value
                 shown = "[{:g},{:g}]".format(*value) if isinstance(value, tuple) else f"{value:g}"
                 raise ConfigError(
-                    f"{typed}: it has no effect, since {one.key}={shown} "
-                    f"samples it for every episode; add {one.key}=null, or change that value"
+                    f"{typed}: it has no effect, since {sampled.key}={shown} "
+                    f"samples it for every episode; add {sampled.key}=null, or change that value"
                 )
 
 
 GROUPS = (
-    *("terrain", "robot", "rewards", "network", "agent", "collector", "teacher", "logger"),
-    *("sim", "perception", "conditions"),
+    "terrain",
+    "robot",
+    "rewards",
+    "network",
+    "agent",
+    "collector",
+    "teacher",
+    "logger",
+    "sim",
+    "perception",
+    "conditions",
 )
 """Groups whose choice is stored under a key of the same name."""
 CHOICES = (*GROUPS, "controller", "experiment")
 """Keys whose value is a name that brings other keys."""
 LISTS = (Logger.kind,)
-"""Groups of which several entries may be chosen, each stored under its name below the group."""
+"""Groups with several entries at a time, each stored under its name below the group."""
 _ENTRY_NAMES = {"rewards": "preset", "conditions": "set"}
 """The noun for an entry, where it is not the group's name."""
 
@@ -120,6 +138,8 @@ def entries() -> Iterator[tuple[str, str, dict[str, Any]]]:
     # The empty name is refused with what to give, so that teacher=recorded never means no teacher.
     yield "teacher", "recorded", {**teaching, "episodes": ""}
     yield Logger.kind, resolver.METRICS_ALONE, {}
+
+    # Plugins, with what comes along with some of them
     for (kind, name), cls in registry.items():
         if kind == Measure.kind:
             continue  # every measure is taken of every episode; none is chosen
@@ -130,8 +150,8 @@ def entries() -> Iterator[tuple[str, str, dict[str, Any]]]:
             continue
         yield kind, name, defaults
         if kind == "controller":
-            own = getattr(cls, "reference_settings", {})
-            yield "teacher", name, {**teaching, "controller": {**defaults, **own}}
+            reference = getattr(cls, "reference_settings", {})
+            yield "teacher", name, {**teaching, "controller": {**defaults, **reference}}
     for collector in (LocalCollector(), RayCollector()):
         yield "collector", collector.name, resolver.to_dict(collector)
 
@@ -152,7 +172,7 @@ def missing_entry(
 ) -> ConfigError:
     """Return the error for a group that has no entry of this name, as in ``terrain=stiar``.
 
-    ``path``: the setting that was to have the entry; None for the one with the group's name.
+    ``path``: the setting that was to have the entry; None for the setting with the group's name.
     """
     plugin = bool(registered_names(group))
     what = f"{group} plugin" if plugin else _ENTRY_NAMES.get(group, group)

@@ -50,30 +50,33 @@ class Setting:
 
 def fields(cls: type[Settings]) -> list[Field]:
     """Return the fields of a class of settings."""
+    # A class with required fields cannot be made at its defaults; each field then has its own.
     complete = not any(info.is_required() for info in cls.model_fields.values())
-    defaults, found = {}, []
+    defaults, described = {}, []
     if complete:
         defaults = resolver.defaults(cls) if issubclass(cls, Plugin) else _plain(cls())
     for name, info in cls.model_fields.items():
         default = defaults.get(name) if complete or info.is_required() else info.get_default()
         shown = str(getattr(info.annotation, "__name__", info.annotation))
         words = _allowed(cls, name), unit(cls, name), meaning(cls, name)
-        found.append(Field(name, shown, default, *words))
-    return found
+        described.append(Field(name, shown, default, *words))
+    return described
 
 
 def settings(config: Settings, path: str = "") -> Iterator[Setting]:
     """Yield every setting of ``config``, which is at ``path`` in the whole configuration.
 
-    Its own fields come first, then those of the sections and plugins inside it, at any depth. A
+    Its own fields come first, then the settings of sections and plugins inside, at any depth. A
     plugin or a collector begins with a setting that holds its name.
     """
+    # Own fields now, the parts inside afterwards
     plain = _plain(config)
     inside: list[tuple[str, Settings]] = []
     for field in fields(type(config)):
         if field.name == _CHOICE and not isinstance(config, Plugin):
             continue  # yielded by ``_choice``
         where, value = f"{path}.{field.name}".lstrip("."), getattr(config, field.name)
+        # Paths have the bounds and units of the settings that they sample.
         if isinstance(config, Randomise) and field.name in PATH_SECTIONS and value:
             cls = _sampled_from(field.name)
             for name, by_path in plain[field.name].items():
@@ -109,6 +112,7 @@ def paths_named(
 
     They lie in ``sections`` of ``config``; ``choices`` are further keys.
     """
+    # A whole key wins over the end of another one.
     paths = [s.path for s in settings(config) if s.path.partition(".")[0] in sections]
     section, dot, _ = key.partition(".")
     if key in (*choices, *paths) or (dot and section in sections):
@@ -129,13 +133,13 @@ def _nested(value: Any, path: str) -> Iterator[tuple[str, Settings]]:
             yield from _nested(item, f"{path}[{index}]")
 
 
-def _choice(path: str, chosen: Settings) -> Iterator[Setting]:
+def _choice(path: str, variant: Settings) -> Iterator[Setting]:
     """Yield the setting that names ``chosen``, if it is a plugin or one of several variants."""
-    name, kind = getattr(chosen, _CHOICE, None), "section"
-    if isinstance(chosen, Plugin):
-        name, kind = chosen.plugin_name, f"{chosen.kind} plugin"
+    name, kind = getattr(variant, _CHOICE, None), "section"
+    if isinstance(variant, Plugin):
+        name, kind = variant.plugin_name, f"{variant.kind} plugin"
     if name is not None:
-        field = Field(_CHOICE, kind, None, "", "", summary(type(chosen)))
+        field = Field(_CHOICE, kind, None, "", "", summary(type(variant)))
         yield Setting(path, path, name, field)
 
 
@@ -148,6 +152,7 @@ def _allowed(cls: type[Settings], name: str) -> str:
     """Return the bounds of a field, or its allowed values."""
     if issubclass(cls, Randomise) and name in SECTION_OF:
         return bounds(_sampled_from(SECTION_OF[name]), name)
+    # Ranges have the bounds of what they sample.
     info = cls.model_fields[name]
     lengths = [getattr(item, "min_length", None) for item in info.metadata]
     least = "".join(f"length ≥ {length}" for length in lengths if length is not None)

@@ -37,6 +37,7 @@ def identity(plugin: Plugin) -> dict[str, Any]:
     the SHA-256 of each file is included instead. Plugins in settings are described in the same way.
     A range is described by both ends, as ever, since the seeds of evaluations follow from this.
     """
+    # Only what differs from a default counts, so that a later version may add settings.
     files, plain = read_files(plugin), to_dict(plugin)
     names = {file.name for file in files}
     settings: dict[str, Any] = {}
@@ -48,10 +49,12 @@ def identity(plugin: Plugin) -> dict[str, Any]:
             settings |= {end: number for end, number, usual in ends if number != usual}
         elif value != default and not _names_files(value, names):
             settings[name] = _describe(value, plain[name])
-    found = {"name": plugin.plugin_name, "settings": settings}
+
+    # What else decides results: the revision of the plugin, and the content of its files
+    description = {"name": plugin.plugin_name, "settings": settings}
     if plugin.revision:
-        found["revision"] = plugin.revision
-    return found | ({"files": [content_digest(file) for file in files]} if files else {})
+        description["revision"] = plugin.revision
+    return description | ({"files": [content_digest(file) for file in files]} if files else {})
 
 
 def _ends(owner: str, name: str) -> tuple[str, str]:
@@ -86,8 +89,10 @@ def _paths(value: object) -> Iterator[Path]:
 
 
 def all_files_read(plugins: Iterable[Plugin]) -> list[Path]:
-    """Return the files that the plugins and those in their settings read, in order."""
-    return [file for one in plugins for part in nested_plugins(one) for file in read_files(part)]
+    """Return the files that plugins and the plugins in their settings read, in order."""
+    return [
+        file for plugin in plugins for part in nested_plugins(plugin) for file in read_files(part)
+    ]
 
 
 def content_digest(file: Path) -> str | None:
@@ -112,13 +117,13 @@ def foreign_sources(plugins: Iterable[Plugin]) -> list[str | None]:
     Plugins within settings are included. Of flipperctl's own, the version tells them apart. Files
     beside a plugin's own that it imports count too.
     """
-    found = []
-    for one in foreign_plugins(plugins):
-        digests = [content_digest(file) for file in _sources(type(one).__module__, {})]
-        digests = digests or [_code_digest(type(one))]
+    all_digests = []
+    for plugin in foreign_plugins(plugins):
+        digests = [content_digest(file) for file in _sources(type(plugin).__module__, {})]
+        digests = digests or [_code_digest(type(plugin))]
         several = hashlib.sha256(" ".join(map(str, digests)).encode()).hexdigest()
-        found.append(several if len(digests) > 1 else next(iter(digests), None))
-    return found
+        all_digests.append(several if len(digests) > 1 else next(iter(digests), None))
+    return all_digests
 
 
 def _code_digest(cls: type[Plugin]) -> str:
@@ -134,23 +139,24 @@ def foreign_plugins(plugins: Iterable[Plugin]) -> list[Plugin]:
     return [part for part in parts if type(part).__module__.partition(".")[0] not in _OWN]
 
 
-def _sources(name: str, found: dict[str, Path]) -> Iterable[Path]:
-    """Return the file of a module, and those beside it that it imports, at any depth.
+def _sources(name: str, files: dict[str, Path]) -> Iterable[Path]:
+    """Return the file of a module, and the files beside it that it imports, at any depth.
 
-    Of an installed package, its file alone.
+    A module of an installed package stands alone.
     """
     file = getattr(sys.modules.get(name), "__file__", None)
-    if name in found or file is None:
-        return found.values()
-    found[name] = Path(file)
+    if name in files or file is None:
+        return files.values()
+    files[name] = Path(file)
+    # Files beside a plugin's own count only where the plugin was given as a file.
     if name.startswith(guard.USER_MODULE):
         for node in ast.walk(ast.parse(Path(file).read_bytes())):
             if isinstance(node, ast.ImportFrom) and node.level:
                 base = "." * node.level + (node.module or "")
-                beside = importlib.util.resolve_name(base, sys.modules[name].__package__)
-                for inner in (beside, *(f"{beside}.{alias.name}" for alias in node.names)):
-                    _sources(inner, found)
-    return found.values()
+                imported = importlib.util.resolve_name(base, sys.modules[name].__package__)
+                for inner in (imported, *(f"{imported}.{alias.name}" for alias in node.names)):
+                    _sources(inner, files)
+    return files.values()
 
 
 class _Absent:
@@ -165,16 +171,17 @@ ABSENT = _Absent()
 def differences(here: Any, there: Any, path: str = "") -> Iterator[tuple[str, Any, Any]]:
     """Yield the path of each setting in which two plain configurations differ, and both values.
 
-    ``path``: that of the two in the whole configuration. Lists of equal length are compared item by
+    ``path``: their place in the whole configuration. Lists of equal length are compared item by
     item if the items are sections, as in ``terrain.terrains[1].height``. A null counts as absent.
     """
     if isinstance(here, Mapping) and isinstance(there, Mapping):
+        # A key of one side alone is yielded with ABSENT, unless it is null on the other.
         for key in {**here, **there}:
             inner = f"{path}.{key}" if path else str(key)
             yield from differences(here.get(key, ABSENT), there.get(key, ABSENT), inner)
     elif _are_sections(here) and _are_sections(there) and len(here) == len(there):
-        for index, (ours, theirs) in enumerate(zip(here, there, strict=True)):
-            yield from differences(ours, theirs, f"{path}[{index}]")
+        for index, (first, second) in enumerate(zip(here, there, strict=True)):
+            yield from differences(first, second, f"{path}[{index}]")
     elif here != there and not (here in (None, ABSENT) and there in (None, ABSENT)):
         yield path, here, there
 

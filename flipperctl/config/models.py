@@ -67,10 +67,10 @@ def _rewards(value: object) -> object:
 
 
 def _loggers(value: object) -> object:
-    found = loggers_by_name(value)
-    if not isinstance(found, Mapping):
+    named = loggers_by_name(value)
+    if not isinstance(named, Mapping):
         raise ConfigError(f"logger: names, or a mapping of loggers, are allowed; got {value!r}")
-    loggers = _by_name("logger", "logger", found, "logger", "chosen", "logger={} chooses it")
+    loggers = _by_name("logger", "logger", named, "logger", "chosen", "logger={} chooses it")
     for key in loggers:
         if not is_plugin_name(key):  # it also names the logger's folder
             raise ConfigError(f"logger.{key}: {NAME_RULE}")
@@ -81,6 +81,7 @@ def _by_name(
     kind: str, section: str, value: Mapping[Any, Any], noun: str, known: str, advice: str
 ) -> dict[str, Any]:
     """Return the plugins of a section; fields of an entry that is missing are refused."""
+    # An entry without a name changes one that is there; what is left over changes nothing.
     complete = [str(k) for k, v in value.items() if not isinstance(v, Mapping) or "name" in v]
     for key in map(str, value):
         if key not in complete:
@@ -111,7 +112,7 @@ DEFAULT_ENGINE = "planar"
 DEFAULT_LEARNER = "d3qn"
 DEFAULT_LOGGER = "tensorboard"
 _DEFAULTS = {"sim": DEFAULT_ENGINE, "perception": DEFAULT_ENGINE, "agent": DEFAULT_LEARNER}
-"""Kind of plugin → the one whose settings a section without a name has."""
+"""Kind of plugin → name of the plugin whose settings a section without a name has."""
 PAPER_REWARDS = {"flipper": "flipper", "pitch": "pitch", "end": "end"}
 
 
@@ -138,10 +139,11 @@ class EnvConfig(Settings):
     def _check_decisions(self) -> EnvConfig:
         """Refuse decisions shorter than a sample period, and delays longer than a decision."""
         check_ranges(self._sampled_sections, self.randomise)
+        # Decisions need one sample of the pitch at least, and time for the longest delay.
         period = self.robot.decision_period
         if period < SAMPLE_PERIOD:
-            given = self.robot.control_period is not None
-            cause = "control_period:" if given else "angle_step: angle_step / flipper_speed,"
+            is_set = self.robot.control_period is not None
+            cause = "control_period:" if is_set else "angle_step: angle_step / flipper_speed,"
             raise ConfigError(
                 f"robot.{cause} a decision would take {period:.3g} s; at least "
                 f"{SAMPLE_PERIOD:g} s, the sampling time of the pitch, is allowed"
@@ -157,12 +159,15 @@ class EnvConfig(Settings):
     @model_validator(mode="after")
     def _check_episode(self) -> EnvConfig:
         """Refuse a start angle beyond the limit, and a rule by which every robot is stuck."""
+        # The start must be possible.
         robot, episode = self.robot, self.episode
         if abs(episode.start_angle) > robot.angle_limit:
             raise ConfigError(
                 f"episode.start_angle: {episode.start_angle:g} rad is beyond robot.angle_limit, "
                 f"{robot.angle_limit:g} rad"
             )
+
+        # The slowest sampled robot must be able to make the progress of the rule.
         sampled = self.randomise.find("robot", "track_speed")
         slowest = sampled.ends[0] if sampled else robot.track_speed
         window = episode.stuck_decisions(robot.decision_period)
@@ -185,11 +190,12 @@ class EnvConfig(Settings):
 
     def with_sampled_values(self, values: Mapping[str, float]) -> tuple[Engine, Robot, Sensor]:
         """Return the engine, robot and sensor of an episode with the sampled ``values``."""
-        found = replace_settings(self._sampled_sections, values)
-        robot = found["robot"]
-        if robot != self.robot:  # the policy decides in the rhythm of the configured one
+        # The policy decides as often as for the configured robot, however fast the flippers turn.
+        sections = replace_settings(self._sampled_sections, values)
+        robot = sections["robot"]
+        if robot != self.robot:
             robot = robot.model_copy(update={"control_period": self.robot.decision_period})
-        return found["sim"], robot, found["perception"]
+        return sections["sim"], robot, sections["perception"]
 
     def environment(self) -> EnvConfig:
         """Return the part of the configuration that defines the environment."""
@@ -260,6 +266,8 @@ class TrainConfig(EnvConfig):
                 f"{', '.join(self.rewards) or 'none'}); add one with "
                 "+reward@rewards.pitch=pitch, or leave rewards=paper as it is"
             )
+
+        # Shaping leaves the optimal policy as it is only with the learner's own discount.
         gamma = self.agent.gamma
         for name, term in self.rewards.items():
             if isinstance(term, Shaping) and term.gamma != gamma:
@@ -275,7 +283,7 @@ Files = Mapping[tuple[str, str], str | Path]
 
 
 class AbsentTerrain(Terrain):
-    """Keep the settings of a terrain whose plugin, or that of a terrain inside it, is missing."""
+    """Keep the settings of a terrain if its plugin, or the plugin of an inner one, is missing."""
 
     model_config = ConfigDict(extra="allow")
     missing: ClassVar[str]
@@ -315,7 +323,7 @@ class AbsentLearner(Learner):
         """Raise a PluginError."""
         raise PluginError(self.missing)
 
-    def drive(self, *given: object) -> NoReturn:
+    def drive(self, *arguments: object) -> NoReturn:
         """Raise a PluginError."""
         raise PluginError(self.missing)
 
@@ -326,6 +334,7 @@ def with_stand_ins(settings: Mapping[str, Any], files: Files) -> dict[str, Any]:
     A missing teacher's controller and missing loggers are left out, since only a training needs
     them.
     """
+    # What acts in an evaluation gets a stand-in that says what is missing.
     result = dict(settings)
     result["terrain"] = _or_stand_in(AbsentTerrain, settings["terrain"], files)
     if "rewards" in settings:
@@ -333,6 +342,8 @@ def with_stand_ins(settings: Mapping[str, Any], files: Files) -> dict[str, Any]:
         result["rewards"] = {k: _or_stand_in(AbsentReward, v, files) for k, v in terms.items()}
     if "name" in (agent := settings.get("agent") or {}):
         result["agent"] = _or_stand_in(AbsentLearner, agent, files)
+
+    # What only a training uses is left out.
     teacher = settings.get("teacher") or {}
     if any(_missing_names("controller", teacher.get("controller"))):
         result["teacher"] = {**teacher, "controller": None}
@@ -353,8 +364,9 @@ def _or_stand_in(
         return settings
     text = missing_plugin(kind, name, files.get((kind, name)))
     fields = dict(settings)
-    own: dict[str, Any] = {"plugin_name": fields.pop("name"), "missing": text}
-    stand_in = type(family.__name__, (family,), {**own, "__module__": __name__})
+    # A class of its own for each plugin, since the name of a plugin belongs to its class.
+    attributes: dict[str, Any] = {"plugin_name": fields.pop("name"), "missing": text}
+    stand_in = type(family.__name__, (family,), {**attributes, "__module__": __name__})
     return stand_in(**fields)
 
 

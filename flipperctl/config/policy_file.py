@@ -63,8 +63,8 @@ class PolicyFile(_Part):
     def text(self) -> str:
         """Return the content of the file."""
         plain = self.model_dump(mode="json")
-        found: str = yaml.safe_dump(plain, sort_keys=False, default_flow_style=None, width=90)
-        return found
+        text: str = yaml.safe_dump(plain, sort_keys=False, default_flow_style=None, width=90)
+        return text
 
 
 DRIVES = "drive_*.safetensors"
@@ -79,7 +79,7 @@ def drive_files(path: Path) -> list[Path]:
 
 
 def drives_in(path: Path) -> list[Path]:
-    """Return the folders of people's drives in that of a study; none of another path."""
+    """Return the folders of people's drives in a study's folder; none of another path."""
     if not os.path.isdir(path):  # noqa: PTH112  # false for any text, however long
         return []
     return sorted(folder for folder in path.iterdir() if drive_files(folder))
@@ -103,18 +103,19 @@ def read(path: str, where: str = "") -> PolicyFile:
 
     Raises:
         ConfigError: it cannot be read, is no policy file, or has a key, a setting or a value that
-            is not allowed; the text begins with ``where``, the option or setting that names it.
+            is not allowed. The text begins with ``where``, the option or setting that names it.
     """
     name = f"{where}: {path}" if where else path
-    found = strict_yaml.read(Path(path), name)
-    if not isinstance(found, dict) or found.get("format") != FORMAT:
+    document = strict_yaml.read(Path(path), name)
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise ConfigError(
             f"{name}: a policy file of flipperctl tune is allowed, whose first line is "
             f"format: {FORMAT}"
         )
     try:
-        file = PolicyFile(**found)
+        file = PolicyFile(**document)
     except ValidationError as error:
         raise ConfigError(explain(error, name, PolicyFile)) from error
+    # The controller is made once to check its settings.
     create("controller", {**file.settings, "name": file.controller}, f"{name}: settings")
     return file

@@ -1,4 +1,4 @@
-"""Named sets of settings in files: those of flipperctl, and those beside plugins, by one rule.
+"""Finds named sets of settings in files of flipperctl and beside plugins, by one rule.
 
 In: a group, such as ``suite``. Out: its ``.yaml`` files by name, from the folder of the group in
 ``flipperctl.configs`` and in the folder of each plugin, whether it is installed or given by a path.
@@ -29,7 +29,7 @@ def shipped(group: str) -> dict[str, Traversable]:
 
 
 def presets(group: str) -> dict[str, Traversable]:
-    """Return the presets of flipperctl, then those beside plugins, by name.
+    """Return the presets of flipperctl, then the presets beside plugins, by name.
 
     Raises:
         ConfigError: two have one name.

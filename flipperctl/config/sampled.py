@@ -37,7 +37,7 @@ from flipperctl.text.messages import close_match, explain
 Sections = Mapping[str, Settings]
 """Section's name → its settings."""
 _MOST = 2**16
-"""Largest number of combinations of range ends in one section, all of which are checked."""
+"""Largest number of combinations of range ends in one section, which are all checked."""
 _possible: deque[tuple[Settings, dict[str, list[float]]]] = deque(maxlen=64)
 """The last sections and range ends all of whose combinations are valid.
 
@@ -56,12 +56,13 @@ def _of_paths(value: object, info: ValidationInfo) -> object:
     """Return the ranges and probabilities of one section, without those that are None."""
     if not isinstance(value, Mapping):
         return value
-    given = {str(name): item for name, item in value.items() if item is not None}
+    ranges = {str(name): item for name, item in value.items() if item is not None}
     where = f"randomise.{info.field_name}"
-    return {name: _range_or_number(item, f"{where}.{name}") for name, item in given.items()}
+    return {name: _range_or_number(item, f"{where}.{name}") for name, item in ranges.items()}
 
 
 def _range_or_number(value: object, where: str) -> tuple[float, float] | float:
+    # One number stands for a range of one value, or for a probability.
     items = list(value) if isinstance(value, list | tuple) else [value]
     numbers = [float(item) for item in items if _is_finite(item)]
     if items == [value] and len(numbers) == 1:
@@ -157,7 +158,7 @@ class Randomise(_ShortForms):
     """The settings that are sampled for every episode of a training or an evaluation.
 
     ``randomise.<section>.<setting>`` samples any number or switch of the sections ``sim``,
-    ``robot`` and ``perception``, including those of plugins; other names are short forms.
+    ``robot`` and ``perception``, also of plugins; other names are short forms.
     ``randomise.robot.size`` is a factor on all lengths of the robot. Each
     range has the unit of its setting and must lie within its bounds, and all combinations must be
     possible; a switch has a probability. The start is sampled by
@@ -182,12 +183,15 @@ class Randomise(_ShortForms):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
+        # A short form and a path may mean the same setting.
         seen: dict[tuple[str, str], str] = {}
-        for one in self.sampled():
-            if (other := seen.setdefault((one.section, one.field), one.name)) != one.name:
+        for sampled in self.sampled():
+            if (
+                other := seen.setdefault((sampled.section, sampled.field), sampled.name)
+            ) != sampled.name:
                 raise ConfigError(
-                    f"{one.key}: randomise.{other} samples the same setting; drop one of the "
-                    f"two, for example with {one.key}=null"
+                    f"{sampled.key}: randomise.{other} samples the same setting; drop one of the "
+                    f"two, for example with {sampled.key}=null"
                 )
         return self
 
@@ -204,21 +208,21 @@ class Randomise(_ShortForms):
         the short forms.
         """
         for name, section in (SECTION_OF | SWITCHES).items():
-            if (found := getattr(self, name)) is not None:
-                yield Sampled(section, name, name, found)
+            if (ends := getattr(self, name)) is not None:
+                yield Sampled(section, name, name, ends)
         for section in PATH_SECTIONS:
             for field, value in sorted(getattr(self, section).items()):
                 yield Sampled(section, field, f"{section}.{field}", value)
 
     def find(self, section: str, field: str) -> Sampled | None:
         """Return the sampled setting at this place, or None if it is not sampled."""
-        found = (s for s in self.sampled() if (s.section, s.field) == (section, field))
-        return next(found, None)
+        matches = (s for s in self.sampled() if (s.section, s.field) == (section, field))
+        return next(matches, None)
 
     @property
     def names(self) -> list[str]:
         """Names of the sampled settings."""
-        return [one.name for one in self.sampled()]
+        return [sampled.name for sampled in self.sampled()]
 
 
 def sample(sections: Sections, randomise: Randomise, rng: np.random.Generator) -> dict[str, float]:
@@ -227,22 +231,26 @@ def sample(sections: Sections, randomise: Randomise, rng: np.random.Generator) -
     ``randomise`` has passed ``check_ranges`` with these sections.
     """
     values = {}
+    # One share for all settings: an episode is near the configured values in all or in none.
     share = None if randomise.spread is None else rng.uniform(*randomise.spread)
-    for one in randomise.sampled():
-        section = sections[one.section]
-        settings, (low, high) = type(section), one.ends
+    for sampled in randomise.sampled():
+        section = sections[sampled.section]
+        settings, (low, high) = type(section), sampled.ends
         to = math.log if (logarithm := 0 < low <= high / _FACTOR) else float
+        # Whole ranges, or the part of them around the configured value
         if share is None:
             start, end = to(low), to(high)
         else:
-            middle = to(_configured(section, one.field, low, high))
+            middle = to(_configured(section, sampled.field, low, high))
             start, end = (middle + share * (to(value) - middle) for value in (low, high))
-        if _kind(settings, one.field) is bool:
-            values[one.name] = float(rng.random() < start)
+
+        # Each setting, also a switch, takes one random number.
+        if _kind(settings, sampled.field) is bool:
+            values[sampled.name] = float(rng.random() < start)
         else:
             value = rng.uniform(start, end)
             value = min(high, max(low, math.exp(value))) if logarithm else value
-            values[one.name] = _allowed(settings, one.field, value)
+            values[sampled.name] = _allowed(settings, sampled.field, value)
     return values
 
 
@@ -276,19 +284,22 @@ def replace_settings(sections: Sections, sampled: Mapping[str, float]) -> dict[s
 
 def check_ranges(sections: Sections, randomise: Randomise) -> None:
     """Check that each setting can be sampled and that all combinations of range ends are valid."""
+    # The ends of each section's ranges
     ends: dict[str, dict[str, list[float]]] = {}
-    for one in randomise.sampled():
-        low, high = _check(one, sections[one.section])
-        ends.setdefault(one.section, {})[one.name] = [low] if low == high else [low, high]
-    for section, found in ends.items():
-        if math.prod(map(len, found.values())) > _MOST:
+    for sampled in randomise.sampled():
+        low, high = _check(sampled, sections[sampled.section])
+        ends.setdefault(sampled.section, {})[sampled.name] = [low] if low == high else [low, high]
+
+    # All combinations of ends, once for each section and its ranges
+    for section, section_ends in ends.items():
+        if math.prod(map(len, section_ends.values())) > _MOST:
             raise ConfigError(
-                f"randomise: {len(found)} settings of {section} are sampled; at most "
+                f"randomise: {len(section_ends)} settings of {section} are sampled; at most "
                 f"{_MOST.bit_length() - 1} with a range are allowed"
             )
-        if (sections[section], found) not in _possible:
-            _check_combinations(sections[section], found)
-            _possible.append((sections[section], found))
+        if (sections[section], section_ends) not in _possible:
+            _check_combinations(sections[section], section_ends)
+            _possible.append((sections[section], section_ends))
 
 
 def _check_combinations(settings: Settings, ends: Mapping[str, list[float]]) -> None:
@@ -300,32 +311,35 @@ def _check_combinations(settings: Settings, ends: Mapping[str, list[float]]) -> 
             raise _refusal(error, settings, values) from error
 
 
-def _check(one: Sampled, settings: Settings) -> tuple[float, float]:
+def _check(sampled: Sampled, settings: Settings) -> tuple[float, float]:
     """Return the ends of the samples of a setting that exists and can be sampled."""
     cls, known = type(settings), sorted({*type(settings).model_fields, *type(settings).factors})
-    chosen = f"{one.section}={cls.plugin_name}" if issubclass(cls, Plugin) else one.section
-    if one.field not in known:
+    owner = f"{sampled.section}={cls.plugin_name}" if issubclass(cls, Plugin) else sampled.section
+    if sampled.field not in known:
         raise ConfigError(
-            f"{one.key}: {chosen} has no setting {one.field!r}{close_match(one.field, known)}; "
-            f"drop it with {one.key}=null"
+            f"{sampled.key}: {owner} has no setting {sampled.field!r}"
+            f"{close_match(sampled.field, known)}; drop it with {sampled.key}=null"
         )
-    kind = _kind(cls, one.field)
-    if one.field in cls.not_sampled or kind is None:
+    # What is sampled must be a number or a switch that policies do not rely on.
+    kind = _kind(cls, sampled.field)
+    if sampled.field in cls.not_sampled or kind is None:
         what = "policies rely on it" if kind else "it is neither a number nor a switch"
         names = [n for n in known if n not in cls.not_sampled and _kind(cls, n)]
         raise ConfigError(
-            f"{one.key}: {what}, so it cannot be sampled; settings of {chosen} that can be "
+            f"{sampled.key}: {what}, so it cannot be sampled; settings of {owner} that can be "
             f"sampled: {', '.join(names)}"
         )
+
+    # A switch has a probability, whose ends are whether it is ever and always on.
     if kind is bool:
-        probability = one.value
+        probability = sampled.value
         if isinstance(probability, tuple) or not 0 <= probability <= 1:
             raise ConfigError(
-                f"{one.key}: a probability of {one.section}.{one.field}, 0 to 1, is allowed; the "
-                f"value is {probability}"
+                f"{sampled.key}: a probability of {sampled.section}.{sampled.field}, 0 to 1, is "
+                f"allowed; the value is {probability}"
             )
         return float(probability > 0), float(probability == 1)
-    low, high = (_allowed(cls, one.field, end) for end in one.ends)
+    low, high = (_allowed(cls, sampled.field, end) for end in sampled.ends)
     return low, high
 
 
@@ -334,12 +348,12 @@ def _kind(cls: type[Settings], field: str) -> type[bool | int | float] | None:
     """Return the type of a setting or factor that can be sampled, None for any other setting."""
     if field in cls.factors:
         return float
-    found = set(_types(cls.model_fields[field].annotation)) - {types.NoneType}
-    if found == {bool}:
+    kinds = set(_types(cls.model_fields[field].annotation)) - {types.NoneType}
+    if kinds == {bool}:
         return bool
-    if found == {int}:
+    if kinds == {int}:
         return int
-    return float if found in ({float}, {int, float}) else None
+    return float if kinds in ({float}, {int, float}) else None
 
 
 def _types(annotation: Any) -> Iterator[Any]:
@@ -366,6 +380,7 @@ def _with_values(settings: Settings, sampled: Mapping[str, float]) -> Settings:
     A factor multiplies the settings of ``Settings.factors``, after these were sampled themselves.
     """
     cls, values = type(settings), {target(name)[1]: value for name, value in sampled.items()}
+    # Factors multiply what was sampled itself, so that they come last.
     factors = {name: values.pop(name) for name in cls.factors if name in values}
     switched = {name: bool(v) if _kind(cls, name) is bool else v for name, v in values.items()}
     fields = {**dict(settings), **switched}
@@ -376,6 +391,7 @@ def _with_values(settings: Settings, sampled: Mapping[str, float]) -> Settings:
 
 def _refusal(error: ValidationError, settings: Settings, values: Mapping[str, float]) -> Exception:
     """Return an error that names the ranges that make the section impossible."""
+    # An error of one field names its range; an error of several names all that could mend it.
     first = error.errors()[0]["loc"]
     for name in values:
         if first and first[0] == target(name)[1]:

@@ -116,11 +116,12 @@ class Teacher(Settings):
 
     @property
     def teaches(self) -> bool:
-        """Whether there are labels: a controller's, or those of recorded episodes."""
+        """Whether there are labels: a controller's, or labels of recorded episodes."""
         return self.controller is not None or self.episodes is not None
 
     @model_validator(mode="after")
     def _check(self) -> Teacher:
+        # Words that stand for no file, and combinations in which nothing would be learned
         if self.episodes == "":
             raise ConfigError(
                 "teacher.episodes: the name of a file is needed; flipperctl eval --record FILE and "
