@@ -34,7 +34,7 @@ PITCH = "pitch_variation_100hz"
 
 
 class Verdict(StrEnum):
-    """How a policy's return compares with that of holding the flippers still, paired by seed."""
+    """How a policy's return compares with holding the flippers still, paired by seed."""
 
     LESS = "less"
     """The 95 % interval of the difference lies below 0."""
@@ -72,32 +72,40 @@ def measure(scene: RegretScene, player: Player) -> dict[str, Any] | None:
     config, terrain = scene.config, scene.config.terrain.plugin_name
     if not (terms := paying_terms(config.rewards)):
         raise ConfigError(f"rewards: {scene.rewards!r} leaves no term to judge a policy by")
+    # Wrong layouts and robots are refused before anything is played.
     for source in scene.references.values():
-        source.build(config)  # raises for a wrong layout or robot
+        source.build(config)
     sources = {LEVEL: load_policy(LEVEL, "controller"), **scene.references}
-    every = [(scene.name, scene.policy)]
-    every += [(n, policy) for n, policy in sources.items() if n == LEVEL or policy != scene.policy]
-    own, *others = (player.play(config, policy, f"{terrain}, {name}") for name, policy in every)
+    players = [(scene.name, scene.policy)]
+    players += [
+        (n, policy) for n, policy in sources.items() if n == LEVEL or policy != scene.policy
+    ]
+    episodes, *others = (
+        player.play(config, policy, f"{terrain}, {name}") for name, policy in players
+    )
     if player.interrupted:
         return None
-    played = dict(zip([name for name, _ in every[1:]], others, strict=True))
+
+    # Every policy has played the same episodes.
+    played = dict(zip([name for name, _ in players[1:]], others, strict=True))
     return {
         "terrain": terrain,
         "rewards": scene.rewards,
         "seed": config.eval.seed,
         "conditions": Conditions.of(config).to_dict(),
-        **regret(scene.name, own, played, terms),
+        **regret(scene.name, episodes, played, terms),
     }
 
 
 def regret(
-    name: str, own: Episodes, others: Mapping[str, Episodes], terms: Sequence[str]
+    name: str, episodes: Episodes, others: Mapping[str, Episodes], terms: Sequence[str]
 ) -> dict[str, Any]:
-    """Compare the returns of a policy with those of references on the same episodes."""
-    ours = returns(own, terms)  # (K,) [-]
-    theirs = {label: returns(episodes, terms) for label, episodes in others.items()}
-    best = np.max([ours, *theirs.values()], axis=0)  # (K,) [-]
-    level = theirs[LEVEL]
+    """Compare the returns of a policy and of references on the same episodes."""
+    # On equal episodes, the best known return is the best of each episode.
+    policy_returns = returns(episodes, terms)  # (K,) [-]
+    reference_returns = {label: returns(played, terms) for label, played in others.items()}
+    best = np.max([policy_returns, *reference_returns.values()], axis=0)  # (K,) [-]
+    level = reference_returns[LEVEL]
 
     def measured(values: FloatArray, episodes: Episodes) -> dict[str, Any]:
         pitches = [row[PITCH] for row in episodes.reached]
@@ -114,22 +122,25 @@ def regret(
             "returns": values.tolist(),
         }
 
-    ordered = sorted(theirs, key=lambda label: -float(theirs[label].mean()))
-    top, policy = ordered[0], measured(ours, own)
+    # The best reference first, and the verdict against holding the flippers still
+    ordered = sorted(reference_returns, key=lambda label: -float(reference_returns[label].mean()))
+    top, policy = ordered[0], measured(policy_returns, episodes)
     low, high = (policy["above_level"][end] for end in ("low", "high"))
     more = Verdict.MORE if low is not None and low > 0 else Verdict.UNDECIDED
     verdict = Verdict.LESS if high is not None and high < 0 else more
     return {
-        "episodes": len(ours),
+        "episodes": len(policy_returns),
         "verdict": str(verdict),
         "name": name,
         "policy": policy,
-        "references": {label: measured(theirs[label], others[label]) for label in ordered},
+        "references": {
+            label: measured(reference_returns[label], others[label]) for label in ordered
+        },
         "best_known": {"return": _interval(best)},
         "best_reference": {
             "name": top,
-            "regret": _interval(theirs[top] - ours),
-            "fraction": _fraction(ours, theirs[top], level),
+            "regret": _interval(reference_returns[top] - policy_returns),
+            "fraction": _fraction(policy_returns, reference_returns[top], level),
         },
     }
 
@@ -180,7 +191,7 @@ def final_regret(
             "finished and saved. "
             f"Compare with: {command('inspect', 'reward', '--regret', '--checkpoint', directory)}"
         )
-    # The terrain, the rewards and the conditions are those of the training.
+    # Terrain, rewards and conditions are the training's.
     results = {k: v for k, v in regret.items() if k not in ("terrain", "rewards", "conditions")}
     return {"seed": SEED, **results}
 

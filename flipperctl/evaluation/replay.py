@@ -74,10 +74,10 @@ class RecordedPolicy(_Frozen):
         settings = dict(source.settings or {})
         return cls(label=source.label(), controller=settings, files=_digests(source))
 
-    def find(self, where: Path, chosen: Path | None) -> PolicySource:
+    def find(self, where: Path, replacement: Path | None) -> PolicySource:
         """Return the policy, whose file is ``chosen`` or else the recorded one."""
         if self.controller is not None:
-            if chosen is not None:
+            if replacement is not None:
                 raise RequestError(f"{where}: its policy is a controller; leave --checkpoint out")
             settings, drive = dict(self.controller), where.with_suffix(".safetensors")
             if drive.name == Path(settings.get("drives", "")).name:
@@ -92,7 +92,7 @@ class RecordedPolicy(_Frozen):
         advice = "name the policy's file with --checkpoint"
         # A file may have another name or content than when the episode was recorded.
         try:
-            file = checkpoint.find(chosen or Path(self.label))
+            file = checkpoint.find(replacement or Path(self.label))
         except CheckpointError as error:
             raise CheckpointError(f"{where}: its policy is missing: {error}; {advice}") from error
         if (digest := content_digest(file)) != self.sha256:
@@ -189,8 +189,8 @@ def risks(row: Row) -> tuple[float, ...] | None:
 def used_versions(config: EnvConfig, source: PolicySource) -> dict[str, str]:
     """Return the versions of the package and the libraries that affect an episode's numbers."""
     torch = {"torch": version("torch")} if source.checkpoint is not None else {}
-    own = {"flipperctl": __version__, "numpy": version("numpy")}
-    return {**own, **torch, **engine_versions(config.sim)}
+    package = {"flipperctl": __version__, "numpy": version("numpy")}
+    return {**package, **torch, **engine_versions(config.sim)}
 
 
 def read_record(path: Path) -> EpisodeRecord:
@@ -236,15 +236,17 @@ class Replay:
     def differences(self) -> list[str]:
         """What differs from the record; empty if the episode is bit-identical."""
         # Measures, the digest of all poses, and the first risk that differs
-        recorded, episode, ours = self.record, self.episode, measures(self.episode)
+        recorded, episode, numbers = self.record, self.episode, measures(self.episode)
         pairs: dict[str, Any] = {"outcome": (episode["outcome"], str(recorded.outcome))}
-        pairs |= {name: (ours.get(name), value) for name, value in recorded.measures.items()}
+        pairs |= {name: (numbers.get(name), value) for name, value in recorded.measures.items()}
         if recorded.digest is not None:
             pairs["digest"] = episode[DIGEST], recorded.digest
         lines = [f"{name} {us} ({it})" for name, (us, it) in pairs.items() if us != it]
         if recorded.risks is not None:
-            told = zip_longest(risks(episode) or (), recorded.risks)
-            lines += [f"risk {t}: {us} ({it})" for t, (us, it) in enumerate(told) if us != it][:1]
+            risk_pairs = zip_longest(risks(episode) or (), recorded.risks)
+            lines += [
+                f"risk {t}: {us} ({it})" for t, (us, it) in enumerate(risk_pairs) if us != it
+            ][:1]
         return lines
 
     @property

@@ -1,4 +1,4 @@
-"""How the risks that a policy tells fit the ends of its episodes.
+"""Compares the risks that a policy tells with the ends of its episodes.
 
 In: the risk at each decision of episodes, and whether they failed. Out: how many failures are
 announced in time and in vain, how far risks are probabilities, and the threshold of a warning.
@@ -74,11 +74,12 @@ def agreement(episodes: Sequence[Ended]) -> dict[str, Any]:
     """Return how risks fit the ends of one or more episodes, as plain data.
 
     All are of one policy, and so have the same sign. ``announced``: failures with a warning within
-    the horizon and three or more decisions ahead; ``false_alarms``: episodes that reached the
+    the horizon and three or more decisions ahead. ``false_alarms``: episodes that reached the
     finish, with a warning; ``false_warnings``: the share of their decisions with a warning, None
-    if none reached it; ``brier``: mean squared difference between the risk and what came, 1 or 0,
-    and that of a constant risk.
+    if none reached it. ``brier``: mean squared difference between the risk and what came, 1 or 0;
+    ``brier_of_mean``: the same of a constant risk.
     """
+    # Failures should be announced, and successes should be left alone.
     failed = [risks for risks, fails in episodes if fails]
     good = [risks for risks, fails in episodes if not fails]
     warned = [warning for risks in good for warning in risks.warnings]

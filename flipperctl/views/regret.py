@@ -35,14 +35,15 @@ def table(scenes: Sequence[Document]) -> Table:
     """Return a table with a row for each policy on each scene, the judged one first."""
     rows: list[dict[str, Any]] = []
     for name, scene in _named(scenes):
-        every = [(scene["name"], scene["policy"]), *scene["references"].items()]
-        for label, numbers in every:
+        # The judged policy, its references, then the best of each episode
+        policies = [(scene["name"], scene["policy"]), *scene["references"].items()]
+        for label, numbers in policies:
             success = f"{100 * numbers['success_rate']:.3g} %"
             row = {**numbers, "policy": short(label), "success": success}
             rows.append({**row, "scene": name if numbers is scene["policy"] else ""})
         best = {"return": scene["best_known"]["return"], "policy": "best of each episode"}
         rows.append({"scene": "", "success": "", "above_level": "", "regret": "", **best})
-        rows[-len(every) - 1]["line"] = True
+        rows[-len(policies) - 1]["line"] = True
     return Table(_COLUMNS, rows, "Rewards over all episodes, without shaping; paired by seed")
 
 
@@ -60,6 +61,7 @@ def sentences(scenes: Sequence[Document]) -> Iterator[tuple[str, bool]]:
             f"{interval_text(above, sign='+')}; to the best reference, {best['name']}: {gap}",
             verdict is Verdict.LESS,
         )
+    # Over all scenes, if there are several
     fractions = [f for s in scenes if (f := s["policy"]["fraction"]) is not None]
     if len(scenes) > 1 and fractions:
         mean = sum(fractions) / len(fractions)
@@ -85,12 +87,12 @@ def line(measured: Mapping[str, Any] | None) -> str:
     """
     if measured is None:
         return ""
-    own, above = measured["policy"]["return"], measured["policy"]["above_level"]
+    reward, above = measured["policy"]["return"], measured["policy"]["above_level"]
     rules = (
         f"{'flippers held still' if name == LEVEL else name} {reference['return']['mean']:.2f}"
         for name, reference in measured["references"].items()
     )
-    rewards = "; ".join([f"reward {own['mean']:.2f}", *rules])
+    rewards = "; ".join([f"reward {reward['mean']:.2f}", *rules])
     verdict = Verdict(measured["verdict"])
     be = "is " if verdict is Verdict.UNDECIDED else ""
     return (
@@ -104,22 +106,22 @@ def falls_short(measured: Mapping[str, Any] | None) -> bool:
     """Return whether a policy crosses less than holding the flippers still, or pitches more."""
     if measured is None or LEVEL not in measured["references"]:
         return False
-    own, level = measured["policy"], measured["references"][LEVEL]
-    above = own["pitch_above_level"] or {}
-    return own["success_rate"] < level["success_rate"] or (above.get("low") or 0.0) > 0
+    policy, level = measured["policy"], measured["references"][LEVEL]
+    above = policy["pitch_above_level"] or {}
+    return policy["success_rate"] < level["success_rate"] or (above.get("low") or 0.0) > 0
 
 
 def _level_line(scene: Mapping[str, Any]) -> str:
     """Return a line on success and pitch variation beside holding still, if they were measured."""
-    own, level = scene["policy"], scene["references"].get(LEVEL)
+    policy, level = scene["policy"], scene["references"].get(LEVEL)
     if level is None:
         return ""
-    told = []
-    for words, numbers in ((", pitch variation", own), (",", level)):
+    texts = []
+    for words, numbers in ((", pitch variation", policy), (",", level)):
         variation = "" if numbers[PITCH] is None else f"{words} {numbers[PITCH]:.2f} rad"
-        told.append(f"{numbers['success_rate']:.0%}{variation}")
-    line = f"On the same episodes: success {told[0]} (flippers held still: {told[1]})"
-    if (above := own["pitch_above_level"]) is not None:
+        texts.append(f"{numbers['success_rate']:.0%}{variation}")
+    line = f"On the same episodes: success {texts[0]} (flippers held still: {texts[1]})"
+    if (above := policy["pitch_above_level"]) is not None:
         words = f"is not shown to pitch less than {_STILL}"
         if above["low"] is not None and round(above["low"], 2) > 0:  # as it is shown
             words = f"PITCHES MORE THAN {_STILL.upper()}"

@@ -35,12 +35,16 @@ _COMPARED = ("t_cost", "pitch_variation", "pitch_variation_100hz")
 VARIATION = "pitch variation [rad]"  # heading of the first figure, θ̂_R at 100 Hz
 
 
-def baselines(terrain: str, ours: Episodes, others: Mapping[str, Episodes]) -> Document:
+def baselines(terrain: str, episodes: Episodes, others: Mapping[str, Episodes]) -> Document:
     """Return the entry ``baseline``, the first one, and ``baselines`` if there are several."""
     compared = [
-        {"controller": label, **summary(terrain, played), "difference": difference(ours, played)}
+        {
+            "controller": label,
+            **summary(terrain, played),
+            "difference": difference(episodes, played),
+        }
         for label, played in others.items()
-        if ours.paired(played)
+        if episodes.paired(played)
     ]
     first = {"baseline": compared[0]} if compared else {}
     return first | ({"baselines": compared} if len(compared) > 1 else {})
@@ -53,7 +57,7 @@ def compared(scene: Mapping[str, Any]) -> list[Document]:
 
 
 def summary(terrain: str, episodes: Episodes) -> Document:
-    """Return the summary of one policy's episodes on a terrain, with that of each kind of a mix."""
+    """Return the summary of a policy's episodes on a terrain, and of each kind of a mix."""
     parts = {label: _summary(label, part) for label, part in episodes.kinds().items()}
     return _summary(terrain, episodes) | ({"parts": parts} if parts else {})
 
@@ -69,22 +73,25 @@ def _summary(terrain: str, episodes: Episodes) -> Document:
         "success": success.to_dict(),
         "outcomes": {str(outcome): counts[outcome] for outcome in Outcome},
     }
+    # Most measures compare crossings, and are means over the episodes that reached the finish.
     for name in _MEASURED:
         document[name] = estimate(good.values(name))
     for measure in episodes.measures():
         name = measure.plugin_name
         document[name] = estimate((good if measure.reached_only else episodes).values(name))
+    # Parts that only some evaluations have
     if any("crossed_by" in row for row in episodes):
         document["passable"] = _passable(episodes)
     document["not_reached"] = _not_reached(failed)
     document["max_pitch"] = estimate(episodes.values("max_pitch"))
     document["return"] = estimate(episodes.values("return"))
+    # What searches and risks tell, for policies that have them
     if search := _search(episodes):
         document["search"] = search
     risks = [(EpisodeRisks.pop(dict(row)), not reached(row)) for row in episodes]
-    told = summarise([(risk, fails) for risk, fails in risks if risk is not None])
-    if told is not None:
-        document["risk"] = told
+    risk_summary = summarise([(risk, fails) for risk, fails in risks if risk is not None])
+    if risk_summary is not None:
+        document["risk"] = risk_summary
     return document
 
 
@@ -130,14 +137,15 @@ def _search(episodes: Episodes) -> Document:
     return document
 
 
-def difference(ours: Episodes, theirs: Sequence[Row]) -> Document:
-    """Return the mean differences of success and measures at equal seeds, ours minus theirs."""
-    pairs = {label: part.paired(theirs) for label, part in ours.kinds().items()}
+def difference(episodes: Episodes, baseline: Sequence[Row]) -> Document:
+    """Return the mean differences of success and measures to a baseline at equal seeds."""
+    pairs = {label: part.paired(baseline) for label, part in episodes.kinds().items()}
     parts = {label: _difference(pair_rows) for label, pair_rows in pairs.items() if pair_rows}
-    return _difference(ours.paired(theirs)) | ({"parts": parts} if parts else {})
+    return _difference(episodes.paired(baseline)) | ({"parts": parts} if parts else {})
 
 
 def _difference(pairs: Sequence[tuple[Row, Row]]) -> Document:
+    # Success in pairs, then each measure where both have it
     won = sum(reached(mine) and not reached(other) for mine, other in pairs)
     lost = sum(reached(other) and not reached(mine) for mine, other in pairs)
     names = dict.fromkeys(_COMPARED, True)
@@ -163,34 +171,38 @@ def correct(scenes: Sequence[Document]) -> None:
 
 def correct_all(differences: Iterable[Document]) -> None:
     """Correct the p-values of success of differences that are shown together (Holm 1979)."""
-    every = (
+    gaps = (
         difference for gap in differences for difference in (gap, *gap.get("parts", {}).values())
     )
-    tests = [difference["success"] for difference in every]
+    tests = [difference["success"] for difference in gaps]
     for test, p in zip(tests, holm([other["p"] for other in tests]), strict=True):
         test["p_holm"] = p
 
 
 def named(evaluated: Document) -> list[tuple[str, Document]]:
-    """Return each scene with its name; those on equal episodes share it.
+    """Return each scene with its name; scenes on equal episodes share it.
 
-    The name is that within the suite, or the terrain, with what tells several scenes of a terrain
-    apart: conditions, engine, sensor, or the hash of all. Scenes of one policy that are equal in
-    all of these, as of several of its settings, are numbered.
+    The name is the one within the suite, or the terrain. Several scenes of a terrain also have what
+    tells them apart: conditions, engine, sensor, or the hash of all. Scenes of one policy that are
+    equal in all of these, such as several of its settings, are numbered.
     """
     scenes = evaluated["scenes"]
+    # Scenes on equal episodes have one key, and so one name.
     keys = [(s.get("suite_scene", ""), s["terrain"], s["conditions"]["hash"]) for s in scenes]
     distinct = {key: scene["conditions"] for key, scene in zip(keys, scenes, strict=True)}
     several = len({suite for suite, _, _ in distinct}) > 1
     names = {}
+    # Only what tells scenes of one terrain apart stands in their names.
     for key, conditions in distinct.items():
         suite, terrain, _ = key
         alike = [c for (s, t, _), c in distinct.items() if (s, t) == (suite, terrain)]
-        own, *chosen = (
+        words, *words_of_alike = (
             (c["name"], c["sim"]["name"], c["perception"]["name"]) for c in (conditions, *alike)
         )
-        telling = [text for at, text in enumerate(own) if len({c[at] for c in chosen}) > 1]
-        telling += [] if len(set(chosen)) == len(alike) else [conditions["hash"]]
+        telling = [
+            text for at, text in enumerate(words) if len({c[at] for c in words_of_alike}) > 1
+        ]
+        telling += [] if len(set(words_of_alike)) == len(alike) else [conditions["hash"]]
         names[key] = ", ".join([terrain, *telling, *([suite] if several and suite else [])])
     texts = [names[key] for key in keys]
     if not any("method" in scene for scene in scenes):
@@ -217,6 +229,7 @@ def pooled(result: Result) -> list[dict[str, Any]]:
 
 
 def _pool(result: Result, group: Sequence[Played]) -> dict[str, Any]:
+    # Episodes that all seeds played, so that seeds and episodes cross
     entry = group[0].entry
     table = _shared(group)
     method = _method(entry.method, table)
@@ -246,7 +259,7 @@ def _shared(group: Sequence[Played]) -> list[list[Row]]:
     """Return the episodes that all played, in the same order: a list for each of the S seeds."""
     rows = [{row["seed"]: row for row in item.episodes} for item in group]
     shared = [seed for seed in rows[0] if all(seed in other for other in rows)]
-    return [[own[seed] for seed in shared] for own in rows]
+    return [[seed_rows[seed] for seed in shared] for seed_rows in rows]
 
 
 def _method(name: str, table: Sequence[Sequence[Row]]) -> SeedSamples:
@@ -256,15 +269,15 @@ def _method(name: str, table: Sequence[Sequence[Row]]) -> SeedSamples:
 
 def _crossed(table: Sequence[Sequence[Row]], name: str) -> FloatArray | None:
     """Return a measure over the episodes that every seed reached, (S, E); None without any."""
-    chosen = [rows for rows in zip(*table, strict=True) if all(map(reached, rows))]
-    return np.array([[row[name] for row in rows] for rows in chosen]).T if chosen else None
+    crossed = [rows for rows in zip(*table, strict=True) if all(map(reached, rows))]
+    return np.array([[row[name] for row in rows] for rows in crossed]).T if crossed else None
 
 
 def _pooled_difference(group: Sequence[Played], other: Played) -> dict[str, Any]:
     """Return the method minus a baseline on the same episodes; measures where all reached."""
     table = _shared([*group, other])
-    ours, theirs = _method("", table[:-1]), _method("", table[-1:])
-    success, p = success_difference(ours, theirs)
+    method, baseline = _method("", table[:-1]), _method("", table[-1:])
+    success, p = success_difference(method, baseline)
     gaps: dict[str, Any] = {"success": success.to_dict() | {"p": p, "p_holm": p}}
     for name in _COMPARED:
         v = _crossed(table, name)
