@@ -20,7 +20,7 @@ def names(labels: Sequence[str]) -> dict[str, str]:
     """Return a short name for each label; no two names are equal.
 
     A path is called by the shortest ends that are unique. A folder of a sweep is called by the
-    values of its settings, with the last part of their keys where the value is a number, and the
+    values of its settings. The last part of a key comes before a value that is a number, and the
     seed only where it is needed.
     """
     whole = {label: _FILES.sub("", label) for label in labels}

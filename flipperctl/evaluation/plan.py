@@ -38,7 +38,7 @@ _ALLOWED = (
 
 
 def is_best_known(label: str) -> bool:
-    """Return whether a row's label is that of the best stored policy."""
+    """Return whether a row's label names the best stored policy."""
     return label.startswith(f"{BEST_KNOWN} (")
 
 
@@ -58,7 +58,7 @@ class Entry:
     is_baseline: bool = False
     """Whether the policy plays for comparison alone."""
     comparison: int | None = None
-    """Number of the comparison of engines of which the entry is a step; None for none."""
+    """Number of the comparison of engines that the entry is a step of; None for none."""
     stored: str = ""
     """Label of the policy whose stored episodes of an earlier evaluation these are, else empty."""
 
@@ -101,7 +101,7 @@ class Entry:
 
     @property
     def names(self) -> dict[str, Any]:
-        """Names beyond those of the terrain and of the policy's file, as far as there are any."""
+        """Names besides the terrain and the policy's file, as far as there are any."""
         names: dict[str, Any] = {"suite_scene": self.scene or None, "method": self.method or None}
         names |= {"training_seed": self.training_seed}
         return {name: value for name, value in names.items() if value is not None}
@@ -126,18 +126,18 @@ class Plan:
         for entry in entries:
             planned.append(entry)
             for other in baselines:
-                beside = Entry(entry.config, other, is_baseline=True)
-                if other != entry.source and beside not in planned:
-                    planned.append(beside)
+                baseline = Entry(entry.config, other, is_baseline=True)
+                if other != entry.source and baseline not in planned:
+                    planned.append(baseline)
         return cls(tuple(planned), title)
 
-    def config_of(self, source: PolicySource, beside: Entry) -> EvalConfig:
+    def config_of(self, source: PolicySource, entry: Entry) -> EvalConfig:
         """Return the settings with which a policy plays the episodes of an entry.
 
-        They are those of its own entry there, if the plan has one.
+        An entry of its own on the same ground may have other settings than this one.
         """
-        same = (e.config for e in self.entries if e.source == source and e.ground == beside.ground)
-        return next(same, beside.config)
+        same = (e.config for e in self.entries if e.source == source and e.ground == entry.ground)
+        return next(same, entry.config)
 
     @property
     def engines(self) -> bool:
@@ -201,8 +201,8 @@ def find_suite(name: str) -> Suite:
     scenes = document.get("scenes") if isinstance(document, dict) else None
     if not isinstance(scenes, dict) or not scenes or not set(document) <= {"about", "scenes"}:
         raise ConfigError(f"{where}: {_ALLOWED}")
-    made = tuple(_scene(where, scene, words) for scene, words in scenes.items())
-    return Suite(Path(file.name).stem, str(document.get("about") or ""), made)
+    parsed = tuple(_scene(where, scene, words) for scene, words in scenes.items())
+    return Suite(Path(file.name).stem, str(document.get("about") or ""), parsed)
 
 
 def _scene(where: str, name: str, overrides: object) -> SuiteScene:
@@ -276,8 +276,8 @@ def controllers(
 def _controllers(
     names: str | None, option: str, default: Sequence[str], planned: Sequence[PolicySource] = ()
 ) -> dict[str, PolicySource]:
-    chosen = default if names is None else [] if names == "none" else names.split(",")
-    baseline_names = [name.strip() for name in chosen]
+    listed = default if names is None else [] if names == "none" else names.split(",")
+    baseline_names = [name.strip() for name in listed]
     if "none" in baseline_names:
         raise RequestError(f"{option}: none stands alone, without other names; got {names}")
     if not all(baseline_names):
@@ -285,8 +285,8 @@ def _controllers(
     check_different(option, baseline_names)
 
     def load(name: str) -> PolicySource:
-        if planned and (own := load_policy(name, option)) in planned:
-            return own
+        if planned and (source := load_policy(name, option)) in planned:
+            return source
         return load_policy(name, option, "controller")
 
     return {name: load(name) for name in baseline_names}
@@ -299,10 +299,10 @@ def policies(
     option: str = "--compare",
     fewest: int = 2,
 ) -> dict[str, PolicySource]:
-    """Return the policies named between commas with ``option``; ``fields`` apply to controllers.
+    """Return the policies named between commas with ``option``.
 
-    Each applies to those that have such a field. ``tell`` is called with a line if a run has no
-    best policy yet.
+    Each of the ``fields`` applies to the controllers that have it. ``tell`` is called with a line
+    if a run has no best policy yet.
     """
     labels = [name.strip() for name in names.split(",")]
     if len(set(labels)) < max(fewest, len(labels)) or not all(labels):
@@ -311,10 +311,9 @@ def policies(
         raise RequestError(f"{option}: {allowed}; got {names!r}")
     sources = {label: load_policy(label, option, tell=tell) for label in labels}
     for label, source in sources.items():
-        # A field applies to the controllers that have it.
-        if own := {n: value for n, value in fields.items() if n in (source.settings or {})}:
-            changed = {**(sources[label].settings or {}), **own}
-            sources[label] = load_policy(label, "controller", fields=changed)
+        settings = source.settings or {}
+        if changes := {name: value for name, value in fields.items() if name in settings}:
+            sources[label] = load_policy(label, "controller", fields={**settings, **changes})
     known = {name for s in sources.values() for name in s.settings or {} if name != "name"}
     for field in fields:
         if field not in known:
@@ -325,21 +324,21 @@ def policies(
     return sources
 
 
-def common_robot(sources: Mapping[str, PolicySource], chosen: Collection[str]) -> Robot:
+def common_robot(sources: Mapping[str, PolicySource], keys: Collection[str]) -> Robot:
     """Return the robot of the files among the policies; the default one if there are none."""
     robots = {name: robot for name, s in sources.items() if (robot := s.robot()) is not None}
     if not robots:
         return Robot()
-    (first, ours), *others = robots.items()
-    for other, theirs in others:
-        for key, *values in differences(to_dict(ours), to_dict(theirs), "robot"):
-            if not {"robot", key} & set(chosen):
+    (first, first_robot), *others = robots.items()
+    for other, other_robot in others:
+        for key, *values in differences(to_dict(first_robot), to_dict(other_robot), "robot"):
+            if not {"robot", key} & set(keys):
                 first_value, value = ("null" if v is None else f"{v:.6g}" for v in values)
                 raise ConfigError(
                     f"--compare: {first} is for {key}={first_value}, {other} for {value}; give "
                     f"{key}=… to choose the robot"
                 )
-    return ours
+    return first_robot
 
 
 @dataclass(frozen=True)
@@ -364,12 +363,12 @@ class NamedPolicy:
 def entrants(names: Sequence[str], tell: Callable[[str], None]) -> list[NamedPolicy]:
     """Return the policies of all methods, each once.
 
-    A name is that of a controller or a shipped policy, or the path of a run, a checkpoint or an
-    exported file; names of controllers may be joined by commas, and a path of such a name begins
+    A name means a controller or a shipped policy, or is the path of a run, a checkpoint or an
+    exported file. Names of controllers may be joined by commas, and a path of such a name begins
     with ``./``. A folder with the runs of a sweep stands for them all: for one method, if they
-    differ in their seeds alone; a folder with the drives of several people is one method, whose
-    people count like seeds. ``tell`` is called with a line for each run that has no
-    checkpoint, repeats another one, or is not finished.
+    differ in their seeds alone. A folder with the drives of several people is one method, whose
+    people count like seeds. ``tell`` is called with a line for each run that has no checkpoint,
+    repeats another one, or is not finished.
     """
     policies: dict[NamedPolicy, None] = {}
     for name in (part for text in names for part in _split(text)):
@@ -431,7 +430,7 @@ def _of_path(path: Path, tell: Callable[[str], None]) -> Iterator[NamedPolicy]:
         except FlipperctlError as error:
             tell(f"{run} is left out: {error}")
             continue
-        equal = [other for other, *theirs in trained if theirs == [seed, settings]]
+        equal = [other for other, *identity in trained if identity == [seed, settings]]
         if equal:
             tell(f"{run} is left out: {equal[0]} has its seed and what it learns by")
             continue

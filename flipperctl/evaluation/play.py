@@ -1,6 +1,6 @@
 """Play what a store lacks of the planned episodes: here, in worker processes or on a Ray cluster.
 
-In: configurations and policies' sources. Out: rows of episodes, of which each is played once,
+In: configurations and policies' sources. Out: rows of episodes, each of them played once,
 however many scenes, policies and views ask for it.
 """
 
@@ -98,8 +98,8 @@ class EpisodeRunner:
     ) -> None:
         """Build the environment and the policy.
 
-        ``seed`` is the seed of the evaluation, or with ``training`` that of a training, whose
-        episodes no evaluation has. ``report_progress`` is called with the finished fraction of an
+        ``seed`` is the seed of the evaluation, or with ``training`` of a training, whose episodes
+        no evaluation has. ``report_progress`` is called with the finished fraction of an
         episode's search. ``record``: whether rows include the decisions.
         """
         self.env = FlipperEnv(config=config)
@@ -134,8 +134,8 @@ class EpisodeRunner:
     def transitions(self, index: int) -> tuple[list[Transition], Profile]:
         """Play one episode; return its T transitions, and the ground."""
         seed = self._seeds(index)
-        made = decisions(self.env, self._policy, seed, report_progress=self._report_progress)
-        return [d.transition for d in made], self.env.profile
+        played = decisions(self.env, self._policy, seed, report_progress=self._report_progress)
+        return [d.transition for d in played], self.env.profile
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ class Player:
     ) -> None:
         """``stop`` is called before each episode; once it returns True, no other episode begins.
 
-        ``training``: whether the episodes are those of trainings with the seed ``eval.seed``.
+        ``training``: whether the episodes are of trainings with the seed ``eval.seed``.
         """
         self.store = EpisodeStore() if store is None else store
         self.interrupted = False
@@ -210,8 +210,8 @@ class Player:
 
     def missing(self, config: EvalConfig, source: PolicySource) -> list[list[int]]:
         """Return the blocks of the evaluation that the store lacks, as indices of episodes."""
-        held = self.store.find(self.key(config, source))
-        lacking = [i for i in range(config.eval.episodes) if i not in held]
+        stored = self.store.find(self.key(config, source))
+        lacking = [i for i in range(config.eval.episodes) if i not in stored]
         return list(blocks(lacking, config.eval.cell))
 
     def play(
@@ -228,10 +228,10 @@ class Player:
         The progress is shown under the ``label``. ``record``: play all, since stored rows have no
         decisions.
         """
-        chosen = list(range(config.eval.episodes)) if indices is None else list(indices)
-        held = {} if record else self.store.find(self.key(config, source))
+        wanted = list(range(config.eval.episodes)) if indices is None else list(indices)
+        stored = {} if record else self.store.find(self.key(config, source))
         # Episodes that the store lacks are played and stored as they come.
-        if missing := [index for index in chosen if index not in held]:
+        if missing := [index for index in wanted if index not in stored]:
             with self._progress(label, len(missing)) as report:
                 done = 0
 
@@ -241,10 +241,10 @@ class Player:
                 requests = [(config, source, missing)]
                 with closing(self._play(requests, search, record=record)) as played:
                     for row in self._kept(config, source, missing, next(played)):
-                        held[row["episode"]] = row
+                        stored[row["episode"]] = row
                         done += 1
                         report(done)
-        return Episodes(tuple(held[index] for index in chosen if index in held))
+        return Episodes(tuple(stored[index] for index in wanted if index in stored))
 
     def play_many(self, requests: Sequence[Request], label: str) -> Iterator[Episodes]:
         """Yield the episodes of each request, in order; fewer requests after a stop.
@@ -254,19 +254,19 @@ class Player:
         """
         blocks = [self.store.find(self.key(*request)) for request in requests]
         missing = [
-            [index for index in range(config.eval.episodes) if index not in held]
-            for (config, _), held in zip(requests, blocks, strict=True)
+            [index for index in range(config.eval.episodes) if index not in stored]
+            for (config, _), stored in zip(requests, blocks, strict=True)
         ]
         parts = zip(requests, missing, strict=True)
         played = self._play([(*request, indices) for request, indices in parts if indices])
         with self._progress(label, len(requests)) as report, closing(played):
-            for at, (request, held) in enumerate(zip(requests, blocks, strict=True)):
+            for at, (request, stored) in enumerate(zip(requests, blocks, strict=True)):
                 if missing[at]:
                     rows = self._kept(*request, missing[at], next(played))
-                    held |= {row["episode"]: row for row in rows}
-                if any(index not in held for index in missing[at]):
+                    stored |= {row["episode"]: row for row in rows}
+                if any(index not in stored for index in missing[at]):
                     return
-                yield Episodes(tuple(held[index] for index in range(request[0].eval.episodes)))
+                yield Episodes(tuple(stored[index] for index in range(request[0].eval.episodes)))
                 report(at + 1)
 
     def _play(
@@ -276,7 +276,7 @@ class Player:
         *,
         record: bool = False,
     ) -> Generator[Iterator[Row], None, None]:
-        """Yield the rows of each request, which must be taken before those of the next one.
+        """Yield the rows of each request, which must be taken before the next request's.
 
         Several processes share all requests at once. After a stop, there are fewer rows.
         """

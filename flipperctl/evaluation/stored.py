@@ -127,15 +127,15 @@ def read(words: Sequence[str], measure: str) -> Stored:
     """Read the methods of ``DIR`` or ``METHOD=DIR``; ``measure`` is the column of the score.
 
     A folder with ``episodes.csv`` is one training seed of a method, which has the name of its
-    policy unless ``METHOD`` is given; a folder whose subfolders have such a file is one method with
-    a training seed in each. An evaluation of a sweep has all the seeds of its methods. Baselines
-    are methods by their own name. A policy that was evaluated several times counts once, with the
-    episodes of all its folders.
+    policy unless there is a ``METHOD``. A folder whose subfolders have such a file is one method
+    with a training seed in each. An evaluation of a sweep has all the seeds of its methods.
+    Baselines are methods by their own name. A policy that was evaluated several times counts once,
+    with the episodes of all its folders.
 
     Raises:
-        RequestError: a folder has no results, a file is damaged or lacks the measure, two results
-            of a policy contradict each other, a rule stands among training seeds, or no episode
-            was played by all.
+        RequestError: a folder has no results, or a file is damaged or lacks the measure. Or two
+            results of a policy contradict each other, a rule stands among training seeds, or no
+            episode was played by all.
     """
     reader, seen = _Reader(measure), set[Path]()
     for word in words:
@@ -181,7 +181,7 @@ class _Reader:
     def read(self, folder: Path, name: str | None, *, is_seed: bool) -> None:
         """Add the policies of a folder; ``name`` is the method of its first one, if it has one.
 
-        ``is_seed``: whether the folder is one of those of a method's training seeds.
+        ``is_seed``: whether the folder is of one training seed of a method.
         """
         # What summary and cells of the folder say about its policies
         methods, played = _methods(folder), dict[str, set[PlayedPolicy]]()

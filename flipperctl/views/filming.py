@@ -47,9 +47,9 @@ class Filming:
         Raises:
             RequestError: options without ``--film``, or that contradict each other.
         """
-        given = {"--episode": episodes, "--failures": failures or None, "--speed": speed}
+        options = {"--episode": episodes, "--failures": failures or None, "--speed": speed}
         if path is None:
-            for option, value in given.items():
+            for option, value in options.items():
                 if value is not None:
                     hint = "; --episodes is their number" if option == "--episode" else ""
                     raise RequestError(f"{option} is of a film: add --film FILE{hint}")
@@ -84,16 +84,16 @@ class Filming:
         from flipperctl.figures.film import SPEED, film
 
         entries = result.plan.entries
-        chosen: Sequence[int] = self.episodes or (0,)
+        shown: Sequence[int] = self.episodes or (0,)
         # The first failures of any policy, if the film is to show some
         if self.failures:
             failed = sorted(
                 {row["episode"] for item in result.rows for row in item.episodes.failed}
             )
-            if not (chosen := failed[:FAILURES]):
+            if not (shown := failed[:FAILURES]):
                 tell(f"no episode failed: {self.path} is not written")
                 return
-        takes = [_take(entries, index) for index in chosen]
+        takes = [_take(entries, index) for index in shown]
         with progress(f"{entries[0].terrain}, film", 1) as report:
             speed = SPEED if self.speed is None else self.speed
             film(self.path, takes, speed=speed, report_progress=report)
