@@ -25,12 +25,12 @@ from flipperctl.api import FloatArray, Outcome, Perception, Policy, Simulator, a
 from flipperctl.config import DEFAULT_ENGINE, EvalConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import RequestError
+from flipperctl.evaluation.engines import in_default_engine
 from flipperctl.plugging import plugins
 from flipperctl.policies.source import PolicySource
 from flipperctl.process import entry
 from flipperctl.rollout.episode import EvaluationSeeds, Row, decisions
 from flipperctl.text.show import Column, Table, console, print_table
-from flipperctl.views.engines import in_default_engine
 
 PITCH_TOLERANCE = 0.05
 """Largest RMS difference of the pitches at equal times that counts as equal [rad]."""

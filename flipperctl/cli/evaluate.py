@@ -182,21 +182,22 @@ def map_success(
     """
     from flipperctl.cli.plan import one_scene, player
     from flipperctl.config.words import with_default, with_flags
+    from flipperctl.evaluation.map import EPISODES, EXAMPLE, capability_map, notes, parse_axes
     from flipperctl.text.show import console, print_lines
     from flipperctl.views import map as view
 
     if over is None:
-        raise RequestError(f"name two settings, as in --over {view.EXAMPLE}")
+        raise RequestError(f"name two settings, as in --over {EXAMPLE}")
     flagged = with_flags(words, episodes=episodes, seed=seed, jobs=jobs)
-    flagged = with_default(flagged, "eval.episodes", view.EPISODES)
+    flagged = with_default(flagged, "eval.episodes", EPISODES)
     entry = one_scene(flagged, checkpoint, controller, "map")
     if entry.config.eval.ray is not None:
         raise RequestError("eval.ray: a map is played here; leave it out")
-    axes = view.parse_axes(over, entry.config)
+    axes = parse_axes(over, entry.config)
     with player(output, "map", view.NAMES) as (plays, folder):
-        for note in view.notes(entry, axes):
+        for note in notes(entry, axes):
             print_note(note)
-        found = view.capability_map(entry, axes, plays)
+        found = capability_map(entry, axes, plays)
         try:
             show(
                 found.to_dict(), lambda: print_lines(console(), view.lines(found)), as_json=as_json

@@ -19,6 +19,7 @@ from flipperctl.config.policy_file import is_policy_file
 from flipperctl.config.words import key_of
 from flipperctl.errors import RequestError
 from flipperctl.evaluation.conditions import Inherited, policy_notes, read_config
+from flipperctl.evaluation.engines import steps
 from flipperctl.evaluation.plan import (
     Entry,
     NamedPolicy,
@@ -33,7 +34,6 @@ from flipperctl.evaluation.plan import (
 from flipperctl.evaluation.play import Player
 from flipperctl.policies.source import PolicySource, load_policy
 from flipperctl.terminal.streams import print_note
-from flipperctl.views.engines import steps
 from flipperctl.views.summary import short
 
 Tell = Callable[[str], None]

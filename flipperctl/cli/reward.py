@@ -15,7 +15,7 @@ from flipperctl.terminal.streams import print_note, show
 
 if TYPE_CHECKING:
     from flipperctl.cli.hydra.overrides import Overrides
-    from flipperctl.views.rewards import Rewards, RewardScene
+    from flipperctl.evaluation.rewards import Rewards, RewardScene
 
 _REWARD_KEY = re.compile(r"[+~]*(rewards(?=[.=]|$)|reward@)")
 _DEFAULT = "paper"
@@ -96,9 +96,10 @@ def reward(
     from flipperctl.cli.hydra.compose import only_one
     from flipperctl.cli.plan import scenes
     from flipperctl.evaluation.conditions import Conditions
+    from flipperctl.evaluation.rewards import audit
     from flipperctl.terminal.progress import episodes_progress
     from flipperctl.text.show import console, print_table
-    from flipperctl.views.rewards import audit, audit_table
+    from flipperctl.views.rewards import audit_table
 
     config, source = only_one(scenes(words, checkpoint, chosen))
     count = config.eval.episodes
@@ -119,6 +120,7 @@ def _compare(names: str, words: Sequence[str], *, as_json: bool) -> None:
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.cli.plan import player
     from flipperctl.evaluation.plan import common_robot, policies
+    from flipperctl.evaluation.rewards import rank_policies
     from flipperctl.text.show import console, print_lines, print_table
     from flipperctl.views import rewards
 
@@ -134,7 +136,7 @@ def _compare(names: str, words: Sequence[str], *, as_json: bool) -> None:
         sets: dict[str, Rewards] = {**scenes[scene][1]} if scene in scenes else {}
         scenes[scene] = config, sets | {label or _DEFAULT: config.rewards}
     with player(None, "reward") as (plays, _):
-        found = rewards.rank_policies(list(scenes.values()), sources, plays)
+        found = rank_policies(list(scenes.values()), sources, plays)
 
     def printed() -> None:
         out = console()

@@ -14,7 +14,7 @@ from flipperctl.errors import InterruptedRunError, RequestError
 from flipperctl.terminal.streams import print_note, show
 
 if TYPE_CHECKING:
-    from flipperctl.views import tune as view
+    from flipperctl.evaluation import tuning
 
 
 def tune(
@@ -76,10 +76,11 @@ def tune(
     from flipperctl.cli.plan import make_plan
     from flipperctl.config import policy_file, resolver
     from flipperctl.config.words import key_of, with_flags
+    from flipperctl.evaluation import tuning
     from flipperctl.evaluation.plan import NamedPolicy, split_policies
     from flipperctl.text.files import check_output, write_bytes
     from flipperctl.text.show import console, print_table
-    from flipperctl.views import tune as view
+    from flipperctl.views.tune import table
 
     names, settings = split_policies(words)
     if len(names) != 1:
@@ -116,11 +117,11 @@ def tune(
     if objective == "reward" and not all(entry.config.rewards for entry in entries):
         raise RequestError("--for reward: there is no reward term; leave ~rewards out")
     asked = any(key_of(word) == "eval.episodes" for word in flagged)
-    request = view.Request(
+    request = tuning.Request(
         entries,
         [word for word in settings if key_of(word) != "budget"],
         "reward" if objective == "reward" else "pitch",
-        int(given[0]) if given else view.BUDGET,
+        int(given[0]) if given else tuning.BUDGET,
         config.eval.seed,
         config.eval.episodes if asked else None,
         None if chosen is None else [one.strip() for one in chosen.split(",")],
@@ -131,11 +132,11 @@ def tune(
     file = request.policy_file(tuned)
     write_bytes(output, file.text().encode())
     found = file.model_dump(mode="json") | {"before": tuned.start, "p": tuned.p}
-    show(found, lambda: print_table(request.table(tuned), console()), as_json=as_json)
+    show(found, lambda: print_table(table(request, tuned), console()), as_json=as_json)
     print_note(f"wrote {output}")
 
 
-def _tune(request: view.Request, state: Path) -> view.Tuned:
+def _tune(request: tuning.Request, state: Path) -> tuning.Tuned:
     """Search with progress; Ctrl-C ends the running generation."""
     from flipperctl.evaluation.play import Player
     from flipperctl.process import session

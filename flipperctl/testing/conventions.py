@@ -29,10 +29,10 @@ from flipperctl.core.targets import JOINTS, turns
 from flipperctl.env.guarded import place as place_guarded
 from flipperctl.env.perceiving import Perceiver
 from flipperctl.errors import ConformanceError
+from flipperctl.evaluation.engines import in_default_engine
 from flipperctl.policies.source import ExportedPolicy, PolicySource
 from flipperctl.runtime.interface import Interface
 from flipperctl.text.show import Column, Table
-from flipperctl.views.engines import in_default_engine
 
 _FLAT = Profile([(0.0, 0.0)])
 _SLOPE = math.radians(15)

@@ -21,6 +21,7 @@ from flipperctl.config.identity import content_digest
 from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
 from flipperctl.evaluation import replay
 from flipperctl.evaluation.conditions import scene_names
+from flipperctl.evaluation.engines import explained
 from flipperctl.evaluation.evaluate import Played, Result, evaluate
 from flipperctl.evaluation.plan import BEST_KNOWN, Entry, Plan
 from flipperctl.evaluation.play import Progress, no_progress
@@ -41,8 +42,8 @@ from flipperctl.process.session import command, interrupts
 from flipperctl.text.files import check_output, write_bytes, write_csv, write_json
 from flipperctl.text.messages import counted
 from flipperctl.text.show import latex
-from flipperctl.views import engines, report, traces
 from flipperctl.views import evaluation as view
+from flipperctl.views import report, traces
 from flipperctl.views.filming import Filming
 from flipperctl.views.summary import Document, compared, short
 
@@ -87,7 +88,7 @@ def run(
         )
         # What follows from the episodes, before anything is shown
         if plan.engines and result.interruption is None:
-            result = engines.explained(result)
+            result = explained(result)
         if plan.with_best_known:
             result = with_best_known(result, written.store)
         document = view.document(result, by) | ({"command": typed} if typed else {})

@@ -9,6 +9,7 @@ import pytest
 from flipperctl.api import GroundSensor, Profile, RobotState, Sensor, sensor
 from flipperctl.cli.plan import make_plan, scenes
 from flipperctl.config import EvalConfig, with_overrides
+from flipperctl.evaluation.engines import explained, steps
 from flipperctl.evaluation.evaluate import evaluate
 from flipperctl.evaluation.failure_causes import (
     Cause,
@@ -100,7 +101,7 @@ def test_eval_tells_failures_apart_by_cause(blind: str, cause: str) -> None:
 def test_engines_have_a_third_step_with_the_sensor() -> None:
     words = [*HIGH[:-1], "eval.episodes=1", "perception=mapper", "sim=planar,mujoco"]
     plan = make_plan(words, [NamedPolicy("okada_published")], "none", lambda text: None)
-    (found,) = evaluation.document(engines.explained(evaluate(plan)))["engines"]
+    (found,) = evaluation.document(explained(evaluate(plan)))["engines"]
     assert found["planar"]["success_rate"] == found["mujoco"]["success_rate"] == 1.0
     sensed = found["sensed"]
     assert (sensed["sensor"], sensed["summary"]["success_rate"]) == ("mapper", 0.0)
@@ -125,8 +126,8 @@ def compared(**settings: Any) -> dict[str, Any]:
     """Return what okada loses from the default engine to ``sim=mujoco``."""
     config = EvalConfig(**settings)
     okada = load_policy("okada", "here")
-    entries = [Entry(one, okada, comparison=0) for one in engines.steps(config)]
-    (found,) = engines.document(engines.explained(evaluate(Plan(tuple(entries)))))
+    entries = [Entry(one, okada, comparison=0) for one in steps(config)]
+    (found,) = engines.document(explained(evaluate(Plan(tuple(entries)))))
     return found
 
 

@@ -6,13 +6,7 @@ import numpy as np
 import pytest
 
 from flipperctl.config import EvalConfig
-from flipperctl.evaluation.plan import Entry
-from flipperctl.evaluation.play import EpisodeRunner, Player
-from flipperctl.evaluation.rows import Episodes
-from flipperctl.evaluation.store import EpisodeStore
-from flipperctl.figures.map import boundary, map_figure
-from flipperctl.policies.source import load_policy
-from flipperctl.views.map import (
+from flipperctl.evaluation.map import (
     Axis,
     CapabilityMap,
     GridPoint,
@@ -23,6 +17,12 @@ from flipperctl.views.map import (
     grid_config,
     parse_axes,
 )
+from flipperctl.evaluation.plan import Entry
+from flipperctl.evaluation.play import EpisodeRunner, Player
+from flipperctl.evaluation.rows import Episodes
+from flipperctl.evaluation.store import EpisodeStore
+from flipperctl.figures.map import boundary, map_figure
+from flipperctl.policies.source import load_policy
 from tests.evaluation.samples import episodes, sample
 
 OKADA = load_policy("okada", "here")

@@ -7,9 +7,9 @@ import pytest
 from flipperctl.api import RewardTerm
 from flipperctl.config import EvalConfig, resolver
 from flipperctl.evaluation.play import EpisodeRunner
+from flipperctl.evaluation.rewards import Verdict, audit, decide, measures, rank
 from flipperctl.evaluation.rows import Episodes
 from flipperctl.policies.source import PolicySource
-from flipperctl.views.rewards import Verdict, audit, decide, measures, rank
 from tests.evaluation.samples import episodes as rows
 from tests.evaluation.samples import sample
 

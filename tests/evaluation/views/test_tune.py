@@ -16,10 +16,10 @@ from flipperctl.evaluation.plan import Entry
 from flipperctl.evaluation.play import Player
 from flipperctl.evaluation.rows import Episodes
 from flipperctl.evaluation.seeds import PRICE
+from flipperctl.evaluation.tuning import Setting, Spending, search, settings_of
 from flipperctl.lookahead import Mpc
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import EvaluationSeeds, training_seed
-from flipperctl.views.tune import Setting, Spending, search, settings_of
 from tests.cli.call import call, refused
 
 SPACE = [Setting("x", 0.0, 10.0, whole=False), Setting("n", 0.0, 4.0, whole=True)]
