@@ -133,18 +133,24 @@ class Gate:
         self._order = itertools.count()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._stopped = False
+
+        # A missing viser is named before the port is taken.
         try:
             import viser
         except ImportError as error:
             raise MissingExtraError(
                 f"{what} needs viser: pip install 'flipperctl[live]'"
             ) from error
+
+        # The page answers to its own names alone, since another site's name may lead here as well.
         listener = _bind(port)
         self._port = listener.getsockname()[1]
         hosts = (f"{_HOST}:{self._port}", f"localhost:{self._port}")
         self._hosts = {*hosts, _HOST, "localhost"} if self._port == 80 else set(hosts)
         self._place = hosts[0]
         self._cookie = f"flipperctl_{self._port}"
+
+        # viser is started behind these checks, or not at all.
         self.server = self._start(listener)
         if self._loop is None:
             with redirect_stdout(io.StringIO()):
@@ -187,18 +193,21 @@ class Gate:
         slow client gets the newest state. Messages without a key keep their order; a client for
         which more than 100 of them are pending is closed. Any thread may call it.
         """
+        # The newest message of each key, and every message without one
         with self._lock:
-            chosen = [c for n, c in self._clients.items() if client in (None, n) and not c.full]
-            for one in chosen:
-                waiting = sum(isinstance(k, int) for k in one.pending) if key is None else 0
+            receivers = [c for n, c in self._clients.items() if client in (None, n) and not c.full]
+            for receiver in receivers:
+                waiting = sum(isinstance(k, int) for k in receiver.pending) if key is None else 0
                 if waiting >= _MOST_PENDING:
-                    one.full = True
+                    receiver.full = True
                 else:
-                    one.pending[next(self._order) if key is None else key] = message
+                    receiver.pending[next(self._order) if key is None else key] = message
+
+        # Clients live in the server's thread.
         if self._loop is not None:
             try:
-                for one in chosen:
-                    self._loop.call_soon_threadsafe(one.hurry)
+                for receiver in receivers:
+                    self._loop.call_soon_threadsafe(receiver.hurry)
             except RuntimeError:  # the server stopped meanwhile
                 return
 
@@ -212,6 +221,7 @@ class Gate:
         def serve(handler: Handler, *place: Any, **options: Any) -> Any:
             if not getattr(handler, "__module__", "").startswith("viser."):
                 return plain(handler, *place, **options)
+            # The socket is bound already, so that viser's own place does not count.
             self._loop = asyncio.get_running_loop()
             del place
             options = {k: v for k, v in options.items() if k not in ("host", "port")}
@@ -238,12 +248,13 @@ class Gate:
         from websockets.http11 import Request, Response
 
         def answer(connection: ServerConnection, request: Request) -> Response | None:
+            # Without a token nothing is answered, whatever the path.
             path, _, query = request.path.partition("?")
-            given = parse_qs(query).get("token", ())
+            offered = parse_qs(query).get("token", ())
             upgrades = [value.lower() for value in request.headers.get_all("Upgrade")]
             handshake = upgrades == ["websocket"]
             response: Response | None
-            if refusal := self._refusal(request.headers, given):
+            if refusal := self._refusal(request.headers, offered):
                 response = connection.respond(403, refusal + "\n")
             elif handshake and path == "/control":
                 response = None if self._control else connection.respond(404, "no control here\n")
@@ -258,10 +269,12 @@ class Gate:
                 response = viser_answer(connection, scene if path == "/scene" else request)
             if response is None:
                 return None
+
+            # Pages load nothing from elsewhere, and the cookie spares later requests the token.
             sockets = " ".join(f"ws://{host}" for host in sorted(self._hosts))
             policy = {"Content-Security-Policy": _POLICY.format(sockets)}
             response.headers.update(_HEADERS | policy)
-            if given and response.status_code != 403:
+            if offered and response.status_code != 403:
                 response.headers["Set-Cookie"] = (
                     f"{self._cookie}={self._token}; HttpOnly; SameSite=Strict; Path=/"
                 )
@@ -269,15 +282,18 @@ class Gate:
 
         return answer
 
-    def _refusal(self, headers: Any, given: Any) -> str:
+    def _refusal(self, headers: Any, offered: Any) -> str:
         """Return why a request is refused; empty if it is not."""
+        # A foreign name that leads to this machine (DNS rebinding) is refused.
         if headers.get_all("Host") not in [[host] for host in self._hosts]:
             return f"this page is {self._place} alone; a tunnel keeps the port"
         origins = headers.get_all("Origin")
         if origins and origins not in [[f"http://{host}"] for host in self._hosts]:
             return "requests of other pages are refused"
+
+        # The time of a comparison tells nothing of the token.
         pairs = [c.strip().partition("=") for h in headers.get_all("Cookie") for c in h.split(";")]
-        tokens = [*given, *(value for name, _, value in pairs if name == self._cookie)]
+        tokens = [*offered, *(value for name, _, value in pairs if name == self._cookie)]
         right = self._token.encode()
         if not any(hmac.compare_digest(t.encode(errors="replace"), right) for t in tokens):
             return "the token is missing or wrong; open the address that flipperctl printed"
@@ -306,11 +322,14 @@ class Gate:
         if len(self._clients) >= _MOST_CLIENTS:
             await _close(connection, _LATER, f"{_MOST_CLIENTS} clients are connected")
             return
+        # Little may wait in the system, so that a slow client gets the newest state soon.
         peer = connection.transport.get_extra_info("socket")
         peer.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
         number, client = next(self._numbers), _Client(connection)
         with self._lock:
             self._clients[number] = client
+
+        # Whatever happens to this client, it is counted out and the others go on.
         sender = asyncio.ensure_future(self._send(client))
         code, reason = 1000, ""
         try:
@@ -335,6 +354,7 @@ class Gate:
     async def _receive(self, number: int, client: _Client) -> tuple[int, str]:
         """Hand on messages; return the close code and reason once a limit is passed."""
         assert self._control is not None
+        # Parts of messages in the last second; a client may not send more in any second.
         times: deque[float] = deque(maxlen=_PER_SECOND)  # [s]
         while True:
             message = ""
