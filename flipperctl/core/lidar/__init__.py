@@ -3,7 +3,7 @@
 In: messages of the devices. Out: the sensed ground and posture. It needs numpy alone,
 but for ``matching``, which a robot may leave out and which needs small_gicp.
 
-Frames: S is the LiDAR's, whose z axis is the axis of its rings; R is fixed to the chassis (x
-forward, y to the left, z up, origin at its centre); M is the map's, level, in which the robot
-starts; L has its origin at the chassis centre, is level and follows the heading.
+Frame S is the LiDAR's, whose z axis is the axis of its rings. Frame R is fixed to the chassis (x
+forward, y to the left, z up, origin at its centre). Frame M is the map's, level, in which the robot
+starts. Frame L has its origin at the chassis centre, is level and follows the heading.
 """

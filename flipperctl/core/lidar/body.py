@@ -23,8 +23,8 @@ from flipperctl.core.lidar.messages import Joints
 def attitude(roll: float, pitch: float, yaw: float) -> FloatArray:
     """Return the rotation from frame R to a level frame.
 
-    ``roll`` and ``pitch`` are the angles of the chassis' y and x axes above the horizontal, so that
-    both are what an inclinometer along these axes shows; ``yaw`` is the heading, to the left [rad].
+    ``roll`` and ``pitch`` are the angles of the chassis' y and x axes above the horizontal, as an
+    inclinometer along these axes shows them. ``yaw`` is the heading, to the left [rad].
     """
     cos_p, sin_p, cos_y, sin_y = math.cos(pitch), math.sin(pitch), math.cos(yaw), math.sin(yaw)
     # The y axis is across the x axis: turned about it by this angle, it rises by sin(roll).
@@ -71,7 +71,7 @@ class _Box(NamedTuple):
     half_length: float  # half its length, along the turned x axis [m]
     inner: float  # smallest distance of its parts from the middle plane of the robot [m]
     outer: float  # largest distance of its parts from the middle plane of the robot [m]
-    tilt: float  # angle of its x axis above that of frame R [rad]
+    tilt: float  # angle of its x axis above the x axis of frame R [rad]
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,8 @@ class Body:
         self, points: FloatArray, front: float, rear: float, margin: float
     ) -> NDArray[np.bool_]:
         """Return which ``points`` (P, 3) [m] lie within the robot or closer than ``margin``."""
-        found = np.zeros(len(points), np.bool_)
+        # Most points lie far from the robot; a coarse box drops them before the exact shapes.
+        result = np.zeros(len(points), np.bool_)
         reach = self.chassis_length / 2 + self.flipper_length + margin
         near = np.abs(points[:, 1]) <= self.overall_width / 2 + margin
         near &= (np.abs(points[:, 0]) <= reach) & (np.abs(points[:, 2]) <= reach)
@@ -104,8 +105,8 @@ class Body:
                 & (side <= box.outer + margin)
                 & (side >= box.inner - margin)
             )
-        found[near] = inside
-        return found
+        result[near] = inside
+        return result
 
     def distances_to_chassis(self, origin: FloatArray, directions: FloatArray) -> FloatArray:
         """Return the distance from ``origin`` (3,) to the chassis along each direction, (R,) [m].
@@ -122,13 +123,14 @@ class Body:
 
     def may_hit_flippers(self, origin: FloatArray, directions: FloatArray) -> NDArray[np.bool_]:
         """Return along which directions a flipper can be hit, at whatever angles, (R,)."""
+        # Whatever its angle, a flipper lies within a circle about its hinge.
         length = self.flipper_length - self.track_radius  # from the hinge, without its round end
         farthest = 1e-6 + math.hypot(length, self.track_radius)
         around = [box._replace(half_length=farthest) for box in self._hinges()]
-        found = np.zeros(len(directions), np.bool_)
+        hit = np.zeros(len(directions), np.bool_)
         for enter, leave in _crossed(origin, directions, around, farthest):
-            found |= (enter <= leave) & (leave >= 0)
-        return found
+            hit |= (enter <= leave) & (leave >= 0)
+        return hit
 
     def _nearest(
         self, origin: FloatArray, directions: FloatArray, boxes: Iterable[_Box]
@@ -143,8 +145,9 @@ class Body:
     def circles(self, pitch: float, front: float, rear: float) -> FloatArray:
         """Return the centres of circles that the tracks cover in frame L, (C, 2) x and z [m].
 
-        They lie along chassis and flippers; their radius is that of the tracks.
+        They lie along chassis and flippers, with the radius of the tracks.
         """
+        # The chassis, then each flipper from its hinge to its tip
         hinge = self.chassis_length / 2 - self.track_radius
         axle = self.flipper_length - 2 * self.track_radius
         along = np.linspace(0.0, 1.0, _CIRCLES)[:, None]
@@ -152,6 +155,8 @@ class Body:
         parts = [ends[0] + along * (ends[1] - ends[0])]
         for end, angle, ahead in ((ends[1], front, 1.0), (ends[0], rear, -1.0)):
             parts.append(end + along * axle * [ahead * math.cos(angle), math.sin(angle)])
+
+        # Frame R to frame L: only the pitch is between them.
         cos, sin = math.cos(pitch), math.sin(pitch)
         return np.asarray(np.concatenate(parts) @ np.array([[cos, sin], [-sin, cos]]))
 
@@ -182,7 +187,7 @@ def _crossed(
     stand on both sides of it.
     """
     middle = origin[1] == 0.0  # both sides of the robot are then equal
-    beside = np.abs(directions[:, 1]) if middle else directions[:, 1]
+    sideways = np.abs(directions[:, 1]) if middle else directions[:, 1]
     for box in boxes:
         x, z = turned(float(origin[0]) - box.x, float(origin[2]) - box.z, box.tilt)
         along, above = turned(directions[:, 0], directions[:, 2], box.tilt)
@@ -193,7 +198,7 @@ def _crossed(
         sides = ((box.inner, box.outer), (-box.outer, -box.inner))
         whole = ((-box.outer, box.outer),)
         for low, high in whole if box.inner <= 0 else sides[:1] if middle else sides:
-            both = [*spans, _span(float(origin[1]), beside, low, high)]
+            both = [*spans, _span(float(origin[1]), sideways, low, high)]
             enter = np.maximum.reduce([s for s, _ in both])
             yield enter, np.minimum.reduce([s for _, s in both])
 
@@ -201,10 +206,11 @@ def _crossed(
 def _span(begin: float, rate: FloatArray, low: float, high: float) -> tuple[FloatArray, FloatArray]:
     """Return where ``begin`` + t · ``rate`` enters and leaves [``low``, ``high``], each (R,)."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        one, other = (low - begin) / rate, (high - begin) / rate
+        at_low, at_high = (low - begin) / rate, (high - begin) / rate
+    # Parallel to the slab: inside it for ever, or never
     inside = low <= begin <= high
     still = rate == 0
-    enter, leave = np.minimum(one, other), np.maximum(one, other)
+    enter, leave = np.minimum(at_low, at_high), np.maximum(at_low, at_high)
     enter[still], leave[still] = (-np.inf, np.inf) if inside else (np.inf, -np.inf)
     return enter, leave
 
@@ -247,8 +253,8 @@ class Mount:
         ``points`` (N, 3) are in the LiDAR's frame [m].
         """
         x, y, z = points.T
-        kept = np.asarray(x * x + y * y + z * z >= self.near**2)
-        points = self.position + points.compress(kept, axis=0) @ self.turn.T
+        mask = np.asarray(x * x + y * y + z * z >= self.near**2)
+        points = self.position + points.compress(mask, axis=0) @ self.turn.T
         others = ~body.contains(points, joints.front, joints.rear, self.margin)
-        kept[kept] = others
-        return points.compress(others, axis=0), kept
+        mask[mask] = others
+        return points.compress(others, axis=0), mask

@@ -45,8 +45,8 @@ _OLDEST = 5.0  # largest age of the newest message with which an estimate is mad
 _MOST_POINTS = 10_000
 """Points of a turn that are used; more are thinned, since the map keeps no more of them [-]."""
 _TURN, _LEAST_SHARE = 0.1, 0.05
-"""Time of a turn [s]; a scan that follows the one before sooner is a sector, of which this part of
-the points of a turn are used, or more [-]."""
+"""Time of a turn [s]. A scan that follows the one before sooner is a sector, which has this part of
+the points of a turn, or more [-]."""
 _LEVEL, _LEVEL_ON_BELTS = 0.1, 0.02
 """Largest pitch of a robot that stands on level ground at the start: on its flippers, and on the
 belts of its chassis, besides three deviations of the measured pitch [rad]."""
@@ -87,9 +87,9 @@ class LidarEstimator:
         self._scanned: float | None = None  # time of the newest scan [s]
 
     def update(self, measured: Measured) -> None:
-        """Receive a message; of those of one time, the scan comes last.
+        """Receive a message; a scan comes last among messages of one time.
 
-        The pose is that of the latest ``Pose``, moved on by ``Belts`` and ``Inertial``. A message
+        The pose is the latest ``Pose``, moved on by ``Belts`` and ``Inertial``. A message
         with numbers that cannot be is dropped, and the previous one stays in force.
 
         Raises:
@@ -101,6 +101,7 @@ class LidarEstimator:
         time, value = message
         self._newest = time
         if isinstance(value, Scan):
+            # A scan soon after the one before is a sector, which has a part of a turn's points.
             elapsed = math.inf if self._scanned is None else time - self._scanned
             self._scanned = time
             # A turn is not always exactly 0.1 s.
@@ -120,6 +121,7 @@ class LidarEstimator:
         On level ground the robot knows how far that is below. Nothing is assumed if the scan shows
         the ground ahead elsewhere.
         """
+        # Whether the ground ahead is where a level floor would be
         turn = attitude(pose.roll, pose.pitch, 0.0)
         lidar, below = turn @ self._mount.position, self._below()
         ground = self._ground_points(scan)[0] @ turn.T
@@ -129,6 +131,8 @@ class LidarEstimator:
         self._start(pose)
         if self._calibrated is not None:
             return
+
+        # Level ground tells by how much distances and pitch err.
         self._calibrated = time
         points = lidar + scan.points @ (turn @ self._mount.turn).T
         self._errors = start_errors(points, lidar, below, self._tilt())
@@ -139,6 +143,7 @@ class LidarEstimator:
 
     def _stands_level(self, pose: Pose) -> bool:
         """Return whether the robot may stand on level ground, by its pitch and its flippers."""
+        # On lowered flippers the chassis may pitch more.
         lowered = min(self._joints.front, self._joints.rear) < -_LOWERED
         limit = _LEVEL if lowered else min(_LEVEL, _LEVEL_ON_BELTS + 3 * self._tilt())
         return abs(pose.pitch) <= limit
@@ -168,6 +173,7 @@ class LidarEstimator:
         Raises:
             PerceptionError: nothing was measured, or not for ``_OLDEST``.
         """
+        # What the robot has driven since the newest message is not known.
         unknown = abs(self._speed) * self._age(time)
         self._start(self._pose)
         pose, joints = self._pose, self._joints
@@ -206,6 +212,7 @@ class LidarEstimator:
         if self._started:
             return
         self._started = True
+        # Ground up to the front hinge, level or as steep as the chassis
         hinge = self._body.chassis_length / 2 - self._body.track_radius
         until = pose.x * math.cos(pose.yaw) + pose.y * math.sin(pose.yaw) + hinge
         if self._stands_level(pose):
@@ -228,22 +235,29 @@ class LidarEstimator:
         Poses of newer attitudes, which came before the scan, are corrected alike.
         """
         before = pose
-        points, kept = self._ground_points(scan)
+        # Every point as it was seen at its own time, from where the robot is now
+        points, mask = self._ground_points(scan)
         if scan.ages is None or not self._settings.quality.deskew:
             points = points @ attitude(pose.roll, pose.pitch, pose.yaw).T
         else:
-            points = self._trail.levelled(points, scan.ages[kept], time, pose)
+            points = self._trail.levelled(points, scan.ages[mask], time, pose)
+
+        # First the position by scan matching, then the height by the map
         if self._matcher is not None:
             guess = np.array([pose.x, pose.y, pose.z])
             facing = attitude(pose.roll, pose.pitch, pose.yaw)[:, 0]
             position, turn = self._matcher.corrected(points, guess, facing)
             pose = moved_to(replace(pose, yaw=pose.yaw + turn), position)
         points += (pose.x, pose.y, pose.z)
-        if self._reckoned is not None:  # slipping belts lift the pose off the map or sink it
+
+        # Slipping belts lift the pose off the map or sink it.
+        if self._reckoned is not None:
             error = self._ground.height_error(points, pose.x, pose.y, pose.yaw)
             pose = moved_to(pose, np.array([pose.x, pose.y, pose.z - error]))
             points[:, 2] -= error
         self._pose = self._trail.correct(time, before, pose)
+
+        # Rays clear what they have passed; clouds in frame R do not tell where rays began.
         if self._mount.tells_rays:
             origin = np.array([pose.x, pose.y, pose.z])
             origin += attitude(pose.roll, pose.pitch, pose.yaw) @ self._mount.position

@@ -47,10 +47,13 @@ class FreeSpace:
         self._origin = origin
         self._bins = math.ceil(reach / _BIN) + 1
         self._shift = 1 + math.ceil(margin / _BIN)
+        # The lowest slope of the rays that end in each part of each sector
         away, sector = self._polar(points)
         with np.errstate(divide="ignore", invalid="ignore"):
             slope = np.where(away > 0, (points[:, 2] - origin[2]) / away, np.inf)
         part = np.minimum((away / _BIN).astype(np.int64), self._bins + self._shift)
+
+        # A ray passes every place before its return, so that lower slopes spread inwards.
         lowest = np.full((_SECTORS, self._bins + self._shift + 1), np.inf)
         np.minimum.at(lowest, (sector, part), slope)
         self._slope = np.minimum.accumulate(lowest[:, ::-1], axis=1)[:, ::-1]
@@ -82,6 +85,7 @@ def clearances(circles: FloatArray, radius: float, points: FloatArray) -> FloatA
     It is infinite for points that are not below a track, and negative for points within one.
     ``circles`` (C, 2) and ``points`` (P, 2) are in frame L [m].
     """
+    # Only the lower side of a circle touches, and only near its middle.
     across = points[None, :, 0] - circles[:, None, 0]  # (C, P)
     below = np.abs(across) <= _BELOW * radius
     bottom = circles[:, None, 1] - np.sqrt(np.maximum(radius**2 - across**2, 0.0))
@@ -103,25 +107,28 @@ def lateral_slope(points: FloatArray, cell: float) -> float:
     """
     if not len(points):
         return 0.0
+    # Heights and places across, each less the mean of its column
     number = np.floor(points[:, 0] / cell).astype(np.int64)
     number -= number.min()
     count = np.maximum(np.bincount(number), 1)
-    beside, height = (
+    across, height = (
         points[:, axis] - (np.bincount(number, points[:, axis]) / count)[number] for axis in (1, 2)
     )
-    squares = np.bincount(number, beside**2)
+
+    # A line through each column that is wide enough; the median leaves out obstacles.
+    squares = np.bincount(number, across**2)
     usable = (count >= _FEWEST) & (squares >= _WIDE**2 * count)
     if usable.sum() < _FEWEST:
         return 0.0
-    slope = float(np.median(np.bincount(number, beside * height)[usable] / squares[usable]))
+    slope = float(np.median(np.bincount(number, across * height)[usable] / squares[usable]))
     return slope if abs(slope) <= _LARGEST_SLOPE else 0.0
 
 
 def straightened(points: FloatArray, slope: float) -> FloatArray:
     """Return ``points`` (P, 3) without a sideways slope; heights on the line stay [m]."""
-    found = points.copy()
-    found[:, 2] -= slope * points[:, 1]
-    return found
+    result = points.copy()
+    result[:, 2] -= slope * points[:, 1]
+    return result
 
 
 _SPACING = 0.02
@@ -251,14 +258,18 @@ class GroundSeen:
 
         Level parts of the map ahead of the robot at (x, y) [m] count; 0 if there are too few.
         """
+        # The scan in the strip ahead, where both have seen the same ground
         q, reach = self._quality, (_NEAREST, _FARTHEST)
-        along, beside = turned(points[:, 0] - x, points[:, 1] - y, yaw)
-        strip = (np.abs(beside) <= q.half_width) & (along >= reach[0]) & (along < reach[1])
+        along, across = turned(points[:, 0] - x, points[:, 1] - y, yaw)
+        strip = (np.abs(across) <= q.half_width) & (along >= reach[0]) & (along < reach[1])
         (near,) = np.nonzero(strip)
-        scanned = np.column_stack([along[near], beside[near], points[near, 2]])
+        scanned = np.column_stack([along[near], across[near], points[near, 2]])
         counts = np.bincount(np.floor(scanned[:, 0] / q.cell).astype(np.int64))
         if np.count_nonzero(counts >= q.fewest) < _FEWEST_COLUMNS:  # as of a sector to the side
             return 0.0
+
+        # Columns that are level in the map, since an edge that is shifted along would count as
+        # height
         around = self._cells.around(x, y, yaw, reach, q.half_width)
         slope = lateral_slope(around, q.cell)
         known = columns(straightened(around, slope), q.cell, _REGISTERED)
@@ -288,6 +299,7 @@ class GroundSeen:
         how far the robot may have moved since its position was estimated [m].
         Call it once for each decision, since it corrects the map's height a bit by each stance.
         """
+        # The map around the robot, without a sideways slope, in frame L
         s, q, (x, y, z) = self._settings, self._quality, position.tolist()
         self._move_to(x, y)
         self._cells.face(x, y, yaw)
@@ -295,19 +307,25 @@ class GroundSeen:
         near = self._cells.around(x, y, yaw, (-reach, reach), q.half_width, dense=True)
         near[:, 2] -= z
         slope = lateral_slope(near, q.cell)
-        found = columns(straightened(near, slope), q.cell, q.fewest)
-        line, assumed = polyline(found, q.noise), self._assumed(x, y, z, yaw)
+        ground_columns = columns(straightened(near, slope), q.cell, q.fewest)
+
+        # The line of the ground: seen, assumed at the start, with drops behind edges
+        line, assumed = polyline(ground_columns, q.noise), self._assumed(x, y, z, yaw)
         if self._lift is None:
-            self._lift = self._first_lift(found, assumed, circles)
+            self._lift = self._first_lift(ground_columns, assumed, circles)
         line[:, 1] += self._lift
         line, unseen = with_assumed(line, assumed, _GAP / 2)
         line, unseen = with_drops(line, unseen, _GAP, q.cell / 2)
         limits = (-self._reach, self._reach)
         points, filled = points_along(line, unseen, _SPACING, _GAP, limits)
+
+        # No ground is where the robot is: filled ground is lowered below its tracks.
         gaps = clearances(circles, radius, points)
-        above = filled & (gaps < 0)  # where the robot is, there is no ground
+        above = filled & (gaps < 0)
         points[above, 1] += gaps[above]
         self._correct(points, np.where(above, 0.0, gaps), filled)
+
+        # What the observation has: heights, which bins were seen, and how far each may err
         heights = bin_heights(points, s.bins, s.bin_width, highest=s.highest)
         seen = occupied(points[~filled], s.bins, s.bin_width)
         since = self._since(x, y, yaw)
@@ -332,17 +350,19 @@ class GroundSeen:
         np.maximum.at(latest, index[inside], way[inside])
         return self._way - latest
 
-    def _first_lift(self, found: Columns, assumed: FloatArray, circles: FloatArray) -> float:
+    def _first_lift(
+        self, ground_columns: Columns, assumed: FloatArray, circles: FloatArray
+    ) -> float:
         """Return by how much the ground that is seen below the flippers differs from the start's.
 
         A robot starts on level ground, which its front flippers reach.
         """
         if not len(assumed):
             return 0.0
-        below = (found.x > assumed[-1, 0]) & (found.x < circles[:, 0].max())
+        below = (ground_columns.x > assumed[-1, 0]) & (ground_columns.x < circles[:, 0].max())
         if not below.any():
             return 0.0
-        lift = float(assumed[-1, 1] - np.median(found.median[below]))
+        lift = float(assumed[-1, 1] - np.median(ground_columns.median[below]))
         return lift if abs(lift) <= _LARGEST else 0.0
 
     def _correct(self, points: FloatArray, gaps: FloatArray, filled: NDArray[np.bool_]) -> None:
@@ -352,6 +372,7 @@ class GroundSeen:
         """
         if not len(gaps):
             return
+        # The nearest point below a track is touched, which counts if it is on level ground.
         contact = int(np.argmin(gaps))
         near = np.abs(points[:, 0] - points[contact, 0]) <= _LEVEL[0]
         if filled[near].any() or np.ptp(points[near, 1]) > _LEVEL[1] or np.isinf(gaps[contact]):
@@ -364,6 +385,7 @@ class GroundSeen:
         """Return vertices of the assumed ground in frame L, (A, 2) [m]."""
         if self._start is None:
             return np.zeros((0, 2))
+        # The plane of the start, up to its end, as long as the robot has not turned back
         until, ahead, height, slope = self._start
         facing = math.cos(yaw - ahead)
         if facing <= 0:

@@ -3,7 +3,7 @@
 In: level points around the robot and a guess of its position. Out: the corrected position and turn.
 
 Points of a scan are matched to planes through the points of earlier scans, the keyframes, by
-Gauss-Newton steps for translation and heading; roll and pitch are left to the inertial unit. The
+Gauss-Newton steps for translation and heading. Roll and pitch are left to the inertial unit. The
 guess by odometry counts too, as far as belts may have slipped since the last scan, and directions
 that the points do not determine keep it. Matching point to point would align the rings of the scans
 with each other, which move with the robot. A keyframe is added only after some motion, since each
@@ -22,7 +22,7 @@ from flipperctl.core import FloatArray
 
 _FAR = 6.0  # farthest points that are matched [m]
 _THIN, _THINNER = 0.06, 0.12
-"""Size of the cells of which a keyframe and a scan that is matched keep one point [m]."""
+"""Size of the cells in which a keyframe and a scan that is matched keep one point [m]."""
 _NEIGHBOURS = 12  # points by which the plane through a point of a keyframe is found [-]
 _KEYFRAMES = 12  # keyframes that are remembered [-]
 _NEXT = 0.25, 0.15  # motion [m] and change of the view [rad] after which a scan becomes a keyframe
@@ -76,22 +76,25 @@ class ScanMatcher:
         ``points`` (P, 3) of the scan are relative to the robot, in the directions of frame M [m].
         ``guess`` is the position by odometry, and ``facing`` (3,) the direction of the chassis.
         """
+        # Near points, at most so many
         x, y, z = points.T
         near = points.compress(x * x + y * y + z * z < _FAR**2, axis=0)
         near = near[:: 1 + len(near) // _MOST]
         if len(near) < _FEWEST:
             self._latest = guess
             return guess, 0.0
-        found, turn = guess, 0.0
+
+        # The guess stays where no keyframe tells otherwise.
+        position, turn = guess, 0.0
         if self._keyframes:
             slip = _SLIP + _STEEP * abs(float(facing[2]))
-            found, turn = self._matched(near, guess, slip)
-        self._latest = found
-        view = np.concatenate([found, facing])
+            position, turn = self._matched(near, guess, slip)
+        self._latest = position
+        view = np.concatenate([position, facing])
         if self._is_new(view):
             self._entered = view
-            self._remember(_turned(near, turn), found)
-        return found, turn
+            self._remember(_turned(near, turn), position)
+        return position, turn
 
     def _is_new(self, view: FloatArray) -> bool:
         if self._entered is None:
@@ -100,6 +103,7 @@ class ScanMatcher:
         return bool(np.linalg.norm(moved) > _NEXT[0] or np.linalg.norm(turned) > _NEXT[1])
 
     def _remember(self, points: FloatArray, position: FloatArray) -> None:
+        # Planes are found once for a keyframe, and used for each later scan.
         cloud, _ = self._library.preprocess_points(
             points, downsampling_resolution=_THIN, num_neighbors=_NEIGHBOURS
         )
@@ -115,6 +119,7 @@ class ScanMatcher:
 
         ``slip``: deviation of the guess per way since the last scan [-].
         """
+        # One tree over all keyframes
         if self._target is None:
             known = [
                 np.concatenate([getattr(frame, part) for frame in self._keyframes])
@@ -122,11 +127,15 @@ class ScanMatcher:
             ]
             self._target = Keyframe(*known), self._library.KdTree(known[0])
         target, tree = self._target
+
+        # Fewer points, and how far the guess may err by the way since the last scan
         thin = np.asarray(self._library.voxelgrid_sampling(points, _THINNER).points())[:, :3]
         way = 0.0 if self._latest is None else float(np.linalg.norm(guess - self._latest))
         usual = _JITTER + slip * way
         likely = np.array([usual] * 3 + [_TURN])
         off = np.zeros(4)  # correction of the position, turn
+
+        # Pairs are sought anew in each step, since the points move.
         for _ in range(_STEPS):
             level = _turned(thin, off[3])
             placed = level + (guess + off[:3])
@@ -168,17 +177,22 @@ def _step(
     """Return a Gauss-Newton step, (4,): translation [m] and turn [rad].
 
     ``level`` (P, 3): points relative to the robot; ``placed``: the same in frame M; ``pairs`` (P,):
-    indices of the points whose planes they are matched to; ``off`` (4,): the correction so far;
+    indices of the points whose planes they are matched to. ``off`` (4,): the correction so far;
     ``likely`` (4,): its standard deviations by odometry.
     """
+    # The distances to the planes, and how they change with a motion
     normals = target.normals.take(pairs, axis=0)
     apart = placed - target.points.take(pairs, axis=0)
     away = np.einsum("ij,ij->i", normals, apart)
     turning = normals[:, 1] * level[:, 0] - normals[:, 0] * level[:, 1]
     slopes = np.column_stack([normals, turning])  # (P, 4) of the distances to the planes
+
+    # Outliers count less, and points that err alike count as one.
     weights = 1.0 / np.maximum(1.0, np.abs(away) / _ERROR) / (_ERROR**2 * _SHARED)  # Huber's
     information = slopes.T @ (slopes * weights[:, None])
     pull = -slopes.T @ (weights * away)
+
+    # Directions that the points do not determine keep the guess.
     keep = np.eye(4)
     keep[:3, :3] = determined(information[:3, :3])
     prior = np.diag(1.0 / likely**2)
@@ -191,8 +205,9 @@ def determined(information: FloatArray) -> FloatArray:
 
     ``information``: (3, 3) information matrix of the translation, in any unit.
     """
-    held, axes = np.linalg.eigh(information)
-    share = held / max(1e-9, float(held.sum()))
+    # Directions with a small share of the information are not corrected, with a ramp in between.
+    eigenvalues, axes = np.linalg.eigh(information)
+    share = eigenvalues / max(1e-9, float(eigenvalues.sum()))
     weight = np.clip((share - _GATE) / _GATE, 0.0, 1.0)
     return np.asarray((axes * weight) @ axes.T)
 

@@ -25,7 +25,7 @@ class Scan:
     """(P, 3) points that returned, in frame S at the time of each [m]; one that is not finite is
     ignored."""
     ages: FloatArray | None = None
-    """(P,) time from the measurement of each point to that of the message [s]; None: all points
+    """(P,) time from the measurement of each point to the message's time [s]; None: all points
     were measured at the same instant."""
 
     def take(self, rows: NDArray[np.int64]) -> Scan:
@@ -88,7 +88,7 @@ class Belts:
 class SpecificForce:
     """What an accelerometer measures: acceleration less gravity, so that 9.81 m/s² is at rest.
 
-    It is that of the chassis centre, in frame R, as an average since the message before.
+    It acts on the chassis centre, in frame R, and is an average since the message before.
     """
 
     x: float
@@ -130,6 +130,7 @@ def checked(
     """
     if not isinstance(value, Scan | Pose | Joints | Inertial | Belts):
         return None
+    # Number by number, with its name in the error
     at = number(time, "the time of a message")
     if not abs(at) <= _LARGEST_TIME:  # nor NaN
         return None
@@ -172,6 +173,7 @@ def checked_scan(scan: Scan) -> Scan:
     Raises:
         PerceptionError: an array has another shape or type.
     """
+    # A wrong shape or type is malformed; an impossible point is only left out.
     points = _array(scan.points, "points")
     if points.ndim != 2 or points.shape[1] != 3:
         raise PerceptionError(f"points have the shape {points.shape}; (P, 3) is needed")
@@ -181,11 +183,11 @@ def checked_scan(scan: Scan) -> Scan:
         raise PerceptionError(text)
     with np.errstate(invalid="ignore"):
         possible = np.abs(points) <= _FARTHEST  # False for NaN
-    kept = possible.all(axis=1)
+    usable = possible.all(axis=1)
     if ages is not None:
-        kept &= np.isfinite(ages)
-    found = Scan(points, ages)
-    return found if kept.all() else found.take(np.flatnonzero(kept))
+        usable &= np.isfinite(ages)
+    result = Scan(points, ages)
+    return result if usable.all() else result.take(np.flatnonzero(usable))
 
 
 def without_near(scan: Scan, near: float) -> Scan:

@@ -7,10 +7,10 @@ The points are sorted into columns. Where the heights of a column spread more th
 explain, a riser stands in it; neighbouring columns of this kind become one vertical face. Their
 medians would make it a ramp, which a robot climbs differently.
 
-The errors that count are not those of single points, whose mean over a bin errs by less than a
-millimetre. The pose of a scan errs: by its tilt, with the distance; by odometry, with the way since
-the ground was seen; and along the way, which moves edges into other bins. Where ground was not
-seen, what fills it may be anywhere between the levels on both sides, or deeper.
+The errors of single points do not count, since their mean over a bin errs by less than a
+millimetre. The pose of a scan errs: by its tilt, with the distance, and by odometry, with the way
+since the ground was seen. It errs along the way too, which moves edges into other bins. Where
+ground was not seen, what fills it may be anywhere between the levels on both sides, or deeper.
 """
 
 from __future__ import annotations
@@ -69,6 +69,7 @@ def columns(points: FloatArray, cell: float, fewest: int) -> Columns:
 
     ``cell``: the length of a column [m].
     """
+    # Each column's points in a row
     number, ordered = sorted_points(points, cell)
     ordered = ordered[:, [0, 2]]
     changes = np.flatnonzero(np.diff(number)) + 1
@@ -94,6 +95,7 @@ def polyline(columns: Columns, noise: float) -> FloatArray:
 
     ``noise``: standard deviation of the heights of points on level ground [m].
     """
+    # Neighbouring steep columns are one face.
     steep = columns.high - columns.low > _SPREAD * noise + _SLOPE * columns.cell
     near = np.diff(columns.x) < _APART * columns.cell
     line: list[tuple[float, float]] = []
@@ -115,15 +117,18 @@ def polyline(columns: Columns, noise: float) -> FloatArray:
 
 
 def _face(
-    found: Columns, first: int, last: int, before: float | None, after: float | None
+    columns: Columns, first: int, last: int, before: float | None, after: float | None
 ) -> list[tuple[float, float]]:
     """Return the vertices of the steep columns ``first`` to ``last``.
 
     ``before`` and ``after`` are the heights of the ground on either side, None where unseen [m].
-    A face that falls away from the robot cannot be seen: what seems to be one beside unseen ground
-    are mixed returns, and one between seen ground stands at its beginning.
+    A face that falls away from the robot cannot be seen. What seems to be one beside unseen ground
+    is mixed returns, and one between seen ground stands at its beginning.
     """
-    low, high = float(found.low[first : last + 1].min()), float(found.high[first : last + 1].max())
+    low, high = (
+        float(columns.low[first : last + 1].min()),
+        float(columns.high[first : last + 1].max()),
+    )
     middle = (low + high) / 2
     if before is None:
         if after is not None and after <= middle:
@@ -133,24 +138,28 @@ def _face(
         if before > middle:
             return []
         after = high
+
     if abs(after - before) <= (high - low) / 2:  # a narrow ridge or trench, or an oblique edge
         run = slice(first, last + 1)
-        return list(zip(found.x[run].tolist(), found.median[run].tolist(), strict=True))
+        return list(zip(columns.x[run].tolist(), columns.median[run].tolist(), strict=True))
     falls = after < before and last > first + 1  # wider than a face: mixed returns behind its edge
-    x = _face_position(found, first, first + 1 if falls else last, before, after)
+    x = _face_position(columns, first, first + 1 if falls else last, before, after)
     return [(x, before), (x, after)]
 
 
-def _face_position(found: Columns, first: int, last: int, before: float, after: float) -> float:
+def _face_position(columns: Columns, first: int, last: int, before: float, after: float) -> float:
     """Return where the face between two levels stands: the mean x of its points [m]."""
-    points = found.points[found.begin[first] : found.end[last]]
+    points = columns.points[columns.begin[first] : columns.end[last]]
+    # Points of the face itself, if there are some
     share = (points[:, 1] - before) / (after - before)
     on_face = points[(share > _FACE) & (share < 1 - _FACE), 0]
     if len(on_face) >= 3:
         return float(on_face.mean())
-    passed = np.clip((found.median[first : last + 1] - after) / (before - after), 0.0, 1.0)
-    start = float(found.x[first]) - found.cell / 2
-    width = float(found.x[last]) + found.cell / 2 - start
+
+    # Otherwise by how far the columns' medians have passed from one level to the other
+    passed = np.clip((columns.median[first : last + 1] - after) / (before - after), 0.0, 1.0)
+    start = float(columns.x[first]) - columns.cell / 2
+    width = float(columns.x[last]) + columns.cell / 2 - start
     return start + width * float(passed.mean())
 
 
@@ -162,12 +171,15 @@ def with_assumed(
     An assumed vertex, (A, 2), is taken if no vertex of ``line`` lies within ``gap`` of it [m].
     """
     if len(line):
+        # Assumed vertices near seen ones are left out.
         right = np.searchsorted(line[:, 0], assumed[:, 0])
         distances = [
             np.abs(line[np.clip(right + shift, 0, len(line) - 1), 0] - assumed[:, 0])
             for shift in (-1, 0)
         ]
         assumed = assumed[np.minimum(*distances) > gap]
+
+    # The rest is merged by place.
     both = np.concatenate([line, assumed])
     flags = np.arange(len(both)) >= len(line)
     order = np.argsort(both[:, 0], kind="stable")  # keeps the order within a face
@@ -183,10 +195,13 @@ def with_drops(
     be as high as the ground can be at all; most often it falls at the edge. The face stands
     ``half`` a column past the last one seen [m], is assumed, and so is what lies behind it.
     """
+    # Steep falls through unseen ground, between seen vertices
     step = np.diff(line, axis=0)
     steep = -step[:, 1] > _HIDDEN * step[:, 0]
     drops = np.flatnonzero((step[:, 0] > gap) & steep & ~assumed[:-1] & ~assumed[1:])
     edge = line[drops, 0] + half
+
+    # Each becomes a face at its edge.
     faces = np.empty((2 * len(drops), 2))
     faces[0::2] = np.column_stack([edge, line[drops, 1]])
     faces[1::2] = np.column_stack([edge, line[drops + 1, 1]])
@@ -211,20 +226,27 @@ def points_along(
     low, high = limits
     if not len(line):
         return np.zeros((0, 2)), np.zeros(0, np.bool_)
+    # The line goes on level to both limits, which nobody has seen.
     ends = np.array([[min(low, line[0, 0]), line[0, 1]], [max(high, line[-1, 0]), line[-1, 1]]])
     line = np.concatenate([ends[:1], line, ends[1:]])
     assumed = np.concatenate([[True], assumed, [True]])
+
+    # Which parts were not seen, and the way along the line
     step = np.diff(line, axis=0)
     unseen = (step[:, 0] > gap) | assumed[:-1] | assumed[1:]
     length = np.hypot(step[:, 0], step[:, 1])
     along = np.concatenate([[0.0], np.cumsum(length)])
     upright = np.flatnonzero((step[:, 0] == 0) & (length > 0))
+
+    # Points at equal distances, and both ends of each face
     regular = np.arange(0.0, along[-1], spacing)
     part = np.clip(np.searchsorted(along, regular, side="right") - 1, 0, len(step) - 1)
     part = np.concatenate([part, upright, upright])
     at = np.concatenate([regular, along[upright], along[upright + 1]])
     share = (at - along[part]) / np.maximum(length[part], 1e-12)
     points = line[part] + share[:, None] * step[part]
+
+    # In the order along the line
     order = np.argsort(at, kind="stable")
     points, filled = points[order], unseen[part][order]
     points[:, 0] = np.maximum.accumulate(points[:, 0])  # rounding
@@ -282,6 +304,7 @@ def deviations(
     frame L, x never decreasing, some of them ``filled`` (P,). ``since``: (N,) way that the robot
     has gone since a point of the bin was seen; ``unknown``: motion that was not measured [m].
     """
+    # Which bins have seen points
     count = len(since)
     half = observation.reach(count, bin_width)
     index = np.clip(((points[:, 0] + half) / bin_width).astype(np.int64), 0, count - 1)
@@ -291,6 +314,8 @@ def deviations(
     seen = in_bin > unseen
     if not seen.any():
         return result
+
+    # Errors of height, of tilt, of odometry, of edges, and of what is filled
     share = unseen / np.maximum(in_bin, 1)
     steep = _steepness(points, count, bin_width)
     distance = np.abs(np.arange(count) - (count - 1) / 2) * bin_width
@@ -311,13 +336,16 @@ def deviations(
 def _steepness(points: FloatArray, count: int, bin_width: float) -> FloatArray:
     """Return how fast the mean height of each bin changes with its place, (N,) [-].
 
-    It is the difference of the heights at both ends of the bin divided by its width; a face at an
+    It is the difference of the heights at both ends of the bin divided by its width. A face at an
     end of a bin may lie in it or not, so each end is the lowest and highest ground within 2 cm.
     """
+    # The ground within 2 cm of each end of a bin
     edges = (np.arange(count + 1) - count / 2) * bin_width
     low = np.searchsorted(points[:, 0], edges - 0.02)
     high = np.maximum(np.searchsorted(points[:, 0], edges + 0.02, side="right"), low + 1)
     low, high = (np.clip(ends, 0, len(points) - 1) for ends in (low, high - 1))
+
+    # The largest rise between the ends, with faces on whichever side
     z = points[:, 1]
     ends = np.stack([z[low], z[high]])  # (2, N + 1)
     upper, lower = ends.max(axis=0), ends.min(axis=0)

@@ -1,9 +1,9 @@
 """A scan before it enters the map: its motion, mixed returns, and constant errors of the device.
 
 In: points with their ages, poses with their times, points of the first scan on level ground. Out:
-the points as one scan from one pose, without those between an edge and what lies behind it, which
-no surface is at; how much too long distances are, and by how much the pitch errs. Odometry is from
-belt speeds and an inertial unit; belts that slip make the robot seem faster than it is.
+the points as one scan from one pose, without mixed ones between an edge and what lies behind it.
+Also: how much too long distances are, and by how much the pitch errs. Odometry is from belt speeds
+and an inertial unit; belts that slip make the robot seem faster than it is.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class Trail:
         self._poses = (*self._poses, _numbers(pose))[-_MOST:]
 
     def pose_at(self, time: float, newest: Pose) -> Pose:
-        """Return the pose at a time that may lie before those of the newest poses.
+        """Return the pose at a time that may lie before the newest poses.
 
         ``newest`` is the last one, and the answer unless ``time`` lies before it.
         """
@@ -55,6 +55,7 @@ class Trail:
 
         Earlier ones are forgotten. Later ones turn and move with the corrected one.
         """
+        # Later poses turn and move with the corrected one.
         turn = pose.yaw - before.yaw
         cosine, sine = math.cos(turn), math.sin(turn)
         later = [at for at, then in enumerate(self._times) if then > time]
@@ -65,7 +66,7 @@ class Trail:
             moved = pose.x + cosine * x - sine * y, pose.y + sine * x + cosine * y
             times.append(self._times[at])
             poses.append(Pose(*moved, pose.z + z - before.z, roll, pitch, yaw + turn))
-        self._times, self._poses = tuple(times), tuple(_numbers(one) for one in poses)
+        self._times, self._poses = tuple(times), tuple(_numbers(corrected) for corrected in poses)
         return poses[-1]
 
     def levelled(
@@ -77,11 +78,14 @@ class Trail:
         ``time`` [s]. Those returned have the directions of frame M. Poses between two remembered
         ones are interpolated.
         """
+        # Points in the order of their ages, rounded so that few attitudes are computed
         steps = np.round(np.clip(ages, 0.0, _LONGEST) / _STEP).astype(np.int64)
         order = None
         if (steps[1:] > steps[:-1]).any():  # not in the order of measurement
             order = np.argsort(-steps, kind="stable")
             points, steps = points.take(order, axis=0), steps[order]
+
+        # One pose for each age, which moves all points of that age
         borders = np.flatnonzero(np.diff(steps, prepend=-1, append=-1))
         distinct = steps[borders[:-1]]
         poses = self._at(np.asarray(time - _STEP * distinct, np.float64))
@@ -132,6 +136,7 @@ def without_mixed(scan: Scan) -> Scan:
     LiDAR, and across them.
     """
     points = scan.points
+    # A ray without length has no direction.
     distance = np.sqrt(np.einsum("ij,ij->i", points, points))
     if len(points) < 5 or not (distance > 0).all():
         return scan
@@ -155,6 +160,7 @@ def _between(
     distance: FloatArray, rays: FloatArray, group: NDArray[np.int64], place: FloatArray
 ) -> NDArray[np.bool_]:
     """Return which points lie between their neighbours of one group, by ``place``, (P,)."""
+    # Neighbours along a ring or a column
     order = np.lexsort((place, group))
     r, grouped = distance[order], group[order]
     x, y, z = (np.diff(axis[order]) for axis in rays)
@@ -162,13 +168,15 @@ def _between(
     next_to = (grouped[1:] == grouped[:-1]) & (sine < _NEIGHBOURS) & (sine > 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         cosine = 1 - sine**2 / 2
+
+        # The slope to each neighbour: a surface goes on, a mixed point leaps to both sides.
         slope = np.where(next_to, (cosine - r[:-1] / r[1:]) / sine, np.nan)
         before, after = slope[1:-2], slope[2:-1]  # of the third to the third last point
         steep = (np.minimum(np.abs(before), np.abs(after)) > _STEEP) & (before * after > 0)
         alone = (np.abs(before - slope[:-3]) > _BEND) & (np.abs(after - slope[3:]) > _BEND)
-    found = np.zeros(len(distance), np.bool_)
-    found[order[2:-2]] = steep & alone
-    return found
+    mixed = np.zeros(len(distance), np.bool_)
+    mixed[order[2:-2]] = steep & alone
+    return mixed
 
 
 _SIDE = 0.8
@@ -198,7 +206,7 @@ class StartErrors(NamedTuple):
 def is_elsewhere(points: FloatArray, lidar: FloatArray, below: float) -> bool:
     """Return whether points show the ground ahead of the robot elsewhere than level.
 
-    ``points`` (P, 3), none of them the robot's own, the ``lidar`` and ``below`` are those of
+    ``points`` (P, 3), none of them the robot's own, the ``lidar`` and ``below`` are as for
     ``start_errors``. Too few points show nothing.
     """
     drop, off, ahead = _seen(points, lidar, below, _BETWEEN)
@@ -210,22 +218,23 @@ def start_errors(points: FloatArray, lidar: FloatArray, below: float, tilt: floa
     """Return the likely errors; 0 if too few points show the ground.
 
     ``points`` (P, 3) and the place of the ``lidar`` (3,) are relative to the chassis centre in
-    axes that are level by the measured pitch; the ground lies ``below`` the centre [m]. ``tilt``:
+    axes that are level by the measured pitch. The ground lies ``below`` the centre [m]. ``tilt``:
     standard deviation of the pitch, 0 if it does not err [rad].
     """
     drop, off, ahead = _seen(points, lidar, below, _SIDE)
     used = ahead & (drop >= _STEEP_RAY) & (np.abs(off) <= _APART)
     if used.sum() < _FEWEST:
         return StartErrors()
+    # The heights are linear in the errors, so that one step of least squares finds them.
     slopes = np.column_stack([-drop[used], points[used, 0], points[used, 1]])  # of the height
     prior = np.array([_BIAS, max(tilt, 1e-9), _ACROSS])
     # In units of the deviations, so that a tilt of 0 leaves a regular system.
     scaled = slopes * prior / (_NOISE * np.sqrt(_SHARED))
     target = off[used] / (_NOISE * np.sqrt(_SHARED))
-    found = prior * np.linalg.solve(scaled.T @ scaled + np.eye(3), scaled.T @ target)
-    if abs(found[0]) > _LARGEST:
+    errors = prior * np.linalg.solve(scaled.T @ scaled + np.eye(3), scaled.T @ target)
+    if abs(errors[0]) > _LARGEST:
         return StartErrors()
-    return StartErrors(float(found[0]), float(found[1]) if tilt else 0.0)
+    return StartErrors(float(errors[0]), float(errors[1]) if tilt else 0.0)
 
 
 def _seen(
