@@ -359,10 +359,11 @@ def by_steps(times: FloatArray, places: FloatArray, turns: FloatArray) -> dict[s
     order = np.argsort(times, kind="stable")
     times, places, turns = times[order], places[order], turns[order]
     steps, elapsed = _apart(places, turns, 1), np.diff(times)
-    quick = np.maximum(0.0, steps - _SLOW * elapsed)
     returns = np.zeros_like(steps)
     if len(times) > 2:
-        both = np.minimum(quick[1:], quick[:-1])
+        # In the shorter of both steps: two publishers may be slow, and close to each other.
+        both, shorter = (np.minimum(values[1:], values[:-1]) for values in (steps, elapsed))
+        both = np.maximum(0.0, both - _SLOW * shorter)
         returns[1:] = np.where(_apart(places, turns, 2) < 0.5 * both, both, 0.0)
     speeds = np.pad(steps / np.maximum(elapsed, _INSTANT), 1)
     around = np.maximum(speeds[:-2], speeds[2:])  # of the steps before and after each

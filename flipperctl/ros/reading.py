@@ -324,7 +324,7 @@ def read_transforms(path: Path, reader: Any) -> Transforms:
         if (first := sources.setdefault(frame, topic)) != topic:
             raise RequestError(
                 f"{path}: the poses of {frame!r} come from {' and '.join(sorted((first, topic)))}, "
-                "and from no message; a bag with one of them, or with tf, is allowed"
+                "and from no transform; a bag with one of them, or with tf, is allowed"
             )
         pose = pose_of(message.pose.pose.position, message.pose.pose.orientation)
         if pose is not None:

@@ -95,12 +95,10 @@ class Coordinates:
         base = self.projected["base_crs"]
         while "base_crs" in base:
             base = base["base_crs"]
-        geographic = CRS.from_user_input(base)
         probes = place + _STEP * np.array([(-1, 0), (1, 0), (0, -1), (0, 1)])
-        source = CRS.from_user_input(self.projected)
-        angles = transform(source, geographic, *(probes / self.plan).T)
-        longitude, latitude = np.array(angles[:2]) * geographic.units_factor[1]
-        west, east, south, north = _on_ellipsoid(longitude, latitude, base)
+        source, centred = (CRS.from_user_input(crs) for crs in (self.projected, _from_centre(base)))
+        places = transform(source, centred, *(probes / self.plan).T, np.zeros(4))
+        west, east, south, north = np.column_stack(places)
         steps = np.column_stack([east - west, north - south]) / (2 * _STEP)  # (3, 2)
         if not np.isfinite(steps).all():
             raise ValueError(f"its projection has no place at x = {place[0]:g}, y = {place[1]:g} m")
@@ -134,22 +132,16 @@ def _unit(axis: dict[str, Any]) -> tuple[float, str]:
     return factor, name
 
 
-def _on_ellipsoid(longitude: FloatArray, latitude: FloatArray, base: dict[str, Any]) -> FloatArray:
-    """Return places (P, 3) on the ellipsoid of a geographic system, from its centre [m]."""
-    ellipsoid = (base.get("datum") or base["datum_ensemble"])["ellipsoid"]
-    sizes: dict[str, float] = {
-        key: size["value"] * _unit(size)[0] if isinstance(size, dict) else size
-        for key, size in ellipsoid.items()
-        if key in ("semi_major_axis", "semi_minor_axis", "inverse_flattening", "radius")
+def _from_centre(base: dict[str, Any]) -> dict[str, Any]:
+    """Return the system of x, y and z from the centre of a geographic system's ellipsoid [m]."""
+    axes = [
+        {"name": axis, "abbreviation": axis, "direction": f"geocentric{axis}", "unit": "metre"}
+        for axis in "XYZ"
+    ]
+    return base | {
+        "type": "GeodeticCRS",
+        "coordinate_system": {"subtype": "Cartesian", "axis": axes},
     }
-    equator = sizes["radius"] if "radius" in sizes else sizes["semi_major_axis"]
-    pole = sizes.get("semi_minor_axis", equator)
-    if "inverse_flattening" in sizes:
-        pole = equator * (1 - 1 / sizes["inverse_flattening"])
-    across = equator**2 / np.hypot(equator * np.cos(latitude), pole * np.sin(latitude))
-    radius = across * np.cos(latitude)
-    along_axis = across * (pole / equator) ** 2 * np.sin(latitude)
-    return np.column_stack([radius * np.cos(longitude), radius * np.sin(longitude), along_axis])
 
 
 def read_geotiff(

@@ -155,6 +155,8 @@ def test_poses_of_a_link_against_those_before_and_after():
     returns, jump = steps(np.repeat(way, 2) * np.tile([1, 0.7], 100), both)
     assert returns == pytest.approx(0.5, abs=0.15)
     assert jump < returns
+    slow = np.repeat(TIMES[::10], 2) + np.tile([0, 0.004], 10)  # of one pose a second
+    assert steps(0.2 * slow + 0.8 * np.tile([0, 1], 10), slow)[0] == pytest.approx(0.6, abs=0.01)
     returns, jump = steps(way + 0.4 * (TIMES > 7))
     assert (returns, jump) == (0, pytest.approx(0.42))
     assert steps(way + 0.4 * (np.arange(100) == 50))[0] == 0  # a single wrong pose
