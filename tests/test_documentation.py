@@ -59,7 +59,7 @@ AT_ONCE = {"compare", "inspect config"}
 """Subcommands of which each command runs in ``make test``, as it takes no time."""
 SPARSE = ["perception.azimuths=60", "episode.run_up=0.8", "episode.run_out=0.5"]
 """A LiDAR of fewer rays, and a shorter way to the ground."""
-FILM = ["--speed", "40", "episode.run_up=0.8", "episode.run_out=0.3"]
+FILM = ["--speed", "20", "episode.run_up=0.8", "episode.run_out=0.3"]
 """A film of few pictures; tests/figures/test_film.py has what they show."""
 
 

@@ -178,15 +178,12 @@ def test_a_disk_that_fills_up_while_writing_keeps_the_old_checkpoint(best: Path)
     [
         ({"config": ...}, "document.config: Field required"),
         ({"config.rewards.end.weight": None}, "document.config.rewards.end.weight: "),
-        ({"config.seed": True}, "document.config.seed: Input should be a valid integer"),
         ({"kind": "better"}, "document.kind: Input should be 'best' or 'last'"),
-        ({"plugins.0.name": "a\nb"}, "document.plugins.0.name: String should match"),
         (
             {"actions.joints": ["left", "right"]},
             "document.actions: the actions turn left, right",
         ),
         ({"padding": "x"}, "document.padding: there is no such key"),
-        ({"decision": 1 << 70}, "document.decision: "),
         ({"validation": ...}, "belong to the kind 'best'"),
         ({"validation.success_rate": 1.5}, "document.validation.success_rate: "),
         ({"state": {}}, "document.state"),
@@ -209,7 +206,6 @@ def test_a_wrong_document_is_named_by_its_path(
         ("[]", "it must be a mapping; it is a list"),
         ("[" * 100_000, "nested too deeply"),
         ('{"format": 2, "format": 2}', "the key 'format' twice"),
-        ('{"format": true}', "its format is True"),
         ('{"format": 1e999}', "it holds 1e999"),
         (f'{{"format": {FORMAT}, "kind": "\\ud800"}}', "document: Invalid JSON"),
         (f'{{"format": {FORMAT}, "kind": ' + "[" * 300 + "]" * 300 + "}", "recursion limit"),
@@ -228,7 +224,6 @@ def test_text_that_is_not_a_document_is_refused(text: str, expected: str, best: 
     [
         ({"state": ...}, "a state belongs to the kind 'last', and to no other"),
         ({"state.generators.explore.state.state": 1 << 128}, "explore.state.state: "),
-        ({"state.recent": [True] * 101}, "document.state.recent: "),
         ({"state.validations.0.pitch_variation": None}, "state.validations.0.pitch_variation: "),
         ({"state.lost": 10**6}, "lost is 1000000, above started"),
         ({"state.orders": [[0, 1, 0.5, 0, 0, 1.0]]}, "document.state.orders.0: "),
