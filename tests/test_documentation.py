@@ -57,9 +57,11 @@ NIGHTLY = {"robot check", "export onnx"}
 """Subcommands that take long, and that other tests run (tests/ros, tests/export); make long."""
 AT_ONCE = {"compare", "inspect config"}
 """Subcommands of which each command runs in ``make test``, as it takes no time."""
-SPARSE = ["perception.azimuths=60", "episode.run_up=0.8", "episode.run_out=0.5"]
-"""A LiDAR of fewer rays, and a shorter way to the ground."""
-FILM = ["--speed", "20", "episode.run_up=0.8", "episode.run_out=0.3"]
+SHORT = ["episode.run_up=0.8", "episode.run_out=0.5"]
+"""A shorter way to the ground."""
+SPARSE = ["perception.azimuths=60", *SHORT]
+"""A LiDAR of fewer rays, too."""
+FILM = ["--speed", "20", *SHORT]
 """A film of few pictures; tests/figures/test_film.py has what they show."""
 
 
@@ -164,8 +166,10 @@ def with_budget(command: list[str]) -> list[str]:
         quick = ["train.decisions=160"] if resumed else WORKERS if asked or default else QUICK
         return [*command, *quick, *few, *trials, *own]
     if command[0] == "tune":
-        words = ["terrain=step" if word.startswith("suite=") else word for word in command]
-        return [*words, "budget=100", "--episodes", "2"]  # of a suite, each scene needs some
+        # Of a suite, each scene needs some episodes.
+        grounds = ("suite=", "terrain=")
+        words = ["terrain=step" if word.startswith(grounds) else word for word in command]
+        return [*words, "budget=80", "--episodes", "2"]
     if "--draws" in command:
         return re.sub(r"--draws \d+", "--draws 2", " ".join(command)).split()
     if command[0] in ("watch", "demo"):
@@ -185,6 +189,8 @@ def with_budget(command: list[str]) -> list[str]:
         words = re.sub(r"terrain=(\w+,\w+),[\w,]+", r"terrain=\1", words).split()
         sparse = SPARSE if command[0] == "eval" and "perception=lidar" in words else []
         film = FILM if "--film" in words and "drives/me" not in words else []
+        if "--regret" in words:  # the references of it search
+            words, sparse = [w.replace("terrain=ramp", "terrain=step") for w in words], SHORT
         return [*words, "--episodes", "1", *SEARCH.get(name, []), *sparse, *film]
     return command
 
