@@ -47,6 +47,7 @@ def describe(interface: Interface) -> str:
     from flipperctl.core.risk import LAGS
     from flipperctl.runtime.interface import INPUT, RECURRENCE, RISK
 
+    # The observation, number by number
     rows = [("", "name", "unit", "frame", "within", "meaning")]
     for index, (q, limit) in enumerate(zip(interface.observation, interface.limits, strict=True)):
         rows.append((str(index), q.name, q.unit, q.frame, f"±{limit:.3f}", q.meaning))
@@ -55,6 +56,8 @@ def describe(interface: Interface) -> str:
     for row in rows:
         cells = (cell.ljust(width) for cell, width in zip(row, widths, strict=True))
         lines.append("  " + "  ".join(cells).rstrip())
+
+    # Input and outputs of the network
     frame, sign, escape = "one observation", interface.risk, interface.escape
     if interface.frames > 1:
         frame = (
@@ -129,6 +132,7 @@ def _on_messages(words: list[str]) -> int:
     from flipperctl.runtime.messages import CONVENTIONS, RobotSetup
     from flipperctl.runtime.recordings import Shadow, opened, read_lines, self_test
 
+    # What remains besides the convention must be one of two forms.
     rest, name = list(words), "flipperctl"
     if "--signs" in rest[:-1]:
         at = rest.index("--signs")

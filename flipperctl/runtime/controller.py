@@ -61,7 +61,7 @@ class Answer:
     reason: str = ""
     """What was found and what is allowed, of a fault or in standby; otherwise empty.
 
-    While it holds or is stopped after a fault, both are those of the last one.
+    While it holds or is stopped after a fault, both are of the last fault.
     """
     action: Action | None = None
     """The action, if this step decided: a row of ``interface.actions``, or rates."""
@@ -120,6 +120,7 @@ class FlipperController:
         self.policy = OnnxPolicy(path, escape=escape)
         self._setup, self._limits = setup or RobotSetup(), limits or Limits()
         self._log, self._shadow = log, shadow
+        # Rhythm, limits and speeds of the training
         interface = self.policy.interface
         self._period, self._limit = interface.decision_period, interface.targets.limit
         self._turning = float(interface.robot.get("flipper_speed", math.inf))
@@ -161,7 +162,7 @@ class FlipperController:
 
     def _release(self) -> None:
         """Command nothing; the policy forgets its earlier observations."""
-        self._targets: Pair | None = None  # those of the policy, or where the flippers are held
+        self._targets: Pair | None = None  # the policy's, or where the flippers are held
         self._setpoints: Pair | None = None
         self._shown: Pair | None = None  # the targets of the answer
         self._held = False
@@ -191,6 +192,7 @@ class FlipperController:
         self._begun = now if self._begun is None else self._begun
         messages = {"odometry": odometry, "attitude": attitude, "joints": joints, "cloud": cloud}
         action = None
+        # Devices first, then the state, then a decision if one is due
         try:
             self._advance(now, elapsed)  # towards the targets of the steps before
             fault = self._receive(now, messages)
@@ -222,6 +224,8 @@ class FlipperController:
                 self._states.belts(now, message.speed)
             elif isinstance(message, Joints):
                 self._compare(now, message)
+
+        # Of several faults, one that stops at once comes first.
         faults = self._stall_fault(now), self._intake.fault(now), self._speed_fault(now)
         present = [fault for fault in faults if fault is not None]
         return max(present, key=lambda fault: fault.at_once, default=None)
@@ -257,6 +261,7 @@ class FlipperController:
         """Compare the new angles with the commands; after a fault, hold the flippers there."""
         if self._held:
             return
+        # Each pair is judged by its own motion; after a fault of one, both are held.
         targets = self._targets or (None, None)
         pairs = zip(self._motions.values(), targets, self._intake.sides, strict=False)
         faults = [motion.compare(now, target, angles) for motion, target, angles in pairs]
@@ -287,6 +292,8 @@ class FlipperController:
             return None
         measured = front, rear = angles.front, angles.rear
         assert ground.heights is not None  # of a map
+        # In standby a decision is tried too, so that what would prevent it shows before the belts
+        # start.
         pose = self._estimator.pose
         action = self.policy.act(
             layout.assemble(ground.heights, front=front, rear=rear, pitch=angles.pitch),
@@ -310,6 +317,7 @@ class FlipperController:
 
     def _uncertain(self, ground: SensedGround) -> Fault | None:
         """Return a fault if too little ground is known, or joints differ before the first turn."""
+        # Enough ground was seen, and the joints of a pair are where one command may turn them.
         covered = 1.0 if ground.seen is None else float(np.mean(ground.seen))
         least = self._limits.coverage
         if covered < least:
@@ -322,6 +330,7 @@ class FlipperController:
         """Move the setpoints towards the targets, no faster than in the training."""
         if self._targets is None or self._setpoints is None or self._held:
             return
+        # A pair that was not seen to obey stays at first, to see whether it does.
         points, shown = [], []
         for name, target, point in zip(JOINTS, self._targets, self._setpoints, strict=True):
             motion = self._motions.get(name)
@@ -359,6 +368,7 @@ class FlipperController:
     def _say(self, now: float, fault: Fault | None, action: Action | None) -> Answer:
         """Return the answer, and log it if it is a decision or another state."""
         state, policy, cause = self._states.state, self.policy, self._states.cause
+        # A stop, and the time after a fault, show the fault that caused them.
         latched = state == "latched"
         name, reason = "", self._states.reason() if state == "standby" else ""
         if cause is not None and (latched or (fault is None and self._states.event == "unsure")):
@@ -366,6 +376,8 @@ class FlipperController:
             name, reason = cause.name, f"{cause.reason}; it goes on when {until}"
         elif fault is not None:
             name, reason = fault.name, fault.reason
+
+        # The answer in the robot's own signs
         time = real(now)
         time = time if time is not None and math.isfinite(time) else None
         answer = Answer(
@@ -382,6 +394,8 @@ class FlipperController:
             math.nan if time is None else time,
             self._limits.valid_for,
         )
+
+        # Each decision and each change of state is a line of the log.
         before, self._answer = self._answer, answer
         changed = (answer.state, answer.fault) != (before.state, before.fault)
         if self._log is not None and (changed or action is not None):
@@ -406,6 +420,7 @@ def new_estimator(interface: Interface, setup: RobotSetup, *, level: bool = True
     ``level``: whether the robot stands on level ground now. A policy whose file states no map, as
     of a training without a LiDAR, gets the default one.
     """
+    # The robot as the policy's file states it, with the widths of the setup
     missing = [name for name in _LENGTHS if name not in interface.robot]
     if missing:
         raise PolicyError(f"the policy's file does not state robot.{missing[0]}; export it again")
@@ -414,6 +429,8 @@ def new_estimator(interface: Interface, setup: RobotSetup, *, level: bool = True
         chassis_width=setup.chassis_width,
         overall_width=setup.overall_width,
     )
+
+    # The map of the training, with the accuracy of this robot
     settings = MapSettings(
         interface.bins,
         interface.bin_width,

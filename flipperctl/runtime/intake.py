@@ -39,7 +39,7 @@ Accepted = Scan | Inertial | Joints | Belts
 _FEWEST_POINTS = 20
 """Points without which a cloud tells nothing [-]."""
 _LONGEST_TURN = 1.0
-"""Largest age of a point at the time of its cloud; those of other ages are left out [s]."""
+"""Largest age of a point at the time of its cloud; points of other ages are left out [s]."""
 _STEEPEST = 1e-3
 """Least square of the cosine of the tilt with which a turn is told [-]."""
 _LARGEST_ANGLE = 1e4
@@ -82,7 +82,7 @@ class Intake:
 
     @property
     def known(self) -> Collection[str]:
-        """The devices of which a message was accepted."""
+        """The devices with an accepted message."""
         return self._times.keys()
 
     def refused(self, device: str) -> Fault | None:
@@ -99,14 +99,18 @@ class Intake:
         for device, message in messages.items():
             if message is None:
                 continue
+            # A refusal stays until a message of the device is accepted.
             try:
-                found = self._checked(device, message, now)
+                content = self._checked(device, message, now)
             except _RefusedError as error:
                 self._refused[device] = error.args[0]
                 continue
-            if found is None:
+            if content is None:
                 continue
-            time, accepted = found
+            time, accepted = content
+
+            # A repeated message leaves its device as old as it was; a repeated cloud would count
+            # twice.
             self._refused.pop(device, None)
             if self._is_repeated(device, accepted):
                 if isinstance(accepted, Scan):
@@ -125,14 +129,17 @@ class Intake:
         """Return whether a message tells nothing new: it repeats though the belts drive.
 
         It does so until another one comes, also once the robot stands because of that. An attitude
-        must have jittered before: that of a simulator without noise repeats on level ground.
+        must have jittered before, since a simulator without noise repeats it on level ground.
         """
+        # Encoders may repeat, as on a robot that stands.
         if isinstance(message, Scan):
             content = np.asarray(message.points)
         elif isinstance(message, Inertial):
             content = np.array([message.roll, message.pitch])
         else:
             return False
+
+        # An attitude may repeat until it was seen to jitter.
         before, self._contents[device] = self._contents.get(device), content
         repeats = before is not None and np.array_equal(before, content)
         if isinstance(message, Inertial) and before is not None:
@@ -141,6 +148,8 @@ class Intake:
                 self._jitter = 0 if repeats else self._jitter + bool((turn * self._turn < 0).any())
             if self._jitter < _JITTER:
                 return False
+
+        # Repeats count while the belts drive, until another content comes.
         if not repeats:
             self._repeats.discard(device)
         elif self._speed >= self._limits.standby_speed:
@@ -149,6 +158,7 @@ class Intake:
 
     def fault(self, now: float) -> Fault | None:
         """Return why a decision cannot be made ``now``, or None."""
+        # The first device in this order that is missing or old
         ages = self._limits.ages
         for device in ("joints", "attitude", "cloud", "odometry"):
             limit, time = getattr(ages, device), self._times.get(device)
@@ -187,6 +197,7 @@ class Intake:
         return None
 
     def _checked(self, device: str, message: Any, now: float) -> tuple[float, Accepted] | None:
+        # Kind, time and order, before any content
         kind = KINDS[device]
         if not isinstance(message, kind):
             raise _refusal(device, "kind", f"is {type(message).__name__}", kind.__name__)
@@ -205,6 +216,8 @@ class Intake:
             return time, self._scan(message)
         if isinstance(message, Attitude):
             return time, self._attitude(time, message)
+
+        # Angles and speeds in flipperctl's signs
         signs = self._setup.signs
         if isinstance(message, JointAngles):
             factors = signs.front, signs.rear
@@ -222,11 +235,11 @@ class Intake:
             if late and device in self._refused:  # the true reason
                 raise _RefusedError(self._refused[device])
             if known is None:
-                found = f"came before any {device}"
-                raise _refusal("cloud", "posture", found, "one before it", gap=True)
+                problem = f"came before any {device}"
+                raise _refusal("cloud", "posture", problem, "one before it", gap=True)
             if late:
-                found = f"is {time - known:.2f} s newer than {device}"
-                raise _refusal("cloud", "posture", found, f"at most {limit:g} s", gap=True)
+                problem = f"is {time - known:.2f} s newer than {device}"
+                raise _refusal("cloud", "posture", problem, f"at most {limit:g} s", gap=True)
 
     def _scan(self, cloud: Cloud) -> Scan:
         _check_frame("cloud", cloud.frame, self._setup.cloud_frame)
@@ -235,6 +248,8 @@ class Intake:
             scan = checked_scan(Scan(np.asarray(cloud.points, dtype=np.float64), ages))
         except (TypeError, ValueError, OverflowError) as error:
             raise _RefusedError(Fault("cloud_shape", f"cloud: {error}")) from error
+
+        # Points that returned, and that belong to this turn
         usable, aged = (scan.points != 0).any(axis=1), ""  # 0 of rays without return
         if scan.ages is not None:
             usable &= (scan.ages >= 0) & (scan.ages <= _LONGEST_TURN)
@@ -263,10 +278,13 @@ class Intake:
         self, time: float, roll: float, pitch: float, turn: float, message: Attitude
     ) -> None:
         """Refuse attitudes from when on turn rates or accelerations contradict them."""
+        # The vertical along the axes of the chassis, and the rates about these
         x, y = math.sin(pitch), math.sin(roll)
         z = math.sqrt(max(_STEEPEST, 1 - x * x - y * y))  # of the vertical along the axes
         p, q = message.tilt_rates
         rates = p, q, (turn * (1 - x * x) - y * q) / z
+
+        # Once contradicted, attitudes are not believed until all begins anew.
         sizes = self._tilts.add(time, (x, y, z), rates, message.acceleration)
         for name, size in sizes.items():
             if self._contradicted is None and (text := exceeds(name, size)):
@@ -276,9 +294,9 @@ class Intake:
 
 
 def _refusal(
-    device: str, name: str, found: str, allowed: str, *, gap: bool = False
+    device: str, name: str, problem: str, allowed: str, *, gap: bool = False
 ) -> _RefusedError:
-    text = f"{device} {found}; {allowed} is allowed"
+    text = f"{device} {problem}; {allowed} is allowed"
     return _RefusedError(Fault(f"{device}_{name}", text, gap=gap))
 
 
@@ -293,9 +311,9 @@ def _all_joints(sides: Any) -> list[list[float]]:
     raise _refusal("joints", "value", f"has sides {short(sides)}", "the angles of both pairs")
 
 
-def _check_frame(device: str, found: object, allowed: str) -> None:
-    if not isinstance(found, str) or found != allowed:
-        raise _refusal(device, "frame", f"is in the frame {short(found)!r}", repr(allowed))
+def _check_frame(device: str, frame: object, allowed: str) -> None:
+    if not isinstance(frame, str) or frame != allowed:
+        raise _refusal(device, "frame", f"is in the frame {short(frame)!r}", repr(allowed))
 
 
 def _number(device: str, name: str, value: object, limit: float) -> float:

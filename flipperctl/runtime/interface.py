@@ -1,7 +1,7 @@
 """A file of ``flipperctl export onnx``: its checksum, and the inputs and outputs that it states.
 
 In: the bytes of a file. Out: a session of onnxruntime and an ``Interface`` from the metadata, both
-checked. The SHA-256 is verified before any other code parses the file; it is computed over the
+checked. The SHA-256 is verified before any other code parses the file. It is computed over the
 whole file with its own 64 hexadecimal digits set to 0, so that it covers graph and metadata.
 """
 
@@ -156,14 +156,17 @@ def verify(data: bytes, where: str) -> bytes:
     """Return the bytes of a file; PolicyError unless they are as this version exported them."""
     start = _find_entry(data, CHECKSUM, len(PLACEHOLDER))
     if start is not None:
-        found = data[start : start + len(PLACEHOLDER)]
+        # The checksum covers all bytes but its own.
+        stated = data[start : start + len(PLACEHOLDER)]
         expected = hashlib.sha256(_replace_at(data, start, PLACEHOLDER)).hexdigest()
-        if found != expected.encode():
+        if stated != expected.encode():
             raise PolicyError(
                 f"{where} is damaged, or was changed since its export: "
                 "its SHA-256 does not match its contents"
             )
         return data
+
+    # Without one: another file, another format, or damage
     version = _find_entry(data, _FORMAT, 1)
     if version is None:
         raise PolicyError(
@@ -202,12 +205,15 @@ def open_session(path: Path) -> InferenceSession:
             "an exported policy needs the package onnxruntime; install flipperctl[robot]"
         ) from error
     try:
+        # The file is verified before anything parses it.
         data = read_whole(path, lambda data: verify(data, str(path)), PolicyError)
     except FileNotFoundError as error:
         raise PolicyError(f"{path}: there is no such policy file") from error
     except (OSError, ValueError) as error:  # ValueError: the name is not valid
         reason = getattr(error, "strerror", None) or error
         raise PolicyError(f"{path} cannot be read: {reason}") from error
+
+    # Errors are raised, and nothing is printed.
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
@@ -242,6 +248,8 @@ def interface_of(session: InferenceSession, where: str) -> Interface:
     sizes = {INPUT: interface.inputs, interface.output: len(interface.actions)}
     if interface.risk is not None:
         sizes |= {RISK: 1, RECURRENCE: len(LAGS)}
+
+    # Names, types and sizes must be as the metadata state.
     fits = {name for name, *_ in tensors} == sizes.keys() and all(
         kind == "tensor(float)" and len(shape) == 2 and shape[1] == sizes[name]
         for name, kind, shape in tensors
@@ -344,6 +352,7 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
             return None
         return _built(kind, entry(name, _mapping(kind, **others)))
 
+    # The observation, and what the outputs mean
     bins, highest = entry("bins", _COUNT), entry("highest", _FLAG)
     size = layout.heights(bins, highest) + len(ANGLES)
     observation = entry("observation", _list(_mapping(Quantity), size))
@@ -360,6 +369,8 @@ def read_interface(metadata: Mapping[str, str], where: str) -> Interface:
         f"a mapping with the name {terrain!r} and the terrain's fields",
         lambda v: isinstance(v, dict) and v.get("name") == terrain,
     )
+
+    # What only some policies have: a risk, and actions that are drawn
     lags, scale = _exactly(list(LAGS)), _exactly(SCALE)
     risk = optional("risk", RiskSign, threshold=_SHARE, lags=lags, scale=scale)
     escape = optional("escape", EscapeRule)

@@ -22,8 +22,8 @@ _ENOUGH = 0.4
 _APART = 0.15
 """Largest difference of left and right joints, which one command would turn together [rad]."""
 _JUMP, _FASTER = 0.1, 8.0
-"""Step of two measured angles [rad], and its speed per that of the flippers [-], from which the
-unit is wrong: that of degrees is 57 times as fast, or noisy."""
+"""Step of two measured angles [rad], and its speed per flipper speed [-], from which the unit is
+wrong: in degrees it is 57 times as fast, or noisy."""
 _AGAIN = 1.0
 """Time between two of these without a command that tell the same [s]."""
 
@@ -41,7 +41,7 @@ class PairMotion:
     ) -> None:
         """``step``: turn by an action [rad]; ``period`` of decisions [s].
 
-        ``speed`` [rad/s] and ``delay`` [s]: those of the flippers in the training.
+        ``speed`` [rad/s] and ``delay`` [s] of the flippers in the training.
         """
         self._name, self._step, self._period, self._speed = name, step, period, speed
         self._limits, self._late = limits, period / 2 + delay
@@ -87,6 +87,7 @@ class PairMotion:
         """
         self._begun = now if self._begun is None else self._begun
         target = target if self.obeys else angle
+        # Commands of the time in which a motion is judged
         self._commands.append((now, angle, target))
         while len(self._commands) > 2 and self._commands[1][0] <= now - 2 * self._late:
             self._commands.popleft()
@@ -97,6 +98,7 @@ class PairMotion:
 
         ``target``: where the command goes [rad]; None: nothing is commanded.
         """
+        # Jumps show without a command, too.
         fault = self._jumps(now, target is not None, tuple(angles))
         if fault is not None or target is None or not self._commands:
             return fault
@@ -115,10 +117,10 @@ class PairMotion:
             return 0.0  # in degrees, all that is measured within π is near 0
         return -measured if self._mirrored else measured
 
-    def _jumps(self, now: float, told: bool, angles: tuple[float, ...]) -> Fault | None:
+    def _jumps(self, now: float, commanded: bool, angles: tuple[float, ...]) -> Fault | None:
         """Compare steps of the angles with the speed of the flippers, until the pair has obeyed.
 
-        ``told``: whether it is commanded; otherwise a single step may be that of an operator.
+        ``commanded``: whether it is commanded; otherwise an operator may make a single step.
         """
         last, self._last = self._last, (now, angles)
         if self.obeys or last is None or len(last[1]) != len(angles):
@@ -128,7 +130,7 @@ class PairMotion:
         if most <= max(_JUMP, _FASTER * self._speed * passed):
             return None
         before, self._jumped = self._jumped, now
-        if not told and now - before > _AGAIN:
+        if not commanded and now - before > _AGAIN:
             return None
         text = (
             f"the {self._name} flippers were measured to turn by {most:.2f} rad in {passed:.3f} s"
@@ -137,6 +139,7 @@ class PairMotion:
 
     def _deviates(self, now: float) -> Fault | None:
         """Compare the range of the commands with the motion out of it."""
+        # The range of the commands, and where the pair was when it began
         low = min(min(angle, target) for _, angle, target in self._commands)
         high = max(max(angle, target) for _, angle, target in self._commands)
         before, after = self._angles[0][1], self._angles[-1][1]
@@ -147,6 +150,8 @@ class PairMotion:
         outside = [_beyond(start + m, low, high) - _beyond(start, low, high) for m in moved]
         limit = self._limits.stall_error if self.obeys else _DEVIATION
         wrong = [m for m, out in zip(moved, outside, strict=True) if out > limit]
+
+        # The farthest motion, beside what was commanded
         turned = self._commands[-1][1] - self._commands[0][1]
         most = max(wrong or moved, key=abs)
         # One that was to stay, and turns, goes towards a command that is elsewhere.
@@ -154,17 +159,20 @@ class PairMotion:
         self._mirrored = abs(most) > _DEVIATION / 2 and most * expected < 0
         if not wrong:
             return None
+
+        # A wrong sign, a wrong scale, or one side alone
         kind = "sign" if self._mirrored else "scale"
         if len(moved) > len(wrong) or min(wrong) < 0 < max(wrong):
             kind = "sides"
-        told = f"by {turned:+.2f} rad" if abs(turned) > _MOVED else "to stay"
+        instruction = f"by {turned:+.2f} rad" if abs(turned) > _MOVED else "to stay"
         measured = ", ".join(f"{m:+.2f}" for m in moved)
-        text = f"the {self._name} flippers were told {told}, and turned by {measured} rad"
+        text = f"the {self._name} flippers were told {instruction}, and turned by {measured} rad"
         return Fault(f"motion_{kind}", text, at_once=not self.obeys, strike=True)
 
     def _lags(self, now: float, target: float) -> Fault | None:
         """Compare what was commanded half a decision ago with how far the pair has come since."""
         angle = sum(self._angles[-1][1]) / len(self._angles[-1][1])
+        # The command half a decision ago, and the turn that it belongs to
         past = [c for time, c, _ in self._commands if time <= now - self._late + 1e-9]
         recent = [c for time, c, _ in self._commands if time > now - self._late + 1e-9]
         command = self._commands[-1][1]

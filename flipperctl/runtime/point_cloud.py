@@ -1,8 +1,8 @@
 """Points of a ``PointCloud2``, and when each of them was measured.
 
 In: messages of one topic, of rclpy or of rosbags. Out: points, and the time of each after the stamp
-[s]. Drivers write times in s, ms, µs or ns, from the beginning or the end of a turn or by a clock:
-unit and zero are found from the numbers, and times that fit none are told and not used.
+[s]. Drivers write times in s, ms, µs or ns, from the beginning or the end of a turn or by a clock.
+Unit and zero are found from the numbers, and times that fit none are reported and not used.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from flipperctl.core import FloatArray
 _NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 """Datatype of a field → type of numpy."""
 _NAMES = ("time", "t", "offset_time", "time_offset", "timestamp", "time_stamp", "ts")
-"""Names of times, of which the first one that can be used counts; then others like them."""
+"""Names of times; the first one that can be used counts, then others like them."""
 _LIKE = ("time", "stamp")
 _UNITS = (("s", 1.0), ("ms", 1e-3), ("µs", 1e-6), ("ns", 1e-9))
 _LONGEST_TURN = 1.0
@@ -52,7 +52,8 @@ def read_cloud(message: Any) -> Points:
     Raises:
         ValueError: it has no coordinates, or its sizes contradict each other.
     """
-    fields = {one.name: one for one in message.fields}
+    # Coordinates and times, as numpy reads them from the fields
+    fields = {field.name: field for field in message.fields}
     for name in "xyz":
         if name not in fields or fields[name].datatype not in (7, 8):
             known = ", ".join(fields) or "none"
@@ -66,6 +67,8 @@ def read_cloud(message: Any) -> Points:
             raise ValueError(f"a cloud has points of {step} bytes, and {name} past their end")
     offsets = [fields[name].offset for name in names]
     layout = np.dtype({"names": names, "formats": kinds, "offsets": offsets, "itemsize": step})
+
+    # Rows may be longer than their points.
     data, width = bytes(message.data), message.width * step
     if message.row_step < width or len(data) != message.height * message.row_step:
         raise ValueError(
@@ -73,10 +76,14 @@ def read_cloud(message: Any) -> Points:
             f"{message.width} points of {step} bytes, {message.row_step} bytes a row"
         )
     rows = np.frombuffer(data, np.uint8).reshape(message.height, message.row_step)
-    found = np.frombuffer(rows[:, :width].tobytes(), layout)
-    points = np.column_stack([found[name].astype(np.float64) for name in "xyz"])
-    kept = np.isfinite(points).all(axis=1) & (points != 0).any(axis=1)
-    return Points(points[kept], {name: found[name][kept].astype(np.float64) for name in names[3:]})
+
+    # Rays without return are 0 or not finite.
+    records = np.frombuffer(rows[:, :width].tobytes(), layout)
+    points = np.column_stack([records[name].astype(np.float64) for name in "xyz"])
+    valid = np.isfinite(points).all(axis=1) & (points != 0).any(axis=1)
+    return Points(
+        points[valid], {name: records[name][valid].astype(np.float64) for name in names[3:]}
+    )
 
 
 def _is_time(name: str) -> bool:
@@ -129,6 +136,7 @@ class PointTimes:
                 low, high = np.percentile(known, [_TAIL, 100 - _TAIL])
                 cloud = stamp, received, known.min(), known.max(), high - low
                 self._seen.setdefault(name, []).append(cloud)
+        # The first field whose times make sense counts.
         self._rule, why = None, []
         for name in sorted(self._seen, key=_preferred):
             rule, reason = _fitting(name, np.array(self._seen[name]).T)
@@ -145,23 +153,23 @@ class PointTimes:
         if rule is None or not len(values := times.get(rule.field, ())):
             return None
         zero = stamp if rule.absolute else 0.0
-        found = np.asarray(values) * rule.unit - zero + rule.offset
-        found[~(np.abs(found) <= _LONGEST_TURN * _ROUNDING)] = np.nan
-        if np.isnan(found).mean() > _OTHERS:
+        shifts = np.asarray(values) * rule.unit - zero + rule.offset
+        shifts[~(np.abs(shifts) <= _LONGEST_TURN * _ROUNDING)] = np.nan
+        if np.isnan(shifts).mean() > _OTHERS:
             self._unfit += 1
             return None
-        return found
+        return shifts
 
     def remarks(self) -> list[str]:
         """Return what a reader of the result should know of the times."""
-        found = [self._why] if self._why else []
+        texts = [self._why] if self._why else []
         if self._unfit and self._rule is not None:
-            found.append(
+            texts.append(
                 f"the times of the points ({self._rule.field}) of {self._unfit} clouds lie more "
                 f"than {_LONGEST_TURN:g} s from the stamp, or are no numbers: the robot's motion "
                 "within these turns is not taken out"
             )
-        return found
+        return texts
 
 
 def _fitting(name: str, clouds: FloatArray) -> tuple[_Rule | None, str]:
@@ -170,6 +178,7 @@ def _fitting(name: str, clouds: FloatArray) -> tuple[_Rule | None, str]:
     ``clouds``: (5, C) stamp, time of receipt, least and largest time, and span without odd ones.
     """
     stamp, received, begin, end, span = clouds
+    # The length of a turn, in the field's own unit
     turn = float(np.median(span)) / (1 - 2 * _TAIL / 100)
     least, most = float(np.median(begin)), float(np.median(end))
     where = f"the times of the points ({name}, as {least:.10g} to {most:.10g})"
@@ -177,7 +186,9 @@ def _fitting(name: str, clouds: FloatArray) -> tuple[_Rule | None, str]:
     if turn == 0:
         unset = least == most == 0  # as of a driver that takes the motion out itself
         return None, "" if unset else f"{where} are the same for all points of a cloud: {lost}"
-    units = [one for one in _UNITS if turn * one[1] <= _LONGEST_TURN * _ROUNDING]
+
+    # The largest unit in which a turn is not too long; the period of the clouds must agree.
+    units = [pair for pair in _UNITS if turn * pair[1] <= _LONGEST_TURN * _ROUNDING]
     if not units or turn * units[0][1] < _LONGEST_TURN * _ROUNDING / 1000:
         return None, f"{where} make no turn of {_LONGEST_TURN:g} s or less in any unit: {lost}"
     symbol, unit = units[0]
@@ -194,10 +205,11 @@ def _fitting(name: str, clouds: FloatArray) -> tuple[_Rule | None, str]:
 
     def fit(absolute: bool) -> tuple[float, float]:
         """Return the share of clouds whose turn is beside the stamp, and how steadily it is."""
-        zero, beside = (stamp, _LONGEST_TURN) if absolute else (0.0, _BESIDE)
-        near = (begin - zero <= beside) & (end - zero >= -beside)
+        zero, farthest = (stamp, _LONGEST_TURN) if absolute else (0.0, _BESIDE)
+        near = (begin - zero <= farthest) & (end - zero >= -farthest)
         return float(near.mean()), -float(np.std(end - zero))
 
+    # Times count from the stamp, or by its clock, whichever has more turns beside the stamp.
     (share, _), relative = max((fit(absolute), not absolute) for absolute in (False, True))
     if share <= 0.5:
         return None, f"{where} are neither relative to the stamp nor of its clock: {lost}"

@@ -1,7 +1,7 @@
 """A policy from a file of ``flipperctl export onnx``.
 
-In: the file; observations, or points of the ground with flipper angles and pitch, of which they are
-computed as in the simulator. Out: Q-values, actions and the risk, in about ten microseconds.
+In: the file; observations, or points of the ground with flipper angles and pitch, which make them
+as in the simulator. Out: Q-values, actions and the risk, in about ten microseconds.
 """
 
 from __future__ import annotations
@@ -85,14 +85,14 @@ class OnnxPolicy:
         self.path = Path(path)
         self._session = open_session(self.path)
         self.interface = interface_of(self._session, str(self.path))
-        one, size = self.interface.size, self.interface.inputs
+        frame_size, size = self.interface.size, self.interface.inputs
         # The buffers are bound once: a decision then takes 10.5 µs inside onnxruntime, against
         # 12.9 µs with session.run and 46 µs with OrtValues (an at_d3qn policy, one core).
         self._input = np.zeros((1, size), np.float32)
         self._output = np.zeros((1, len(self.interface.actions)), np.float32)
         self._frames = self._input.reshape(self.interface.frames, -1)
         self._row, self._q = self._frames[-1], self._output[0]
-        self._older, self._newer = self._input[0, :-one], self._input[0, one:]
+        self._older, self._newer = self._input[0, :-frame_size], self._input[0, frame_size:]
         self._has_history, self._episode_begins = len(self._frames) > 1, True
         self._limits = self.interface.limits.astype(np.float32)
         self._input_limits = np.tile(self._limits, self.interface.frames)
@@ -102,12 +102,13 @@ class OnnxPolicy:
         shape = self._output.shape
         self._bound.bind_output(self.interface.output, "cpu", 0, np.float32, shape, pointers[1])
         self._rates = self.interface.kind == "rates"
+        # What some files have besides: a risk, and actions that are drawn
         sign, speed = self.interface.risk, float(self.interface.robot.get("track_speed", 0.0))
         stride = speed * self.interface.decision_period
-        self._risk = None if sign is None else _BoundRisk(self._bound, one, sign, stride)
+        self._risk = None if sign is None else _BoundRisk(self._bound, frame_size, sign, stride)
         rule = self.interface.escape
         self._escape = Escape(rule) if rule is not None and escape else None
-        self.act(np.zeros(one))  # the first run allocates
+        self.act(np.zeros(frame_size))  # the first run allocates
         self.reset()
 
     def reset(self) -> None:
@@ -139,8 +140,8 @@ class OnnxPolicy:
         """Return the observation for ``act`` from the robot's measurements, (n,) in SI units.
 
         It is computed as in the simulator. ``points``: ground below and around the robot in its
-        side plane, (P, 2) of x (forward) and z (up) [m] from the chassis centre, in any order;
-        points beyond the bins are ignored. ``frame`` of the points: ``L`` is level, ``R`` is fixed
+        side plane, (P, 2) of x (forward) and z (up) [m] from the chassis centre, in any order.
+        Points beyond the bins are ignored. ``frame`` of the points: ``L`` is level, ``R`` is fixed
         to the chassis. ``front``, ``rear``: angles of the flippers in frame
         R, above the chassis positive [rad]; ``pitch``: nose up positive [rad].
 
@@ -148,6 +149,7 @@ class OnnxPolicy:
             PolicyError: the points have another shape, are not numbers, or none lies in a bin.
             NonFiniteError: a point or an angle is NaN or infinite.
         """
+        # Points, frame and angles are refused by what is wrong with each.
         ground = self._real(points, np.float64, "points are")
         if ground.ndim != 2 or ground.shape[1] != 2:
             shape = f"the points have shape {ground.shape}"
@@ -170,6 +172,8 @@ class OnnxPolicy:
                 raise PolicyError(text) from error
             if not finite:
                 raise NonFiniteError(f"{self.path}: {name} is {angle}; finite numbers are allowed")
+
+        # The heights of the bins, as in the simulator
         if frame == "R":
             ground = layout.to_level(ground, pitch)
         bins, bin_width = self.interface.bins, self.interface.bin_width
@@ -186,14 +190,14 @@ class OnnxPolicy:
     def act(self, observation: ArrayLike, position: ArrayLike | None = None) -> Action:
         """Return the index of an action, a row of ``interface.actions``, or rates.
 
-        An index is that of the largest Q-value, unless ``interface.escape`` has it drawn. Rates are
-        those of the front and the rear pair, each from -1 to 1. Call it only while the belts drive
+        An index means the largest Q-value, unless ``interface.escape`` has it drawn. Rates are of
+        the front and the rear pair, each from -1 to 1. Call it only while the belts drive
         ahead, as in training: a parked robot looks like a stuck one. After a stop, call ``reset``
         first.
 
         ``observation``: (n,) in SI units, in the order of ``interface.observation``.
         ``position``: x and z, or x, y and z, of the chassis centre by odometry that does not take
-        slipping belts for motion, (2,) or (3,) from an origin of its own [m]. With it, a policy
+        slipping belts for motion, (2,) or (3,) [m]. It has an origin of its own. With it, a policy
         with a risk also warns while the robot stands.
 
         Raises:
@@ -201,6 +205,7 @@ class OnnxPolicy:
                 exceeds ``interface.limits``.
             NonFiniteError: the observation, the position or a Q-value is NaN or infinite.
         """
+        # The newest observation behind the earlier ones
         place = None if position is None else self._place(position)
         array = self._numbers(observation, self.interface.size)
         if array.shape != self._row.shape:
@@ -218,6 +223,8 @@ class OnnxPolicy:
             self._session.run_with_iobinding(self._bound)
         except Exception as error:  # onnxruntime's errors share no base class
             raise self._run_error(error) from error
+
+        # The action of the largest Q-value, rates, or one that is drawn
         action: Action = int(self._q.argmax())
         if not math.isfinite(self._q.item(action)):  # argmax returns a NaN before any number
             raise self._non_finite_error(self._output)
@@ -235,15 +242,15 @@ class OnnxPolicy:
         """Return the angles to which an action turns the front and the rear flippers, (2,) [rad].
 
         ``targets``: the last targets, or the measured angles at the start of an episode;
-        ``angles``: the measured angles; each of the front and the rear flippers in frame R, (2,)
-        [rad]. The rule is ``interface.targets``, as in the environment.
+        ``angles``: the measured angles. Both are of the front and the rear flippers in frame R,
+        (2,) [rad]. The rule is ``interface.targets``, as in the environment.
 
         Raises:
             PolicyError: an argument is not two numbers within ±π, or there is no such action.
             NonFiniteError: an angle is NaN or infinite.
         """
-        given = as_action(action)
-        if given is None or isinstance(given, tuple) is not self._rates:
+        parsed = as_action(action)
+        if parsed is None or isinstance(parsed, tuple) is not self._rates:
             allowed = (
                 "two rates from -1 to 1 are"
                 if self._rates
@@ -254,7 +261,7 @@ class OnnxPolicy:
             )
         last, measured = self._pair("targets", targets), self._pair("angles", angles)
         table = self.interface.actions
-        turns = (table[given] if isinstance(given, int) else np.array(given) @ table).tolist()
+        turns = (table[parsed] if isinstance(parsed, int) else np.array(parsed) @ table).tolist()
         return np.array(self.interface.targets.next_targets(last, measured, turns))
 
     def _place(self, position: ArrayLike) -> Place:
@@ -318,10 +325,10 @@ class OnnxPolicy:
     def _real(self, values: ArrayLike, dtype: type[_Number], what: str) -> NDArray[_Number]:
         """Return an array of real numbers; text and complex numbers are none."""
         try:
-            found = np.asarray(values)
-            if found.dtype.kind in "cSU":
-                raise TypeError(f"their type is {found.dtype}")
-            return found.astype(dtype, copy=False)
+            array = np.asarray(values)
+            if array.dtype.kind in "cSU":
+                raise TypeError(f"their type is {array.dtype}")
+            return array.astype(dtype, copy=False)
         except (TypeError, ValueError, OverflowError) as error:
             raise PolicyError(f"{self.path}: the {what} not numbers: {error}") from error
 
@@ -335,14 +342,14 @@ class OnnxPolicy:
         index = np.argwhere(~(np.abs(array) <= limits))[0]
         at, quantity = index[-1] % size, self.interface.observation[index[-1] % size]
         value, limit = float(array[tuple(index)]), self.interface.limits[at]
-        found = f"{self.path}: observation{index.tolist()} ({quantity.name}) is {value:g}"
+        problem = f"{self.path}: observation{index.tolist()} ({quantity.name}) is {value:g}"
         if not math.isfinite(value):
-            return NonFiniteError(f"{found}; finite numbers are allowed")
+            return NonFiniteError(f"{problem}; finite numbers are allowed")
         if at >= self.interface.heights:
-            return PolicyError(f"{found} rad; ±π is allowed: {DEGREES}")
+            return PolicyError(f"{problem} rad; ±π is allowed: {DEGREES}")
         return PolicyError(
-            f"{found} m; ±{limit:g} m is allowed: heights are in metres, measured from the chassis "
-            "centre"
+            f"{problem} m; ±{limit:g} m is allowed: heights are in metres, measured from the "
+            "chassis centre"
         )
 
     def _shape_error(self, array: NDArray[np.float32], allowed: str) -> PolicyError:

@@ -28,8 +28,12 @@ from flipperctl.runtime.intake import Intake
 from flipperctl.runtime.messages import KINDS, JointAngles, Limits, RobotSetup
 
 _NO_MESSAGE = (
-    *(ValueError, TypeError, KeyError, AttributeError),
-    *(RecursionError, OverflowError),
+    ValueError,
+    TypeError,
+    KeyError,
+    AttributeError,
+    RecursionError,
+    OverflowError,
 )
 """What a line raises that is no message."""
 
@@ -37,7 +41,7 @@ _NO_MESSAGE = (
 def read_lines(lines: Iterable[str], where: str) -> Iterator[tuple[float, dict[str, Any]]]:
     """Yield time and messages of lines of JSON, as ``{"time": 1.2, "joints": {"front": 0, …}}``.
 
-    A message without a time has that of its line.
+    A message without a time has its line's.
     """
     for number, line in enumerate(lines, 1):
         if not line.strip():
@@ -198,14 +202,15 @@ class SelfTest:
                 mount, (near, far, low) = self._setup.mount, _NEAR
                 points = np.asarray(message.points) @ self._rotation.T + (mount.x, 0.0, mount.z)
                 x, y, z = points.T
-                beside = (np.abs(y) < near) & (z > mount.z - low)
-                board = beside & (np.abs(x) >= near) & (np.abs(x) <= far)
+                close = (np.abs(y) < near) & (z > mount.z - low)
+                board = close & (np.abs(x) >= near) & (np.abs(x) <= far)
                 values["x", device] = float(np.sign(x[board]).sum())  # ahead less behind
 
     def _verdict(self, elapsed: float) -> Verdict | None:
         """Return what the present motion showed, once it was made or nobody makes it."""
         part = _PARTS[len(self.verdicts)]
         sign, device = part.sign, part.device
+        # The motion counts from the value at which it was asked for.
         value = self._values.get((sign, device))
         if self._base is None:
             self._base = value
@@ -229,9 +234,9 @@ def self_test(lines: Iterable[str], where: str, setup: RobotSetup) -> SelfTest:
     """Test the messages of ``lines``, and print instructions and verdicts."""
     test, now = SelfTest(setup), 0.0
     for now, messages in read_lines(lines, where):
-        told = test.step(now, **messages)
-        if told:
-            print(told, flush=True)
+        text = test.step(now, **messages)
+        if text:
+            print(text, flush=True)
         if test.over:
             break
     while not test.over:  # the input ended: nothing more will move
@@ -264,11 +269,13 @@ class Shadow:
     def take(self, now: float, messages: Mapping[str, object]) -> None:
         """Receive the messages of one time, and let time pass until then."""
         if self._last is not None and 0 < now - (then := self._last[0]) <= _JUMP:
+            # A robot's timer steps without messages, too.
             for tick in range(1, math.ceil((now - then) / _TICK - 1e-6)):
                 self._step(then + tick * _TICK, {})
         self._step(now, messages)
 
     def _step(self, now: float, messages: Mapping[str, object]) -> None:
+        # The log has the measured angles beside the targets.
         joints = messages.get("joints")
         if isinstance(joints, JointAngles):
             angles = joints.front, joints.rear
@@ -286,12 +293,12 @@ class Shadow:
             self._actions[closest(taken) if isinstance(taken, tuple) else taken] += 1
             self._warnings += answer.warning
         if answer.fault:
-            one = self._faults.setdefault(
+            entry = self._faults.setdefault(
                 answer.fault, {"count": 0, "seconds": 0.0, "reason": answer.reason}
             )
             again = before == answer.fault
-            one["count"] += not again
-            one["seconds"] += elapsed if again else 0.0
+            entry["count"] += not again
+            entry["seconds"] += elapsed if again else 0.0
         self._last = now, answer
 
     def _log(self, line: str) -> None:
@@ -311,7 +318,7 @@ class Shadow:
             "actions": {str(action): count for action, count in sorted(self._actions.items())},
             "states": {state: round(time, 3) for state, time in self._states.items()},
             "faults": {
-                name: {**one, "seconds": round(one["seconds"], 3)}
-                for name, one in self._faults.items()
+                name: {**entry, "seconds": round(entry["seconds"], 3)}
+                for name, entry in self._faults.items()
             },
         }

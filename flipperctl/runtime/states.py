@@ -70,7 +70,7 @@ class States:
     def _clear(self) -> None:
         self.event: Event = "fault"
         self.cause: Fault | None = None
-        """The last fault, and in ``latched`` that of the stop."""
+        """The last fault, and in ``latched`` the fault of the stop."""
         self.since: float | None = None
         """Since when there have been faults, with no longer pause than ``Limits.recurs`` [s]."""
         self._faulty = -math.inf  # the last time with a fault [s]
@@ -84,7 +84,7 @@ class States:
         """Receive a speed of the belts, ahead positive [m/s].
 
         They stand once they have been slow for ``standby_after``, and drive once they have been
-        fast for ``standby_until``: a single speed, as from slack tracks, moves no flipper of a
+        fast for ``standby_until``. So a single speed, as from slack tracks, moves no flipper of a
         parked robot. If the first speed of all is slow, that counts at once.
         """
         driven = speed >= self._limits.standby_speed
@@ -98,6 +98,7 @@ class States:
         """Return the state by the fault of this time [s]; None: nothing is wrong."""
         if self.state == "stopped" and not self._ran:
             self.acknowledge()  # nothing had moved
+        # Belts count as driving or standing once their speeds have said so for a while.
         if self._stands is self._driven:  # the last speeds say otherwise
             wait = self._limits.standby_until if self._driven else self._limits.standby_after
             if now - self._changed >= wait - _SUMS:
@@ -124,11 +125,14 @@ class States:
         a stop once the robot has stood for ``rest``.
         """
         self._name, limits = "", self._limits
+        # Faults belong together until a pause between them.
         calm = now - self._faulty
         if self.state == "waiting":  # what was missing at the start counts no more
             self.since, self._faults, self._faulty = None, 0, -math.inf
         elif self.since is not None and calm >= limits.recurs - _SUMS:
             self.since, self._faults = None, 0
+
+        # A stop ends after a rest, recurring faults after a pause.
         if self.state == "stopped":
             self._struck = max(self._struck, self._faulty)
             wait = limits.rest
@@ -140,12 +144,15 @@ class States:
 
     def _wrong(self, now: float, fault: Fault) -> Event:
         """Return the event of a fault."""
+        # Whether this is another fault, or the last one that goes on
         limits, new = self._limits, fault.name != self._name
         self.cause = self.cause if self.state == "latched" else fault
         if self.since is None or now - self._faulty > limits.recurs:
             self.since, self._faults = now, 0
         self._faults += not self._name
         self._faulty, self._name = now, fault.name
+
+        # A fault stops the belts if it must at once, if it lasts, or if it strikes again.
         again = now - self._struck < limits.again
         lasts = self.state == "holding" and now - self.since >= limits.stop_after - _SUMS
         struck = new and fault.strike and again
