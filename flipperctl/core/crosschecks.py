@@ -143,8 +143,8 @@ def compared(source: str, **peaks: Peak | None) -> list[Difference]:
 
 def largest(differences: Iterable[Difference]) -> list[Difference]:
     """Return the largest difference of each check, in the order of the list."""
-    ranked = sorted(differences, key=lambda one: one.peak.size)
-    last = {one.check.name: one for one in ranked}
+    ranked = sorted(differences, key=lambda difference: difference.peak.size)
+    last = {difference.check.name: difference for difference in ranked}
     return [last[check.name] for check in CHECKS if check.name in last]
 
 
@@ -162,7 +162,7 @@ def exceeds(name: str, size: float) -> str:
 # Tilt ---------------------------------------------------------------------------------------------
 
 _SMOOTHED = 5
-"""Samples of which the median counts, so that single ones do not [-]."""
+"""Samples whose median counts, so that single ones do not [-]."""
 _GRAVITY = 9.81
 _NEAR_GRAVITY = 0.7, 1.27
 """Magnitudes, per gravity, of an acceleration that is taken for gravity [-]."""
@@ -189,6 +189,7 @@ def _peak(times: FloatArray, sizes: FloatArray) -> Peak | None:
     times, sizes = times[known], sizes[known]
     if not len(sizes):
         return None
+    # A single odd sample decides nothing.
     width = min(_SMOOTHED, len(sizes))
     medians = np.median(sliding_window_view(sizes, width), axis=1)
     at = int(np.argmax(medians))
@@ -205,6 +206,7 @@ def by_poses(times: FloatArray, ups: FloatArray, turns: FloatArray) -> dict[str,
     times, ups, turns = times[known], ups[known], turns[known]
     if not len(times):
         return {}
+    # How far the vertical moves in the fixed frame, but no farther than the poses tilt
     vertical, tilts = np.einsum("nij,nj->ni", turns, ups), turns[:, 2]
     swings = angles(vertical, np.median(vertical, axis=0))
     tilted = angles(tilts, np.median(tilts, axis=0))
@@ -220,7 +222,7 @@ def by_gravity(times: FloatArray, ups: FloatArray, accelerations: FloatArray) ->
     """
     size = np.linalg.norm(accelerations, axis=1)
     least, most = _NEAR_GRAVITY
-    rules = [(size > least * one) & (size < most * one) for one in (_GRAVITY, 1.0)]  # or in g
+    rules = [(size > least * unit) & (size < most * unit) for unit in (_GRAVITY, 1.0)]  # or in g
     known = np.isfinite(ups).all(axis=1) & (rules[0] | rules[1])
     return _peak(times[known], angles(ups[known], accelerations[known]))
 
@@ -252,20 +254,25 @@ class Tilts:
             self._turned = self._tilted = self._up = self._push = _NONE
             self._since = time
             return {}
+
+        # The vertical turned by the rates, and the vertical of the attitudes, since the last
+        # message
         (x, y, z), (p, q, r) = last[1], rates
         turned = elapsed * (y * r - z * q), elapsed * (z * p - x * r), elapsed * (x * q - y * p)
         tilted = [a - b for a, b in zip(up, last[1], strict=True)]
         differences = {}
         if all(map(math.isfinite, (*turned, *tilted))):
-            kept = math.exp(-elapsed / _MEMORY)
-            self._turned = _faded(kept, self._turned, turned)
-            self._tilted = _faded(kept, self._tilted, tilted)
+            fading = math.exp(-elapsed / _MEMORY)
+            self._turned = _faded(fading, self._turned, turned)
+            self._tilted = _faded(fading, self._tilted, tilted)
             apart = math.dist(self._turned, self._tilted)
             differences["attitude_rates"] = min(apart, math.hypot(*self._turned))
+
+        # Both averaged alike, so that the same instants count in the two means
         if acceleration is not None and all(map(math.isfinite, (*up, *acceleration))):
-            kept = math.exp(-elapsed / _AVERAGED)
-            self._up = _faded(kept, self._up, (elapsed * value for value in up))
-            self._push = _faded(kept, self._push, (elapsed * value for value in acceleration))
+            fading = math.exp(-elapsed / _AVERAGED)
+            self._up = _faded(fading, self._up, (elapsed * value for value in up))
+            self._push = _faded(fading, self._push, (elapsed * value for value in acceleration))
             scale = math.hypot(*self._up) / math.hypot(*up)
             if time - self._since > 2 * _AVERAGED and scale > 0:
                 mean = np.array([self._push]) / scale
@@ -275,9 +282,9 @@ class Tilts:
 
 
 def _faded(
-    kept: float, total: Iterable[float], more: Iterable[float]
+    fading: float, total: Iterable[float], more: Iterable[float]
 ) -> tuple[float, float, float]:
-    x, y, z = (kept * (a + b) for a, b in zip(total, more, strict=True))
+    x, y, z = (fading * (a + b) for a, b in zip(total, more, strict=True))
     return x, y, z
 
 
@@ -292,13 +299,14 @@ _ALONG = 0.7
 def by_way(
     times: FloatArray, speeds: FloatArray, posed: FloatArray, places: FloatArray, ahead: FloatArray
 ) -> dict[str, Peak | None]:
-    """Compare the way by speeds of the belts, (S,) [m/s] at times (S,) [s], with that of poses.
+    """Compare the way by speeds of the belts, (S,) [m/s] at times (S,) [s], with the way of poses.
 
     ``posed``, (N,) [s]: times of the poses; ``places``, (N, 3) [m]; ``ahead``: x of the chassis.
     """
     speeds = np.where(np.isfinite(speeds), speeds, 0.0)
     driven = np.append(0.0, np.cumsum(speeds[:-1] * np.maximum(np.diff(times), 0.0)))
     ways = np.interp(posed, times, driven)
+    # Segments of the way, each longer than the noise of the poses
     ratios, start = [], 0
     for i in range(1, len(posed)):
         step = places[i] - places[start]
@@ -317,7 +325,7 @@ def by_way(
 # Stamps and transforms ----------------------------------------------------------------------------
 
 _WINDOW = 2.0
-"""Time of which the shortest delay counts, so that stalls of a network do not [s]."""
+"""Time whose shortest delay counts, so that stalls of a network do not [s]."""
 _SLOW, _FASTER = 1.0, 3.0
 """Speed that is no jump of a frame [m/s], and how much faster than before and after a jump is [-].
 """
@@ -335,6 +343,7 @@ def by_clock(received: FloatArray, stamps: FloatArray) -> tuple[dict[str, Peak |
     steps = np.diff(stamps)
     if not len(steps):
         return {}, float((received - stamps)[0]) if len(stamps) else 0.0
+    # The worst step back, and the delay of each window without its stalls
     back = int(np.argmin(steps))
     begins = np.flatnonzero(np.diff(np.floor((received - received[0]) / _WINDOW), prepend=-1.0))
     delays = np.minimum.reduceat(received - stamps, begins)
@@ -356,6 +365,7 @@ def by_steps(times: FloatArray, places: FloatArray, turns: FloatArray) -> dict[s
     """
     if len(times) < 2:
         return {}
+    # In the order of their times, whatever the order of receipt
     order = np.argsort(times, kind="stable")
     times, places, turns = times[order], places[order], turns[order]
     steps, elapsed = _apart(places, turns, 1), np.diff(times)
@@ -365,11 +375,15 @@ def by_steps(times: FloatArray, places: FloatArray, turns: FloatArray) -> dict[s
         both, shorter = (np.minimum(values[1:], values[:-1]) for values in (steps, elapsed))
         both = np.maximum(0.0, both - _SLOW * shorter)
         returns[1:] = np.where(_apart(places, turns, 2) < 0.5 * both, both, 0.0)
+
+    # A jump is sudden beside the speeds around it, and stays.
     speeds = np.pad(steps / np.maximum(elapsed, _INSTANT), 1)
     around = np.maximum(speeds[:-2], speeds[2:])  # of the steps before and after each
     sudden = steps > 2 * np.maximum(_SLOW, _FASTER * around) * elapsed
     back = (returns > 0) | (np.append(returns[1:], 0.0) > 0)
     jumps = np.where(sudden & ~back, steps, 0.0)
+
+    # A few returns may be single wrong poses.
     many = np.argsort(returns)[-min(_FEWEST_RETURNS, len(returns))]
     last = int(np.argmax(jumps))
     return {
@@ -392,6 +406,7 @@ def repeats(contents: Sequence[int], moved: FloatArray) -> tuple[NDArray[np.bool
     ``contents``: digests, (N,); ``moved``: the way until each message, (N,) [m]. Returns which
     these are, (N,), and how far the robot moved while a content stayed.
     """
+    # How far the robot has moved since the content began
     values = np.asarray(contents)
     begins = np.append(True, values[1:] != values[:-1])
     first = np.maximum.accumulate(np.where(begins, np.arange(len(values)), 0))
@@ -411,6 +426,7 @@ def rounding(values: FloatArray, *, whole: bool = False) -> float:
     values = np.unique(values)
     if len(values) < 2:
         return 0.0
+    # A format rounds if it holds all values, and its step is one by which two of them differ.
     least, largest, steps = np.diff(values).min(), np.abs(values).max(), [0.0]
     if whole and len(values) > 2 and (values == np.round(values)).all():
         steps.append(1.0)

@@ -51,6 +51,8 @@ def pcd_header(path: Path) -> PcdHeader:
             if header.get("DATA"):
                 break
         begin = file.tell()
+
+        # Fields and counts, as the header states them
         fields = header.get("FIELDS", [])
         sizes = _counts(header, "SIZE", len(fields))
         counts = _counts(header, "COUNT", len(sizes)) if "COUNT" in header else [1] * len(sizes)
@@ -68,15 +70,19 @@ def pcd_header(path: Path) -> PcdHeader:
             raise ValueError(
                 f"DATA is {data[:40]!r} in its header; ascii, binary and binary_compressed are read"
             )
+
+        # The file must hold the points, or their compressed bytes.
         record = sum(width * count for width, count in zip(sizes, counts, strict=True))
         if data == "binary_compressed":
             packed, whole = (int.from_bytes(file.read(4), "little") for _ in range(2))
-            held = packed <= size - begin - 8 and whole <= packed * _LZF_MAX_RATIO
-            held &= whole == points * record
+            fits = packed <= size - begin - 8 and whole <= packed * _LZF_MAX_RATIO
+            fits &= whole == points * record
         else:
-            held = points * (record if data == "binary" else 2 * values) <= size - begin + 1
-        if not held:
+            fits = points * (record if data == "binary" else 2 * values) <= size - begin + 1
+        if not fits:
             raise ValueError(_claim(points, "points", size))
+
+    # A header for the reader, without the fields that have no numbers
     rows: dict[str, Sequence[object]] = {
         "FIELDS": fields,
         "SIZE": sizes,
@@ -84,7 +90,7 @@ def pcd_header(path: Path) -> PcdHeader:
         "COUNT": counts,
     }
     lines = [
-        " ".join([key, *(str(one) for one, count in zip(row, counts, strict=True) if count)])
+        " ".join([key, *(str(value) for value, count in zip(row, counts, strict=True) if count)])
         for key, row in rows.items()
     ]
     text = "\n".join(

@@ -76,12 +76,13 @@ class HeightMap:
         """
         ahead = np.asarray(line.start) + along[:, None, None] * line.direction  # (A, 1, 2)
         places = (ahead + left[:, None] * line.left).reshape(-1, 2)
+        # Each place as a cell; outside the map nothing is known.
         cells = self._cells(places)
         inside = self._are_inside(cells)
-        found = np.full(len(cells), np.nan)
+        heights = np.full(len(cells), np.nan)
         if inside.any():
-            found[inside], _ = self._at(cells[inside], line)
-        return found.reshape(len(along), len(left))
+            heights[inside], _ = self._at(cells[inside], line)
+        return heights.reshape(len(along), len(left))
 
     def _cells(self, places: FloatArray) -> FloatArray:
         """Return the fractional row and column of places (…, 2) in (x, y) [m]."""
@@ -96,6 +97,7 @@ class HeightMap:
         """Return the heights at cells (P, 2), fractional row and column; errors name the line."""
         last = np.array(self.shape) - 1
         cells = np.clip(cells, 0, last)
+        # The cell below each place, and how far it is to the next one
         low = np.minimum(cells.astype(int), np.maximum(last - 1, 0))
         fraction = cells - low  # (D, 2) position between two cell centres [-]
         first, end_cell = low.min(axis=0), np.minimum(low.max(axis=0) + 1, last)
@@ -104,6 +106,8 @@ class HeightMap:
                 f"{count} cells lie around the line from {line.start} to {line.end}; "
                 f"{MAX_CELLS} are allowed: a line along rows or columns needs fewer"
             )
+
+        # The four cells around, by their weights
         part = slice(first[0], end_cell[0] + 1), slice(first[1], end_cell[1] + 1)
         heights, remark = self.heights(part)
         total = np.zeros(len(cells))

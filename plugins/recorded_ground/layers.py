@@ -61,11 +61,12 @@ class Crossings:
     """Number of layers that cross [-]: 0.5 on the edge of a face; None: 1 each."""
 
     def ascending(self) -> "Crossings":
-        """Return the crossings sorted by place and height; those of coinciding faces are merged.
+        """Return the crossings sorted by place and height; coinciding faces are merged.
 
         The two sides of a sheet are its bottom and then its top. Only faces of one surface are
         merged, and their shares added.
         """
+        # Faces of one place, surface and side follow each other.
         surface = np.zeros_like(self.place) if self.surface is None else self.surface
         share = np.ones(len(self.place)) if self.share is None else self.share
         height = self.height + _SAME * self.front
@@ -73,6 +74,8 @@ class Crossings:
         keys = np.column_stack([self.place, surface, self.front])[order]
         differs = np.append(True, (keys[1:] != keys[:-1]).any(axis=1))[: len(order)]
         differs[1:] |= np.abs(np.diff(self.height[order])) >= _SAME
+
+        # One crossing for each such group, with all its shares
         first = np.flatnonzero(differs)
         if len(first):
             share = np.add.reduceat(share[order], first)
@@ -89,23 +92,27 @@ class Crossings:
         A surface bounds bodies where, from below, a face that looks up ends each body that one that
         looks down began.
         """
-        found = self.ascending()
-        assert found.surface is not None
-        order = np.lexsort((np.arange(len(found.place)), found.surface, found.place))
-        keys = np.column_stack([found.place, found.surface])[order]
+        crossings = self.ascending()
+        assert crossings.surface is not None
+        # From below within each place and surface, bodies begin and end.
+        order = np.lexsort((np.arange(len(crossings.place)), crossings.surface, crossings.place))
+        keys = np.column_stack([crossings.place, crossings.surface])[order]
         begins = np.append(True, (keys[1:] != keys[:-1]).any(axis=1))[: len(order)]
-        bodies = found._bodies(order, begins)
+        bodies = crossings._bodies(order, begins)
+
+        # A surface with a body that does not begin or end bounds none there.
         last = np.append(begins[1:], True)[: len(order)]
         group = np.cumsum(begins) - 1
         faults = np.bincount(group, (bodies < -_PART) | (last & (bodies > _PART)))
-        surface = found.surface.copy()
+        surface = crossings.surface.copy()
         surface[order[faults[group] > 0]] = -1
-        return replace(found, surface=surface).ascending()
+        return replace(crossings, surface=surface).ascending()
 
     def enclosed(self) -> NDArray[np.bool_]:
         """Return whether each of the crossings ``in_bodies`` lies in a surface's body, (K,)."""
         assert self.surface is not None
         assert self.share is not None
+        # Only surfaces that bound bodies count.
         bounding = replace(self, share=self.share * (self.surface != -1))
         begins = np.append(True, self.place[1:] != self.place[:-1])[: len(self.place)]
         return bounding._bodies(np.arange(len(self.place)), begins) > _PART
@@ -147,11 +154,12 @@ class Ground:
     def without_ceilings_over_holes(self, along: FloatArray, choice: Choice) -> "Ground":
         """Return the ground with NaN where a ceiling lies over a small hole in the floor.
 
-        Places are a grid (A, L), numbered row by row, of which ``along`` are the distances, (A,)
-        [m]. A hole lies between two places below the same ceiling.
+        Places are a grid (A, L), numbered row by row, at the distances ``along``, (A,) [m]. A hole
+        lies between two places below the same ceiling.
         """
         if choice.highest or choice.largest_gap == 0:
             return self
+        # Each row of the grid along the line is searched by itself.
         grid = (len(along), -1)
         height, above, underside = (
             values.reshape(grid).T.copy() for values in (self.height, self.above, self.underside)
@@ -166,6 +174,7 @@ def _holes(
     height: FloatArray, above: FloatArray, underside: FloatArray, along: FloatArray, choice: Choice
 ) -> Iterator[slice]:
     """Yield the holes of a row, (A,): places below only the ceiling that both neighbours have."""
+    # Holes begin where the floor does, and end at the next floor below the same ceiling.
     known = np.isfinite(height)
     floor = known & np.isfinite(above)
     # A place below a ceiling is followed by that ceiling, or by places without any face.
@@ -191,39 +200,46 @@ def ground_of_faces(crossings: Crossings, places: int, choice: Choice) -> Ground
     A surface that is closed above a place bounds bodies there, whatever lies above or below it.
     The faces of all other surfaces may together bound a body, as loose faces do.
     """
-    found = crossings.in_bodies()
-    place, height, front = found.place, found.height, found.front
+    bounded = crossings.in_bodies()
+    place, height, front = bounded.place, bounded.height, bounded.front
+    # Room above each crossing, and bodies that it lies in
     last = np.append(place[1:] != place[:-1], True)[: len(place)]
     room = np.where(last, np.inf, np.append(height[1:], 0.0)[: len(place)] - height)
     roomy = front & (room >= choice.headroom - _ROUNDING)
-    assert found.surface is not None
-    is_loose, enclosed = found.surface == -1, found.enclosed()
-    depth, below = _bodies_above(found, is_loose), _backs_below(found, is_loose)
+    assert bounded.surface is not None
+    is_loose, enclosed = bounded.surface == -1, bounded.enclosed()
+    depth, below = _bodies_above(bounded, is_loose), _backs_below(bounded, is_loose)
     # Without a loose face that looks down farther below, what lies above is a sheet and no body.
     inside = enclosed | ((depth > 0) & (below > 0))
     layer = roomy & ~inside
+
+    # The lowest layer of each place, or the highest
     result = np.full(places, -np.inf if choice.highest else np.inf)
     (np.maximum if choice.highest else np.minimum).at(result, place[layer], height[layer])
     if choice.highest:  # a place whose top shows its back is open
         top = np.full(places, -np.inf)
         np.maximum.at(top, place, height)
         result = np.where(result >= top - _SAME, result, np.nan)
+
+    # What the caller should know of each place
     covered, behind, doubtful, raised = (np.zeros(places, np.bool_) for _ in range(4))
     covered[place[layer & ~last]] = True
     behind[place[~front & last]] = True
     doubtful[place[roomy & inside & ~enclosed & (below < depth + 1)]] = True
     result = np.where(np.isfinite(result), result, np.nan)
+
+    # What lies above, what too little room left, and how far down the ground reaches
     above = np.full(places, np.inf)
     lowest = layer & (height == result[place]) & ~last
     above[place[lowest]] = np.append(height[1:], 0.0)[: len(place)][lowest]
     raised[place[front & ~roomy & ~inside & (height < result[place] - _FLAT)]] = True
-    underside = _undersides(found, result)
+    underside = _undersides(bounded, result)
     return Ground(result, covered, behind, doubtful, raised, above, underside)
 
 
-def _undersides(found: Crossings, ground: FloatArray) -> FloatArray:
+def _undersides(crossings: Crossings, ground: FloatArray) -> FloatArray:
     """Return ``Ground.underside``, (P,), of the ground's heights (P,) [m]."""
-    place, height, front = found.place, found.height, found.front
+    place, height, front = crossings.place, crossings.height, crossings.front
     result = ground.copy()
     below = height < ground[place] - _SAME * front  # not where two surfaces coincide
     result[place[below & ~front]] = height[below & ~front]  # the last is the highest of a place
@@ -231,13 +247,15 @@ def _undersides(found: Crossings, ground: FloatArray) -> FloatArray:
     return result
 
 
-def _bodies_above(found: Crossings, counted: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _bodies_above(crossings: Crossings, counted: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Return the number of bodies that begin above each crossing and do not end above it, (K,).
 
     Only crossings that are ``counted``, (K,), begin and end bodies.
     """
-    step = (counted * np.where(found.front, 1, -1))[::-1]  # from above, one that looks up begins
-    place = found.place[::-1]
+    step = (counted * np.where(crossings.front, 1, -1))[
+        ::-1
+    ]  # from above, one that looks up begins
+    place = crossings.place[::-1]
     begins = np.append(True, place[1:] != place[:-1])[: len(place)]
     group = np.cumsum(begins)
     total = np.cumsum(step)
@@ -252,11 +270,11 @@ def _bodies_above(found: Crossings, counted: NDArray[np.bool_]) -> NDArray[np.in
     return reversed_back
 
 
-def _backs_below(found: Crossings, counted: NDArray[np.bool_]) -> NDArray[np.int64]:
+def _backs_below(crossings: Crossings, counted: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Return the number of ``counted`` faces that look down below each crossing, (K,)."""
-    back = (counted & ~found.front).astype(np.int64)
+    back = (counted & ~crossings.front).astype(np.int64)
     before = np.cumsum(back) - back
-    begins = np.append(True, found.place[1:] != found.place[:-1])[: len(back)]
+    begins = np.append(True, crossings.place[1:] != crossings.place[:-1])[: len(back)]
     counts: NDArray[np.int64] = before - before[begins][np.cumsum(begins) - 1]
     return counts
 
@@ -264,7 +282,7 @@ def _backs_below(found: Crossings, counted: NDArray[np.bool_]) -> NDArray[np.int
 def overhead(ground: Ground, along: FloatArray, choice: Choice, margin: float) -> NDArray[np.bool_]:
     """Return at which places, (P,), only something above an unseen floor was measured.
 
-    ``along`` are the distances of the places, ascending (P,) [m], and the ground is that of points.
+    ``along`` are the distances of the places, ascending (P,) [m], and the ground is of points.
     A run of places hangs if it begins ``headroom`` or more above the places on both sides of it, or
     on the one side where the line ends, without points between. Such a run is
 
@@ -280,11 +298,14 @@ def overhead(ground: Ground, along: FloatArray, choice: Choice, margin: float) -
     result = np.zeros(len(along), np.bool_)
     if choice.highest or choice.largest_gap == 0:
         return result
-    kept = np.zeros(len(along), np.bool_)  # hanging runs that are ground
+    # One run after the other, until none is left that hangs
+    is_ground = np.zeros(len(along), np.bool_)  # hanging runs that are ground
     known = np.flatnonzero(np.isfinite(ground.height))
     usual = 2 * float(np.median(np.diff(along[known]))) if len(known) > 1 else 0.0
-    while (run := _hanging(ground, known[~result[known]], along, choice, kept)) is not None:
+    while (run := _hanging(ground, known[~result[known]], along, choice, is_ground)) is not None:
         places, before, after = run
+
+        # Whether the run has gaps to its sides, or at an end of the line is not tall
         level = float(np.median(ground.underside[places]))
         near = choice.headroom / 2
         others = np.setdiff1d(known, places)
@@ -294,12 +315,14 @@ def overhead(ground: Ground, along: FloatArray, choice: Choice, margin: float) -
         else:
             tall = (ground.height - ground.underside)[places].max()
             alone = tall < choice.headroom * _TALL
+
+        # Whether its height is found elsewhere: over the ground, or as ground
         away = along[others] < along[places[0]] - margin
         away |= along[others] > along[places[-1]] + margin
         hides = (away & (np.abs(ground.above[others] - level) <= near)).any()
         rises = (np.abs(ground.height[others] - level) <= near) & ~result[others]
         hangs = hides or (alone and not rises.any())
-        (result if hangs else kept)[places] = True
+        (result if hangs else is_ground)[places] = True
     return result
 
 
@@ -308,12 +331,13 @@ def _hanging(
     known: NDArray[np.int64],
     along: FloatArray,
     choice: Choice,
-    kept: NDArray[np.bool_],
+    is_ground: NDArray[np.bool_],
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]] | None:
     """Return the places of a run that hangs, with one before and one after it where there is one.
 
     Runs are parts of the ``known`` places, those ``kept`` are left out. None if there is no other.
     """
+    # Runs of places, cut where the headroom lies between neighbours
     room = choice.headroom - _ROUNDING
     low, high = ground.underside[known], ground.height[known]
     cuts = (low[1:] >= high[:-1] + room) | (low[:-1] >= high[1:] + room)
@@ -322,7 +346,7 @@ def _hanging(
         before = runs[number - 1][-1:] if number else run[:0]
         after = runs[number + 1][:1] if number + 1 < len(runs) else run[:0]
         sides = np.concatenate([before, after])
-        if not len(sides) or kept[run].any():
+        if not len(sides) or is_ground[run].any():
             continue
         begin = along[before[0]] if len(before) else along[0]
         end = along[after[0]] if len(after) else along[-1]

@@ -42,7 +42,7 @@ _NESTED = 3
 
 @dataclass(frozen=True)
 class Mesh:
-    """Triangles, of which one layer is ground at each place."""
+    """Triangles, whose ground at each place is one layer."""
 
     corners: FloatArray
     """(T, 3, 3): triangle, corner, (x, y, z) [m], counterclockwise seen from outside."""
@@ -65,6 +65,7 @@ class Mesh:
         Raises:
             ValueError: an end of the line lies outside the mesh, or the mesh is inside out.
         """
+        # Both ends of the line must be on the mesh.
         low, high = self.corners.min(axis=(0, 1)), self.corners.max(axis=(0, 1))
         for end in (line.start, line.end):
             if not ((end >= low[:2] - _EDGE) & (end <= high[:2] + _EDGE)).all():
@@ -73,6 +74,8 @@ class Mesh:
                     f"{high[0]:.2f} m and y from {low[1]:.2f} to {high[1]:.2f} m{self.frame}"
                 )
         ground = self._ground(line, line.distances, np.zeros(1))
+
+        # Backs that are seen from above: the mesh is inside out, or upside down.
         if ground.behind.any() and self._is_inside_out():
             raise ValueError(
                 "the mesh is inside out: it is closed and its faces look inward; flip its normals, "
@@ -89,7 +92,7 @@ class Mesh:
         """Return the heights on a grid, (A, L) [m]; NaN where the mesh is open.
 
         ``along``, (A,), are distances from the line's start in its direction and ``left``, (L,),
-        distances to its left, both ascending [m]. A mesh is open where no layer is ground: where it
+        distances to its left, both ascending [m]. A mesh is open where no layer is ground. There it
         has no face, or only a face seen from behind, as the bottom of a body is through a hole in
         its top.
         """
@@ -107,12 +110,15 @@ class Mesh:
 
     def _ground(self, line: Line, along: FloatArray, left: FloatArray) -> Ground:
         """Return the ground at the places of a grid, which are numbered row by row."""
+        # Triangles near the grid, in the axes of the line
         level = self.corners[:, :, :2] - np.asarray(line.start)
         placed = np.stack([level @ line.direction, level @ line.left, self.corners[:, :, 2]], 2)
         x, y = placed[:, :, 0], placed[:, :, 1]
         ahead = (x.max(axis=1) > along[0] - _EDGE) & (x.min(axis=1) < along[-1] + _EDGE)
         near = ahead & (y.max(axis=1) > left[0] - _EDGE) & (y.min(axis=1) < left[-1] + _EDGE)
         placed = placed[near]
+
+        # Crossings of the faces that look up, and of those that look down
         area, is_wall = _seen_from_above(placed)
         parts = [
             (places, heights, np.full(len(places), sign > 0), seen[triangles], share)
@@ -121,6 +127,8 @@ class Mesh:
             for places, heights, triangles, share in _covered(placed[seen], along, left)
         ]
         place, height, front, face, share = map(np.concatenate, zip(*parts, strict=True))
+
+        # Surfaces are told apart only where it matters, since that takes long.
         crossings = Crossings(place, height, front, share=share)
         bodies = crossings.in_bodies()
         is_open = bodies.surface == -1
@@ -140,6 +148,7 @@ def _seen_from_above(triangles: FloatArray) -> tuple[FloatArray, NDArray[np.bool
     Rounded coordinates tilt the triangles of vertical walls; some look down then, and would begin
     or end bodies that are none.
     """
+    # A wall has hardly any area in plan, and is steep.
     sides = np.roll(triangles, -1, axis=1) - triangles
     normal = np.cross(sides[:, 0], sides[:, 1])
     area = normal[:, 2]
@@ -149,6 +158,7 @@ def _seen_from_above(triangles: FloatArray) -> tuple[FloatArray, NDArray[np.bool
 
 def _joined(corners: FloatArray) -> tuple[FloatArray, NDArray[np.int64]]:
     """Return places (N, 3) [m], and for each corner (T, 3) of the triangles the number of its."""
+    # Corners closer than rounding are one place.
     rounded = np.round(corners.reshape(-1, 3) / _EDGE).astype(np.int64)
     mixed = rounded @ _MIXED  # a number for each place: sorting rows takes ten times as long
     _, first, index = np.unique(mixed, return_index=True, return_inverse=True)
@@ -163,10 +173,13 @@ def _covered(
 
     Also yields shares, which add up to 1 at each place where triangles meet.
     """
+    # The part of the grid around each triangle
     low, high = triangles.min(axis=1) - _INSIDE, triangles.max(axis=1) + _INSIDE
     row, column = np.searchsorted(along, low[:, 0]), np.searchsorted(left, low[:, 1])
     rows = np.searchsorted(along, high[:, 0], side="right") - row
     columns = np.searchsorted(left, high[:, 1], side="right") - column
+
+    # Pairs of places and triangles, as many at a time as memory allows
     used = np.flatnonzero(rows * columns)
     parts = np.cumsum((rows * columns)[used]) // _AT_ONCE
     for part in np.split(used, np.flatnonzero(np.diff(parts)) + 1):
@@ -189,15 +202,19 @@ def _covered(
 def _shares(weights: FloatArray, triangles: FloatArray) -> FloatArray:
     """Return the part of a full turn around each place that lies in its triangle, (P,) [-].
 
-    ``weights``, (P, 3), are those of the corners of ``triangles``, (P, 3, 3), at the place.
+    ``weights``, (P, 3), are the weights of the corners of ``triangles``, (P, 3, 3), at the place.
     """
+    # Inside a triangle a place belongs to it alone, on an edge by half, at a corner by the angle.
     zero = np.abs(weights) <= _INSIDE
     shares = np.where(zero.any(axis=1), 0.5, 1.0)
     at_corner = np.flatnonzero(zero.sum(axis=1) == 2)
     corner = weights[at_corner].argmax(axis=1)
-    here, one, other = (triangles[at_corner, (corner + shift) % 3, :2] for shift in range(3))
+    here, following, preceding = (
+        triangles[at_corner, (corner + shift) % 3, :2] for shift in range(3)
+    )
     turn = np.arctan2(
-        np.abs(_cross(one - here, other - here)), ((one - here) * (other - here)).sum(axis=1)
+        np.abs(_cross(following - here, preceding - here)),
+        ((following - here) * (preceding - here)).sum(axis=1),
     )
     shares[at_corner] = turn / (2 * np.pi)
     return shares
@@ -231,12 +248,14 @@ def _connected(places: FloatArray, corners: NDArray[np.int64]) -> NDArray[np.int
         order = np.delete(order, np.concatenate([begins, ends]))
         if not len(order):
             break
-    one, other = np.concatenate(pairs, axis=1) // 3  # the triangles of the sides
+
+    # Triangles that share a wedge are connected.
+    face, neighbour = np.concatenate(pairs, axis=1) // 3  # the triangles of the sides
     size = (len(corners), len(corners))
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    graph = coo_array((np.ones(len(one), np.bool_), (one, other)), size)
+    graph = coo_array((np.ones(len(face), np.bool_), (face, neighbour)), size)
     labels: NDArray[np.int64] = connected_components(graph, directed=False)[1].astype(np.int64)
     return labels
 
@@ -249,9 +268,12 @@ def _half_edges(
     The edge is -1 for a side without a length. Angles are whole numbers from 0 to ``_TURN``, about
     the edge's direction from its lower to its higher place, and 0 at edges of two triangles.
     """
+    # The sides of the triangles, and the edges that they share
     tail, head, opposite = (np.roll(corners, -shift, axis=1).ravel() for shift in range(3))
     low, high = np.minimum(tail, head), np.maximum(tail, head)
     _, edge = np.unique(low * len(places) + high, return_inverse=True)
+
+    # At edges of more than two triangles, the angle of each around the edge
     shared = np.flatnonzero(np.bincount(edge)[edge] > 2)
     start = places[low[shared]]
     along, side = places[high[shared]] - start, places[opposite[shared]] - start
@@ -276,6 +298,7 @@ def read_mesh(path: Path, unit: float | None, up: str | None, most: int, choice:
         raise ValueError(
             f"the mesh is too large: {size / 1e6:.0f} MB for largest_mesh of {most} faces"
         )
+    # Units and axes only a DAE states
     suffix, stated = path.suffix.lower(), (1.0, "Z_UP")
     if suffix == ".dae":
         file = read_dae(path)
@@ -287,6 +310,8 @@ def read_mesh(path: Path, unit: float | None, up: str | None, most: int, choice:
             kind = {"file_type": suffix[1:], "process": False, "skip_materials": True}
             mesh: Any = trimesh.load_mesh(stream, **kind)
         triangles = mesh.triangles if hasattr(mesh, "triangles") else np.empty((0, 3, 3))
+
+    # In metres with z up, with as many faces as are allowed
     frame = f" with {stated[1]}, which it states; terrain.up prevails" if up is None else ""
     unit, up = _checked_frame(unit, up, *stated)
     if (count := len(triangles)) == 0:

@@ -23,12 +23,12 @@ def without_missing(values: FloatArray, stated: float | None = None) -> tuple[Fl
     """
     if stated is not None:
         values = np.where(values == np.float64(stated), np.nan, values)
-    found = np.isin(values, TYPICAL) | (np.abs(values) >= _HUGE)  # NaN is neither
-    if not found.any():
+    missing = np.isin(values, TYPICAL) | (np.abs(values) >= _HUGE)  # NaN is neither
+    if not missing.any():
         return values, ""
-    first = values[found].ravel()[0]
-    remark = f"{int(found.sum())} values such as {first:g} are treated as unknown heights"
-    return np.where(found, np.nan, values), remark
+    first = values[missing].ravel()[0]
+    remark = f"{int(missing.sum())} values such as {first:g} are treated as unknown heights"
+    return np.where(missing, np.nan, values), remark
 
 
 def known_heights(values: FloatArray, stated: float | None, unit: float) -> tuple[FloatArray, str]:
