@@ -125,13 +125,19 @@ def evaluate(
     plan = make_plan(flagged, policies, baseline, print_note, returns=returns)
     if record is not None and any(entry.config.eval.ray is not None for entry in plan.entries):
         raise RequestError("eval.ray: no meaning beside --record, which plays here; leave it out")
+
+    # What the results are compared with and grouped by
     sources = [entry.source for entry in plan.entries]
     references = controllers(passable, "--passable", planned=sources)
     groups = evaluation.parse_groups(by, "--by", [entry.config for entry in plan.rows])
     progress = EvaluationProgress()
 
     def printed(result: Result, document: Document) -> None:
-        show(document, lambda: evaluation.print_result(result, document, chosen), as_json=as_json)
+        show(
+            document,
+            lambda: evaluation.print_result(result, document, chosen),
+            as_json=as_json,
+        )
 
     run(
         plan,
@@ -193,21 +199,25 @@ def map_success(
     entry = one_scene(flagged, checkpoint, controller, "map")
     if entry.config.eval.ray is not None:
         raise RequestError("eval.ray: a map is played here; leave it out")
+
+    # The points, and what is said of them before they are played
     axes = parse_axes(over, entry.config)
     with player(output, "map", view.NAMES) as (plays, folder):
         for note in notes(entry, axes):
             print_note(note)
-        found = capability_map(entry, axes, plays)
+        success_map = capability_map(entry, axes, plays)
         try:
             show(
-                found.to_dict(), lambda: print_lines(console(), view.lines(found)), as_json=as_json
+                success_map.to_dict(),
+                lambda: print_lines(console(), view.lines(success_map)),
+                as_json=as_json,
             )
         finally:  # files are written even if the pipe is closed
             if folder is not None:
-                folder.replace(lambda part: view.write(part, found))
+                folder.replace(lambda part: view.write(part, success_map))
                 print_note(f"saved to {folder.path}")
-        if found.interrupted:
-            raise InterruptedRunError(f"interrupted: {found.played} points are finished")
+        if success_map.interrupted:
+            raise InterruptedRunError(f"interrupted: {success_map.played} points are finished")
 
 
 def replay(
@@ -236,11 +246,13 @@ def replay(
     from flipperctl.text.show import console, print_lines
     from flipperctl.views.replay import lines, replay_file
 
-    found = replay_file(file, checkpoint, output, film, progress=episodes_progress, tell=print_note)
-    show(found.to_dict(), lambda: print_lines(console(), lines(found)), as_json=as_json)
-    if found.differences:
+    replayed = replay_file(
+        file, checkpoint, output, film, progress=episodes_progress, tell=print_note
+    )
+    show(replayed.to_dict(), lambda: print_lines(console(), lines(replayed)), as_json=as_json)
+    if replayed.differences:
         raise FlipperctlError(
-            f"{file}: the episode differs from the recorded one: {'; '.join(found.differences)}"
+            f"{file}: the episode differs from the recorded one: {'; '.join(replayed.differences)}"
         )
 
 
@@ -295,14 +307,19 @@ def compare(
         raise RequestError(f"--output {output}: figures are drawn by: {again}")
     if output is not None:
         check_output(output, TABLE)
-    found = view.compare(folders, measure=measure, price=price, against=against, called=name or ())
-    document = view.document(found)
-    for notice in found.stored.notices:
-        print_note(f"warning: {notice}")
-    tables = list(view.tables(document, found.label))
-    if output is not None:
-        write_bytes(output, latex(view.paper_table(document, found.label)).encode())
 
+    # Scores of methods, and what was left out of them
+    comparison = view.compare(
+        folders, measure=measure, price=price, against=against, called=name or ()
+    )
+    document = view.document(comparison)
+    for notice in comparison.stored.notices:
+        print_note(f"warning: {notice}")
+    tables = list(view.tables(document, comparison.label))
+    if output is not None:
+        write_bytes(output, latex(view.paper_table(document, comparison.label)).encode())
+
+    # The same tables on the terminal
     def printed() -> None:
         out = console()
         for at, table in enumerate(tables):

@@ -57,21 +57,23 @@ def plugins(
 
     if output is not None and not check:
         raise RequestError("--output needs --check; inspect terrain draws a single picture")
+    # Plugins that do not load are listed too, since their absence is what people look for.
     left_out = broken_plugins(names or ())
-    chosen = plugin_keys(names or ())
+    keys = plugin_keys(names or ())
     if check:
         from flipperctl.terminal.progress import steps_progress
         from flipperctl.testing import checks
         from flipperctl.testing.check import require_passed, run_checks
 
-        wanted = checks(*(registry[key] for key in chosen), pictures=output)
+        # The suite, whose result is shown before a failure ends the command
+        wanted = checks(*(registry[key] for key in keys), pictures=output)
         with steps_progress("check") as report:
             rows = run_checks(wanted, report)
         show(rows, lambda: print_checks(rows), as_json=as_json)
         require_passed(rows)
         return
-    found = [describe_plugin(*key) for key in chosen] + ([] if names else left_out)
-    show(found, lambda: print_plugins(found), as_json=as_json)
+    descriptions = [describe_plugin(*key) for key in keys] + ([] if names else left_out)
+    show(descriptions, lambda: print_plugins(descriptions), as_json=as_json)
 
 
 def terrain(
@@ -97,6 +99,7 @@ def terrain(
     from flipperctl.figures.terrain import sample
     from flipperctl.terminal.tables import print_terrain
 
+    # Settings of an evaluation choose no profiles.
     for override in overrides or []:
         if override.startswith("eval."):
             raise RequestError(
@@ -111,6 +114,7 @@ def terrain(
         from flipperctl.figures.figure import save
         from flipperctl.figures.terrain import terrain_figure
 
+        # A picture that says in its file how it was made
         profiles, labels = [p for p, _ in sampled], [f"seed {row['seed']}" for row in rows]
         about = " ".join(words)
         save(terrain_figure(profiles, config.robot, labels), output, about)
@@ -162,7 +166,7 @@ def checkpoint(
         own, words = source.config(), Overrides.parse(with_engine(list(overrides or [])))
         primary = register_robot(own.robot, own.perception.layout)
         probes = probe(compose_environment(words, primary), source)
-        holds = all(one.holds for one in probes)
+        holds = all(measured.holds for measured in probes)
         document = {"holds": holds, "probes": [{**asdict(p), "holds": p.holds} for p in probes]}
         show(document, lambda: print_table(table(probes), console()), as_json=as_json)
         require_conventions(probes)
@@ -176,35 +180,36 @@ def checkpoint(
             "and --check probes it"
         )
     saved = checkpoint.read(file)
-    found = saved.to_dict()
-    show(found, lambda: print_checkpoint(found, saved), as_json=as_json)
+    content = saved.to_dict()
+    show(content, lambda: print_checkpoint(content, saved), as_json=as_json)
 
 
-def print_checkpoint(found: dict[str, Any], saved: Checkpoint) -> None:
+def print_checkpoint(content: dict[str, Any], saved: Checkpoint) -> None:
     """Print a line for each part of a checkpoint (``Checkpoint.to_dict``)."""
     from flipperctl.terminal.progress import way_text
     from flipperctl.text.show import console, print_facts
 
-    config, state, document = found["config"], found.get("state") or {}, saved.document
-    kind = "the best policy" if found["kind"] == "best" else "a whole run to resume"
+    # What the file has of each of its parts, as far as there is anything
+    config, state, document = content["config"], content.get("state") or {}, saved.document
+    kind = "the best policy" if content["kind"] == "best" else "a whole run to resume"
     weights = (f"{name} (weight {term['weight']:g})" for name, term in config["rewards"].items())
     best = document.validation or (document.state.best if document.state else None)
-    own = [
+    foreign = [
         f"{p.kind} {p.name} ({p.file or p.module})"
         for p in document.plugins
         if p.file or not p.module.startswith("flipperctl")
     ]
     lines = {
-        "file": f"{found['path']} ({found['bytes']} bytes, SHA-256 matches)",
-        "content": f"SHA-256 {found['content_sha256']}",
-        "holds": f"{kind}, format {found['format']}",
+        "file": f"{content['path']} ({content['bytes']} bytes, SHA-256 matches)",
+        "content": f"SHA-256 {content['content_sha256']}",
+        "holds": f"{kind}, format {content['format']}",
         "trained on": f"{config['terrain']['name']}, seed {config['seed']}",
         "network": config["network"]["name"],
         "rewards": ", ".join(weights),
-        "decision": str(found.get("decision") or state.get("decision")),
-        "numbers": ", ".join(f"{name} {count}" for name, count in found["numbers"].items()),
-        "versions": ", ".join(map(" ".join, found["versions"].items())),
-        "plugins": ", ".join(own) or "all of flipperctl's own",
+        "decision": str(content.get("decision") or state.get("decision")),
+        "numbers": ", ".join(f"{name} {count}" for name, count in content["numbers"].items()),
+        "versions": ", ".join(map(" ".join, content["versions"].items())),
+        "plugins": ", ".join(foreign) or "all of flipperctl's own",
     }
     if best:
         lines["best"] = (
@@ -236,23 +241,24 @@ def run(
         metrics = (*METRICS, "loss")
         drawn = curves_figure({str(run): [[*episodes, *validations]]}, metrics, width=WIDTH)
         save(drawn, output, str(run))
-    found = summarise(run, episodes, validations)
-    show(found, lambda: _print(found, output), as_json=as_json)
+    document = summarise(run, episodes, validations)
+    show(document, lambda: _print(document, output), as_json=as_json)
 
 
-def _print(found: dict[str, Any], picture: Path | None) -> None:
+def _print(document: dict[str, Any], picture: Path | None) -> None:
     """Print a row for each validation (``training.folder.summarise``), and the picture's name."""
     from flipperctl import checkpoint
     from flipperctl.process import session
     from flipperctl.terminal.progress import HEADING, PAPERS_HEADING
     from flipperctl.text.show import Column, Table, console, print_table, print_text
 
-    summary = found["summary"]
-    state = "still running" if found["running"] else "finished"
-    if not (found["running"] or (summary and summary["finished"])):
+    # Whether the run goes on, has ended, or can be resumed
+    summary = document["summary"]
+    state = "still running" if document["running"] else "finished"
+    if not (document["running"] or (summary and summary["finished"])):
         ended, run = (
             "interrupted" if summary else "ended by an error, or killed",
-            Path(found["run"]),
+            Path(document["run"]),
         )
         state = f"{ended}; resume with: {session.command('train', '--resume', run)}"
         files: list[str] = []
@@ -268,7 +274,7 @@ def _print(found: dict[str, Any], picture: Path | None) -> None:
             "success": f"{row['success_rate']:.1%}",
             "return": row["return"] if row["mean_return"] is None else row["mean_return"],
         }
-        for row in found["validations"]
+        for row in document["validations"]
     ]
     columns = (
         Column("decision", "decision", named=True),
@@ -278,7 +284,7 @@ def _print(found: dict[str, Any], picture: Path | None) -> None:
         Column("t_cost", "time [s]", 1),
         Column("return", "reward"),
     )
-    print_table(Table(columns, rows, f"{found['run']}: {state}"), console())
+    print_table(Table(columns, rows, f"{document['run']}: {state}"), console())
     if picture is not None:
         print_text(f"picture: {picture}")
 

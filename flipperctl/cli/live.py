@@ -76,16 +76,16 @@ def watch(
     names, settings = split_policies(words)
     if not names:
         raise RequestError("name a policy, as in: flipperctl watch generalist terrain=stair")
+
+    # Recorded failures by themselves, or policies side by side on the same draw
     folders = [name for name in names if any(Path(name).glob("failure_*.json"))]
     if folders:
         if len(names) > 1 or settings:
             raise RequestError(f"{folders[0]}: failures are shown alone, under their own settings")
         entrants, find = [_failures(Path(folders[0]))], None
     else:
-        entrants, find = (
-            _entrants(names, chosen := with_flags(settings, seed=seed)),
-            _finder(chosen),
-        )
+        flagged = with_flags(settings, seed=seed)
+        entrants, find = _entrants(names, flagged), _finder(flagged)
     _show(entrants, (episode, episodes), port, speed, find, terminal=terminal, browser=browser)
 
 
@@ -181,19 +181,21 @@ def drive(
         from flipperctl.ros.episode import check_bag, export_bag
 
         check_bag(bag)
+
+    # Drives of one person's choice, or of a study
     driver = f"{'script' if script else 'person'}: {person}"
     words = with_flags(settings or [], seed=seed)
     if study is None:
         root = output or Path("drives")
-        own = drives.DriveFolder(output or root / person, driver)
+        drive_folder = drives.DriveFolder(output or root / person, driver)
         source = None if helper is None else load_policy(helper, "--with", tell=print_note)
         tasks = [
-            drives.Task(config.terrain.plugin_name, config, index, own, source)
+            drives.Task(config.terrain.plugin_name, config, index, drive_folder, source)
             for config in _configs(words)
-            for index in own.next(config, episode, episodes)
+            for index in drive_folder.next(config, episode, episodes)
         ]
         for task in tasks:
-            own.check(task.config)
+            drive_folder.check(task.config)
             if source is not None:
                 source.build(task.config)
     else:
@@ -218,6 +220,7 @@ def drive(
             print_note(f"{person} has driven everything of {study}")
             return
 
+    # What is told after each drive, and what is asked
     def driven(task: drives.Task, row: dict[str, Any], late: float) -> None:
         kind = "practice" if task.practice else "episode"
         variation = row["pitch_variation_100hz"]
@@ -230,6 +233,7 @@ def drive(
         name = "none" if task.helper is None else task.helper.label()
         studies.add_answers(root, person, name, task.asks, answers)
 
+    # The page, until all drives are done
     page = DrivePage(port, person)
     with page.gate as gate:
         _announce(gate.address, browser)
@@ -239,6 +243,7 @@ def drive(
     )
     print_note(f"drives: {where}; flipperctl eval takes them as policies")
     if bag is not None:
+        # The bag is of the drive as it is played again.
         last = tasks[-1]
         source = load_policy(last.folder.path)
         export_bag(last.config, source, bag, last.index)
@@ -303,6 +308,7 @@ def _drawn(entry: Entry) -> Callable[[int], Episode]:
     def episode(index: int) -> Episode:
         source = entry.source
         if source.checkpoint is not None and not source.is_exported:
+            # A run that is still training shows its newest weights.
             run = source.checkpoint.parent.parent
             newest = run / "checkpoints" / "last.safetensors"
             if newest.is_file() and source.checkpoint.stat().st_mtime < newest.stat().st_mtime:

@@ -59,21 +59,23 @@ def list_names(
         kinds = _kinds()
         show(kinds, lambda: catalogue.print_kinds(kinds), as_json=as_json)
         return
-    chosen = _kind(kind)
-    document: dict[str, Any] = {"kind": chosen}
-    if chosen == "runs":
+
+    # One kind: runs are found in folders, all others in the catalogue.
+    kind_name = _kind(kind)
+    document: dict[str, Any] = {"kind": kind_name}
+    if kind_name == "runs":
         place = folder or Path("runs")
         document["names"] = catalogue.runs(place)
         show(document, lambda: catalogue.print_runs(place, document["names"]), as_json=as_json)
         return
     if pictures is not None:
         _draw(pictures)
-    found = [entry for group in catalogue.KINDS[chosen] for entry in catalogue.entries(group)]
+    listed = [entry for group in catalogue.KINDS[kind_name] for entry in catalogue.entries(group)]
     document["names"] = [
         {"name": e.name, "group": e.group, "summary": e.summary, "command": e.command}
-        for e in found
+        for e in listed
     ]
-    titles = {name: group.command for name, group in catalogue.KINDS[chosen].items()}
+    titles = {name: group.command for name, group in catalogue.KINDS[kind_name].items()}
     show(document, lambda: catalogue.print_names(document["names"], titles), as_json=as_json)
 
 
@@ -104,6 +106,7 @@ def explain(
     from flipperctl.cli.glossary import GLOSSARY
     from flipperctl.text.messages import close_match
 
+    # A word of the tables, a name or a setting; otherwise the nearest ones
     word = " ".join(words)
     commands = _commands(context)
     meaning = {w.lower(): text for w, text in GLOSSARY.items()}.get(word.lower())
@@ -137,8 +140,8 @@ def _kind(word: str) -> str:
     from flipperctl.text.messages import close_match
 
     groups = {group: kind for kind, inner in KINDS.items() for group in inner}
-    if found := word if word in KINDS else groups.get(word):
-        return found
+    if kind := word if word in KINDS else groups.get(word):
+        return kind
     if any(e.name == word for g in groups if g != "run" for e in entries(g)):
         raise RequestError(f"{word} is no kind but a name: flipperctl explain {word}")
     hint = close_match(word, KINDS)
@@ -151,10 +154,10 @@ def _kinds() -> list[dict[str, Any]]:
 
     rows, place = [], Path("runs")
     for kind, groups in KINDS.items():
-        found = [runs(place) if place.is_dir() else []] if kind == "runs" else map(entries, groups)
+        lists = [runs(place) if place.is_dir() else []] if kind == "runs" else map(entries, groups)
         group = next(iter(groups.values()))
         example = group.command.replace("NAME", group.example)
-        rows.append({"kind": kind, "count": sum(map(len, found)), "example": example})
+        rows.append({"kind": kind, "count": sum(map(len, lists)), "example": example})
     return rows
 
 
@@ -183,13 +186,16 @@ def _commands(context: typer.Context) -> dict[str, str]:
     """Return the first sentence of each subcommand's help, by name."""
     from flipperctl.cli.catalogue import first_sentence
 
+    # The help of each command is what explain searches, too.
     root: Any = context.find_root().command
-    found: dict[str, Any] = {}
+    commands: dict[str, Any] = {}
     for name, command in root.commands.items():
         below = getattr(command, "commands", None) or {}
-        found |= {f"flipperctl {name} {inner}": one for inner, one in below.items()}
-        found |= {} if below else {f"flipperctl {name}": command}
-    return {name: first_sentence(command.help or "") for name, command in found.items()}
+        commands |= {
+            f"flipperctl {name} {inner}": subcommand for inner, subcommand in below.items()
+        }
+        commands |= {} if below else {f"flipperctl {name}": command}
+    return {name: first_sentence(command.help or "") for name, command in commands.items()}
 
 
 def _described(entry: Entry) -> dict[str, Any]:
@@ -197,10 +203,16 @@ def _described(entry: Entry) -> dict[str, Any]:
     from flipperctl.api import registry
     from flipperctl.config.describe import describe_plugin
 
-    found: dict[str, Any] = {"name": entry.name, "group": entry.group, "summary": entry.summary}
-    found |= {"command": entry.command, "about": entry.about, "settings": dict(entry.settings)}
+    description: dict[str, Any] = {
+        "name": entry.name,
+        "group": entry.group,
+        "summary": entry.summary,
+        "command": entry.command,
+        "about": entry.about,
+        "settings": dict(entry.settings),
+    }
     key = entry.group, entry.name
-    return found | ({"plugin": describe_plugin(*key)} if key in registry else {})
+    return description | ({"plugin": describe_plugin(*key)} if key in registry else {})
 
 
 def _settings(keys: Sequence[Key]) -> Iterator[dict[str, Any]]:
@@ -213,13 +225,14 @@ def _settings(keys: Sequence[Key]) -> Iterator[dict[str, Any]]:
     from flipperctl.cli.hydra.compose import compose_train, only_one
     from flipperctl.config.describe import settings
 
+    # What a training has by default, beside the plugin's own default
     values = {s.path: s.value for s in settings(only_one(compose_train()))} if keys else {}
     for key in keys:
         section, name = key.key.rpartition(".")[0], key.owner.partition(" ")[2]
         used = not name or values.get(section) == name
         if not section:  # a name, or those of several plugins
             below = (path.split(".") for path in values if path.startswith(f"{key.key}."))
-            default = values.get(key.key, [one for _, one, *more in below if not more])
+            default = values.get(key.key, [child for _, child, *more in below if not more])
             key = replace(key, field=replace(key.field, default=default))
         yield {
             "key": key.key,

@@ -18,7 +18,7 @@ def _load_plugins(context: typer.Context, paths: list[Path] | None) -> list[Path
 
         session.remember_plugins(paths)
         plugins.load(paths or ())
-        for package in dict.fromkeys(one.package for one in broken):
+        for package in dict.fromkeys(entry.package for entry in broken):
             print_note(f"warning: {package} does not load; flipperctl list plugins says why")
     return paths
 

@@ -119,11 +119,11 @@ def check(
     joints = front or JOINTS[:2], rear or JOINTS[2:]
     names = Names(topic, imu, belts, fixed_frame, base_frame, *joints, signs.value)
     config, pose, _ = recorded_robot(overrides)
-    found = replay(bag, config.perception, config.robot, pose, names)
+    replayed = replay(bag, config.perception, config.robot, pose, names)
     if output is not None:
         with episodes_progress("drawing", 1) as report:
-            draw_perceived(output, found, config.robot, at, report)
-    show(found.summary, lambda: print_perception(found.summary, output), as_json=as_json)
+            draw_perceived(output, replayed, config.robot, at, report)
+    show(replayed.summary, lambda: print_perception(replayed.summary, output), as_json=as_json)
 
 
 def shadow(
@@ -163,12 +163,12 @@ def shadow(
     from flipperctl.ros.topics import Names
     from flipperctl.terminal.tables import print_shadow
 
-    config, pose, given = recorded_robot(overrides)
-    check_used(given)
+    config, pose, keys = recorded_robot(overrides)
+    check_used(keys)
     joints = front or JOINTS[:2], rear or JOINTS[2:]
     names = Names(topic, imu, belts, "odom", base_frame, *joints, signs.value)
-    found = shadow(policy, bag, config.perception, pose, names, output)
-    show(found, lambda: print_shadow(found), as_json=as_json)
+    document = shadow(policy, bag, config.perception, pose, names, output)
+    show(document, lambda: print_shadow(document), as_json=as_json)
 
 
 def ground(
@@ -191,7 +191,7 @@ def ground(
     """Make recorded ground from a bag of ROS 1 or 2, or from a folder of clouds with poses.
 
     The points of all clouds are put into one frame by the recorded transforms or odometry, without
-    those of the robot, and thinned. The command prints how to drive over them
+    the robot's own, and thinned. The command prints how to drive over them
     (terrain=profile_file). A folder has clouds (.pcd, .ply, .xyz, .npy) in the frame of the
     chassis, and poses.txt with a line for each. A line has 8 numbers (stamp, x, y, z, qx, qy, qz,
     qw), or 12 (the rows of [[R|t]]).
@@ -213,8 +213,8 @@ def ground(
 
     robot = Robot(**robot_fields(Overrides.parse(overrides or ()).values(), "robot ground"))
     names = Names(clouds=topic, fixed=fixed_frame, base=base_frame)
-    found = convert(source, output, robot, names, reach, cell)
-    show(found, lambda: print_ground(found), as_json=as_json)
+    document = convert(source, output, robot, names, reach, cell)
+    show(document, lambda: print_ground(document), as_json=as_json)
 
 
 def self_test(
@@ -246,8 +246,9 @@ def self_test(
     from flipperctl.runtime.recordings import opened
     from flipperctl.runtime.recordings import self_test as tested
 
+    # The runtime's own test, with its verdicts as a document
     setup = RobotSetup(signs=CONVENTIONS[signs.value])
     test = tested(*opened(messages), setup)  # it prints what to do meanwhile
-    document = {"passed": test.passed, "verdicts": [asdict(one) for one in test.verdicts]}
+    document = {"passed": test.passed, "verdicts": [asdict(verdict) for verdict in test.verdicts]}
     show(document, lambda: None, as_json=as_json)
     return 0 if test.passed else 1

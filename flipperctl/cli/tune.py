@@ -28,7 +28,7 @@ def tune(
     objective: Annotated[
         str, typer.Option("--for", metavar="pitch|reward", help="What is searched for.")
     ] = "pitch",
-    chosen: Annotated[
+    numbers: Annotated[
         str | None,
         typer.Option(
             "--settings", metavar="NAMES", help="Numbers to search, as in near,far; else all."
@@ -82,6 +82,7 @@ def tune(
     from flipperctl.text.show import console, print_table
     from flipperctl.views.tune import table
 
+    # One controller, and the words that only tune has
     names, settings = split_policies(words)
     if len(names) != 1:
         raise RequestError(
@@ -93,18 +94,22 @@ def tune(
         resolver.get("controller", name, "tune")
     if objective not in ("pitch", "reward"):
         raise RequestError(f"--for: pitch or reward is allowed; the value is {objective!r}")
-    given, demonstrators = (
+    budgets, demonstrators = (
         [word.partition("=")[2] for word in settings if key_of(word) == key]
         for key in ("budget", "from")
     )
     others = [word for word in settings if key_of(word) not in ("budget", "from")]
     if len(demonstrators) > 1:
         raise RequestError(f"from: one demonstrator is allowed; {', '.join(demonstrators)} are")
-    if len(given) > 1 or not all(one.isdecimal() and 0 < int(one[:10]) < 10**9 for one in given):
+    if len(budgets) > 1 or not all(
+        text.isdecimal() and 0 < int(text[:10]) < 10**9 for text in budgets
+    ):
         raise RequestError(
             f"budget: one number of episodes from 1 on, below a billion, is allowed, as in "
-            f"budget=5000; the value is {' '.join(given):.40}"
+            f"budget=5000; the value is {' '.join(budgets):.40}"
         )
+
+    # The file is checked before the search, which takes long.
     output = output or Path(f"{Path(name).stem.removesuffix('_tuned')}_tuned.yaml")
     check_output(output, policy_file.POLICY_FILE)
     flagged = with_flags(others, episodes=episodes, seed=seed, jobs=jobs)
@@ -116,23 +121,25 @@ def tune(
         raise RequestError("eval.ray: a search is played here; leave it out")
     if objective == "reward" and not all(entry.config.rewards for entry in entries):
         raise RequestError("--for reward: there is no reward term; leave ~rewards out")
-    asked = any(key_of(word) == "eval.episodes" for word in flagged)
+    has_episodes = any(key_of(word) == "eval.episodes" for word in flagged)
     request = tuning.Request(
         entries,
         [word for word in settings if key_of(word) != "budget"],
         "reward" if objective == "reward" else "pitch",
-        int(given[0]) if given else tuning.BUDGET,
+        int(budgets[0]) if budgets else tuning.BUDGET,
         config.eval.seed,
-        config.eval.episodes if asked else None,
-        None if chosen is None else [one.strip() for one in chosen.split(",")],
+        config.eval.episodes if has_episodes else None,
+        None if numbers is None else [setting.strip() for setting in numbers.split(",")],
         demonstrators[0] if demonstrators else None,
     )
     request.check()
+
+    # The search, and the file of its result
     tuned = _tune(request, output.with_suffix(".search.json"))
     file = request.policy_file(tuned)
     write_bytes(output, file.text().encode())
-    found = file.model_dump(mode="json") | {"before": tuned.start, "p": tuned.p}
-    show(found, lambda: print_table(table(request, tuned), console()), as_json=as_json)
+    document = file.model_dump(mode="json") | {"before": tuned.start, "p": tuned.p}
+    show(document, lambda: print_table(table(request, tuned), console()), as_json=as_json)
     print_note(f"wrote {output}")
 
 
