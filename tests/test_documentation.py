@@ -24,7 +24,7 @@ from flipperctl.testing import checks
 from tests.cli.call import EXACT, GROUPS, RUN, call
 from tests.cli.test_compare import write
 from tests.cli.test_sweeps import JOBLIB, RAY
-from tests.evaluation.test_drives import Script
+from tests.live.test_drives import Script
 
 pytestmark = pytest.mark.slow
 

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from flipperctl import checkpoint
+from flipperctl.api import FloatArray
 from flipperctl.api.controllers import is_rule
 from flipperctl.config import EnvConfig, Eval, EvalConfig, TrainConfig, to_dict
 from flipperctl.config.reward_sum import paying_terms
-from flipperctl.core import FloatArray
 from flipperctl.errors import ConfigError, FlipperctlError, InterruptedRunError
 from flipperctl.evaluation.conditions import TRAINED, Conditions
 from flipperctl.evaluation.play import Player

@@ -37,8 +37,6 @@ try:
     from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
     from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
     from stable_baselines3.common.utils import LinearSchedule
-
-    import flipperctl.figures  # noqa: F401  # the library imports matplotlib under any MPLBACKEND
 except ImportError as error:
     raise MissingExtraError(
         "agent=sb3 needs the package stable-baselines3; install flipperctl[sb3]"

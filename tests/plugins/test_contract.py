@@ -27,7 +27,7 @@ AT_NIGHT = re.compile(
 HELD = [
     plugin
     for (_, name), plugin in registry.items()
-    if name != "operator"  # it has no drives by default; tests/evaluation/test_drives.py has some
+    if name != "operator"  # it has no drives by default; tests/live/test_drives.py has some
 ]
 
 

@@ -260,7 +260,7 @@ def test_names_are_checked_before_an_episode_is_played() -> None:
     assert parse_groups("friction", "--by", [varied]) == [("friction",)]
 
 
-RECORDED = Path(__file__).parents[1] / "recorded"
+RECORDED = Path(__file__).parents[1] / "evaluation/recorded"
 TEXTS = ("outcome", "terrain", "crossed_by")
 COUNTS = ("episode", "seed", "decisions")
 MARKS = ("scene", "controller", "conditions", "conditions_hash")
