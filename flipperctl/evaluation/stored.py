@@ -144,6 +144,8 @@ def read(words: Sequence[str], measure: str) -> Stored:
             name, path = "", word
         elif not name or not path:
             raise RequestError(f"{word}: METHOD=DIR or DIR is allowed")
+
+        # One training seed, or a folder with one in each subfolder
         folder = Path(path)
         below = not (folder / FILE).is_file()
         folders = sorted(file.parent for file in folder.glob(f"*/{FILE}")) if below else [folder]
@@ -155,6 +157,8 @@ def read(words: Sequence[str], measure: str) -> Stored:
                 f"{folder}: there is no {FILE}, nor one in a folder below it; a folder of "
                 f"flipperctl eval --output is allowed{first}"
             )
+
+        # Each folder once, however it is named
         for entry in folders:
             if (place := entry.resolve()) in seen:
                 reader.notices.append(f"{entry} is named twice and counts once")

@@ -242,6 +242,7 @@ class Person:
         self._scene.show(env.state)
         world = env.drive.world
         self._cameras = isinstance(getattr(world, "unguarded", world), CameraWorld)
+        # What the page needs to draw the robot and its gauges
         about = {
             "robot": {
                 "hinge": robot.hinge_offset,
@@ -347,6 +348,7 @@ class Person:
         drive, robot = self._env.drive, self._env.robot
         x, z = state.position.tolist()
         owned = dict(zip(("front", "rear"), self._hands.owned, strict=True))
+        # Belts that are not measured run at the robot's speed.
         speed = robot.track_speed if state.belts is None else float(state.belts.mean())
         span = self._ticks[-1] - self._ticks[0] if len(self._ticks) > 1 else 0.0
         return {

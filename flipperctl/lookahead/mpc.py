@@ -428,6 +428,7 @@ class ReturnPolicy(MpcPolicy):
             patience=_EPISODE.stuck_decisions(robot.decision_period),
             averaging=_AVERAGING,
         )
+        # A robot that stands searches more widely, to get free.
         width = settings.beam * min(_WIDEST, 1 + self._standing // _LONG)
         search = Search(robot, width, settings.horizon, max(1, settings.of_each))
         plan = search.run(model, root, account, self._former, deadline)

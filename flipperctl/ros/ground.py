@@ -320,6 +320,8 @@ def _points(file: Path) -> FloatArray:
     except Exception as error:  # each library has its own errors for damaged files
         text = " ".join(str(error).split())
         raise RequestError(f"{file} cannot be read: {type(error).__name__}: {text}") from error
+
+    # Points that did not return are not finite.
     array = np.asarray(points, dtype=np.float64)
     if array.ndim != 2 or array.shape[1] < 3:
         raise RequestError(

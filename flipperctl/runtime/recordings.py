@@ -53,6 +53,7 @@ def read_lines(lines: Iterable[str], where: str) -> Iterator[tuple[float, dict[s
                 name: KINDS[name](**{"time": time, **values}) for name, values in entry.items()
             }
         except _NO_MESSAGE as error:
+            # The error shows what a message may have.
             known = "; ".join(
                 f"{name}: {', '.join(f.name for f in fields(kind))}" for name, kind in KINDS.items()
             )
@@ -188,6 +189,7 @@ class SelfTest:
         elapsed = time - self._times.get(device, time)
         self._times[device] = time
         values = self._values
+        # Each sign is watched in the quantity that its motion must make grow.
         match message:
             case Joints():
                 values["front", device], values["rear", device] = message.front, message.rear

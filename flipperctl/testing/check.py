@@ -160,6 +160,7 @@ def run_checks(todo: Sequence[Check], report: Callable[[str, float], None]) -> l
     rows = []
     for index, check in enumerate(todo):
         report(str(check), index / len(todo))
+        # A check may pass, fail or be skipped, and the next one runs in any case.
         begun, text, ok, skipped = time.perf_counter(), "", True, False
         try:
             check()

@@ -158,6 +158,7 @@ def read_document(folder_or_file: Path) -> dict[str, Any]:
     """Return the results of a folder of ``eval --output``, or of its file, with their ``rows``."""
     path = folder_or_file / SUMMARY if folder_or_file.is_dir() else folder_or_file
     try:
+        # A card must not be made of half an evaluation.
         document: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         if document.get("interrupted"):
             raise RequestError(

@@ -96,6 +96,7 @@ def tables(comparisons: Sequence[Mapping[str, Any]]) -> Iterator[Table]:
     rows = []
     for comparison in comparisons:
         causes = ", ".join(f"{cause} {count}" for cause, count in comparison["causes"].items())
+        # The engine first, and then its sensing, if that is compared too
         steps = {" → ".join(comparison["engines"]): comparison}
         if "sensed" in comparison:
             steps[comparison["sensed"]["sensor"]] = comparison["sensed"]

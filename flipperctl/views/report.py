@@ -349,6 +349,7 @@ def _data(recorded: Sequence[Trace], marks: Mapping[str, str]) -> str:
 
 def _plain(trace: Trace) -> dict[str, Any]:
     samples = np.unique([*range(0, len(trace.time), _PERIOD), len(trace.time) - 1])
+    # As few numbers as a drawing needs, rounded, since a page holds them all
     columns = {
         "t": trace.time,
         "x": trace.position[:, 0],

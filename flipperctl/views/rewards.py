@@ -49,6 +49,7 @@ def table(scenes: Sequence[Document]) -> Table:
     for name, scene in named({"scenes": scenes}):
         paid = {f"return_{ranking['rewards']}": ranking["returns"] for ranking in scene["rankings"]}
         for at, (label, policy) in enumerate(scene["policies"].items()):
+            # Measures beside what each reward pays for the same episodes
             numbers = {key: policy[key] for key in MEASURES}
             numbers |= {key: returns[label] for key, returns in paid.items()}
             rows.append(

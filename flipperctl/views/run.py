@@ -273,6 +273,7 @@ class _Files:
         if (error := result.error()) is not None:
             raise error
 
+        # A picture that fails must not prevent the others, nor the film.
         def pictures() -> None:
             if self._folder is not None:
                 path, drawn = self._folder.path, zip(self._pictures, self._plan.rows, strict=False)

@@ -57,6 +57,7 @@ def choose(result: Result, document: Document) -> list[Chosen]:
     def add(played: Played, scene: str, policy: str) -> None:
         if played.entry.stored:  # another evaluation's policy, which may not be here
             return
+        # An episode that is a first one is no failure again.
         for choice, rows in (
             (first, played.episodes[:1]),
             (failed, played.episodes.failed[:FAILURES]),
@@ -64,6 +65,7 @@ def choose(result: Result, document: Document) -> list[Chosen]:
             episodes = [Chosen(played.entry, row, policy, scene) for row in rows]
             choice.update({c.key: c for c in episodes if c.key not in first})
 
+    # Baselines after the policy that they are compared with
     scenes = named(document)
     called = names([scene.get("method") or scene["controller"] for _, scene in scenes])
     for (scene, summary), item in zip(scenes, result.rows, strict=True):
@@ -145,6 +147,7 @@ class Traces:
                 seed = entry.config.eval.seed
                 runner = runner or EpisodeRunner(entry.config, entry.source, seed, search)
                 transitions, profile = runner.transitions(item.row["episode"])
+                # The digest tells later whether it is the episode of the row.
                 policy, conditions, seed, episode, digest = item.key
                 self._found[item.key] = Trace.of(
                     transitions,

@@ -24,6 +24,7 @@ _COLUMNS = (
 def table(request: Request, tuned: Tuned) -> Table:
     """Return the settings before and after, and the scores."""
     model = type(request.controller)
+    # A row for each setting
     rows = [
         {
             "setting": f"{name} [{unit(model, name)}]",
@@ -33,6 +34,8 @@ def table(request: Request, tuned: Tuned) -> Table:
         }
         for name, value in tuned.found.items()
     ]
+
+    # What the scores say of the search
     measured = f"pitch variation [rad], a failed episode at least {PRICE:.2f}"
     measured = measured if request.objective == "pitch" else "minus the reward [-]"
     old, new, change = (

@@ -135,6 +135,7 @@ class WeightsAndBiases(Logger):
                 "the package wandb is not installed; run pip install 'flipperctl[wandb]'"
             )
 
+        # wandb is imported and started in the logger's own thread, since both may take long.
         def begin(run_id: str) -> Any:
             import wandb
 

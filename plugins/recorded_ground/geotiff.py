@@ -92,6 +92,7 @@ class Coordinates:
         from rasterio.crs import CRS
         from rasterio.warp import transform
 
+        # A short step each way, in the projection and in metres from the centre of the Earth
         base = self.projected["base_crs"]
         while "base_crs" in base:
             base = base["base_crs"]
@@ -102,6 +103,8 @@ class Coordinates:
         steps = np.column_stack([east - west, north - south]) / (2 * _STEP)  # (3, 2)
         if not np.isfinite(steps).all():
             raise ValueError(f"its projection has no place at x = {place[0]:g}, y = {place[1]:g} m")
+
+        # The symmetric part of the map between both, without its turn
         squares, axes = np.linalg.eigh(steps.T @ steps)
         scales = np.sqrt(squares)
         if np.abs(scales - 1).max() <= SAME_LENGTH:
@@ -167,6 +170,8 @@ def read_geotiff(
             f"it states a unit of x and y ({crs.plan_name}, {crs.plan:g} m) and none of the "
             "heights, which are taken for metres; terrain.unit states theirs"
         )
+
+    # Depths are heights that grow downwards.
     if crs.depths:
         remarks.append("it states depths, which grow downwards; heights are their negatives")
         metres = -metres
@@ -179,6 +184,7 @@ def read_geotiff(
         known, remark = known_heights(values, no_data, scale * metres)
         return (known * scale + offset) * metres, remark
 
+    # Without a frame the resolution tells the cells; with one it must not.
     if transform.is_identity:
         to_cell = cells_from_resolution(resolution, rows)
         return HeightMap(shape, to_cell, heights, tuple(remarks))
@@ -188,6 +194,8 @@ def read_geotiff(
         raise ValueError(
             f"its coordinates are {crs.plan_name}s; project it to metres, as gdalwarp does"
         )
+
+    # The frame's corner of a cell is half a cell from its centre.
     inverse = ~transform  # (x, y) → (column, row) of a cell's corner
     column = [inverse.a / crs.plan, inverse.b / crs.plan, inverse.c - 0.5]
     row = [inverse.d / crs.plan, inverse.e / crs.plan, inverse.f - 0.5]

@@ -41,6 +41,8 @@ def read_csv(path: Path, largest_gap: float, width: float) -> tuple[FloatArray, 
             "along a line, or remove the column y to use x and z as they are"
         )
     _check_order(points[:, 0], numbers)
+
+    # Order and faces by the lines of the file, gaps by what is known
     heights, remark = without_missing(points[:, 1])
     _check_faces(points[:, 0], heights, numbers, columns, width / 10)
     known = np.isfinite(points[:, 0]) & np.isfinite(heights)

@@ -278,6 +278,7 @@ class ProfileFile(Terrain):
         if len(points):
             remarks += remarks_on_extent(np.ptp(points, axis=0), self._remedy)
         try:
+            # What hangs over ground that was not seen is no ground.
             ground = clouds.slice_along(
                 points, line, self.thickness, self.quantile, MIN_POINTS, self._choice
             )

@@ -130,6 +130,7 @@ def _face(
         float(columns.high[first : last + 1].max()),
     )
     middle = (low + high) / 2
+    # Beside unseen ground only a face that rises counts; a fall would be mixed returns.
     if before is None:
         if after is not None and after <= middle:
             return []
@@ -142,6 +143,7 @@ def _face(
     if abs(after - before) <= (high - low) / 2:  # a narrow ridge or trench, or an oblique edge
         run = slice(first, last + 1)
         return list(zip(columns.x[run].tolist(), columns.median[run].tolist(), strict=True))
+    # A fall that is wider than a face hides its foot: it stands at its edge.
     falls = after < before and last > first + 1  # wider than a face: mixed returns behind its edge
     x = _face_position(columns, first, first + 1 if falls else last, before, after)
     return [(x, before), (x, after)]
