@@ -62,7 +62,14 @@ def observations(count: int) -> Any:
     return rng.normal(0.0, 0.2, (count, 33)).astype(np.float32)
 
 
-@pytest.mark.parametrize(("algorithm", "actions"), METHODS)
+QUICK = ("dqn", "turns"), ("ppo", "rates"), ("sac", "rates")
+"""Values, a stochastic and a deterministic actor; the others share their code."""
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "actions"),
+    [pytest.param(*pair, marks=[pytest.mark.long] * (pair not in QUICK)) for pair in METHODS],
+)
 def test_the_checkpoint_acts_as_the_library_does(
     algorithm: str, actions: str, tmp_path: Path
 ) -> None:
