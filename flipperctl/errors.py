@@ -3,7 +3,7 @@
 ``RequestError`` and its subclasses mean that the request was wrong (exit code 2); any other
 ``FlipperctlError`` means that the work failed (exit code 1).
 
-A plugin that is refused before it is used is a wrong request: it does not import, cannot be built
+A plugin that is refused before it is used is a wrong request. It does not import, cannot be built
 from its settings, builds a network that does not fit, or generates a profile that no robot can
 start on. A plugin that raises an error or returns a wrong value in use is failed work.
 

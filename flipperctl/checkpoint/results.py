@@ -150,7 +150,7 @@ class ResultFolder:
     def replace(self, write: Callable[[Path], None], later: Sequence[str] = ()) -> None:
         """Replace the command's earlier files by those that ``write`` leaves in a given folder.
 
-        While ``write`` works, the earlier files stay; then all are removed before the new ones
+        While ``write`` works, the earlier files stay. Then all are removed before the new ones
         take their places, so that files of two evaluations never lie side by side, even after a
         kill. ``later`` names files that the command will write into ``path`` by itself.
 

@@ -2,7 +2,7 @@
 
 In: a training configuration. Out: plain data with the numbers of every round, medians, quartiles,
 versions, processor and load. ``python -m flipperctl.cli.bench POLICY CALLS SEED`` times the
-decisions of an exported policy alone, in a process without torch and pymunk, as on a robot; so
+decisions of an exported policy alone, in a process without torch and pymunk, as on a robot. So
 everything heavy is imported inside functions.
 """
 

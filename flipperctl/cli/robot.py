@@ -147,8 +147,8 @@ def shadow(
 
     Nothing moves: POLICY is stepped as on the robot (flipperctl.runtime.FlipperController) with the
     messages of BAG in their order. The log has a line of JSON for each decision and each change of
-    state: time, proposed targets and setpoints, whether the belts might run, state, fault and
-    reason, and the angles that were measured.
+    state. It has time, proposed targets and setpoints, whether the belts might run, state, fault
+    and reason, and the angles that were measured.
 
     OVERRIDES are widths and errors of the robot, as in perception.overall_width=0.6.
 

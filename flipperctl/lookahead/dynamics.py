@@ -5,8 +5,9 @@ body of changing shape: three degrees of freedom instead of nine, and no joints 
 are modelled as in the engine: rounded ends and edges, friction, and belts along the outline. A
 decision takes about a tenth of the engine's time.
 
-The state of a robot is 10 numbers. They are x, z [m] of the centre of mass and pitch [rad]; their
-rates; the angles of the front and the rear flippers in frame R [rad]; and their targets.
+The state of a robot is 10 numbers. They are x and z [m] of the centre of mass, pitch [rad] and
+their rates. The angles of the front and the rear flippers in frame R [rad] follow, and their
+targets.
 """
 
 from __future__ import annotations

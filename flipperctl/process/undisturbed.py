@@ -22,9 +22,10 @@ _COMPUTING = ("cpu", "cuda", "mps", "xpu")
 def undisturbed(*, draws_from_numpy: bool = True) -> Iterator[None]:
     """Compute in the body with settings of our own; put back what the caller has.
 
-    That is: the states of the generators of Python, numpy and torch; numpy's handling of errors;
-    torch's default type and device, automatic casts, gradients, number of threads, precision of
-    matrix products and choice of deterministic algorithms. torch is not imported for this.
+    That is: the states of the generators of Python, numpy and torch, and numpy's handling of
+    errors. Of torch it is also the default type and device, automatic casts, gradients, number of
+    threads, precision of matrix products and choice of deterministic algorithms. torch is not
+    imported for this.
     ``draws_from_numpy``: whether the body may use numpy's generator, whose state takes 90 µs.
     """
     with contextlib.ExitStack() as caller:

@@ -1,10 +1,10 @@
 """Recorded ground from what a robot has measured: clouds with poses → one cloud and a line.
 
 In: a bag; or a folder of clouds with ``poses.txt``, one line for each of them in the order of their
-names, 2 before 10. A line has 8 numbers, stamp, place and quaternion (x y z qx qy qz qw), as TUM's
-tools write them, or 12, the upper rows of the matrix, as KITTI's do. Out: the points of the ground
-in one frame without the robot's own, thinned, as an ``.xyz`` file that ``terrain=profile_file``
-reads, and the line that the robot drove.
+names, 2 before 10. A line has 8 numbers as TUM's tools write them: stamp, place and quaternion (x y
+z qx qy qz qw). Or it has 12 as KITTI's do: the upper rows of the matrix. Out: the points of the
+ground in one frame without the robot's own, thinned, as an ``.xyz`` file that
+``terrain=profile_file`` reads, and the line that the robot drove.
 """
 
 from __future__ import annotations

@@ -3,10 +3,10 @@
 In: states, scans and points in flipperctl's frames and signs. Out: messages of ``rosbags``.
 
 REP-103: x ahead, y to the left, z up, and angles about these axes. So the front flippers are
-positive *below* the chassis, the rear flippers above it, and a positive pitch is nose *down*:
-(front, rear, pitch) of ROS are (-front, +rear, -pitch) here. Frames (REP-105): ``odom`` is the
-world; ``base_link`` is frame R, the chassis; ``base_stabilized`` is frame L, level at its centre,
-turned by the heading; ``lidar`` is frame S.
+positive *below* the chassis, the rear flippers above it, and a positive pitch is nose *down*. In
+short, (front, rear, pitch) of ROS are (-front, +rear, -pitch) here. Frames (REP-105): ``odom`` is
+the world; ``base_link`` is frame R, the chassis; ``base_stabilized`` is frame L, level at its
+centre, turned by the heading; ``lidar`` is frame S.
 """
 
 from __future__ import annotations

@@ -216,7 +216,7 @@ def make_folder(path: Path) -> Path:
 def check_output(path: Path, kind: OutputKind) -> None:
     """Check, before long work, that an output can be written to ``path``.
 
-    This is the rule for every file that a user names: it has a suffix of its kind, and an existing
+    This is the rule for every file that a user names. It has a suffix of its kind, and an existing
     file is replaced only if it is empty or an earlier output of the same kind. So neither an input
     nor a file of another program is lost.
 

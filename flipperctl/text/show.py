@@ -35,7 +35,12 @@ _ESCAPES = str.maketrans(
         "~": r"\textasciitilde{}",
         "^": r"\textasciicircum{}",
         # Without a package, LaTeX has these in mathematics alone.
-        **{"Δ": r"$\Delta$", "±": r"$\pm$", "−": "$-$", "→": r"$\to$", "<": "$<$", ">": "$>$"},
+        "Δ": r"$\Delta$",
+        "±": r"$\pm$",
+        "−": "$-$",
+        "→": r"$\to$",
+        "<": "$<$",
+        ">": "$>$",
     }
 )
 NONE = "–"  # text of a missing number

@@ -283,8 +283,8 @@ def overhead(ground: Ground, along: FloatArray, choice: Choice, margin: float) -
     """Return at which places, (P,), only something above an unseen floor was measured.
 
     ``along`` are the distances of the places, ascending (P,) [m], and the ground is of points.
-    A run of places hangs if it begins ``headroom`` or more above the places on both sides of it, or
-    on the one side where the line ends, without points between. Such a run is
+    A run of places hangs if it begins ``headroom`` or more above the places on both sides of it,
+    without points between, or on the one side where the line ends. Such a run is
 
     - overhead if something at its height lies above the ground more than the ``margin`` [m] away
       from it; nearer, the place may hold points on both sides of a wall's edge,

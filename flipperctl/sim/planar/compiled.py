@@ -187,8 +187,8 @@ _NUMBERS = max(NORMAL + 2, FRICTION + 1)
 def _belt(arbiter: Any, space: Any, belt: Any) -> None:
     """Set a contact's belt velocity and bound its cached impulses, before it is solved.
 
-    ``belt``: speed [m/s], largest cached impulse [N s], work of the sample [J], share of the
-    friction that the tracks' motors can use, and sum of the normal impulses [N s].
+    ``belt``: speed [m/s], largest cached impulse [N s], work of the sample [J], usable share of the
+    friction by the tracks' motors [-], and sum of the normal impulses [N s].
     """
     numbers = carray(arbiter, (_NUMBERS,), dtype=np.float64)
     speed, largest, _, share, _ = carray(belt, (5,), dtype=np.float64)
