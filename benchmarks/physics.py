@@ -25,7 +25,6 @@ from flipperctl.cli.bench import quantity
 from flipperctl.config import EnvConfig
 from flipperctl.config.reward_sum import RewardSum
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.env.guarded import GuardedWorld
 from flipperctl.policies.source import load_policy
 from flipperctl.rollout.episode import EvaluationSeeds, decisions
 from flipperctl.sim.planar.compiled import TRACK, step_alone
@@ -116,8 +115,7 @@ def record(config: EnvConfig, controller: str, seed: int) -> Recording:
 
 
 def _world(env: FlipperEnv) -> PlanarWorld:
-    world = env.drive.world
-    world = world.unguarded if isinstance(world, GuardedWorld) else world
+    world = env.drive.world.of_engine
     assert isinstance(world, PlanarWorld)  # planar() has refused other engines
     return world
 

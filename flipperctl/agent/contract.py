@@ -18,7 +18,6 @@ from flipperctl.agent.networks import (
     Noise,
     build_network,
     describe_fault,
-    naming_network,
     seeded,
 )
 from flipperctl.agent.replay import require, row_bytes
@@ -78,7 +77,7 @@ def _count_activations(module: torch.nn.Module, inputs: int) -> int:
 
     for part in module.modules():  # the module is discarded after this
         part.register_forward_hook(add)
-    with naming_network(module, "forward"), torch.no_grad():
+    with torch.no_grad():
         module.eval()(torch.zeros(1, inputs))
     return count
 

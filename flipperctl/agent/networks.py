@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from typing import Any, Protocol, runtime_checkable
 from weakref import WeakKeyDictionary
 
@@ -84,11 +84,12 @@ _BUFFERS |= {torch.float16, torch.float32, torch.float64}
 
 def build_network(network: Network, layout: ObservationLayout, n_actions: int) -> torch.nn.Module:
     """Build a network and check it."""
-    frames: object = network.frames
+    with naming(network, "build", ConfigError):
+        frames: object = network.frames
+        module: Any = network.build(layout, n_actions)
     if not isinstance(frames, int) or not 1 <= frames <= MAX_HISTORY:
         text = f"is {short_repr(frames)}; 1 to {MAX_HISTORY} is allowed"
         raise refusal(network, "frames", text, ConfigError)
-    module: Any = network.build(layout, n_actions)
     if not isinstance(module, torch.nn.Module):
         text = f"must return a torch module; got {type(module).__name__}"
         raise refusal(network, "build", text, ConfigError)
@@ -181,12 +182,6 @@ def build_policy(
 def record_plugin(module: torch.nn.Module, network: Network) -> None:
     """Record the plugin that built a module, so that errors of the module name the plugin."""
     _plugins[module] = network
-
-
-def naming_network(module: torch.nn.Module, method: str) -> naming | nullcontext[None]:
-    """Return a context for a call of a module's ``method``, in which errors name its plugin."""
-    network = _plugins.get(module)
-    return nullcontext() if network is None else naming(network, method)
 
 
 def describe_fault(module: torch.nn.Module, method: str, text: str) -> str:
@@ -311,11 +306,10 @@ def q_values(
     ``module`` is on ``device``. ``observation``: input row of the network, (frames · n,) in
     SI units.
     """
-    with naming_network(module, "forward"):
-        with one_thread():
-            output = module(torch.from_numpy(observation).to(device).unsqueeze(0))
-        (values,) = output.tolist()
-        total = float(sum(values))
+    with one_thread():
+        output = module(torch.from_numpy(observation).to(device).unsqueeze(0))
+    (values,) = output.tolist()
+    total = float(sum(values))
     if len(values) != (needed := outputs(kind)):
         text = f"returned {len(values)} numbers for an observation; {needed} are needed"
         raise PluginFailedError(describe_fault(module, "forward", text))
@@ -347,8 +341,7 @@ class Noise:
     def draw(self, rng: np.random.Generator) -> None:
         """Draw new noise for every noisy submodule; without one, ``rng`` is not used."""
         for part in self.parts:
-            with naming_network(self._module, "draw_noise"):
-                part.draw_noise(rng)
+            part.draw_noise(rng)
 
     def acts(self) -> None:
         """Put the network into the mode of decisions and targets: ``eval()``, but with its noise.

@@ -139,6 +139,11 @@ def run_app(app: typer.Typer, arguments: list[str], name: str) -> int:
         if isinstance(error.__cause__, EOFError):  # Typer takes it for the end of what is typed
             raise error.__cause__ from None
         raise KeyboardInterrupt from error
+    except BaseException as error:  # SystemExit too, with which a plugin must not end the command
+        guard = sys.modules.get("flipperctl.plugging.guard")  # without it, no plugin was loaded
+        if guard is not None and (named := guard.attributed(error)):
+            raise named from error
+        raise
     if code == InterruptedRunError.exit_code:  # returned by Typer after Ctrl-C
         raise KeyboardInterrupt
     return code if isinstance(code, int) else 0

@@ -67,10 +67,10 @@ def _ends(owner: str, name: str) -> tuple[str, str]:
 
 def read_files(plugin: Plugin) -> tuple[Path, ...]:
     """Return the files that the plugin reads, and every path in its settings."""
-    with guard.naming(plugin, "files_read"):  # iterating over the result may fail as well
-        files = tuple(plugin.files_read())
+    listed: object = plugin.files_read()
+    files = tuple(listed) if isinstance(listed, Iterable) else (listed,)
     if not all(isinstance(file, Path) for file in files):
-        text = f"returned {guard.short_repr(files)}; allowed: Paths"
+        text = f"returned {guard.short_repr(listed)}; allowed: Paths"
         raise guard.refusal(plugin, "files_read", text)
     return tuple(dict.fromkeys((*files, *_paths([value for _, value in plugin]))))
 

@@ -1,20 +1,16 @@
 """Convert names and overrides to validated settings, and settings to plain data.
 
 In: a plugin's or a robot's name, composed values, overrides. Out: frozen settings with plugin
-instances inside, whose methods name plugin, method, file and line when they fail. Every composed
-configuration (by Hydra, from a checkpoint, from keyword arguments, by ``--resume``) passes through
-``parse``.
+instances inside. Every composed configuration (by Hydra, from a checkpoint, from keyword arguments,
+by ``--resume``) passes through ``parse``.
 """
 
 from __future__ import annotations
 
-import functools
-import inspect
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
-from weakref import WeakSet
 
 from pydantic import ValidationError
 from pydantic_core import PydanticSerializationError
@@ -23,13 +19,7 @@ from flipperctl.api import Plugin, Robot, Settings, registry
 from flipperctl.api.plugin import mapping, registered_names
 from flipperctl.config import strict_yaml
 from flipperctl.config.presets import presets
-from flipperctl.errors import (
-    ConfigError,
-    FlipperctlError,
-    PluginError,
-    PluginFailedError,
-    TerrainError,
-)
+from flipperctl.errors import ConfigError, FlipperctlError, PluginError
 from flipperctl.plugging import guard
 from flipperctl.text.files import at_home
 from flipperctl.text.messages import broken_hint, close_match, explain, missing_name
@@ -94,7 +84,7 @@ def create(kind: str, settings: object, where: str) -> Any:
                 f"{where}: {type(settings).__name__} is not registered; "
                 f"decorate it with @{kind}(<name>)"
             )
-        return _guarded(settings)
+        return settings
     named = {"name": settings} if isinstance(settings, str) else settings
     if not isinstance(named, Mapping) or "name" not in named:
         raise ConfigError(
@@ -115,22 +105,14 @@ def reference(name: str, where: str) -> dict[str, Any]:
 
 
 def construct(cls: type[Plugin], fields: Mapping[str, Any]) -> Plugin:
-    """Return an instance of a plugin, whose methods are guarded."""
+    """Return an instance of a plugin; an error of its own code names it."""
     try:
-        plugin = cls(**fields)
+        return cls(**fields)
     except BaseException as error:
         own_title = cls.model_config.get("title") or cls.__name__
         if isinstance(error, ValidationError) and error.title == own_title:
             raise  # an error of another model in the plugin's code is the plugin's fault
         guard.raise_named(error, cls, "its construction", PluginError)
-    return _guarded(plugin)
-
-
-def _guarded(plugin: Plugin) -> Plugin:
-    """Return the plugin after guarding its methods and those of the plugins in its fields."""
-    for one in nested_plugins(plugin):
-        guard_class(type(one))
-    return plugin
 
 
 def parse(model: type[SettingsT], values: Mapping[str, Any], where: str = "") -> SettingsT:
@@ -244,100 +226,3 @@ def nested_plugins(plugin: Plugin) -> list[Plugin]:
         elif isinstance(value, Mapping):
             waiting += value.values()
     return found
-
-
-_CONTRACT = "flipperctl.api"
-_guarded_functions: WeakSet[Callable[..., object]] = WeakSet()
-"""The guarded functions; an attribute would be copied by an author's ``functools.wraps``."""
-
-_RAISED: dict[tuple[str, str], type[FlipperctlError]] = {
-    ("network", "build"): ConfigError,
-    ("network", "frames"): ConfigError,
-    ("agent", "build"): ConfigError,
-    ("reward", "bounds"): PluginError,
-}
-"""(kind, method) → the error that rejects a plugin before it is used."""
-_REFUSALS: dict[tuple[str, str], type[FlipperctlError]] = {
-    ("terrain", "at"): TerrainError,
-    ("terrain", "generate"): TerrainError,
-    ("terrain", "labelled"): TerrainError,
-    ("controller", "using"): ConfigError,
-    ("controller", "paying"): ConfigError,
-}
-"""(kind, method) → the error in place of a ValueError, with which the method rejects a request."""
-_PASSED_ON: dict[str, type[BaseException]] = {
-    **dict.fromkeys(("notices", "check", "check_start"), ValueError),
-    "open": BaseException,
-}
-"""Method → the errors that it passes on unchanged because the caller interprets them."""
-_NO_PLUGINS = (float, int, bool, tuple, type(None))
-"""Types of results that need no guard."""
-_NAMES = {"labelled": "generate"}
-"""Method of the contract → the author's method that it calls, which errors name."""
-
-
-def guard_class(cls: type[Plugin]) -> None:
-    """Guard each method and property of the contract, also inherited ones; idempotent.
-
-    They name plugin, method, file and line when they fail in calls by the core: another plugin or
-    the author's own test gets the original error and may catch it.
-    """
-    for base in cls.__mro__:
-        if not (base.__module__.startswith(_CONTRACT) and issubclass(base, Plugin)):
-            continue
-        for name in vars(base):
-            if name[0] != "_" or name == "__call__":
-                found = next(vars(one)[name] for one in cls.__mro__ if name in vars(one))
-                replaced = _guard_attribute(name, found)
-                if replaced is not found:
-                    setattr(cls, name, replaced)
-
-
-def _guard_attribute(name: str, found: Any) -> object:
-    """Return a guarded version of a method or property; return a plain value unchanged."""
-    if isinstance(found, property) and found.fget is not None:
-        getter = _guard(name, found.fget)
-        return found if getter is found.fget else property(getter, doc=found.__doc__)
-    if inspect.isfunction(found):
-        return _guard(name, found)
-    if isinstance(found, classmethod) and inspect.isfunction(found.__func__):
-        method = _guard(name, found.__func__)
-        return found if method is found.__func__ else classmethod(method)
-    if not hasattr(type(found), "__get__"):
-        return found
-
-    @functools.wraps(getattr(found, "func", found))
-    def get(self: Plugin, *given: object, **named: object) -> object:
-        """Read a cached property; call a static or partial method, or a compiled function."""
-        value = found.__get__(self, type(self))
-        return value if cached else value(*given, **named)
-
-    cached = isinstance(found, functools.cached_property)
-    return property(_guard(name, get), doc=found.__doc__) if cached else _guard(name, get)
-
-
-def _guard(name: str, function: Callable[..., object]) -> Callable[..., object]:
-    """Return a version of the function that names its plugin if it fails in a call by the core."""
-    if function in _guarded_functions:
-        return function
-    shown = _NAMES.get(name, name)
-
-    @functools.wraps(function)
-    def guarded(self: Plugin | type[Plugin], *given: object, **named: object) -> object:
-        try:
-            result = function(self, *given, **named)
-        except BaseException as error:
-            if isinstance(error, _PASSED_ON.get(name, ())) or not guard.is_called_by_core(error):
-                raise
-            refuses = isinstance(error, ValueError)
-            key = self.kind, name
-            if refuses and (refusal := _REFUSALS.get(key)):
-                guard.raise_named(error, self, shown, refusal, plain=True)
-            guard.raise_named(error, self, shown, _RAISED.get(key, PluginFailedError))
-        # Most results are numbers, of which the type is known sooner than that they are no plugin.
-        if result.__class__ not in _NO_PLUGINS and isinstance(result, Plugin):
-            guard_class(type(result))
-        return result
-
-    _guarded_functions.add(guarded)
-    return guarded

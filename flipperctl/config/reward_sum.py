@@ -21,7 +21,7 @@ from flipperctl.errors import (
     PluginError,
     PluginFailedError,
 )
-from flipperctl.plugging.guard import as_real, definition, plugin_label, refusal, short_repr
+from flipperctl.plugging.guard import as_real, definition, naming, plugin_label, refusal, short_repr
 
 _ROUNDING = 1e-9
 """Tolerance of a term's bounds for rounding, relative to bounds above 1 [-]."""
@@ -46,7 +46,7 @@ class RewardSum:
 
         Raises:
             NonFiniteError: a term is not finite; the text names it.
-            PluginFailedError: a term raised an error, or returned no number within its bounds.
+            PluginFailedError: a term returned no number within its bounds.
         """
         return {entry.name: entry.weight * entry.value(t) for entry in self._terms}
 
@@ -55,8 +55,7 @@ class RewardSum:
 
         Raises:
             NonFiniteError: a term is not finite; the text names it.
-            PluginFailedError: a term raised an error, or returned no array of M numbers within its
-                bounds.
+            PluginFailedError: a term returned no array of M numbers within its bounds.
         """
         total = np.zeros(len(ts))
         if len(ts):
@@ -92,11 +91,9 @@ class _Term:
 
     def __init__(self, name: str, term: RewardTerm) -> None:
         self.name, self.term = name, term
-        try:
+        with naming(term, "bounds", PluginError):
             bounds: Any = term.bounds
             weight: Any = term.weight
-        except PluginError as error:
-            raise self._with_path(error) from error.__cause__
         pair = isinstance(bounds, tuple | list) and len(bounds) == 2
         if not (pair and all(isinstance(b, Real) for b in bounds) and bounds[0] <= bounds[1]):
             allowed = "the least and the largest unweighted value are"
@@ -112,10 +109,7 @@ class _Term:
 
     def value(self, t: Transition) -> float:
         """Return the checked value of one decision by the term's form for one [-]."""
-        try:
-            value = self.term(t)
-        except PluginFailedError as error:
-            raise self._with_path(error) from error.__cause__
+        value = self.term(t)
         if isinstance(value, np.float64):
             value = value.item()
         elif type(value) is not float:
@@ -126,10 +120,7 @@ class _Term:
 
     def values(self, ts: Transitions) -> FloatArray:
         """Return the checked values of M decisions by the term's form for many, (M,) [-]."""
-        try:
-            paid: Any = self.term.array(ts)
-        except PluginFailedError as error:
-            raise self._with_path(error) from error.__cause__
+        paid: Any = self.term.array(ts)
         is_array = isinstance(paid, np.ndarray)
         if not (is_array and paid.dtype.kind in "fiu" and paid.shape == (len(ts),)):
             what = f"an array of {paid.dtype} and shape {paid.shape}" if is_array else ""
@@ -150,15 +141,9 @@ class _Term:
         """Return whether the value and its weighted value are allowed; NaN is not."""
         return self._low <= value <= self._high and abs(self.weight * value) <= _LARGEST
 
-    def _with_path(self, error: FlipperctlError) -> FlipperctlError:
-        """Return the error with the term's configuration path added to the plugin's name."""
-        label = plugin_label(self.term)
-        named = f"{label} (rewards.{self.name}):"
-        return type(error)(str(error).replace(f"{label}:", named, 1))
-
     def _to_float(self, value: object, t: Transition) -> float:
         """Return a number of Python or numpy, or an array or tensor of one number, as a float."""
-        if (number := as_real(value, self.term)) is not None:
+        if (number := as_real(value)) is not None:
             return float(number)
         raise refusal(
             self.term,

@@ -9,21 +9,17 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
 from flipperctl.api import (
     SAMPLE_PERIOD,
-    BeltWorld,
-    CameraWorld,
     Command,
-    EndingWorld,
     Engine,
     FloatArray,
     Outcome,
     Profile,
-    RayWorld,
     Robot,
     Sensor,
     Start,
@@ -31,7 +27,7 @@ from flipperctl.api import (
 )
 from flipperctl.config import Episode
 from flipperctl.core.targets import Action, Rates, TargetRule, action_index, closest, turns
-from flipperctl.env.guarded import place
+from flipperctl.env.placed import PlacedWorld, place
 from flipperctl.env.termination import Termination
 from flipperctl.errors import NonFiniteError
 from flipperctl.sim.versions import samples_in, simulated
@@ -40,13 +36,6 @@ _TURN, _SAMPLE, _PERCEIVE, _END = range(4)
 """Events within a decision, in their order within a sample."""
 _DRIVEN = 0.9
 """Mean share of the belts' speed from which a decision counts as driven ahead [-]."""
-
-
-class DrivenWorld(World, BeltWorld, EndingWorld, RayWorld, CameraWorld, Protocol):
-    """A world that may terminate by itself, casts rays, has cameras and may measure its work."""
-
-    def flipper_work(self) -> float | None:
-        """Return the work of the flippers' motors since the start [J]; None: not measured."""
 
 
 class Commanding:
@@ -67,7 +56,7 @@ class Commanding:
         self._belts = 1.0
         self._followed: tuple[float, float] | None = None
 
-    def command(self, world: DrivenWorld, targets: tuple[float, float]) -> tuple[float, float]:
+    def command(self, world: PlacedWorld, targets: tuple[float, float]) -> tuple[float, float]:
         """Ask for a command and apply the one that is due; return the new targets [rad]."""
         # The first command of an episode starts from the targets of its start.
         self._followed = self._followed or targets
@@ -118,10 +107,15 @@ class Drive:
         start: Start,
         period: float,
         rng: np.random.Generator,
+        *,
+        checked: bool = True,
     ) -> None:
-        """Place the robot; decisions take ``period`` [s], and the engine samples from ``rng``."""
+        """Place the robot; decisions take ``period`` [s], and the engine samples from ``rng``.
+
+        ``checked``: whether every value of the engine's world is checked.
+        """
         engine, self.robot, perception = sections
-        self.world: DrivenWorld = place(engine, profile, self.robot, start, rng)
+        self.world = place(engine, profile, self.robot, start, rng, checked=checked)
         lasting = simulated(period)
         self.termination = Termination(profile, self.robot, episode, start.x, lasting)
         self.state = self.delayed_state = self.world.state()

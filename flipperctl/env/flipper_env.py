@@ -32,7 +32,6 @@ from flipperctl.config.reward_sum import RewardSum
 from flipperctl.core.targets import ALLOWED, Action, ActionKind, as_action
 from flipperctl.env import ground, repeating, start
 from flipperctl.env.drive import Drive
-from flipperctl.env.guarded import exact as exact_sensor
 from flipperctl.env.metrics import DRAWN, EpisodeMetrics, Pitches, measures
 from flipperctl.env.perceiving import Perceiver, SceneSimulator, initial_copy
 from flipperctl.env.pictures import (
@@ -51,6 +50,7 @@ from flipperctl.env.repeating import require_unmoved
 from flipperctl.env.start import run_out_of
 from flipperctl.errors import ConfigError, PluginFailedError, TerrainError
 from flipperctl.plugging import plugins
+from flipperctl.plugging.checked import require
 from flipperctl.plugging.randomness import global_states
 from flipperctl.text.files import at_home
 from flipperctl.text.messages import close_match
@@ -143,6 +143,8 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
         self._outcome: Outcome | None = None
         self._replayed: repeating.Replayed | None = None
         self._first_seed = _checked(seed)
+        self._checked = True
+        """Whether every value of the episode's plugins is checked, as in the first one."""
         self._seed: int | None = None
         self.running = False
         """Whether an episode runs: ``reset`` began it, and it has not ended."""
@@ -157,11 +159,12 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
         Raises:
             ValueError: the difficulty is not a number from 0 to 1, or the seed true or false.
             TerrainError: the terrain generates no ground that a robot can start on.
-            PluginFailedError: the code of the terrain, engine or sensor failed.
+            PluginFailedError: the terrain, engine or sensor returned what is not allowed.
         """
         difficulty = ground.asked_difficulty(options)
         # The constructor's seed serves the first reset alone.
         seed = self._first_seed if seed is None else _checked(seed)
+        self._checked = self._checked and self._generated is None
         self.running, self._first_seed = False, None
         # Plugins of others are watched for draws from global generators.
         before = global_states() if self.foreign else None
@@ -195,6 +198,10 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
             if seed is not None:
                 error.args = (f"{error}; the episode's seed is {seed}",)
             raise
+        except Exception as error:
+            if seed is not None:
+                error.add_note(f"the episode's seed is {seed}")
+            raise
         self._rngs = rngs[0], rngs[1]
         # Observers are attached before the first measurement, which they receive, too.
         attach(self.observers, self.drive, self.profile)
@@ -227,7 +234,10 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
         config = self.config
         period = config.robot.decision_period
         rng = initial_copy(self._engine_rng)  # so that all worlds of the episode are equal
-        return Drive(self.profile, self._sections, config.episode, self._start, period, rng)
+        return Drive(
+            *(self.profile, self._sections, config.episode, self._start, period, rng),
+            checked=self._checked,
+        )
 
     def _new_perceiver(
         self,
@@ -246,8 +256,10 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
         mounting = Mounting(robot, self.profile, margin, world, mounted, gravity, world)
         if exact:  # includes the sampled physics
             friction = engine.shared_setting("friction")
-            return Perceiver(exact_sensor(sensor), mounting, robot, rngs, friction)
-        return Perceiver(sensor, mounting, self.config.robot, rngs)
+            sensor = require(sensor, "exact", sensor.exact())
+        else:
+            robot, friction = self.config.robot, None
+        return Perceiver(sensor, mounting, robot, rngs, friction, checked=self._checked)
 
     def map_points(self) -> FloatArray | None:
         """Return the points of the sensor's map now, (P, 3) in frame L [m]; None without a map."""
@@ -301,7 +313,7 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
         Raises:
             ValueError: there is no such action.
             ResetNeeded: no episode is running.
-            PluginFailedError: the code of a reward term, measure, engine or sensor failed.
+            PluginFailedError: a reward, measure, engine or sensor returned what is not allowed.
             NonFiniteError: the state or a reward is not a finite number.
         """
         taken: Action | None = as_action(action)
@@ -388,13 +400,13 @@ class FlipperEnv(gymnasium.Env[Observation, Any]):
         Raises:
             ResetNeeded: no episode has begun.
             RequestError: the machine lacks a library that the engine needs for drawing.
-            PluginFailedError: the code of the engine failed.
         """
         if self.render_mode is None:
             return None
         self._require_episode()
-        if isinstance(self.drive.world, DrawingWorld):
-            return self.drive.world.draw(WIDTH, HEIGHT)
+        if isinstance(self.drive.world.of_engine, DrawingWorld):
+            picture: Picture = self.drive.world.draw(WIDTH, HEIGHT)
+            return picture
         if self._renderer is None:
             self._renderer = installed()
         return self._renderer(self.scene)

@@ -16,7 +16,8 @@ from pydantic import ValidationError
 from flipperctl.api import Profile, Terrain
 from flipperctl.config.resolver import construct, nested_plugins
 from flipperctl.errors import TerrainError
-from flipperctl.plugging.guard import refusal, short_repr
+from flipperctl.plugging.checked import require
+from flipperctl.plugging.guard import refusal, refusing, short_repr
 from flipperctl.sim.ground import check_extent, thinned
 from flipperctl.text.messages import close_match, explain
 
@@ -35,19 +36,18 @@ FARTHEST = 1e7
 
 def generate_profile(terrain: Terrain, rng: np.random.Generator, difficulty: float) -> Profile:
     """Return the checked profile that a terrain generates for an episode."""
-    at = terrain.at(difficulty)
-    if at is not terrain:
-        _require_valid(at, terrain)
-    profile = at.labelled(rng)
+    with refusing(terrain, "generate", TerrainError):
+        at: Terrain = require(terrain, "at", terrain.at(difficulty))
+        if at is not terrain:
+            _require_valid(at, terrain)
+        profile = at.labelled(rng)
     if fault := next(_faults(profile), None):
         raise refusal(terrain, "generate", f"returned a profile {fault}", TerrainError)
     return profile
 
 
-def _require_valid(at: object, terrain: Terrain) -> None:
-    """Refuse an object that is no terrain, or has settings that are not allowed."""
-    if not isinstance(at, Terrain):
-        raise refusal(terrain, "at", f"returned {_typed_repr(at)}; a Terrain is allowed")
+def _require_valid(at: Terrain, terrain: Terrain) -> None:
+    """Refuse a terrain with settings that its fields or validators do not allow."""
     for part in nested_plugins(at):  # model_copy validates nothing
         cls, values = type(part), dict(part)
         try:
@@ -134,20 +134,13 @@ def asked_difficulty(options: Mapping[str, Any] | None) -> float:
 
 def first_difficulty(terrain: Terrain) -> float:
     """Return the difficulty of a training's first episode."""
-    return _difficulty(terrain.first_difficulty, terrain, "first_difficulty")
+    return float(require(terrain, "first_difficulty", terrain.first_difficulty))
 
 
 def next_difficulty(terrain: Terrain, difficulty: float, reached: bool) -> float:
     """Return the difficulty after an episode that did or did not reach the finish."""
     following = terrain.next_difficulty(difficulty, reached)
-    return _difficulty(following, terrain, "next_difficulty")
-
-
-def _difficulty(value: object, terrain: Terrain, method: str) -> float:
-    if isinstance(value, Real) and 0 <= float(value) <= 1:  # false for NaN
-        return float(value)
-    text = f"returned {short_repr(value)}; a number from 0 to 1 is allowed"
-    raise refusal(terrain, method, text)
+    return float(require(terrain, "next_difficulty", following))
 
 
 def _typed_repr(value: Any) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 from flipperctl.api import FloatArray, Measure, Plugin, Transition, registry
 from flipperctl.config import resolver
 from flipperctl.config.sampled import Randomise
-from flipperctl.errors import NonFiniteError, PluginError
+from flipperctl.errors import NonFiniteError, PluginError, PluginFailedError
 from flipperctl.plugging.guard import as_real, definition, plugin_label, refusal, short_repr
 
 CORE = (
@@ -204,12 +204,10 @@ def _make(cls: type[Plugin]) -> Measure:
 
 
 def _value(measure: Measure, episode: Sequence[Transition]) -> float:
-    result: object = measure(episode)
-    value = as_real(result, measure)
-    if value is None or isinstance(value, bool):
-        text = f"returned {short_repr(result)}; a finite number is allowed"
-        raise refusal(measure, "__call__", text)
-    if not math.isfinite(value):
-        text = f"returned {value}; a finite number is allowed"
-        raise refusal(measure, "__call__", text, NonFiniteError)
+    returned: object = measure(episode)
+    value = as_real(returned)
+    if value is None or isinstance(value, bool) or not math.isfinite(value):
+        text = f"returned {short_repr(returned)}; a finite number is allowed"
+        kind = PluginFailedError if value is None else NonFiniteError
+        raise refusal(measure, "__call__", text, kind)
     return value if isinstance(value, int) else float(value)

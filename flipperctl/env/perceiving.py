@@ -15,6 +15,7 @@ from flipperctl.api import (
     MAX_HISTORY,
     SAMPLE_PERIOD,
     FloatArray,
+    Instrument,
     Measured,
     Mounting,
     Outcome,
@@ -27,7 +28,7 @@ from flipperctl.api import (
 )
 from flipperctl.core.observation import assemble, bin_heights
 from flipperctl.env.drive import Drive
-from flipperctl.env.guarded import mounted_parts
+from flipperctl.env.placed import mounted_parts, require_sensed_finite
 
 
 class Perceiver:
@@ -40,25 +41,28 @@ class Perceiver:
         robot: RobotGeometry,
         rngs: tuple[np.random.Generator, np.random.Generator],
         friction: float | None = None,
+        *,
+        checked: bool = True,
     ) -> None:
-        """Set up ``sensor`` for one episode.
+        """Set up ``sensor`` for one episode, in which what it returns may be ``checked``.
 
         ``robot``: the robot that policies are given; ``rngs``: the generators of the sensor's
         noise and of random policies; ``friction``: the friction that policies are given [-].
         """
         self._robot, self._friction = robot, friction
         noise, self._controller_rng = rngs
-        self._layout = sensor.layout
+        self._sensor, self._layout = sensor, sensor.layout
         self._recent: deque[np.ndarray[tuple[int], np.dtype[np.float32]]]
         self._recent = deque(maxlen=MAX_HISTORY)
-        instruments, self._estimator = mounted_parts(sensor, mounting, robot)
+        parts = mounted_parts(sensor, mounting, robot, checked=checked)
+        instruments, self._estimator, self._senses = parts
         # The first instrument draws from the sensor's generator, further ones from its children.
         generators = [noise, *noise.spawn(len(instruments) - 1)] if instruments else []
         self._parts = [
-            (name, instrument, rng)
+            (name, instrument, rng, _samples_between(instrument))
             for (name, instrument), rng in zip(instruments.items(), generators, strict=True)
         ]
-        self._periods = sorted({part.every for part in instruments.values() if part.every})
+        self._periods = sorted({every for *_, every in self._parts if every is not None})
         self._pending: list[Measured] = []
         """Measurements that the estimator has not received yet, because of the delay."""
         self._reports: tuple[Callable[[Measured], None], ...] = ()
@@ -81,8 +85,8 @@ class Perceiver:
             self._measure(interval, state)
 
     def _measure(self, interval: int | None, state: RobotState) -> None:
-        for name, instrument, rng in self._parts:
-            if instrument.every == interval:
+        for name, instrument, rng, every in self._parts:
+            if every == interval:
                 value = instrument.measure(state, rng)
                 if value is None:
                     continue
@@ -97,7 +101,7 @@ class Perceiver:
         except for earlier observations, which are read-only.
 
         Raises:
-            PluginFailedError: the sensor's code failed, or returned a value that is not allowed.
+            PluginFailedError: the sensor returned a value that is not allowed.
             NonFiniteError: a returned number is not finite.
         """
         self._measure(None, state)
@@ -111,6 +115,7 @@ class Perceiver:
             else:
                 self._pending.append(measured)
         ground, angles = self._estimator.estimate(state.time)
+        require_sensed_finite(self._sensor, self._senses, ground, angles)
         heights, layout = ground.heights, self._layout
         # A sensor may know the heights of the bins; otherwise they follow from its points.
         if heights is None:
@@ -140,25 +145,31 @@ class Perceiver:
 
     def map_points(self) -> FloatArray | None:
         """Return the points of the sensor's map, (P, 3) in frame L [m]; None if it keeps none."""
-        read_points = getattr(getattr(self._estimator, "unguarded", None), "map_points", None)
-        return None if read_points is None else np.asarray(read_points())
+        points = getattr(self._estimator, "map_points", None)
+        return None if points is None else np.asarray(points())
 
     def save(self) -> tuple[Any, ...]:
         """Return a snapshot of memories, generators and recent observations for ``load``."""
-        parts = [(part.save(), rng.bit_generator.state) for _, part, rng in self._parts]
+        parts = [(part.save(), rng.bit_generator.state) for _, part, rng, _ in self._parts]
         random = self._controller_rng.bit_generator.state
         return parts, random, self._estimator.save(), tuple(self._pending), tuple(self._recent)
 
     def load(self, saved: tuple[Any, ...]) -> None:
         """Restore a snapshot."""
         parts, random, estimator, pending, recent = saved
-        for (_, part, rng), (memory, state) in zip(self._parts, parts, strict=True):
+        for (_, part, rng, _), (memory, state) in zip(self._parts, parts, strict=True):
             part.load(memory)
             rng.bit_generator.state = state
         self._controller_rng.bit_generator.state = random
         self._estimator.load(estimator)
         self._pending = list(pending)
         self._recent = deque(recent, maxlen=MAX_HISTORY)
+
+
+def _samples_between(instrument: Instrument) -> int | None:
+    """Return the samples between two measurements; None: one for each decision [-]."""
+    period = instrument.period
+    return None if period is None else round(period / SAMPLE_PERIOD)
 
 
 def _copy(array: Any) -> Any:

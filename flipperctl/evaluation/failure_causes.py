@@ -12,9 +12,9 @@ from enum import StrEnum
 from flipperctl.api import Outcome, RobotState
 from flipperctl.config import EvalConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
-from flipperctl.env.guarded import exact
 from flipperctl.errors import ConfigError
 from flipperctl.evaluation.rows import CAUSE, END, Row, reached
+from flipperctl.plugging.checked import require
 from flipperctl.policies.source import PolicySource
 from flipperctl.rollout.episode import Decision
 from flipperctl.rollout.episode import play as drive
@@ -53,7 +53,7 @@ def on_true_ground(config: EvalConfig) -> EvalConfig | None:
     None if the sensor is already exact, or if one of its settings is randomised (dropping it would
     shift the other draws).
     """
-    perception = exact(config.perception)
+    perception = require(config.perception, "exact", config.perception.exact())
     sampled = any(setting.section == "perception" for setting in config.randomise.sampled())
     if type(perception) is type(config.perception) or sampled:
         return None

@@ -33,7 +33,7 @@ from flipperctl.errors import (
 )
 from flipperctl.evaluation.rows import DIGEST, RECORDED, Episodes, Row, arranged
 from flipperctl.evaluation.store import EpisodeStore, StoreKey, blocks
-from flipperctl.plugging.guard import error_line
+from flipperctl.plugging.guard import error_line, naming_plugins
 from flipperctl.policies.controllers import DemonstratingPolicy, from_action
 from flipperctl.policies.identity import PolicyIdentity
 from flipperctl.policies.source import PolicySource
@@ -288,10 +288,14 @@ class Player:
                 if self.interrupted:
                     return
                 seed = config.eval.seed
-                runner = runner or EpisodeRunner(
-                    *(config, source, seed, report_search), record=record, training=self._training
-                )
-                yield runner.play(index)
+                with naming_plugins():  # a policy whose plugin fails is left out by its name
+                    runner = runner or EpisodeRunner(
+                        *(config, source, seed, report_search),
+                        record=record,
+                        training=self._training,
+                    )
+                    row = runner.play(index)
+                yield row
 
         def elsewhere(count: int) -> Iterator[Row]:
             for _ in range(count):

@@ -43,8 +43,7 @@ def export_scene(config: EvalConfig, format: SceneFormat, output: Path) -> dict[
     from flipperctl.sim.mujoco import description
     from flipperctl.sim.mujoco.world import MujocoWorld
 
-    guarded: Any = env.drive.world
-    world = guarded.unguarded
+    world = env.drive.world.of_engine
     if not isinstance(world, MujocoWorld):
         raise ConfigError(
             f"sim: {config.sim.plugin_name} has no model in 3-D to write; sim=mujoco is allowed"

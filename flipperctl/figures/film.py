@@ -109,7 +109,7 @@ def film(
     envs = [[FlipperEnv(config=part.config) for part in take.parts] for take in takes]
     first, part = envs[0][0], takes[0].parts[0]
     first.reset(seed=part.seed)
-    if isinstance(first.drive.world, DrawingWorld):
+    if isinstance(first.drive.world.of_engine, DrawingWorld):
         coarser = _COARSER if path.suffix.lower() == ".gif" else 1
         height = _STACKED if len(takes[0].parts) > 1 else _ALONE
         clips = [

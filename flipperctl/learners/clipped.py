@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from flipperctl.agent.contract import check_demand
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.losses import Adam, clipped_gain, descend, divergence, flatten_parameters
-from flipperctl.agent.networks import naming_network, seeded
+from flipperctl.agent.networks import seeded
 from flipperctl.agent.replay import Batch, Replay
 from flipperctl.api import ACTIONS, Network, ObservationLayout, Training
 from flipperctl.checkpoint import LAST, find, read
@@ -120,8 +120,7 @@ class ClippedGradient(NetworkPair):
         ``rng`` shuffles. Returns the mean squared error of the values in the last step [-].
         """
         # Forward passes draw by the number of the round alone: a resumed run repeats them.
-        random = seeded(self.device, self._seed, self.rounds)
-        with naming_network(self.online, "forward"), random:  # only its own code can fail here
+        with seeded(self.device, self._seed, self.rounds):
             self.online.eval()
             return self._update(batch.to(self.device), fraction, rng)
 

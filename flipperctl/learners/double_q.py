@@ -30,7 +30,6 @@ from flipperctl.agent.networks import (
     difference_errors,
     difference_loss,
     difference_targets,
-    naming_network,
     seeded,
 )
 from flipperctl.agent.replay import Batch, GroupBatch
@@ -143,8 +142,7 @@ class DoubleQ(NetworkPair):
         which sets the learning rate and the weight of the labels. ``groups``: valued states for
         each step.
         """
-        random = seeded(self.device, self._seed, self.optimiser.steps)  # equal in a resumed run
-        with naming_network(self.online, "forward"), random:  # only its own code can fail here
+        with seeded(self.device, self._seed, self.optimiser.steps):  # equal in a resumed run
             return self._update(batch, fraction, groups)
 
     def _update(self, batch: Batch, fraction: float, groups: Sequence[GroupBatch]) -> float:

@@ -241,7 +241,7 @@ class Person:
         self._scene.begin(env.profile, robot, shown.finish, "")
         self._scene.show(env.state)
         world = env.drive.world
-        self._cameras = isinstance(getattr(world, "unguarded", world), CameraWorld)
+        self._cameras = isinstance(world.of_engine, CameraWorld)
         # What the page needs to draw the robot and its gauges
         about = {
             "robot": {

@@ -1,11 +1,9 @@
 """Names the plugin, method, file and line of an error that a plugin's code raised.
 
-In: an exception raised while the core called a plugin. Out: one of the package's own exceptions,
-with one line of text. The methods of a plugin itself are guarded once, where the plugin is made
-(``config.resolver``). Objects that a plugin returns, such as a world, are called within a context:
-
-    with naming(engine, "advance"):
-        poses = world.advance(samples, limits)
+In: an exception. Out: one of the package's own exceptions, with one line of text. Calls of a plugin
+are not guarded: its error is raised as it is, and ``naming_plugins`` finds the plugin in the
+traceback once, where a program, a worker or an evaluation ends. ``naming`` is for calls that refuse
+a plugin before it is used, with an exit code of their own.
 
 ``SystemExit`` and ``GeneratorExit`` count as errors of the plugin too; only ``KeyboardInterrupt``
 comes from the user.
@@ -16,15 +14,16 @@ from __future__ import annotations
 import inspect
 import sysconfig
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from numbers import Real
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any, NoReturn
 
 from pydantic import ValidationError
 
-from flipperctl.api import Plugin
+from flipperctl.api import Plugin, registry
 from flipperctl.errors import (
     FlipperctlError,
     MissingExtraError,
@@ -37,40 +36,59 @@ _LIBRARIES = tuple({sysconfig.get_path(name) for name in ("stdlib", "purelib", "
 _CORE = "flipperctl"
 USER_MODULE = "flipperctl_user_"
 """Prefix of the packages of plugins that were loaded from a path, one for each folder."""
-_NO_CALLERS = ("flipperctl.api", "flipperctl.testing")
 
 
-class naming:  # noqa: N801  # used like a function, as contextlib's own contexts are
-    """A context that re-raises every error as one that names a plugin and its method.
+@contextmanager
+def naming(
+    plugin: Plugin | type[Plugin],
+    method: str,
+    raised: type[FlipperctlError] = PluginFailedError,
+    *,
+    while_: str = "",
+) -> Iterator[None]:
+    """Re-raise every error as one that names a plugin and its method.
 
-    A class, since a generator of ``contextlib`` takes six times as long to enter and exit.
+    ``while_``: purpose of the call, for the text.
     """
+    try:
+        yield
+    except BaseException as error:  # noqa: BLE001  # raised again
+        raise_named(error, plugin, method, raised, while_=while_)
 
-    __slots__ = ("_named", "_while")
 
-    def __init__(
-        self,
-        plugin: Plugin | type[Plugin],
-        method: str,
-        raised: type[FlipperctlError] = PluginFailedError,
-        *,
-        while_: str = "",
-    ) -> None:
-        """Name ``plugin`` and ``method``; ``while_``: purpose of the call, for the text."""
-        self._named, self._while = (plugin, method, raised), while_
+@contextmanager
+def refusing(plugin: Plugin, method: str, raised: type[FlipperctlError]) -> Iterator[None]:
+    """Raise ``raised`` for a ``ValueError``, by which a method refuses settings or a request."""
+    try:
+        yield
+    except ValueError as error:
+        raise_named(error, plugin, method, raised, plain=True)
 
-    def __enter__(self) -> None:
-        """Begin the context."""
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        """Re-raise ``error``, if there is one; see ``raise_named``."""
-        if error is not None:
-            raise_named(error, *self._named, while_=self._while)
+@contextmanager
+def naming_plugins() -> Iterator[None]:
+    """Re-raise an error of any plugin's code as a ``PluginFailedError`` that names its place."""
+    try:
+        yield
+    except BaseException as error:
+        if named := attributed(error):
+            raise named from error
+        raise
+
+
+def attributed(error: BaseException) -> FlipperctlError | None:
+    """Return an error that names the plugin whose code raised ``error``; None if none did.
+
+    The place is the innermost frame outside the package and its libraries. What called the package,
+    such as a script, is no plugin.
+    """
+    if not (called := _innermost_call(error)):
+        return None
+    plugin, method = _culprit(called)
+    # An object that a plugin built has a class beside that of the plugin.
+    beside = [cls for cls in registry.values() if cls.__module__ == _module(called[-1][0])]
+    labels = " or ".join(plugin_label(cls) for cls in ([plugin] if plugin else beside))
+    return _named(error, f"{labels}: " if labels else "", method, _last(called))
 
 
 def raise_named(
@@ -89,67 +107,29 @@ def raise_named(
     plugin is at fault, ``error`` itself is raised: an interrupt, or an error of the core that
     passed through the plugin.
     """
-    frames = [frame for frame, _ in traceback.walk_tb(error.__traceback__)]
-    if isinstance(error, KeyboardInterrupt):
+    if isinstance(error, KeyboardInterrupt | FlipperctlError) and not _innermost_call(error):
         raise error
-    if isinstance(error, FlipperctlError) and frames and _is_core(frames[-1]):
-        raise error
-    plugin, method = _culprit(frames, plugin, method)
+    if called := _innermost_call(error):
+        culprit, entered = _culprit(called)
+        plugin, method = (culprit, entered) if culprit else (plugin, method)
     where = error_place(error, plugin, method)
-    what = _text(error) if plain else f"{method} raised {error_line(error)}"
+    if plain:
+        raise raised(f"{plugin_label(plugin)}: {_text(error)} ({method}, {where})") from error
+    raise _named(error, f"{plugin_label(plugin)}{while_}: ", method, where, raised) from error
+
+
+def _named(
+    error: BaseException,
+    label: str,
+    method: str,
+    where: str,
+    raised: type[FlipperctlError] = PluginFailedError,
+) -> FlipperctlError:
+    """Return the exception that says what was raised where; a missing package has its own."""
+    notes = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
     if missing := missing_package(error):
-        what, raised = missing, MissingExtraError
-    where = f"{method}, {where}" if plain else where
-    raise raised(f"{plugin_label(plugin)}{while_}: {what} ({where})") from error
-
-
-class Guarded:
-    """An object that a plugin built; errors of its methods name plugin, method and place."""
-
-    def __init__(self, plugin: Plugin, built: object) -> None:
-        """Guard what ``plugin`` built."""
-        self.plugin = plugin
-        self.unguarded: Any = built
-        """The plugin's own object."""
-
-    def call(self, method: str, *given: Any) -> Any:
-        """Return what a method of the object returns."""
-        try:  # not ``naming``, since there are several calls in each decision
-            return getattr(self.unguarded, method)(*given)
-        except BaseException as error:  # noqa: BLE001  # raised again
-            raise_named(error, self.plugin, method)
-
-    def refusal(
-        self,
-        method: str,
-        found: str,
-        allowed: str,
-        raised: type[FlipperctlError] = PluginFailedError,
-    ) -> FlipperctlError:
-        """Return the exception to raise for an invalid value that a method returned."""
-        text, owner = f"returned {found}; allowed: {allowed}", type(self.unguarded)
-        return refusal(self.plugin, method, text, raised, owner=owner)
-
-    def save(self) -> Any:
-        """Return a snapshot of the object's memory for ``load``."""
-        return self.call("save")
-
-    def load(self, saved: Any) -> None:
-        """Restore a snapshot."""
-        self.call("load", saved)
-
-
-def is_called_by_core(error: BaseException) -> bool:
-    """Return whether the core called the function that catches ``error``.
-
-    The contract's base classes and the conformance suite do not count: their calls are treated as
-    those of another plugin or of its author's test.
-    """
-    trace = error.__traceback__
-    caller = trace.tb_frame.f_back if trace is not None else None
-    if caller is None or not _is_core(caller):
-        return False
-    return not _module(caller).startswith(_NO_CALLERS)
+        return MissingExtraError(f"{label}{missing} ({where}){notes}")
+    return raised(f"{label}{method} raised {error_line(error)} ({where}){notes}")
 
 
 def refusal(
@@ -168,11 +148,10 @@ def refusal(
     return raised(f"{plugin_label(plugin)}: {method} {text} ({where})")
 
 
-def as_real(value: object, plugin: Plugin) -> Real | None:
-    """Return the real number that ``__call__`` returned, alone or in an array; None: none."""
-    with naming(plugin, "__call__"):
-        if getattr(value, "shape", None) == ():
-            value = value.item()  # type: ignore[attr-defined]  # arrays and tensors have item()
+def as_real(value: Any) -> Real | None:
+    """Return a real number, alone or in an array or tensor; None: none."""
+    if getattr(value, "shape", None) == ():
+        value = value.item()
     return value if isinstance(value, Real) else None
 
 
@@ -195,19 +174,15 @@ def short_repr(value: object) -> str:
 
 def error_place(error: BaseException, plugin: Plugin | type[Plugin], method: str) -> str:
     """Return file and line of the plugin's code that raised the error, else of the method."""
-    steps = list(traceback.walk_tb(error.__traceback__))
-    package = _package(_class(plugin).__module__)
-    own = [s for s in steps if not _is_core(s[0]) and _package(_module(s[0])) == package]
-    return _last(own or [s for s in steps if _is_foreign(s[0])]) or definition(plugin, method)
+    return _last(_outside(traceback.walk_tb(error.__traceback__))) or definition(plugin, method)
 
 
 def import_place(error: BaseException, file: Path | None) -> str:
     """Return the file and line, in a plugin's ``file`` or else outside the core, of an error."""
-    steps = list(traceback.walk_tb(error.__traceback__))
+    steps = [s for s in traceback.walk_tb(error.__traceback__) if not _is_core(s[0])]
+    steps = [s for s in steps if not s[0].f_code.co_filename.startswith("<")]
     own = [s for s in steps if file is not None and s[0].f_code.co_filename == str(file)]
-    outside = [s for s in steps if not s[0].f_code.co_filename.startswith("<")]
-    outside = [s for s in outside if not _is_core(s[0])]
-    return _last(own or [s for s in outside if _is_foreign(s[0])] or outside)
+    return _last(own or _outside(steps) or steps)
 
 
 def definition(plugin: Plugin | type, method: str = "") -> str:
@@ -224,21 +199,44 @@ def definition(plugin: Plugin | type, method: str = "") -> str:
         return cls.__module__
 
 
-def _culprit(
-    frames: list[FrameType], plugin: Plugin | type[Plugin], method: str
-) -> tuple[Plugin | type[Plugin], str]:
-    """Return the innermost plugin that was running, and its method that was called."""
-    seen: object = None
-    for frame in frames:
+_Steps = list[tuple[FrameType, int]]
+"""Frames of a traceback with their lines, the outermost first."""
+
+
+def _outside(steps: Iterable[tuple[FrameType, int]]) -> _Steps:
+    """Return the steps outside the core and its libraries, installed plugins included."""
+    packages = {_package(cls.__module__) for cls in registry.values()} - {_CORE}
+    return [s for s in steps if _is_foreign(s[0]) or _package(_module(s[0])) in packages]
+
+
+def _innermost_call(error: BaseException) -> _Steps:
+    """Return the core's innermost call of a plugin: its own frame, then those of the plugin.
+
+    Empty if no plugin is at fault: what calls the core, such as a script, is none, and neither an
+    interrupt nor an error of the core's own is a plugin's.
+    """
+    steps = list(traceback.walk_tb(error.__traceback__))
+    own = isinstance(error, FlipperctlError) and bool(steps) and _is_core(steps[-1][0])
+    if own or isinstance(error, KeyboardInterrupt):
+        return []
+    for at in reversed(range(len(steps))):
+        frame = steps[at][0]
+        called = _outside(steps[at:])
+        if called and _is_core(frame) and _module(frame) != __name__:
+            return [steps[at], *called]
+    return []
+
+
+def _culprit(called: _Steps) -> tuple[Plugin | type[Plugin] | None, str]:
+    """Return the plugin that ran innermost, if a frame has it, and the method that was called."""
+    for frame, _ in reversed(called):
         for name in ("self", "cls"):
             owner: Any = frame.f_locals.get(name)
             cls = owner if isinstance(owner, type) else type(owner)
-            if not issubclass(cls, Plugin) or owner is seen or _is_core(frame):
-                continue
-            # The plugin's own code rather than that of a library
-            if _is_foreign(frame) or _package(_module(frame)) == _package(cls.__module__):
-                seen, plugin, method = owner, owner, frame.f_code.co_name
-    return plugin, method
+            if issubclass(cls, Plugin) and _package(cls.__module__) != _CORE:
+                entered = next(f for f, _ in called[1:] if f.f_locals.get(name, owner) is owner)
+                return owner, entered.f_code.co_name
+    return None, called[1][0].f_code.co_name
 
 
 def _text(error: BaseException) -> str:

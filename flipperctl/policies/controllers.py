@@ -1,4 +1,4 @@
-"""Controllers as policies, whose errors name the plugin, and as teachers of a student's policy.
+"""Controllers as policies, whose answers are checked, and as teachers of a student's policy.
 
 A teacher labels decisions: a label is the target distribution over actions for a student, (9,),
 from the cost of each action, or from the action that is taken.
@@ -7,7 +7,7 @@ from the cost of each action, or from the action that is taken.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from typing import Any
 
 import numpy as np
@@ -32,7 +32,8 @@ from flipperctl.core.risk import RiskSign
 from flipperctl.core.targets import ALLOWED, Action, as_action
 from flipperctl.env.repeating import require_unmoved
 from flipperctl.errors import ConfigError, FlipperctlError
-from flipperctl.plugging.guard import naming, refusal, short_repr
+from flipperctl.plugging.checked import require
+from flipperctl.plugging.guard import refusal, short_repr
 from flipperctl.plugging.randomness import global_states
 
 TEMPERATURE = 0.3
@@ -55,24 +56,14 @@ class FunctionPolicy:
 
 def plugin_policy(controller: Controller) -> PluginPolicy:
     """Return the policy that a controller builds."""
-    with naming(controller, "build"):  # what it returned may fail as well
-        policy = controller.build()
-        lacks = [n for n in ("reset", "act") if not callable(getattr(policy, n, None))]
-        built = PluginPolicy(controller, policy)
-    if lacks:
-        text = (
-            f"returned {short_repr(policy)}, which lacks {' and '.join(lacks)}; an object with "
-            "reset and act is allowed"
-        )
-        raise refusal(controller, "build", text)
-    return built
+    return PluginPolicy(controller, require(controller, "build", controller.build()))
 
 
 class PluginPolicy:
     """Runs the policy that a controller plugin built.
 
-    Every method raises ``PluginFailedError`` if the controller's code failed or returned a value
-    that the contract does not allow.
+    Every method raises ``PluginFailedError`` for an answer that the contract does not allow, or if
+    the controller draws from global generators.
     """
 
     def __init__(self, controller: Controller, policy: Policy) -> None:
@@ -89,15 +80,13 @@ class PluginPolicy:
         """Whether ``state_groups`` may be called."""
 
     def _calling(self, method: str) -> AbstractContextManager[None]:
-        """Return a context for a call of ``method``, in which errors name the controller."""
-        call = naming(self._controller, method)
-        return self._watching(call, method) if self._foreign else call
+        """Return a context for a call of ``method``, which may use no global generators."""
+        return self._watching(method) if self._foreign else nullcontext()
 
     @contextmanager
-    def _watching(self, call: naming, method: str) -> Iterator[None]:
+    def _watching(self, method: str) -> Iterator[None]:
         before = global_states()
-        with call:
-            yield
+        yield
         require_unmoved(before, self._foreign, f"in {method}")
 
     def _refusal(self, method: str, answer: object, allowed: str) -> FlipperctlError:
@@ -127,10 +116,9 @@ class PluginPolicy:
     def command(self, world: World) -> Command:
         """Return what the policy commands within a decision."""
         with self._calling("command"):
-            answer: object = self._policy.command(world)
-            if isinstance(answer, Command):
-                return answer
-        raise self._refusal("command", answer, "a flipperctl.api.Command is allowed")
+            command: Command = self._policy.command(world)
+            require(self._controller, "command", command, owner=self._policy)
+        return command
 
     def costs(self, p: Perception) -> FloatArray:
         """Return the policy's finite cost of each action, (9,) [s]."""
@@ -154,18 +142,8 @@ class PluginPolicy:
     def state_groups(self, rng: np.random.Generator) -> StateGroups:
         """Return groups of states of the episode's ground with finite values of their actions."""
         with self._calling("groups"):
-            labelled = self._policy.groups(rng)
-            shaped = (
-                isinstance(labelled, StateGroups)
-                and labelled.observations.ndim == 3
-                and labelled.values.shape == (*labelled.observations.shape[:2], len(ACTIONS))
-                and labelled.values.size > 0
-                and bool(np.isfinite(labelled.values).all())
-                and bool(np.isfinite(labelled.observations).all())
-            )
-        if not shaped:
-            raise self._refusal("groups", labelled, "StateGroups of finite numbers are allowed")
-        groups: StateGroups = labelled
+            groups: StateGroups = self._policy.groups(rng)
+            require(self._controller, "groups", groups, owner=self._policy)
         return groups
 
 

@@ -37,7 +37,7 @@ from flipperctl.config.models import with_stand_ins
 from flipperctl.core.risk import RiskSign
 from flipperctl.core.targets import Action, turns
 from flipperctl.errors import CheckpointError, ConfigError, PolicyError, RequestError
-from flipperctl.plugging.guard import refusal, short_repr
+from flipperctl.plugging.guard import refusal, refusing, short_repr
 from flipperctl.policies.controllers import PluginPolicy, plugin_policy
 from flipperctl.runtime import OnnxPolicy
 from flipperctl.runtime.interface import Interface
@@ -240,7 +240,8 @@ def with_files(controller: Controller, config: EnvConfig, path: str = "controlle
 
 def _copy(controller: Controller, hook: str, argument: object) -> Controller:
     """Return the copy that a hook of the controller returns."""
-    result = getattr(controller, hook)(argument)
+    with refusing(controller, hook, ConfigError):
+        result = getattr(controller, hook)(argument)
     if not isinstance(result, Controller):
         text = f"returned {short_repr(result)}; a copy of the controller is allowed"
         raise refusal(controller, hook, text, ConfigError)

@@ -21,6 +21,7 @@ from queue import SimpleQueue
 from typing import Any
 
 from flipperctl.errors import ConfigError, FlipperctlError, MissingExtraError
+from flipperctl.plugging.guard import naming_plugins
 from flipperctl.rollout.pool import POLL, DiedError, import_path
 
 LOCAL = "local"
@@ -307,4 +308,5 @@ class _Actor:
 
     def call(self, function: Callable[..., Any], *arguments: Any) -> Any:
         """Return ``function(*arguments)``."""
-        return function(*arguments)
+        with naming_plugins():
+            return function(*arguments)

@@ -27,7 +27,7 @@ import torch
 from safetensors.numpy import load_file, save_file
 
 from flipperctl.agent.frames import input_size
-from flipperctl.agent.networks import build_policy, naming_network
+from flipperctl.agent.networks import build_policy
 from flipperctl.agent.risk import RiskNetwork, plain_risk, split_weights
 from flipperctl.api import Step
 from flipperctl.config import RayCollector, TrainConfig, parse, to_dict
@@ -124,8 +124,7 @@ class Actor:
 
 def load_weights(module: torch.nn.Module, weights: Weights) -> None:
     """Give a network the weights of another process."""
-    with naming_network(module, "load_state_dict"):  # its shapes may have changed
-        module.load_state_dict({name: torch.from_numpy(array) for name, array in weights.items()})
+    module.load_state_dict({name: torch.from_numpy(array) for name, array in weights.items()})
 
 
 class GreedyPlayer:

@@ -342,7 +342,8 @@ def _answer(call: bytes | Path, folder: str) -> bytes | Path:
     """Run a call in a worker process; return its packed answer."""
     try:
         function, arguments = _unpack(call)
-        return _pack((True, function(*arguments), ""), folder)
+        with guard.naming_plugins():  # since a pickled error has no traceback
+            return _pack((True, function(*arguments), ""), folder)
     except BaseException as error:  # noqa: BLE001 - raised in the main process
         text = traceback.format_exc()
         # An exception that does not survive pickling is replaced, since the parent must get one.

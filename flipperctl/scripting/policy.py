@@ -244,7 +244,7 @@ class LoadedPolicy:
         ``perception``: ``env.unwrapped.perception``, which holds the earlier observations as well.
 
         Raises:
-            PluginFailedError: the controller's code failed.
+            PluginFailedError: the controller returned what is no action.
             RequestError: a controller's episode was not begun by ``reset(env)``.
         """
         if self._policy is None:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 from flipperctl.api import SAMPLE_PERIOD, Engine
-from flipperctl.plugging.guard import naming, refusal, short_repr
+from flipperctl.plugging.checked import require
 
 _EXACT = 1e-9  # part of a sample that is an error of rounding [-]
 
@@ -25,11 +24,4 @@ def simulated(duration: float) -> float:
 
 def engine_versions(engine: Engine) -> dict[str, str]:
     """Return the versions of the libraries that affect the engine's results."""
-    with naming(engine, "versions"):  # the returned object's code may fail too
-        answer: object = engine.versions()
-        versions = dict(answer) if isinstance(answer, Mapping) else {}
-    texts = all(isinstance(text, str) for item in versions.items() for text in item)
-    if not (isinstance(answer, Mapping) and texts):
-        text = f"returned {short_repr(answer)}; allowed: a mapping of names to texts"
-        raise refusal(engine, "versions", text)
-    return versions
+    return dict(require(engine, "versions", engine.versions()))

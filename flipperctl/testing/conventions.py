@@ -26,8 +26,8 @@ from flipperctl.api import (
 from flipperctl.config import EnvConfig
 from flipperctl.core.observation import ANGLES
 from flipperctl.core.targets import JOINTS, turns
-from flipperctl.env.guarded import place as place_guarded
 from flipperctl.env.perceiving import Perceiver
+from flipperctl.env.placed import place as place_checked
 from flipperctl.errors import ConformanceError
 from flipperctl.evaluation.engines import in_default_engine
 from flipperctl.policies.source import ExportedPolicy, PolicySource
@@ -114,7 +114,7 @@ def probe_world(config: EnvConfig) -> Iterator[Probe]:
         return Probe(name, meaning, unit, measured, expected, tolerance)
 
     def place(profile: Profile, x: float) -> World:
-        return place_guarded(config.sim, profile, robot, Start(x), np.random.default_rng(0))
+        return place_checked(config.sim, profile, robot, Start(x), np.random.default_rng(0))
 
     # Forwards on level ground: x, z, velocity and time
     world = place(_FLAT, 0.0)
@@ -192,7 +192,7 @@ def probe_sensing(config: EnvConfig) -> Iterator[Probe]:
         pitch_rate=0.0,
         time=0.0,
     )
-    world = place_guarded(config.sim, ground, config.robot, Start(0.0), rngs[0])
+    world = place_checked(config.sim, ground, config.robot, Start(0.0), rngs[0])
     mounting = Mounting(config.robot, ground, layout.reach + 3.0, world, rngs[1])
     perceiver = Perceiver(plain, mounting, config.robot, rngs)
     perceiver.measure(state)

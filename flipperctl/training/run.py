@@ -34,6 +34,7 @@ from flipperctl.errors import (
     RunHeldError,
     WriteError,
 )
+from flipperctl.plugging.guard import naming_plugins
 from flipperctl.process.session import command, interrupts, quote_path
 from flipperctl.text.files import make_folder
 from flipperctl.training import folder as run_folder
@@ -335,7 +336,8 @@ def _train(
                     stopped_late.append(error)
                     return None
 
-            summary = trainer.run(stopped, regret)
+            with naming_plugins():
+                summary = trainer.run(stopped, regret)
     except (FlipperctlError, OSError) as error:
         if directory.is_dir():
             raise

@@ -29,7 +29,8 @@ from flipperctl.config import TrainConfig
 from flipperctl.config.identity import all_files_read, content_digest
 from flipperctl.env import ground
 from flipperctl.env.metrics import DRAWN
-from flipperctl.errors import CheckpointError
+from flipperctl.errors import CheckpointError, ConfigError
+from flipperctl.plugging.guard import naming
 from flipperctl.rollout.collect import Collector
 from flipperctl.rollout.episode import RolloutRequest, Row
 from flipperctl.rollout.training import ConfiguredTraining
@@ -78,7 +79,8 @@ class Trainer:
         # Environment and learner may report something before there are listeners.
         self._training = ConfiguredTraining(config, report=self._report)
         self.env = self._training.environment()
-        self.learning = config.agent.build(self._training)
+        with naming(config.agent, "build", ConfigError):
+            self.learning = config.agent.build(self._training)
         self.episodes = EpisodeSource(self._training, self.learning, self.progress)
         self.validator = Validator(config, self.learning, self.env)
 

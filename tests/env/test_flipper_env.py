@@ -358,7 +358,7 @@ def test_a_state_that_is_not_finite_is_named(monkeypatch: pytest.MonkeyPatch) ->
     env = FlipperEnv("flat")
     env.reset(seed=0)
     lost = dataclasses.replace(env.state, pitch=math.nan)
-    monkeypatch.setattr(env.drive.world.unguarded, "state", lambda: lost)
+    monkeypatch.setattr(env.drive.world.of_engine, "state", lambda: lost)
     with pytest.raises(NonFiniteError, match=r"sim 'planar': state returned nan as pitch"):
         env.step(HOLD)
 

@@ -215,17 +215,16 @@ def broken(registry: dict, **methods: Any) -> FlipperEnv:
 @pytest.mark.parametrize(
     ("methods", "text"),
     [
-        ({"instruments": lambda s, m: [1]}, r"instruments returned \[1\]; a mapping of names"),
-        ({"instruments": lambda s, m: {"a": 1}}, r"instruments returned 1 as 'a'; an Instrument"),
-        ({"instruments": lambda s, m: {"a": Clock(0.015)}}, "period is 0.015; None is allowed, or"),
-        ({"instruments": lambda s, m: {"a": Clock(-1)}}, "period is -1; None is allowed"),
-        ({"instruments": lambda s, m: {}[0]}, "instruments raised KeyError: 0"),
+        ({"instruments": lambda s, m: [1]}, r"instruments returned \[1\]; .*a mapping of names"),
+        ({"instruments": lambda s, m: {"a": 1}}, r"instruments returned {'a': 1}; .*Instruments"),
+        *(
+            ({"instruments": lambda s, m, p=p: {"a": Clock(p)}}, "instruments .* whose period is")
+            for p in (0.015, -1, "x", 10.01)
+        ),
         ({"estimator": lambda s, r: 3}, "estimator returned 3, which has no update"),
-        ({"instruments": lambda s, m: {"fast": Clock("x")}}, "period is 'x'; None is allowed"),
-        ({"instruments": lambda s, m: {"fast": Clock(0.01)}}, "estimate raised KeyError: 'slow'"),
     ],
 )
-def test_a_part_that_fails_is_named(registry: dict, methods: dict, text: str) -> None:
+def test_a_part_that_is_wrong_is_named(registry: dict, methods: dict, text: str) -> None:
     with pytest.raises(PluginFailedError, match=rf"perception 'broken': {text}.*\(.*:\d+\)"):
         broken(registry, **methods).reset(seed=0)
 
@@ -233,11 +232,11 @@ def test_a_part_that_fails_is_named(registry: dict, methods: dict, text: str) ->
 @pytest.mark.parametrize(
     ("changed", "text"),
     [
-        ({"seen": np.ones(3)}, r"seen of the type float64 and the shape \(3,\); allowed: None, or"),
-        ({"heights": np.ones(15)}, r"heights .* \(15,\); allowed: None, or .* \(30,\)"),
-        ({"position": np.ones(3)}, r"position .* the shape \(3,\); allowed: None, or numbers of"),
-        ({"position": np.array([0.0, np.nan])}, "position that are not finite"),
-        ({}, "'broken': estimate returned SensedAngles.* three finite numbers"),
+        ({"seen": np.ones(3)}, r"seen is an array of float64 and the shape \(3,\) for \(15,\)"),
+        ({"heights": np.ones(15)}, r"heights is .* the shape \(15,\) for \(30,\)"),
+        ({"position": np.ones(3)}, r"position is .* the shape \(3,\) for \(2,\)"),
+        ({"position": np.array([0.0, np.nan])}, "NaN or infinity in position"),
+        ({}, "'broken': estimate returned NaN or infinity in angles"),
     ],
 )
 def test_estimates_are_checked(registry: dict, changed: dict, text: str) -> None:

@@ -13,21 +13,25 @@ from flipperctl import errors
 from flipperctl.agent.networks import Noise, build_network, greedy
 from flipperctl.api import (
     AnyTerrain,
+    Controller,
+    Engine,
     Network,
     ObservationLayout,
     Profile,
     Terrain,
+    controller,
+    engine,
     network,
     terrain,
 )
 from flipperctl.config import EnvConfig, EvalConfig, resolver, with_overrides
-from flipperctl.config.identity import read_files
 from flipperctl.env import ground
 from flipperctl.env.flipper_env import FlipperEnv
+from flipperctl.env.placed import PlacedWorld
 from flipperctl.errors import ConfigError, FlipperctlError, PluginFailedError
 from flipperctl.evaluation.conditions import Conditions
 from flipperctl.plugging import plugins
-from flipperctl.plugging.guard import raise_named
+from flipperctl.plugging.guard import attributed, naming_plugins, raise_named
 from flipperctl.policies.source import PolicySource
 from flipperctl.sim.versions import engine_versions
 from tests.cli.call import RUN, call
@@ -107,7 +111,7 @@ def cases() -> list[Misbehaviour]:
 def test_a_plugin_that_misbehaves_is_named(what: Misbehaviour, tmp_path: Path) -> None:
     file, marker = tmp_path / "odd_plugin.py", tmp_path / "marker"
     file.write_text(what.source(marker))
-    with pytest.raises(FlipperctlError) as error:
+    with pytest.raises(FlipperctlError) as error, naming_plugins():
         use(what, file)
     text = str(error.value)
     assert marker.exists()
@@ -142,14 +146,12 @@ def test_the_plugin_inside_another_takes_the_blame(tmp_path: Path) -> None:
     plugins.load([file])
     config = EnvConfig(terrain={"name": "mirror", "terrain": {"name": "mix", "parts": ["odd"]}})
     line = 1 + next(i for i, t in enumerate(file.read_text().splitlines()) if "seven" in t)
-    with pytest.raises(PluginFailedError) as error:
+    with pytest.raises(PluginFailedError) as error, naming_plugins():
         ground.generate_profile(config.terrain, np.random.default_rng(0), 1.0)
     assert str(error.value) == f"terrain 'odd': generate raised IndexError: seven ({file}:{line})"
 
 
-def test_only_a_call_of_the_core_gets_the_plugin_s_error_renamed(registry: dict) -> None:
-    """An author's test, and a plugin that calls another one, get what its method raised."""
-
+def test_an_error_of_a_plugin_is_its_own() -> None:
     @terrain("moody")
     class Moody(Terrain):
         def generate(self, rng: np.random.Generator) -> Profile:
@@ -165,20 +167,49 @@ def test_only_a_call_of_the_core_gets_the_plugin_s_error_renamed(registry: dict)
             return Profile([(0.0, 0.0)])
 
     rng = np.random.default_rng(0)
-    for _ in range(2):  # before and after the core guards the class
-        with pytest.raises(KeyError, match="seven"):
-            Moody().generate(rng)
-        moody = EnvConfig(terrain="moody").terrain
-        with pytest.raises(PluginFailedError, match=r"terrain 'moody': generate raised KeyError"):
-            ground.generate_profile(moody, rng, 1.0)
-    assert moody == Moody()
-    assert pickle.loads(pickle.dumps(resolver.create("terrain", "stair", "")))
-    assert (
-        ground.generate_profile(EnvConfig(terrain="patient").terrain, rng, 1.0).label == "patient"
+    with pytest.raises(KeyError, match="seven"):
+        FlipperEnv(terrain="moody").reset(seed=3)
+    with pytest.raises(PluginFailedError) as error, naming_plugins():
+        FlipperEnv(terrain="moody").reset(seed=3)
+    place = rf"{re.escape(__file__)}:\d+"
+    text = (
+        rf"terrain 'moody': generate raised KeyError: 'seven' \({place}\); the episode's seed is 3"
     )
+    assert re.fullmatch(text, str(error.value))
+    patient = EnvConfig(terrain="patient").terrain
+    assert ground.generate_profile(patient, rng, 1.0).label == "patient"
 
 
-def test_methods_of_every_form_are_guarded(registry: dict) -> None:
+def test_what_a_plugin_built_is_named_by_the_plugins_beside_it() -> None:
+    """The innermost call is named: that of a world, not of the planner that simulates in it."""
+
+    class World:
+        def advance(self, *given: object) -> None:
+            raise IndexError("seven")
+
+    @controller("thinking")
+    class Thinking(Controller):
+        def act(self, p: object) -> int:
+            return PlacedWorld(None, World(), checked=False).advance(3)
+
+    @engine("broken")
+    class Broken(Engine):
+        def place(self, profile: object, robot: object, start: object, rng: object) -> World:
+            return World()
+
+    Thinking.__module__ = "elsewhere"
+    text = r"^sim 'broken': advance raised IndexError: seven"
+    with pytest.raises(PluginFailedError, match=text), naming_plugins():
+        Thinking().act(None)
+
+
+def test_without_a_plugin_an_error_stays_as_it_is() -> None:
+    with pytest.raises(ValueError, match="could not convert"), naming_plugins():
+        float("x")
+    assert attributed(KeyboardInterrupt()) is None
+
+
+def test_a_network_is_refused_by_its_name_whatever_form_its_methods_have() -> None:
     @network("varied")
     class Varied(Network):
         @cached_property
@@ -189,19 +220,10 @@ def test_methods_of_every_form_are_guarded(registry: dict) -> None:
         def build(layout: ObservationLayout, n_actions: int) -> None:
             raise KeyError("seven")
 
-        @classmethod
-        def files_read(cls) -> tuple[Path, ...]:
-            raise KeyError("seven")
-
-    for name, use in {
-        "frames": lambda network: build_network(network, ObservationLayout(), 9),
-        "files_read": read_files,
-    }.items():
-        with pytest.raises(FlipperctlError, match=rf"network 'varied': {name} raised .*\.py:\d+"):
-            use(resolver.create("network", "varied", "network"))
-    Varied.frames = 1
-    with pytest.raises(ConfigError, match=r"network 'varied': build raised KeyError.*\.py:\d+"):
-        build_network(resolver.create("network", "varied", "network"), ObservationLayout(), 9)
+    for method in ("frames", "build"):
+        with pytest.raises(ConfigError, match=rf"network 'varied': {method} raised .*\.py:\d+"):
+            build_network(resolver.create("network", "varied", "network"), ObservationLayout(), 9)
+        Varied.frames = 1
 
 
 def test_a_controller_may_be_derived_from_one_in_use() -> None:

@@ -17,10 +17,9 @@ from flipperctl import api, checkpoint
 from flipperctl.core.sensing import Measured, SensedAngles, SensedGround
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.pictures import HEIGHT, WIDTH
-from flipperctl.errors import ConfigError, PluginFailedError, RequestError, TerrainError
+from flipperctl.errors import ConfigError, RequestError, TerrainError
 from flipperctl.sim.mujoco import Mujoco
 from flipperctl.sim.mujoco import world as placing
-from flipperctl.sim.mujoco.world import MujocoWorld
 from tests.cli.call import EXACT, call
 
 DRAWS_HERE = any(ctypes.util.find_library(name) for name in ("EGL", "OSMesa"))
@@ -124,17 +123,6 @@ def test_render_shows_the_world_in_3d_and_leaves_the_episode_alone() -> None:
     assert plain.render() is None
 
 
-def test_a_picture_that_fails_is_the_engine_s_fault(monkeypatch: pytest.MonkeyPatch) -> None:
-    def draw(self: MujocoWorld, width: int, height: int) -> np.ndarray:
-        raise ValueError("no colours")
-
-    env = FlipperEnv("step", sim="mujoco", render_mode="rgb_array")
-    env.reset(seed=2)
-    monkeypatch.setattr(MujocoWorld, "draw", draw)
-    with pytest.raises(PluginFailedError, match="sim 'mujoco': draw raised ValueError: no colours"):
-        env.render()
-
-
 def place(**sim: object) -> api.World:
     engine = Mujoco(**sim)  # type: ignore[arg-type]
     return engine.place(WALL, api.Robot(), api.Start(-1.28), np.random.default_rng(0))
@@ -218,7 +206,7 @@ def test_a_sensor_takes_pictures_between_decisions_as_films_do() -> None:
     env.reset(seed=1)
     # 0.4 m above level ground, 0.5 rad down; half a pixel lower than the middle
     assert env.perception.pitch == pytest.approx(0.4 / math.sin(0.5), rel=0.05)
-    world = env.drive.world.unguarded
+    world = env.drive.world.of_engine
     assert np.array_equal(world.draw(*SIZE), world.look("front", *SIZE).pixels)
 
 

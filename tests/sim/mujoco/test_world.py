@@ -177,7 +177,7 @@ def test_leaving_the_ground_sideways_ends_as_overturned(monkeypatch: pytest.Monk
 def lateral(env: FlipperEnv, seed: int) -> tuple[float, float, list[float]]:
     """Return yaw, sideways position and heights of the ground at the start of an episode."""
     env.reset(seed=seed)
-    world = env.drive.world.unguarded
+    world = env.drive.world.of_engine
     return world.yaw, env.state.side, world.model.geom_pos[:, 2].tolist()
 
 

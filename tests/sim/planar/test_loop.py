@@ -74,7 +74,7 @@ def measure(env: FlipperEnv, seed: int, actions: int) -> Balance:
     """Play an episode of actions drawn with the seed ``actions``; return what was measured."""
     rng = np.random.default_rng(actions)
     env.reset(seed=seed)
-    world = env.drive.world.unguarded
+    world = env.drive.world.of_engine
     meter = Meter(world)
     penetration = 0.0
     outcome = ""
