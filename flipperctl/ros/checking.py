@@ -92,10 +92,10 @@ class _Heard:
                 posed = message.pose.pose if twisted else None
                 pose = pose_of(posed.position, posed.orientation) if posed else None
                 self.belts.append((stamp, speed, pose))
-            elif joints.take(stamp, message.name, message.position) and not math.isnan(
-                joints.apart[0]
-            ):
-                self.apart.append((stamp, *joints.apart))
+            elif angles := joints.take(stamp, message.name, message.position):
+                for pair, which in zip(angles.sides or (), (names.front, names.rear), strict=False):
+                    joined = " and ".join(name.lstrip("-") for name in which)
+                    self.apart.append((stamp, max(pair) - min(pair), joined))
 
 
 def _unit(message: Any) -> tuple[str, FloatArray, FloatArray, FloatArray]:
@@ -145,8 +145,9 @@ def examine(reader: Any, names: Names, transforms: Transforms, topics: Topics) -
         places = np.array([pose.place for pose in poses])
         ways = crosschecks.by_way(belts[:, 0], belts[:, 1], posed, places, turns[:, :, 0])
         differences += compared(topics.belts, **ways)
-    if heard.apart:
-        stamp, apart, which = max(heard.apart, key=lambda pair: pair[1])
+    known = [row for row in heard.apart if math.isfinite(row[1])]
+    if known:
+        stamp, apart, which = max(known, key=lambda row: row[1])
         differences += compared(which, joints_pair=Peak(apart, stamp))
 
     # Clouds that say the same although the robot has moved

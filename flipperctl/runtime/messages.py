@@ -289,12 +289,5 @@ class NewestJoints:
         front, rear = (math.fsum(pair) / len(pair) for pair in angles)
         return JointAngles(oldest, front, rear, (angles[0], angles[1]))
 
-    @property
-    def apart(self) -> tuple[float, str]:
-        """By how much the joints of a pair differ at most [rad], and their names."""
-        spread = {" and ".join(p): np.ptp([self._angles[n][1] for n in p]) for p in self._pairs}
-        pair = max(spread, key=lambda one: float(np.nan_to_num(spread[one])))
-        return float(spread[pair]), pair
-
 
 ABSENT = "a filter such as imu_filter_madgwick adds an orientation"

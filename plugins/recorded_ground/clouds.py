@@ -3,7 +3,6 @@
 import io
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -80,9 +79,8 @@ def read_text(path: Path) -> CloudFile:
 _OFTEN, _VERY_OFTEN = 4, 10
 """Smallest ratios of the number of equal points that are unmeasured, away from the origin, to that
 of other places: without places around them, and with those of a line [-]."""
-_NEAR, _FEW, _MOST_CELLS = 2, 3, 2.0**52
-"""Steps of rounding to the places around one; fewer places than of a surface; cells with which
-coordinates are not rounded [-]."""
+_NEAR, _FEW = 2, 3
+"""Steps of rounding to the places around one; fewer places than of a surface [-]."""
 _FILLED = 3
 """Smallest number of points for each value of a rounded coordinate [-]."""
 _SHARED, _SAME_SURFACE = 0.5, 0.003
@@ -130,15 +128,13 @@ def _around(places: FloatArray, of: NDArray[np.bool_]) -> NDArray[np.int64]:
 
     Points that are equal since they are rounded lie on a surface, and have such neighbours.
     """
+    from scipy.spatial import KDTree
+
     step = min(np.diff(np.unique(column)).min(initial=np.inf) for column in places.T)
-    cells = np.round((places - places.min(axis=0)) / step)
-    sizes = cells.max(axis=0) + 1 + _NEAR
-    count = np.zeros(len(places), dtype=np.int64)
-    if float(np.prod(sizes)) < _MOST_CELLS:  # with more, the coordinates are not rounded
-        factors = np.array([sizes[1] * sizes[2], sizes[2], 1.0])
-        keys = (cells @ factors).astype(np.int64)
-        for near in product(range(-_NEAR, _NEAR + 1), repeat=3):
-            count[of] += np.isin(keys[of] + int(np.dot(near, factors)), keys)
+    count, near = np.zeros(len(places), dtype=np.int64), (_NEAR + 0.5) * step
+    if of.any() and np.isfinite(near):
+        tree = KDTree(places)
+        count[of] = tree.query_ball_point(places[of], near, p=np.inf, return_length=True)
         count[of] -= 1  # itself
     return count
 

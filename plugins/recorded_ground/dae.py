@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from flipperctl.api import FloatArray
 
@@ -98,6 +97,8 @@ def _transform(element: ET.Element) -> FloatArray:
     elif element.tag == "scale":
         matrix[:3, :3] = np.diag(_numbers(element))
     elif element.tag == "rotate":
+        from scipy.spatial.transform import Rotation
+
         x, y, z, degrees = _numbers(element)
         turn = np.radians(degrees) / np.linalg.norm((x, y, z)) * np.array([x, y, z])
         matrix[:3, :3] = Rotation.from_rotvec(turn).as_matrix()
