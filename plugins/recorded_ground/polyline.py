@@ -28,29 +28,25 @@ def read_csv(path: Path, largest_gap: float, width: float) -> tuple[FloatArray, 
             than two points, or the points are a cloud.
     """
     table = read_table(path, "xz", "y")
-    points, y, numbers, columns = (
-        table.values[:, :2],
-        table.values[:, 2],
-        table.lines,
-        len(table.names),
-    )
-    if _is_cloud(points[:, 0], y, width):
+    x, heights, y = table.values.T
+    if _is_cloud(x, y, width):
         raise ValueError(
             f"its column y varies from {np.nanmin(y):g} to {np.nanmax(y):g}: it is a point cloud, "
             "or a line that turns, and no profile; set terrain.start and terrain.end to slice it "
             "along a line, or remove the column y to use x and z as they are"
         )
-    _check_order(points[:, 0], numbers)
+    _check_order(x, table.lines)
 
     # Order and faces by the lines of the file, gaps by what is known
-    heights, remark = without_missing(points[:, 1])
-    _check_faces(points[:, 0], heights, numbers, columns, width / 10)
-    known = np.isfinite(points[:, 0]) & np.isfinite(heights)
+    heights, remark = without_missing(heights)
+    _check_faces(x, heights, table.lines, len(table.names), width / 10)
+    known = np.isfinite(x) & np.isfinite(heights)
     if (count := int(known.sum())) < 2:
         raise ValueError(f"at least two points are needed; it has {count}")
-    _check_gaps(points[:, 0], known, numbers, largest_gap)
+    _check_gaps(x, known, table.lines, largest_gap)
     remarks = [remark] if remark else []
-    return points[known], [*remarks, *_remarks_on_ends(points[:, 0], known, largest_gap)]
+    remarks += _remarks_on_ends(x, known, largest_gap)
+    return np.column_stack([x, heights])[known], remarks
 
 
 def _is_cloud(x: FloatArray, y: FloatArray, width: float) -> bool:

@@ -56,11 +56,12 @@ def read_table(path: Path, needed: str, optional: str = "", *, headless: bool = 
     begin = _split(text, _separator(text))
     comments = [text.lstrip("#/ ") for at, text in texts if at < first]
     if headless and _numbers(begin[: len(needed)]) is not None:
-        names = _names(comments[-1]) if comments else []
+        names, width = _names(comments[-1]) if comments else [], None
         if len(names) != len(begin) or not _has(names, needed):
-            names = [*needed, *[""] * (len(begin) - len(needed))]
+            names = [*needed]
     else:
         names, rows = _names(text), rows[1:]
+        width = len(names)
     if not _has(names, needed):
         allowed = "numbers, or a header" if headless else "a header"
         raise ValueError(
@@ -71,7 +72,7 @@ def read_table(path: Path, needed: str, optional: str = "", *, headless: bool = 
     columns = [*map(names.index, needed)]
     columns += [names.index(name) for name in optional if names.count(name) == 1]
     values = np.full((len(rows), len(needed + optional)), np.nan)
-    for row, numbers in enumerate(_read(rows, columns, len(names), needed)):
+    for row, numbers in enumerate(_read(rows, columns, width, needed)):
         values[row, : len(columns)] = numbers
     return Table(values, np.array([at for at, _ in rows], dtype=np.int64), names)
 
@@ -97,14 +98,16 @@ def read_lines(path: Path) -> list[str]:
     raise ValueError("it is not a text file; it holds binary data")
 
 
-def _read(rows: _Lines, columns: Sequence[int], count: int, needed: str) -> Iterator[list[float]]:
-    """Yield the numbers of the columns of each line."""
+def _read(
+    rows: _Lines, columns: Sequence[int], width: int | None, needed: str
+) -> Iterator[list[float]]:
+    """Yield the numbers of the columns of each line, which has no more values than ``width``."""
     separator = _separator(rows[0][1]) if rows else ","
     for at, text in rows:
         values = _split(text, separator)
-        if any(values[count:]):
+        if width is not None and any(values[width:]):
             raise ValueError(
-                f"line {at}: it has {len(values)} values for {count} columns; where the decimal "
+                f"line {at}: it has {len(values)} values for {width} columns; where the decimal "
                 "sign is a comma, semicolons must separate the columns"
             )
         used = [values[column] if column < len(values) else "-" for column in columns]
