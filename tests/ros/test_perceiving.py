@@ -150,7 +150,7 @@ def test_scans_that_are_refused_are_counted_with_the_reason(tmp_path):
     summary = replayed(tmp_path / "bag").summary
     refused = summary["refused"]["cloud_points"]
     assert (summary["scans"], refused["count"]) == (10, CLOUDS - 10)
-    assert "has 5 points that are finite, not 0; 20 or more" in refused["reason"]
+    assert "has 5 points that are finite, nearer than 1 km, not 0; 20 or more" in refused["reason"]
     assert summary["held"] == {"cloud_points": 1}  # at 1.8 s
 
 
