@@ -49,20 +49,20 @@ def named_robot(name: str) -> Robot:
     where, known = f"robot={name}", presets("robot")
     if is_robot_file(name):
         where = str(Path(name))
-        found = strict_yaml.read(Path(name), where)
+        settings = strict_yaml.read(Path(name), where)
     elif name in known:
-        found = strict_yaml.read(known[name], where)
+        settings = strict_yaml.read(known[name], where)
     else:
         raise ConfigError(
             f"robot: there is no robot {name!r}{close_match(name, known) or broken_hint()}; "
             f"known: {', '.join(known)}; a file of your own ends in .yaml"
         )
-    if not isinstance(found, dict):
+    if not isinstance(settings, dict):
         raise ConfigError(
             f"{where}: settings of the robot are allowed, as in chassis_length: 0.7; known: "
             f"{', '.join(Robot.model_fields)}"
         )
-    return parse(Robot, found, where)
+    return parse(Robot, settings, where)
 
 
 def get(kind: str, name: object, where: str) -> type[Plugin]:
@@ -204,25 +204,25 @@ def defaults(cls: type[Plugin]) -> dict[str, Any]:
     A default of null stays null, also if the plugin then chooses by its other fields.
     """
     try:
-        found = to_dict(construct(cls, {}), brief=True)
+        plain = to_dict(construct(cls, {}), brief=True)
     except ValidationError as error:
         raise ConfigError(
             f"{guard.plugin_label(cls)}: its defaults are not valid: "
             f"{explain(error, '', cls)} ({guard.definition(cls)})"
         ) from error
-    chosen = {name for name, info in cls.model_fields.items() if info.default is None}
-    return {name: None if name in chosen else value for name, value in found.items()}
+    null_by_default = {name for name, info in cls.model_fields.items() if info.default is None}
+    return {name: None if name in null_by_default else value for name, value in plain.items()}
 
 
 def nested_plugins(plugin: Plugin) -> list[Plugin]:
     """Return the plugin and those in its fields, at any depth."""
-    found, waiting = [plugin], deque(getattr(plugin, name) for name in type(plugin).model_fields)
+    plugins, waiting = [plugin], deque(getattr(plugin, name) for name in type(plugin).model_fields)
     while waiting:
         value = waiting.popleft()
         if isinstance(value, Plugin):
-            found += nested_plugins(value)
+            plugins += nested_plugins(value)
         elif isinstance(value, tuple | list):
             waiting += value
         elif isinstance(value, Mapping):
             waiting += value.values()
-    return found
+    return plugins

@@ -52,7 +52,9 @@ class Rule:
 
 
 def _where(allowed: str, holds: Callable[..., bool]) -> Rule:
-    return Rule(allowed, lambda value, *given: "" if holds(value, *given) else short_repr(value))
+    return Rule(
+        allowed, lambda value, *arguments: "" if holds(value, *arguments) else short_repr(value)
+    )
 
 
 def _instance(cls: type, article: str = "a") -> Rule:
@@ -72,10 +74,11 @@ def _methods(what: str, *names: str) -> Rule:
 def _array(*shape: Length, kinds: str = _REAL, low: float | None = None) -> Rule:
     """Return the rule of an array; ``low``: its least element."""
 
-    def fault(value: Any, *given: object) -> str:
+    def fault(value: Any, *arguments: object) -> str:
         if not isinstance(value, np.ndarray):
             return short_repr(value)
-        lengths = [n(*given) if callable(n) else n for n in shape]
+        # Shape and type first; a value out of bounds is told by its number.
+        lengths = [n(*arguments) if callable(n) else n for n in shape]
         fits = value.ndim == len(lengths) and all(
             n in (_ANY, length) for n, length in zip(lengths, value.shape, strict=True)
         )
@@ -91,18 +94,20 @@ def _array(*shape: Length, kinds: str = _REAL, low: float | None = None) -> Rule
 def _optional(rule: Rule) -> Rule:
     return Rule(
         f"{rule.allowed}, or None",
-        lambda value, *given: "" if value is None else rule.fault(value, *given),
+        lambda value, *arguments: "" if value is None else rule.fault(value, *arguments),
     )
 
 
 def _record(cls: type, **parts: Rule) -> Rule:
     """Return the rule of an object whose attributes have rules, which are given it last."""
 
-    def fault(value: object, *given: object) -> str:
+    def fault(value: object, *arguments: object) -> str:
         if not isinstance(value, cls):
             return short_repr(value)
-        given = (*given, value)
-        faults = ((name, rule.fault(getattr(value, name), *given)) for name, rule in parts.items())
+        arguments = (*arguments, value)
+        faults = (
+            (name, rule.fault(getattr(value, name), *arguments)) for name, rule in parts.items()
+        )
         text = next((f"whose {name} is {text}" for name, text in faults if text), "")
         return text and f"a {cls.__name__} {text}"
 
@@ -156,10 +161,10 @@ def _are_finite_groups(groups: Any, *_: object) -> bool:
 
 
 def _pair_of(first: Rule, second: Rule) -> Rule:
-    def fault(value: object, *given: object) -> str:
+    def fault(value: object, *arguments: object) -> str:
         if not (isinstance(value, tuple) and len(value) == 2):
             return short_repr(value)
-        return first.fault(value[0], *given) or second.fault(value[1], *given)
+        return first.fault(value[0], *arguments) or second.fault(value[1], *arguments)
 
     return Rule(f"{first.allowed}, and {second.allowed}", fault)
 
@@ -183,7 +188,7 @@ _SENSED = _pair_of(
         SensedGround,
         points=_array(_ANY, 2),
         heights=_optional(_array(lambda sensor, *_: sensor.layout.heights)),
-        filled=_optional(_array(lambda *given: len(given[-1].points), kinds="b")),
+        filled=_optional(_array(lambda *arguments: len(arguments[-1].points), kinds="b")),
         seen=_optional(_array(lambda sensor, *_: sensor.layout.bins, kinds="b")),
         position=_optional(_array(2)),
         deviation=_optional(_array(lambda sensor, *_: sensor.layout.bins, low=0.0)),
@@ -200,7 +205,12 @@ RULES: Mapping[str, Mapping[str, Rule]] = {
     "sim": {
         "place": _methods(
             "a flipperctl.api.World",
-            *("command", "advance", "state", "penetration", "save", "load"),
+            "command",
+            "advance",
+            "state",
+            "penetration",
+            "save",
+            "load",
         ),
         "position": _where("two finite numbers", _is_pair),
         "pitch": _NUMBER,
@@ -248,17 +258,18 @@ RULES: Mapping[str, Mapping[str, Rule]] = {
 """Kind of plugin → method of it, or of what it builds → what it may return."""
 
 
-def require(plugin: Plugin, method: str, value: Any, *given: Any, owner: object = None) -> Any:
-    """Return what a plugin's method returned for the arguments ``given``, if that is allowed.
+def require(plugin: Plugin, method: str, value: Any, *arguments: Any, owner: object = None) -> Any:
+    """Return what a plugin's method returned for the ``arguments``, if that is allowed.
 
     ``owner``: the object of the method, if the plugin built it.
 
     Raises:
         PluginFailedError: it is not allowed.
     """
+    # The method of the object is named, where the plugin built it.
     rule = RULES[plugin.kind][method]
     with naming(plugin, method):  # the value's own code may fail
-        fault = rule.fault(value, plugin, *given)
+        fault = rule.fault(value, plugin, *arguments)
     if fault:
         cls = None if owner is None else type(owner)
         text = f"returned {fault}; allowed: {rule.allowed}"
@@ -267,7 +278,7 @@ def require(plugin: Plugin, method: str, value: Any, *given: Any, owner: object 
 
 
 class Checked:
-    """An object that a plugin built, what whose methods return is checked.
+    """An object that a plugin built; what its methods return is checked.
 
     Attributes without a rule are the object's own.
     """
@@ -277,7 +288,7 @@ class Checked:
         self._plugin, self._built = plugin, built
 
     def __getattr__(self, name: str) -> Any:
-        """Return an attribute of the object, of which a method is checked when it is called."""
+        """Return an attribute of the object; a method is checked when it is called."""
         if name[0] == "_":  # of a copy that is not set up yet
             raise AttributeError(name)
         value = getattr(self._built, name)
@@ -286,7 +297,7 @@ class Checked:
         if not callable(value):
             return require(self._plugin, name, value, owner=self._built)
 
-        def call(*given: Any) -> Any:
-            return require(self._plugin, name, value(*given), *given, owner=self._built)
+        def call(*arguments: Any) -> Any:
+            return require(self._plugin, name, value(*arguments), *arguments, owner=self._built)
 
         return call

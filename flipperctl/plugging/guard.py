@@ -85,9 +85,9 @@ def attributed(error: BaseException) -> FlipperctlError | None:
     if not (called := _innermost_call(error)):
         return None
     plugin, method = _culprit(called)
-    # An object that a plugin built has a class beside that of the plugin.
-    beside = [cls for cls in registry.values() if cls.__module__ == _module(called[-1][0])]
-    labels = " or ".join(plugin_label(cls) for cls in ([plugin] if plugin else beside))
+    # An object that a plugin built has a class in the plugin's module.
+    classes = [cls for cls in registry.values() if cls.__module__ == _module(called[-1][0])]
+    labels = " or ".join(plugin_label(cls) for cls in ([plugin] if plugin else classes))
     return _named(error, f"{labels}: " if labels else "", method, _last(called))
 
 
@@ -179,17 +179,18 @@ def error_place(error: BaseException, plugin: Plugin | type[Plugin], method: str
 
 def import_place(error: BaseException, file: Path | None) -> str:
     """Return the file and line, in a plugin's ``file`` or else outside the core, of an error."""
+    # The plugin's own file tells most, then other files outside the core.
     steps = [s for s in traceback.walk_tb(error.__traceback__) if not _is_core(s[0])]
     steps = [s for s in steps if not s[0].f_code.co_filename.startswith("<")]
-    own = [s for s in steps if file is not None and s[0].f_code.co_filename == str(file)]
-    return _last(own or _outside(steps) or steps)
+    inside = [s for s in steps if file is not None and s[0].f_code.co_filename == str(file)]
+    return _last(inside or _outside(steps) or steps)
 
 
 def definition(plugin: Plugin | type, method: str = "") -> str:
     """Return file and line of a method's definition, else of its plugin's, else the module."""
     cls: type = plugin if isinstance(plugin, type) else type(plugin)
-    found = inspect.getattr_static(cls, method, None) if method else None
-    function = getattr(found, "fget", found)
+    attribute = inspect.getattr_static(cls, method, None) if method else None
+    function = getattr(attribute, "fget", attribute)
     code = getattr(inspect.unwrap(function) if function else None, "__code__", None)
     if code is not None:
         return f"{_one_line(code.co_filename, 400)}:{code.co_firstlineno}"
@@ -210,15 +211,18 @@ def _outside(steps: Iterable[tuple[FrameType, int]]) -> _Steps:
 
 
 def _innermost_call(error: BaseException) -> _Steps:
-    """Return the core's innermost call of a plugin: its own frame, then those of the plugin.
+    """Return the core's innermost call of a plugin: its own frame, then the plugin's frames.
 
     Empty if no plugin is at fault: what calls the core, such as a script, is none, and neither an
     interrupt nor an error of the core's own is a plugin's.
     """
+    # An error of the core's own, as of a wrong argument, is no plugin's.
     steps = list(traceback.walk_tb(error.__traceback__))
-    own = isinstance(error, FlipperctlError) and bool(steps) and _is_core(steps[-1][0])
-    if own or isinstance(error, KeyboardInterrupt):
+    is_core_error = isinstance(error, FlipperctlError) and bool(steps) and _is_core(steps[-1][0])
+    if is_core_error or isinstance(error, KeyboardInterrupt):
         return []
+
+    # From the inside: the first call by the core that leads out of it
     for at in reversed(range(len(steps))):
         frame = steps[at][0]
         called = _outside(steps[at:])
@@ -229,6 +233,7 @@ def _innermost_call(error: BaseException) -> _Steps:
 
 def _culprit(called: _Steps) -> tuple[Plugin | type[Plugin] | None, str]:
     """Return the plugin that ran innermost, if a frame has it, and the method that was called."""
+    # The innermost frame whose self or cls is a plugin
     for frame, _ in reversed(called):
         for name in ("self", "cls"):
             owner: Any = frame.f_locals.get(name)

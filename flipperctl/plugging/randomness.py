@@ -20,10 +20,10 @@ def global_states() -> dict[str, object]:
 
     torch's is left out in a process that has not imported torch. It takes about 10 µs.
     """
-    found: dict[str, object] = {"random": random.getstate(), "numpy.random": _state_of_numpy()}
+    states: dict[str, object] = {"random": random.getstate(), "numpy.random": _state_of_numpy()}
     if (torch := sys.modules.get("torch")) is not None:
-        found["torch"] = torch.get_rng_state().numpy().tobytes()
-    return found
+        states["torch"] = torch.get_rng_state().numpy().tobytes()
+    return states
 
 
 def moved_since(before: dict[str, object]) -> str:
