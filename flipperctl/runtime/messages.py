@@ -36,10 +36,10 @@ class Signs:
 
     def __post_init__(self) -> None:
         """Refuse other factors."""
-        for one in fields(self):
-            value = getattr(self, one.name)
+        for sign in fields(self):
+            value = getattr(self, sign.name)
             if value not in (1, -1) or isinstance(value, bool):
-                raise PolicyError(f"signs.{one.name} is {value!r}; 1 or -1 is allowed")
+                raise PolicyError(f"signs.{sign.name} is {value!r}; 1 or -1 is allowed")
 
 
 OURS = Signs()
@@ -207,11 +207,12 @@ class Attitude:
         leans, the rate about its z axis is not the yaw rate; this corrects it.
         """
         x, y, z, w = orientation
+        # The rate about the vertical, by how far each axis rises
         rises = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)  # of the axes
         level = max(1 - rises[0] ** 2, _STEEPEST)
         turn = (rises[1] * rates[1] + rises[2] * rates[2]) / level
-        found = cls.from_quaternion(time, frame, x, y, z, w, turn)
-        return replace(found, tilt_rates=(rates[0], rates[1]), acceleration=acceleration)
+        attitude = cls.from_quaternion(time, frame, x, y, z, w, turn)
+        return replace(attitude, tilt_rates=(rates[0], rates[1]), acceleration=acceleration)
 
 
 @dataclass(frozen=True)
@@ -280,9 +281,9 @@ class NewestJoints:
         None: the message is of other joints, or there is a joint without an angle yet.
         """
         pairs = zip(names, positions, strict=False)
-        told = {n: (stamp, self._signs[n] * float(p)) for n, p in pairs if n in self._signs}
-        self._angles |= told
-        if not told or self._signs.keys() - self._angles.keys():
+        newest = {n: (stamp, self._signs[n] * float(p)) for n, p in pairs if n in self._signs}
+        self._angles |= newest
+        if not newest or self._signs.keys() - self._angles.keys():
             return None
         oldest = float(np.min([time for time, _ in self._angles.values()]))  # NaN if one is
         angles = [tuple(self._angles[n][1] for n in pair) for pair in self._pairs]

@@ -93,7 +93,7 @@ _FAR = 100
 
 
 def without_unmeasured(points: FloatArray) -> tuple[FloatArray, str]:
-    """Return the finite points (P, 3) that were measured, and a remark on those left out.
+    """Return the finite points (P, 3) that were measured, and a remark on the others.
 
     Drivers store rays without return as 0 0 0, and a registration moves these to the places of the
     sensor. Points are left out that are equal far more often than most, where no surface is around
@@ -102,10 +102,13 @@ def without_unmeasured(points: FloatArray) -> tuple[FloatArray, str]:
     points = points[np.isfinite(points).all(axis=1)]
     if not len(points):
         return points, ""
+    # Equal points follow each other, so that each place has a count.
     points = points[np.lexsort(points.T)]
     begins = np.append(True, (np.diff(points, axis=0) != 0).any(axis=1))
     places = points[begins]
     counts = np.diff(np.append(np.flatnonzero(begins), len(points)))
+
+    # Places that are hit too often, with no surface around them
     origin = (places == 0).all(axis=1)
     usual = float(np.median(counts[~origin])) if not origin.all() else 1.0
     often = counts >= _OFTEN * usual
@@ -114,6 +117,8 @@ def without_unmeasured(points: FloatArray) -> tuple[FloatArray, str]:
     left_out = np.where(origin, counts > usual, left_out)
     if not left_out.any():
         return points, ""
+
+    # The place that is hit most often stands for all in the remark.
     most = places[np.argmax(np.where(left_out, counts, 0))]
     where = " ".join(f"{value + 0.0:g}" for value in most)
     more = f" and {int(left_out.sum()) - 1} other places" if left_out.sum() > 1 else ""
@@ -146,6 +151,7 @@ def remark_on_rounding(points: FloatArray, level: str, unit: float, spacing: flo
     for along the axes ``level``, such as "xy", by points that share coordinates; a regular grid is
     not rounded.
     """
+    # Formats first; a grid would look rounded, which is not meant here.
     coarse = spacing / 2 / unit * (1 + 1e-9)
     steps, filled, far = dict[str, float](), dict[str, float](), set[str]()
     columns = dict(zip("xyz", points.T, strict=True)) if len(points) else {}
@@ -158,6 +164,8 @@ def remark_on_rounding(points: FloatArray, level: str, unit: float, spacing: flo
         elif axis in level and len(values) * _FILLED <= len(column):
             filled[axis] = float(np.median(apart)) if len(apart) else 0.0
             far |= {axis} if largest > _FAR * np.ptp(values) else set()
+
+    # Rounding in both level axes puts points above each other on one surface.
     if len(filled) == 2:
         (height,) = {*"xyz"} - {*level}
         keys = np.column_stack([columns[axis] for axis in (height, *level)])
@@ -168,9 +176,9 @@ def remark_on_rounding(points: FloatArray, level: str, unit: float, spacing: flo
     steps |= {axis: filled[axis] for axis in far if filled[axis] > coarse}
     if not steps:
         return ""
-    found = " and ".join(f"{axis} to {steps[axis] * unit:.3g} m" for axis in sorted(steps))
+    axes = " and ".join(f"{axis} to {steps[axis] * unit:.3g} m" for axis in sorted(steps))
     return (
-        f"its coordinates are rounded ({found}), as half or single precision far from 0 or few "
+        f"its coordinates are rounded ({axes}), as half or single precision far from 0 or few "
         "digits do; save them in double precision or nearer to the origin"
     )
 
@@ -196,6 +204,7 @@ def measured(
     ``unit``: of the file [m]; ``viewpoint``: whether the pose that it states moves the points;
     ``spacing``: distance between heights along a line [m].
     """
+    # Missing values, rays without return and rounding are of the file's own frame.
     finite = file.points[np.isfinite(file.points).all(axis=1)]
     columns = [without_missing(column) for column in finite.T]
     points, unmeasured = without_unmeasured(np.column_stack([column for column, _ in columns]))
@@ -240,16 +249,16 @@ def slice_along(
 ) -> Ground:
     """Return the ground at the line's points; its heights are NaN where the slice is empty.
 
-    Each height is the quantile of the chosen layer of those points of the slice that are nearest to
-    its place along the line. The slice reaches half the ``thickness`` [m] to either side of the
+    Each height is the quantile of the chosen layer, over the points of the slice that are nearest
+    to its place along the line. The slice reaches half the ``thickness`` [m] to either side of the
     line.
 
     Raises:
         ValueError: fewer than ``fewest`` points lie in the slice.
     """
     offset = points[:, :2] - np.asarray(line.start)
-    along, beside = offset @ line.direction, offset @ line.left
-    within = (np.abs(beside) <= thickness / 2) & (along >= 0) & (along <= line.length)
+    along, across = offset @ line.direction, offset @ line.left
+    within = (np.abs(across) <= thickness / 2) & (along >= 0) & (along <= line.length)
     if (count := int(within.sum())) < fewest:
         extent = "nothing"
         if len(points):
@@ -259,6 +268,8 @@ def slice_along(
             f"only {count} points lie within {thickness / 2:g} m of the line from {line.start} to "
             f"{line.end}, {fewest} are needed; the cloud covers {extent}"
         )
+
+    # The points nearest to each place, in groups
     places = line.distances
     nearest = np.searchsorted((places[:-1] + places[1:]) / 2, along[within])
     order = np.argsort(nearest, kind="stable")
@@ -270,6 +281,8 @@ def slice_along(
         layer, above[place] = layer_of_points(group, choice)
         underside[place] = layer[0]
         heights[place] = np.quantile(layer, quantile)
+
+    # What lies below the chosen layer may be the ground, seen through a gap
     layers, covered = heights.copy(), np.isfinite(above)
     for place, group in zip(at, groups, strict=True):
         parts = parts_of_points(group, choice)

@@ -47,6 +47,8 @@ def read_dae(path: Path) -> DaeFile:
     scene = root.find("scene/instance_visual_scene")
     if scene is None:
         raise ValueError("it has no scene, which says where its parts are (instance_visual_scene)")
+
+    # Parts are placed by the nodes above them, and may be placed several times.
     nodes, geometries = list(root.iter("node")), list(root.iter("geometry"))
 
     @cache  # may be in several places
@@ -67,6 +69,7 @@ def read_dae(path: Path) -> DaeFile:
             else:
                 matrix = matrix @ _transform(child)
 
+    # The scene in the file's own unit and axis
     scenes = list(root.iter("visual_scene"))
     parts = placed(_find(scenes, scene.get("url")), np.eye(4))
     corners = np.concatenate([np.empty((0, 3, 3)), *parts])
@@ -88,7 +91,7 @@ def _find(elements: Sequence[ET.Element], url: str | None) -> ET.Element:
 
 
 def _transform(element: ET.Element) -> FloatArray:
-    """Return the matrix (4, 4) of a transform, that of no motion for other elements."""
+    """Return the matrix (4, 4) of a transform; other elements move nothing."""
     matrix = np.eye(4)
     if element.tag == "matrix":
         matrix = _numbers(element).reshape(4, 4)
@@ -125,6 +128,7 @@ def _triangles(mesh: ET.Element, faces: ET.Element) -> FloatArray:
     """Return the triangles of a list of faces, (T, 3, 3)."""
     inputs = faces.findall("input")
     size = 1 + max((int(each.get("offset", "0")) for each in inputs), default=0)
+    # Indices of corners stand between indices of normals and the like.
     corner = next((each for each in inputs if each.get("semantic") == "VERTEX"), None)
     if faces.find("ph") is not None:
         raise ValueError("those with holes are not read")
@@ -136,6 +140,8 @@ def _triangles(mesh: ET.Element, faces: ET.Element) -> FloatArray:
         np.concatenate([np.empty(0, np.int64), *lists]),
         np.array(list(map(len, lists))),
     )
+
+    # How many corners each face has
     if faces.tag == "triangles":
         counts = np.full(-(-len(corners) // 3), 3)
     elif faces.tag == "polylist":
@@ -149,7 +155,7 @@ def _triangles(mesh: ET.Element, faces: ET.Element) -> FloatArray:
 
 
 def _cut(counts: NDArray[np.int64], *, is_strip: bool) -> NDArray[np.int64]:
-    """Return the triangles, (T, 3), of polygons in succession, of which each has some corners.
+    """Return the triangles, (T, 3), of polygons in succession, each with some corners.
 
     A polygon is cut from its first corner. In a strip each corner ends a triangle with the two
     before it, and every other triangle turns the other way.
