@@ -29,33 +29,24 @@ eval okada conditions=trained -> need --checkpoint; known: nominal
 train conditions=null -> null is not allowed
 train agent=sb4 -> there is no agent plugin 'sb4' | d3qn, policy_gradient, sb3
 train method=sb3 -> method: a learner is chosen by its name, agent=NAME (d3qn, policy_gradient, sb3)
-train agent.learner=sb3 -> agent.learner: a learner is chosen by its name, agent=NAME
-train agent.policy_gradient.clip=0.2 -> agent.policy_gradient.clip: a learner is chosen by its name
 train agent=sb3 agent.algorithm=trpo -> agent.algorithm | 'dqn', 'ppo'
 train agent=sb3 agent.algorithm=sac -> actions: turns does not go with | actions=rates is allowed
-train agent=sb3 actions=rates -> agent=sb3; actions=turns is allowed
 train actions=rates -> actions: rates does not go with agent=d3qn | flipperctl list learners
 train actions=box -> actions | 'turns' or 'rates'
 train agent=sb3 network=dueling_mlp -> dueling_mlp does not go with | network=mlp is allowed
 train agent=sb3 agent.n_step=2 -> agent.n_step: there is no such key
 train agent=sb3 teacher=okada -> teacher: agent=sb3 learns from rewards alone; set teacher=none
 train agent=sb3 train.mode=exact -> train.mode=exact: it has no effect with agent=sb3
-train agent=sb3 train.record=true -> train.record: it does not go with agent=sb3
-train agent=sb3 agent.settings.buffer_size=-1 -> a whole number ≥ 0 is allowed
 train agent=sb3 agent.settings.tau=5 -> agent.settings.tau: ≥ 0, ≤ 1 is allowed; the value is 5
 train agent=sb3 agent.settings.learning_rat=1 -> no such argument (did you mean 'learning_rate'
 train agent=sb3 agent.settings.gamma=0.9 -> it is the run's; set agent.gamma
-train agent=sb3 agent.settings.batch_size=many -> a number is allowed; the value is 'many'
 train agent=sb3 agent.settings.train_freq=[1,"day"] -> agent.settings: DQN refuses them
-train agent=sb3 agent.settings.policy_kwargs={net_arch:[8]} -> network.hidden sets its widths
-train method.algorithm=sac -> method.algorithm: a learner is chosen
 inspect reward conditions=nominal,varied -> give 2 configurations
 inspect terrain stair eval.seed=4 -> eval.seed=4 | --seed
 eval okada terrain=stair,stair -> is given twice; once is allowed
 eval planner okada controller.smoothness=9 -> controller.smoothness | known in controller=okada:
 eval okada --baseline 'level, level' -> is given twice; once is allowed
 eval okada terrain=step terrain.height=[0.3,0.1] -> terrain.height | low ≤ high | [0.3, 0.1]
-eval okada terrain=step terrain.height=high -> terrain.height | or one number | 'high'
 eval okada terrain=step terrain.height=0.3 episode.run_up=0.2 -> overlaps the robot at the start
 inspect plugins flat --output x -> --output needs --check
 eval --controler okada -> --controler | --controller
@@ -82,12 +73,9 @@ eval --controller level friction=1 -> did you mean  | sim.friction
 train controller=okada -> controller: there is no such key | teacher
 eval runs/x -> runs/x | no such run | generalist
 train hydra.run.dir= -> hydra.run.dir | the value is ''
-train -m seed=1,2 hydra.sweep.dir= -> hydra.sweep.dir
 train hydra.run.dir=sp ace/x -> 'hydra.run.dir="sp ace/x"'
-train 'hydra.run.dir=a(b' -> 'hydra.run.dir="a(b"'
 inspect config =3 -> '=3' has no key
 inspect config terrain=3 -> terrain: a name | 3
-inspect config 'network=[1,2]' -> network: a name | [1, 2]
 train terain=stair -> terain | 'terrain'
 train terrain=stiar -> terrain | 'stiar' | 'stair'
 train experiment=nope -> experiment | nope
@@ -107,7 +95,6 @@ train rewards=paper '~rewards.pitch' reward@rewards.pitch=impact \
     -> ~rewards.pitch | write reward@rewards.pitch=im
 train +terrain=step -> terrain exists already | write terrain=step
 train terrain=step terrain.hihgt=0.2 -> terrain.hihgt | 'height'
-train +agent.gama=0.9 -> agent.gama | 'gamma'
 train agent.gamma=1.5 -> gamma | < 1 | 1.5
 train terrain.steps=2.5 -> terrain.steps | integer | 2.5
 train rewards=paper rewards.pitch.lambda_2=inf -> rewards.pitch.lambda_2 | finite
@@ -130,14 +117,10 @@ eval -> name a policy, as in: flipperctl eval generalist terrain=stair
 eval --controller okado -> okado: there is no | 'okada'
 eval --controller okada --baseline levl -> 'levl' | 'level'
 eval --controller okada randomise.friction=true -> friction | rue
-eval --controller okada randomise.robot.payload=true -> robot.payload | rue
 eval --controller okada --baseline generalist -> --baseline | add --checkpoint generalist
-eval --controller okada --passable generalist -> --passable | add --checkpoint generalist
 eval --controller okada --baseline none,okada -> --baseline: none stands alone | none,okada
-eval --controller okada --passable okada, -> --passable | 'okada,'
 eval okada eval.seed=99999999999999999999 -> eval.seed | ≤ 9.22337e+18
 eval --controller okada --episodes 0 -> eval.episodes | ≥ 1
-eval --controller okada --episodes x -> eval.episodes | 'x'
 eval --controller okada conditions=wet.yaml \
     -> 'wet' | conditions of your own are overrides | suite=FILE.yaml
 eval --checkpoint nowhere -> nowhere: there is no | controller | generalist
@@ -145,10 +128,7 @@ export onxx --checkpoint x -> onxx | onnx
 list terain -> there is no kind 'terain' | 'terrains' | known: terrains, rewards
 list stair -> flipperctl explain stair
 list runs -> runs: there is no such folder
-list stair --pictures x.png -> --pictures needs terrains
-list terrains x -> a folder has a meaning with runs alone
 explain agent.gama -> 'agent.gama' (did you mean 'agent.gamma'?
-inspect plugins stiar -> 'stiar' | 'stair'
 inspect terrain stiar -> 'stiar' | 'stair'
 inspect terrain stair --output x.bmp -> x.bmp | .png
 inspect terrain stair --output no/x.png -> no/x.png | no folder
@@ -159,8 +139,6 @@ eval level --record e.safetensors eval.ray=auto terrain=flat \
     -> eval.ray: no meaning beside --record
 eval okada level --film e.gif terrain=flat,step -> --film shows one scene
 eval okada terrain=stair --by step -> --by: no scene draws 'step' (did you mean 'steps'?
-eval okada terrain=stair --by steps, -> --by: names as in
-eval okada terrain=stair --by steps+steps -> --by: names as in
 eval okada --columns max_pich -> no column 'max_pich' (did you mean 'max_pitch'
 eval okada suite=familes -> did you mean 'families'?
 eval okada suite=gone.yaml -> gone.yaml cannot be read
@@ -169,97 +147,60 @@ eval suite=families -> name a policy, as in: flipperctl eval generalist
 map okada terrain=uplift -> name two settings, as in --over terrain.height=
 map okada terrain=uplift --over terrain.hight,sim.friction -> did you mean 'terrain.height'
 map okada terrain=uplift --over terrain.height=0.1:2,sim.friction -> terrain.height | ≤ 0.8
-map okada terrain=uplift --over terrain.height -> two settings are allowed
 map okada terrain=uplift --over perception.occlusion,sim.friction -> it is no number
-map okada terrain=uplift --over terrain.height,terrain.height -> stands in both axes
 map okada terrain=uplift --over terrain.height=1:0,sim.friction -> from a lower to a higher number
-map okada terrain=uplift --over terrain.height=low:1,sim.friction -> LOW:HIGH or LOW:HIGH:VALUES
-map okada terrain=uplift --over terrain.height=0.1:1:1.5,sim.friction -> 2 to 100 values
 map okada terrain=uplift randomise.friction=[0.8,1.2] --over terrain.height,sim.friction \
     -> --over sim.friction: it has no effect
-map okada terrain=uplift --over terrain.height,sim.iterations=7:7.3:2 \
-    -> two different values are needed
 map okada terrain=uplift --over terrain.height=0.2:0.5:2,sim.friction=0.5:1.0:2 suite=paper \
     -> suite=…: map takes one scene
-map okada terrain=uplift --over terrain.height=0.2:0.5:2,sim.friction=0.5:1.0:2 eval.ray=auto \
-    -> eval.ray: a map is played here
 map okada terrain=uplift --over terrain.height=0.2:0.5:2,sim.friction=0.5:1.0:2 sim=planar,mujoco \
     -> map takes one scene; the settings give 2
-map okada terrain=uplift --over terrain.height=0.2:0.5:2,sim.friction=0.5:1.0:2 generalist \
-    -> map takes one policy; okada, generalist are given
 tune -> tune takes one controller, as in: flipperctl tune okada
-tune okada level -> tune takes one controller | okada, level is given
-tune okda terrain=stair -> tune: there is no controller plugin 'okda' (did you mean 'okada'
 tune level terrain=stair -> level: this controller has no number between two bounds to tune
 tune okada budget=0 -> budget: one number of episodes from 1 on | is allowed | is 0
 tune okada budget=100 terrain=stair -> budget: at least 187 episodes are needed | is 100
 tune okada --settings near,faar -> --settings: okada has no number 'faar' | did you mean 'far'
-tune okada --for speed -> --for: pitch or reward is allowed; the value is 'speed'
-tune okada --output file -> file: a policy file is a .yaml or .yml file
-tune okada controller.rear_gain=0,1 -> controller: one value of each setting
 tune okada --for reward '~rewards' -> --for reward: there is no reward term
 tune hfc terrain=stair -> hfc learns from demonstrations; add from=POLICY or a folder of drives
-tune hfc from=okda terrain=stair -> from: okda: there is no such | did you mean 'okada'
-tune hfc from=okada from=level -> from: one demonstrator is allowed; okada, level are
 tune okada from=level -> from=level: okada takes no demonstrations here; leave it out
 tune zimmermann budget=5 terrain=step -> budget: at least 11 episodes are needed | is 5
-tune okada eval.ray=auto -> eval.ray: a search is played here
 inspect reward --regret -> give either --checkpoint RUN_OR_FILE or --controller NAME
 inspect reward --against level -> add --regret
 inspect reward --regret --compare level,okada -> omit --regret
 inspect reward --regret --controller level --against okda -> did you mean 'okada'
-inspect reward --regret --controller level --against okada,okada -> each once
 inspect reward --regret --controller level --against generalist perception.bins=9 -> bins=15
 inspect reward --compare level -> at least two different names
 inspect reward --compare level,okada --controller okada -> --compare names all policies
-inspect reward --compare level,okada controller=level -> --compare names the controllers
-inspect reward --compare level,planner controller.widht=3 -> did you mean 'width'
 inspect reward --compare level,okada '~rewards' -> leaves no term
 inspect reward --compare level,value_iteration terrain=step rewards=paper,smooth \
     -> value_iteration drives otherwise for each of the rewards paper, smooth
 new terian mine -> 'terian' | 'terrain'
 new terrain 'My Own' -> 'My Own' | lower-case letters
-new terrain null -> 'null' | word of YAML
 new reward signal -> 'signal' | standard library | signal_reward is free
 new terrain torch -> 'torch' | the package torch | torch_terrain is free
-new network flipperctl --package -> 'flipperctl' | flipperctl_network is free
 new terrain stair -> 'stair' | already | stairs.py:
-new engine planar -> engine plugin 'planar' | already | planar/__init__.py:
 new terrain mine --output file -> file | cannot be written
 bench --small speed -> 'speed' | evaluation | key=value
 bench --small decisions -> 'decisions' | did you mean 'decision'
-bench --small --repeats 1 -> --repeats | greater than or equal to 2
 bench --small terrain=stiar -> terrain | 'stiar' | 'stair'
 bench --small seed=1,2 -> one configuration | 2
-bench --small --output file/x -> file/x | cannot be written
 train -m seed=1,2 --cfg job -> --cfg: it shows one configuration; leave --multirun out
 train seed=1,2 --cfg job -> give one value of seed
 train --info all --cfg job -> --info: no meaning beside --cfg
-train --info all -m -> --info: it shows one configuration
-train --resolve -> --resolve: no meaning without --cfg
 train --cfg nonsense -> invalid choice: 'nonsense'
-train --config-dir -> expected one argument
 train -m hydra.mode=RUN seed=1,2 -> hydra.mode=RUN: no meaning beside --multirun
-train hydra.mode=BOTH -> hydra.mode: RUN or MULTIRUN is allowed; the value is BOTH
 train -m 'seed=glob(*)' -> seed=glob(*): no name fits
-train hydra.searchpath=3 -> hydra.searchpath: a list of folders is allowed
 train --output a hydra.run.dir=b -> hydra.run.dir=b: no meaning beside --output
 train --output a --resume b -> --output: no meaning beside --resume
 train --cfg job -p nope -> --cfg: package 'nope' not found in config
-train --cfg job terrain=3 -> terrain: a name is allowed; the value is 3
-train --cfg job 'hydra/launcher=[1]' -> hydra/launcher: a name is allowed
 train hydra.verbose=inf -> Hydra cannot use the words or its settings
 train -m seed=2,true -> seed: a number is allowed, not true or false
 train agent.learning_rate=true -> agent.learning_rate: a number is allowed
 train --terrain stair -> --terrain; settings are written as terrain=stair
-train --seed 4 -> --seed; settings are written as seed=4
-train --agent.gamma=0.9 -> ; settings are written as agent.gamma=0.9
 train --learning-rate=1e-3 -> ; settings are written as agent.learning_rate=1e-3
-train --terrain terrain=stair -> ; settings are written as terrain=…
 train --out here -> (did you mean '--output'?
 inspect reward --seed 3 -> ; settings are written as eval.seed=3
 eval okada --friction 0.6 -> ; settings are written as sim.friction=0.6
-eval okada --agent.gamma 0.9 -> no such option: --agent.gamma
 eval okada --episodess 5 -> --episodess (did you mean '--episodes'?
 inspect run x --seed 3 -> no such option: --seed
 --terrain stair -> --terrain; settings are written as terrain=stair
@@ -274,10 +215,8 @@ map okada --over=seed,seed --episodes 3 ++eval.episodes=4 \
     -> eval.episodes is given twice: --episodes 3 and ++eval.episodes=4; one is allowed
 eval --controller okada controller=level \
     -> controller is given twice: controller=okada and controller=level; one is allowed
-inspect config seed=1 seed=2 -> seed is given twice: seed=1 and seed=2; one is allowed
 train agent.gamma=0.9 +agent.gamma=0.8 \
     -> agent.gamma is given twice: agent.gamma=0.9 and +agent.gamma=0.8; one is allowed
-train -m seed=1,2 seed=3 -> seed is given twice: seed=1,2 and seed=3; one is allowed
 watch --no-open -> name a policy
 watch generalist --port 70000 --no-open -> --port
 watch okad --no-open -> did you mean 'okada'
