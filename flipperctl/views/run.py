@@ -11,28 +11,25 @@ import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from flipperctl.checkpoint import recording
 from flipperctl.checkpoint.results import result_folder
-from flipperctl.config.identity import content_digest
 from flipperctl.errors import FlipperctlError, InterruptedRunError, RequestError
 from flipperctl.evaluation import replay
+from flipperctl.evaluation.best_known import with_best_known
 from flipperctl.evaluation.conditions import scene_names
 from flipperctl.evaluation.engines import explained
-from flipperctl.evaluation.evaluate import Played, Result, evaluate
-from flipperctl.evaluation.plan import BEST_KNOWN, Entry, Plan
+from flipperctl.evaluation.evaluate import Result, evaluate
+from flipperctl.evaluation.plan import Entry, Plan
 from flipperctl.evaluation.play import Progress, no_progress
-from flipperctl.evaluation.rows import DIGEST, RECORDED, Episodes, Row
+from flipperctl.evaluation.rows import DIGEST, RECORDED, Row
 from flipperctl.evaluation.store import (
     FOLDER,
     VIEW,
     EpisodeStore,
     FolderStore,
-    ground,
-    versions_here,
     write_view,
 )
 from flipperctl.evaluation.stored import FILE as EPISODES
@@ -50,7 +47,6 @@ from flipperctl.views.summary import Document, compared, short
 NAMES = (EPISODES, SUMMARY, "table.csv", "table.tex", traces.FILE)
 MOST_FAILURES = 20  # largest number of failures of a scene that are recorded [-]
 _DIGITS = 4  # decimals of ``table.csv``
-_DIGEST = 8  # digits of a policy's digest in its label
 
 
 def run(
@@ -98,65 +94,6 @@ def run(
             written.write(result, document)
         written.draw(result, stop, progress)
     return result, document
-
-
-def with_best_known(result: Result, store: EpisodeStore) -> Result:
-    """Return the result with a row for the best stored policy, after the rows of each scene.
-
-    The best has the highest success, and of those the smallest mean θ̂_R of the episodes that
-    reached the finish. It must have every episode of the scene, with the same seed. There is no row
-    where one of the evaluated policies is the best, or without a folder of blocks.
-    """
-    if not isinstance(store, FolderStore):
-        return result
-    # Equal ground makes a scene, on which policies can be ranked.
-    scenes: dict[tuple[str, str, int, int], list[Played]] = {}
-    for item in result.played:
-        scenes.setdefault(item.entry.ground, []).append(item)
-    for together in scenes.values():
-        if (best := _best(together, store)) is not None:
-            together.append(best)
-    return replace(result, played=tuple(item for together in scenes.values() for item in together))
-
-
-def _best(together: Sequence[Played], store: FolderStore) -> Played | None:
-    """Return the best stored policy with all episodes of a scene; ``together``: the scene's rows.
-
-    None if there is none, or one of the rows is as good.
-    """
-    entry = together[0].entry
-    indices = range(entry.config.eval.episodes)
-    # Only policies with every episode of the scene can be compared.
-    complete = [
-        (headers, Episodes(tuple(rows[index] for index in indices)))
-        for headers, rows in store.stored_on(ground(entry.config))
-        if all(index in rows for index in indices)
-    ]
-    if not complete:
-        return None
-    headers, episodes = max(complete, key=lambda policy_run: _rank(policy_run[1]))
-    if any(_rank(row.episodes) >= _rank(episodes) for row in together):
-        return None
-    # Episodes of other versions are counted, as if they had been read for an entry.
-    here = versions_here(entry.config)
-    for header in headers:
-        store.count_versions(header, here)
-    # The digest tells the policy from another one that has its name by now.
-    label, digest = str(headers[0]["controller"]), str(headers[0]["policy"])
-    changed = (file := Path(label)).is_file() and content_digest(file) != digest
-    if changed or any(row.entry.label == label for row in together):  # another one has the name now
-        label = f"{label}, {digest[:_DIGEST]}"
-    method = f"{BEST_KNOWN} ({label})"
-    stored = replace(entry, method=method, training_seed=None, is_baseline=False, stored=label)
-    return Played(stored, episodes)
-
-
-def _rank(episodes: Episodes) -> tuple[float, float]:
-    """Return what orders policies on equal episodes, the best last."""
-    variations = episodes.reached.values("pitch_variation_100hz")
-    if not variations:
-        return 0.0, float("-inf")
-    return len(variations) / len(episodes), -sum(variations) / len(variations)
 
 
 class _Files:
