@@ -8,9 +8,10 @@ from typing import Annotated
 import typer
 
 from benchmarks.settings import MEASURES, run
-from flipperctl.cli import options, train
+from flipperctl.cli import options
 from flipperctl.cli.command import App, TrainingCommand
 from flipperctl.cli.main import run_app
+from flipperctl.commands import bench
 from flipperctl.process import entry
 from flipperctl.terminal.streams import replace_missing_characters
 
@@ -53,9 +54,9 @@ def benchmarks(
             show_default=False,
         ),
     ] = None,
-    small: train.Small = False,
+    small: bench.Small = False,
     repeats: Annotated[str | None, typer.Option(metavar="N", help="Rounds [10].")] = None,
-    output: train.OutputFolder = None,
+    output: bench.OutputFolder = None,
     as_json: options.AsJson = False,
     plugins: options.PluginPaths = None,
 ) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 from benchmarks.settings import FAMILIES, Benchmark, planar, ratio
 from flipperctl import checkpoint
 from flipperctl.api import SAMPLE_PERIOD
-from flipperctl.cli.bench import quantity
+from flipperctl.commands.speed import quantity
 from flipperctl.config import EnvConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import CheckpointError

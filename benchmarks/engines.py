@@ -15,7 +15,7 @@ from typing import Any
 from benchmarks.settings import Benchmark, ratio
 from flipperctl.api import Simulator
 from flipperctl.api.plugin import registered_names
-from flipperctl.cli.bench import measure_in_turn, quantity
+from flipperctl.commands.speed import measure_in_turn, quantity
 from flipperctl.config import DEFAULT_ENGINE, EnvConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError

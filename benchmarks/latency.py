@@ -14,7 +14,7 @@ from typing import Any
 
 from benchmarks.settings import Benchmark, milliseconds
 from flipperctl import checkpoint
-from flipperctl.cli.bench import clocked, measure_in_turn, output, quantity
+from flipperctl.commands.speed import clocked, measure_in_turn, output, quantity
 from flipperctl.config import with_overrides
 from flipperctl.config.words import literal_override
 from flipperctl.errors import MissingExtraError

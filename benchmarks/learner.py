@@ -22,7 +22,7 @@ from benchmarks.settings import Benchmark, ratio
 from flipperctl.agent.frames import input_size
 from flipperctl.agent.replay import Replay
 from flipperctl.api import ACTIONS
-from flipperctl.cli.bench import measure_in_turn, quantity
+from flipperctl.commands.speed import measure_in_turn, quantity
 from flipperctl.config import TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.env.privileged import SIZE

@@ -14,7 +14,7 @@ from typing import Any
 
 from benchmarks.engines import Clock
 from benchmarks.settings import Benchmark, ratio
-from flipperctl.cli.bench import measure_in_turn, quantity
+from flipperctl.commands.speed import measure_in_turn, quantity
 from flipperctl.config import with_overrides
 from flipperctl.errors import MissingExtraError
 from flipperctl.rollout.episode import EvaluationSeeds

@@ -24,7 +24,7 @@ import torch
 from benchmarks.settings import FAMILIES, Benchmark, ratio
 from flipperctl.agent.networks import build_network
 from flipperctl.api import ACTIONS, Perception, Simulator
-from flipperctl.cli.bench import Values, quantile, quantity
+from flipperctl.commands.speed import Values, quantile, quantity
 from flipperctl.config import EnvConfig, TrainConfig, with_overrides
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.lookahead import Mpc, ValueIteration

@@ -21,7 +21,7 @@ from pymunk import GearJoint
 
 from benchmarks.settings import Benchmark, planar, ratio
 from flipperctl.api import SAMPLE_PERIOD, Profile, Start, Transition
-from flipperctl.cli.bench import quantity
+from flipperctl.commands.speed import quantity
 from flipperctl.config import EnvConfig
 from flipperctl.config.reward_sum import RewardSum
 from flipperctl.env.flipper_env import FlipperEnv

@@ -15,7 +15,7 @@ import torch
 
 from benchmarks.settings import Benchmark, ratio
 from flipperctl.agent.risk import weights_of
-from flipperctl.cli.bench import measure_in_turn, quantity
+from flipperctl.commands.speed import measure_in_turn, quantity
 from flipperctl.config import RayCollector, TrainConfig
 from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.errors import MissingExtraError

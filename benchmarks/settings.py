@@ -14,10 +14,10 @@ from pydantic import Field
 
 from flipperctl.api import Engine, Settings
 from flipperctl.checkpoint.results import json_result
-from flipperctl.cli.bench import Values, finite, load, machine, quantile, table
 from flipperctl.cli.hydra.compose import compose_train, only_one
 from flipperctl.cli.hydra.overrides import Overrides
-from flipperctl.cli.train import split_arguments
+from flipperctl.commands.bench import split_arguments
+from flipperctl.commands.speed import Values, finite, load, machine, quantile, table
 from flipperctl.config import TrainConfig, parse, resolver, with_overrides
 from flipperctl.config.words import with_flags
 from flipperctl.errors import ConfigError

@@ -18,7 +18,7 @@ import torch
 
 from benchmarks.settings import MISSING, Benchmark, BenchmarkSettings, ratio
 from flipperctl import checkpoint
-from flipperctl.cli.bench import quantity
+from flipperctl.commands.speed import quantity
 from flipperctl.config import TrainConfig, with_overrides
 from flipperctl.training.trainer import Trainer
 

@@ -10,8 +10,8 @@ from typing import Any
 import typer.main
 
 from benchmarks.settings import Benchmark, milliseconds, ratio
-from flipperctl.cli.bench import measure_in_turn, output, quantity
 from flipperctl.cli.main import app
+from flipperctl.commands.speed import measure_in_turn, output, quantity
 
 ABOUT = "wall-clock of commands in separate processes, in turn, compared with Python's own start"
 PYTHON = "python -c pass"

@@ -6,8 +6,11 @@ outside its family's room.
 
 import ast
 import importlib.util
+import os
 import pkgutil
 import re
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import suppress
 from itertools import islice
@@ -22,6 +25,7 @@ from flipperctl.env.flipper_env import FlipperEnv
 from flipperctl.plugging import plugins
 from flipperctl.policies.source import PolicySource, with_files
 from flipperctl.rollout.episode import decisions
+from tests.cli.call import call, refused
 
 ROOT = Path(__file__).parents[1]
 SAVED = re.compile(r"[Ss]ave this as `([\w.]+)`:\n\n```\w+\n(.*?)^```", re.DOTALL | re.MULTILINE)
@@ -108,3 +112,81 @@ def test_a_planner_drives_for_the_rewards_of_the_user(tmp_path: Path) -> None:
     for config, action in ((held, action_index(0, 0)), (unpaid, 0)):  # any is as good as the first
         driven = decisions(FlipperEnv(config=config), source.build(config), seed=1)
         assert [decision.action for decision in islice(driven, 3)] == [action] * 3
+
+
+def test_a_subcommand_of_a_file_is_like_ours(tmp_path: Path) -> None:
+    file = saved("tutorials/command.md", "rougher.py", tmp_path).name
+    done = call("rougher", "level", "--episodes", "1", "--plugins", file, cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert re.fullmatch(r"step: \d\.\d\d rad\nramp: \d\.\d\d rad\n", done.out)
+    assert (
+        "flipperctl rougher okada"
+        in call("rougher", "--help", f"--plugins={file}", cwd=tmp_path).out
+    )
+    wrong = ["rougher", "--plugins", file]
+    assert "given twice: 3 and 4" in refused(
+        *wrong, "--episodes", "3", "--episodes=4", cwd=tmp_path
+    )
+    assert "did you mean --episodes" in refused(*wrong, "level", "--episode", "3", cwd=tmp_path)
+    assert "Missing argument" in refused(*wrong, cwd=tmp_path)
+    assert (
+        "command rougher"
+        in call("inspect", "plugins", "rougher", "--plugins", file, cwd=tmp_path).out
+    )
+
+
+def test_a_subcommand_that_fails_names_its_line(tmp_path: Path) -> None:
+    file = saved("tutorials/command.md", "rougher.py", tmp_path)
+    file.write_text(file.read_text().replace("    terrains =", "    1 / 0\n    terrains ="))
+    error = refused("rougher", "level", "--plugins", file.name, cwd=tmp_path, code=1)
+    assert re.search(r"command 'rougher': run raised ZeroDivisionError: .*rougher\.py:\d+\)", error)
+
+
+def test_installed_subcommands_are_listed_and_a_broken_one_is_a_warning(tmp_path: Path) -> None:
+    """Each is in a package of its own; ``robot`` is a group of ours."""
+    for name, typed, body in (
+        ("whole", "robot.tally", "def run(): 'Count the robots.'; print(1)"),
+        ("half", "half", "import no_such_library"),
+    ):
+        (tmp_path / f"a_{name}.py").write_text(f"{body}\n")
+        info = tmp_path / f"{name}-1.0.dist-info"
+        info.mkdir()
+        (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+        (info / "entry_points.txt").write_text(f"[flipperctl.commands]\n{typed} = a_{name}:run\n")
+
+    def typed(*words: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            [sys.executable, "-m", "flipperctl", *words],
+            env={**os.environ, "PYTHONPATH": str(tmp_path)},
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+        )
+
+    assert "Count the robots" in typed("robot", "--help").stdout
+    assert typed("robot", "tally").stdout == "1\n"
+    listed = typed("--help")
+    assert listed.returncode == 0
+    assert "│ watch " in listed.stdout
+    assert "warning: half: plugin 'half' of the installed package half" in listed.stderr
+    failed = typed("half")
+    assert failed.returncode == 2
+    assert "a_half.py:1: ModuleNotFoundError" in failed.stderr
+
+
+@pytest.mark.parametrize(
+    ("page", "name", "words", "shown"),
+    [
+        ("plugins.md", "highest.py", [], "highest"),
+        ("tutorials/reward.md", "comfort.py", ["rewards.comfort=comfort"], "comfort"),
+    ],
+)
+def test_a_measure_and_a_reward_of_a_file_are_in_the_result(
+    page: str, name: str, words: list[str], shown: str, tmp_path: Path
+) -> None:
+    file = saved(page, name, tmp_path).name
+    more = ["--episodes", "1", "--baseline", "none", "--output", "result", "--plugins", file]
+    done = call("eval", "level", "terrain=flat", *words, *more, cwd=tmp_path)
+    assert done.code == 0, done.err
+    head = (tmp_path / "result" / "episodes.csv").read_text().partition("\n")[0]
+    assert shown in head

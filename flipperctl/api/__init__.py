@@ -7,6 +7,7 @@ the chassis). Signs: a flipper angle is positive when the flipper is above the c
 and rear alike; the pitch is positive nose up.
 """
 
+from flipperctl.api.commands import Subcommand, command
 from flipperctl.api.controllers import (
     Controller,
     CostPolicy,
@@ -135,6 +136,7 @@ __all__ = [
     "Start",
     "StateGroups",
     "Step",
+    "Subcommand",
     "Surface",
     "Task",
     "Terrain",
@@ -148,6 +150,7 @@ __all__ = [
     "action_index",
     "candidate_angle",
     "candidate_angles",
+    "command",
     "controller",
     "engine",
     "is_plugin_name",

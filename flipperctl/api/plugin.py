@@ -68,8 +68,14 @@ _DECORATORS = {"sim": "engine", "perception": "sensor", "agent": "learner"}
 """Kind → name of its decorator, where they differ."""
 
 
-def is_plugin_name(name: str) -> bool:
-    """Return whether the name is valid for a plugin; see ``NAME_RULE``."""
+_COMMAND = r"[a-z][a-z0-9-]*( [a-z][a-z0-9-]*)?"
+"""A subcommand's name is no value of a configuration, but one word or two that are typed."""
+
+
+def is_plugin_name(name: str, kind: str = "") -> bool:
+    """Return whether the name is valid for a plugin of a kind; see ``NAME_RULE``."""
+    if kind == "command":
+        return re.fullmatch(_COMMAND, name) is not None
     return re.fullmatch(r"[a-z][a-z0-9_]*", name) is not None and name not in _YAML
 
 
@@ -86,13 +92,15 @@ def register(
             name.
     """
     decorator = _DECORATORS.get(family.kind, family.kind)
-    if isinstance(name, type):  # the decorated class itself
+    if callable(name):  # the decorated class or function itself
         example = name.__name__.lower()
         raise TypeError(
             f'@{decorator} needs a name in parentheses: write @{decorator}("{example}")'
         )
-    if not is_plugin_name(name):
-        raise ValueError(f"plugin name {name!r}: {NAME_RULE}")
+    if not is_plugin_name(name, family.kind):
+        words = "one word or two of lower-case letters, digits and - are allowed"
+        rule = words if family.kind == "command" else NAME_RULE
+        raise ValueError(f"plugin name {name!r}: {rule}")
 
     where = f"@{decorator}({name!r})"
 

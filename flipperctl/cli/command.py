@@ -1,17 +1,25 @@
-"""Parse the options of every subcommand: one value for each, and unknown ones are explained."""
+"""Parse the options of every subcommand: one value for each, and unknown ones are explained.
+
+Subcommands are converted from functions when they are needed: help lists them without that.
+"""
 
 from __future__ import annotations
 
+import copy
 import inspect
 import re
 import shlex
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any, ClassVar
+from collections.abc import Callable, Iterator, MutableMapping, Sequence
+from typing import Any, ClassVar, TypeVar
 
 import typer
 from typer.core import TyperCommand, TyperGroup, TyperOption
 
-from flipperctl.errors import RequestError
+from flipperctl.cli import plugged
+from flipperctl.errors import FlipperctlError, RequestError
+from flipperctl.terminal.streams import print_note
+
+FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
 
 class Command(TyperCommand):
@@ -74,8 +82,74 @@ class TrainingCommand(Command):
     primary = "train"
 
 
+_PARSERS: dict[Callable[..., Any], type[Command]] = {}
+
+
+def parsed_by(cls: type[Command]) -> Callable[[FunctionT], FunctionT]:
+    """Return a decorator for a function whose options a subclass of ``Command`` parses."""
+
+    def decorate(function: FunctionT) -> FunctionT:
+        _PARSERS[function] = cls
+        return function
+
+    return decorate
+
+
+class Subcommands(MutableMapping[str, Any]):
+    """The subcommands of a group by name; each is converted when it is first asked for."""
+
+    def __init__(self, app: App) -> None:
+        """Begin with those of ``app`` and of plugins."""
+        self._app = app
+        self._converted: dict[str, Any] = {}
+
+    def __getitem__(self, name: str) -> Any:
+        """Return the subcommand or group; KeyError if there is none."""
+        if name not in self._converted:
+            self._converted[name] = self._app.convert(name)
+        return self._converted[name]
+
+    def __setitem__(self, name: str, converted: Any) -> None:
+        self._converted[name] = converted
+
+    def __delitem__(self, name: str) -> None:
+        del self._converted[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._app.names())
+
+    def __len__(self) -> int:
+        return len(self._app.names())
+
+
 class Group(TyperGroup):
     """A group of subcommands that explains unknown options before their names."""
+
+    app: ClassVar[App]
+
+    def __init__(self, **settings: Any) -> None:
+        """Take the settings of typer's group; the subcommands are those of ``app``."""
+        super().__init__(**settings)
+        self.commands = Subcommands(self.app)
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the names of the subcommands."""
+        return list(self.commands)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """Return the subcommand that the words begin with, also one of a file of ``--plugins``."""
+        if args[0] not in self.commands and not ctx.resilient_parsing:
+            plugged.load_files(args)
+        return super().resolve_command(ctx, args)
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Write the help, for which no subcommand is converted."""
+        plugged.load_variable()
+        listed = copy.copy(self)
+        listed.commands = {
+            name: TyperCommand(name=name, help=text) for name, text in self.app.summaries()
+        }
+        TyperGroup.format_help(listed, ctx, formatter)
 
     def get_params(self, ctx: Any) -> list[Any]:
         """Return the parameters; help shows no type behind those without a value."""
@@ -156,11 +230,86 @@ def _value(name: str, args: Sequence[str]) -> str:
 class App(typer.Typer):
     """A Typer application that is a ``Group`` of ``Command``."""
 
-    def __init__(self, **settings: Any) -> None:
-        """Take the settings of ``typer.Typer``."""
-        super().__init__(cls=Group, rich_markup_mode="rich", **settings)
+    def __init__(
+        self, words: plugged.Words = (), order: Sequence[str] = (), **settings: Any
+    ) -> None:
+        """Take the settings of ``typer.Typer``.
+
+        ``words``: those that are typed for the group; ``order``: of its subcommands in help, before
+        those that are not named.
+        """
+        self._words, self._order = words, order
+        self._functions: dict[str, tuple[Callable[..., Any], type[Command]]] = {}
+        self._groups: dict[str, App] = {}
+        cls = type("Group", (Group,), {"app": self})
+        super().__init__(
+            cls=cls, rich_markup_mode="rich", pretty_exceptions_enable=False, **settings
+        )
 
     def add(self, name: str, run: Callable[..., Any], cls: type[Command] = Command) -> None:
         """Register a function as a subcommand, whose help is its docstring."""
-        text = re.sub(r"(?<=\S)\n(?=\S)", " ", inspect.getdoc(run) or "")  # paragraphs of any width
-        self.command(name, help=text, cls=cls, context_settings=cls.context)(run)
+        self._functions[name] = run, cls
+
+    def group(self, name: str, text: str) -> App:
+        """Return a new group of subcommands with this help."""
+        self._groups[name] = App(
+            (*self._words, name),
+            name=name,
+            help=text,
+            no_args_is_help=True,
+            add_completion=False,
+            callback=lambda: None,
+            context_settings=NO_FLAGS,
+        )
+        return self._groups[name]
+
+    def names(self) -> list[str]:
+        """Return the names of all subcommands, in the order of help."""
+        names = dict.fromkeys([*self._functions, *self._groups, *plugged.names(self._words)])
+        first = [name for name in self._order if name in names]
+        return list(dict.fromkeys([*first, *names]))
+
+    def convert(self, name: str) -> Any:
+        """Return the subcommand or group of a name as click has it; KeyError if there is none."""
+        if (group := self._group(name)) is not None:
+            return typer.main.get_command(group)
+        run, cls = self._function(name)
+        if name not in self._functions:
+            run = plugged.with_plugins((*self._words, name), run)
+        alone = typer.Typer(
+            add_completion=False, rich_markup_mode="rich", pretty_exceptions_enable=False
+        )
+        alone.command(name, help=_help(run), cls=cls, context_settings=cls.context)(run)
+        return typer.main.get_command(alone)
+
+    def summaries(self) -> Iterator[tuple[str, str]]:
+        """Yield name and help of each subcommand; one that does not load is a warning."""
+        for name in self.names():
+            try:
+                group = self._group(name)
+                yield name, str(group.info.help) if group else _help(self._function(name)[0])
+            except FlipperctlError as error:
+                print_note(f"warning: {error}")
+
+    def _group(self, name: str) -> App | None:
+        """Return the group of a name, which plugins may have begun; None if it is none."""
+        words = (*self._words, name)
+        if name not in self._groups and name not in self._functions and plugged.names(words):
+            self.group(name, plugged.help_text(words))
+        return self._groups.get(name)
+
+    def _function(self, name: str) -> tuple[Callable[..., Any], type[Command]]:
+        if name in self._functions:
+            return self._functions[name]
+        run = plugged.function((*self._words, name))
+        return run, _PARSERS.get(run, Command)
+
+
+NO_FLAGS = {"default_map": {"help": False}}
+"""Without this default, Typer imports pydantic to validate an absent flag of a group, which delays
+help by 65 ms."""
+
+
+def _help(run: Callable[..., Any]) -> str:
+    """Return a function's docstring with paragraphs that fill any width."""
+    return re.sub(r"(?<=\S)\n(?=\S)", " ", inspect.getdoc(run) or "")

@@ -10,7 +10,7 @@ from contextlib import nullcontext
 import typer
 from typer.exceptions import TyperException
 
-from flipperctl.cli import evaluate, inspect, live, lookup, plot, reward, robot, train, tune, write
+from flipperctl.cli import evaluate, inspect, lookup, plot, reward, train, write
 from flipperctl.cli.command import App, TrainingCommand
 from flipperctl.errors import InterruptedRunError, RequestError
 from flipperctl.process import entry
@@ -21,18 +21,16 @@ from flipperctl.terminal.streams import (
     reserved_stdout,
 )
 
-# Without these defaults, Typer imports pydantic to validate absent flags, which delays every
-# subcommand's help by 65 ms.
-_ABSENT = {"help": False, "install_completion": False, "show_completion": False}
-
 app = App(
+    order=(
+        *("train", "eval", "tune", "map", "replay", "compare", "plot", "watch", "demo", "drive"),
+        *("card", "report", "export", "list", "explain", "new", "bench", "inspect", "robot"),
+    ),
     name="flipperctl",
     help="Train, evaluate, export and explain flipper policies of tracked rescue robots.",
     no_args_is_help=True,
-    add_completion=True,
-    pretty_exceptions_enable=False,
     context_settings={
-        "default_map": {**_ABSENT, "inspect": {"help": False}, "robot": {"help": False}}
+        "default_map": {"help": False, "install_completion": False, "show_completion": False}
     },
 )
 
@@ -44,45 +42,22 @@ def root(version: bool = typer.Option(False, "--version", help="Print the versio
 
 app.add("train", train.train, train.TrainCommand)
 app.add("eval", evaluate.evaluate)
-app.add("tune", tune.tune)
 app.add("map", evaluate.map_success)
 app.add("replay", evaluate.replay)
 app.add("compare", evaluate.compare)
 app.add("plot", plot.plot)
-app.add("watch", live.watch)
-app.add("demo", live.demo)
-app.add("drive", live.drive)
 app.add("card", write.card)
 app.add("report", write.report)
-app.add("export", write.export)
 app.add("list", lookup.list_names)
 app.add("explain", lookup.explain)
 app.add("new", write.new)
-app.add("bench", train.bench, TrainingCommand)
-
-_views = App(
-    name="inspect",
-    help="Look at plugins, terrains, rewards, files, runs and settings.",
-    no_args_is_help=True,
-)
+_views = app.group("inspect", "Look at plugins, terrains, rewards, files, runs and settings.")
 _views.add("plugins", inspect.plugins)
 _views.add("terrain", inspect.terrain)
 _views.add("reward", reward.reward)
 _views.add("checkpoint", inspect.checkpoint)
 _views.add("run", inspect.run)
 _views.add("config", inspect.config, TrainingCommand)
-app.add_typer(_views)
-
-_robots = App(
-    name="robot",
-    help="Check a robot's sensing and signs, and use what it recorded.",
-    no_args_is_help=True,
-)
-_robots.add("check", robot.check)
-_robots.add("shadow", robot.shadow)
-_robots.add("ground", robot.ground)
-_robots.add("self-test", robot.self_test)
-app.add_typer(_robots)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:

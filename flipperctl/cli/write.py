@@ -1,19 +1,18 @@
-"""The commands that write files for others: ``card``, ``report``, ``export`` and ``new``."""
+"""The commands that write files for others: ``card``, ``report`` and ``new``."""
 
 from __future__ import annotations
 
 import json
 import shlex
 from collections.abc import Mapping, Sequence
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from flipperctl.cli import options
-from flipperctl.errors import FlipperctlError, RequestError
-from flipperctl.terminal.streams import print_note, show
+from flipperctl.errors import FlipperctlError
+from flipperctl.terminal.streams import print_note
 
 
 def card(
@@ -155,112 +154,13 @@ def _words(primary: str, scene: Mapping[str, Any]) -> tuple[list[str], str]:
     return [*options, *words, *changes], note
 
 
-class Kind(StrEnum):
-    """File formats of an exported policy, scene or episode."""
-
-    onnx = "onnx"
-    mjcf = "mjcf"
-    urdf = "urdf"
-    mcap = "mcap"
-
-
-def export(
-    kind: Annotated[Kind, typer.Argument(help="The format.")],
-    checkpoint: options.CheckpointFile = None,
-    overrides: options.Overrides = None,
-    controller: options.DefaultOkada = None,
-    seed: options.Seed = None,
-    episode: Annotated[int, typer.Option(metavar="N", min=0, help="Episode; mcap.")] = 0,
-    output: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="FILE", help="[<terrain>.<format>]; mcap: a folder.", show_default=False
-        ),
-    ] = None,
-    as_json: options.AsJson = False,
-    plugins: options.PluginPaths = None,
-) -> None:
-    """Write a policy for the robot, [bold]onnx[/]; a scene for other simulators, [bold]mjcf[/] or
-    [bold]urdf[/]; an episode as a bag of ROS 2, [bold]mcap[/].
-
-    Before a policy is saved, it is compared with torch on at least 1,000 observations of real
-    rollouts; a mismatch is an error. OVERRIDES are then the robot, as in robot.angle_limit=0.9, if
-    it is another than that of the training; the command prints the changes.
-
-    A scene or an episode is the first one of eval with the same policy, OVERRIDES and seed.
-
-    [bold]Examples[/]
-
-      flipperctl export onnx runs/first --output stair.onnx
-
-      flipperctl export onnx generalist robot.flipper_speed=0.5
-
-      flipperctl export urdf terrain=stair robot=absolem --output absolem.urdf
-
-      flipperctl export mcap okada sim=mujoco perception=lidar
-    """  # noqa: D205  # the summary, which help prints, has two lines
-    words = list(overrides or [])
-    if kind is Kind.onnx:
-        if controller is not None or seed is not None:
-            raise RequestError(f"--controller and --seed are for mjcf, urdf and mcap, not {kind}")
-        if checkpoint is None and words and "=" not in words[0]:
-            checkpoint = Path(words.pop(0))
-        if checkpoint is None:
-            raise RequestError(f"{kind}: name a policy, as in: flipperctl export {kind} runs/first")
-        _export_policy(checkpoint, words, output, as_json=as_json)
-        return
-    from flipperctl.cli.plan import one_scene
-    from flipperctl.config.words import with_engine, with_flags
-    from flipperctl.evaluation.plan import split_policies
-    from flipperctl.export.scene import export_scene
-    from flipperctl.ros.episode import export_bag
-    from flipperctl.terminal.tables import print_bag, print_scene
-
-    words = with_flags(words, seed=seed)
-    if kind is not Kind.mcap:
-        words = with_engine(words)
-    if checkpoint is None and controller is None and not split_policies(words)[0]:
-        controller = "okada"
-    entry = one_scene(words, checkpoint, controller, f"export {kind}")
-    config, source = entry.config, entry.source
-    name = config.terrain.plugin_name
-    if kind is Kind.mcap:
-        bag = export_bag(config, source, output or Path(name), episode)
-        show(bag, lambda: print_bag(bag), as_json=as_json)
-        return
-    target = output or Path(f"{name}.xml" if kind is Kind.mjcf else f"{name}.urdf")
-    scene = export_scene(config, "mjcf" if kind is Kind.mjcf else "urdf", target)
-    show(scene, lambda: print_scene(scene), as_json=as_json)
-
-
-def _export_policy(
-    checkpoint: Path, words: list[str], output: Path | None, *, as_json: bool
-) -> None:
-    from flipperctl import checkpoint as checkpoints
-    from flipperctl.cli.hydra.overrides import Overrides
-    from flipperctl.export.policy import FILE, export, robot_fields
-    from flipperctl.policies.source import load_policy
-    from flipperctl.terminal.tables import print_export
-    from flipperctl.text.files import check_output
-
-    source = load_policy(checkpoint, takes="checkpoint", tell=print_note)
-    saved = checkpoints.read(source.file)
-    shipped = source.label() in checkpoints.shipped_policies()
-    name = source.label() if shipped else saved.config().terrain.plugin_name
-    target = output or Path(f"{name}.onnx")
-    check_output(target, FILE)
-    robot = robot_fields(Overrides.parse(words).values())
-    print_note(f"exporting {saved.path} and comparing it with torch …")
-    found = export(saved, target, robot)
-    show(found, lambda: print_export(target, saved.path, found), as_json=as_json)
-
-
 def new(
     kind: Annotated[
         str,
         typer.Argument(
             metavar="KIND",
-            help="terrain, reward, network, learner, controller, engine, sensor, measure, logger.",
+            help="terrain, reward, network, learner, controller, engine, sensor, measure, logger "
+            "or command.",
         ),
     ],
     name: Annotated[
@@ -280,8 +180,9 @@ def new(
 ) -> None:
     """Write a plugin as a starting point: one file, or with --package an installable project.
 
-    KIND is terrain, reward, network, learner, controller, engine, sensor, measure or logger. The
-    plugin works as written and passes the conformance suite. Existing files are never overwritten.
+    KIND is terrain, reward, network, learner, controller, engine, sensor, measure, logger or
+    command. The plugin works as written and passes the conformance suite. Existing files are never
+    overwritten.
 
     [bold]Examples[/]
 

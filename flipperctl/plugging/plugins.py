@@ -19,7 +19,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from flipperctl.api import Plugin, registry
+from flipperctl.api import Plugin, command, registry
 from flipperctl.api.plugin import Broken, broken
 from flipperctl.errors import PluginError
 from flipperctl.plugging import guard
@@ -28,6 +28,8 @@ from flipperctl.text.files import at_home
 from flipperctl.text.messages import missing_name, suggestion
 
 GROUP = "flipperctl.plugins"
+COMMANDS = "flipperctl.commands"
+"""Group of entry points that are functions: subcommands by name, ``.`` in place of a space."""
 VARIABLE = "FLIPPERCTL_PLUGINS"
 
 _loaded: set[str] = set()
@@ -50,9 +52,7 @@ def load(paths: Iterable[str | Path] = ()) -> None:
         PluginError: a file is missing, does not import, registers nothing, or uses a name that is
             taken. One of an earlier call that fails now is forgotten instead.
     """
-    for entry in sorted(entry_points(group=GROUP), key=lambda e: (e.name, e.value)):
-        if entry.value not in _loaded and entry.value not in {one.module for one in broken}:
-            _load_installed(entry)
+    _load_group(GROUP)
     named = [str(Path(at_home(p)).absolute()) for p in paths]
     required = {*_in_variable(), *named}
     _given[:] = [
@@ -62,6 +62,19 @@ def load(paths: Iterable[str | Path] = ()) -> None:
     ]
 
 
+def load_commands() -> None:
+    """Register the subcommands of installed packages, also those of flipperctl."""
+    _load_group(COMMANDS)
+
+
+def _load_group(group: str) -> None:
+    for entry in sorted(entry_points(group=group), key=lambda e: (e.name, e.value)):
+        tried = entry.value in _loaded or entry.value in {one.module for one in broken}
+        decorated = registry.get(("command", entry.name.replace(".", " ")))
+        if not (tried or (decorated is not None and decorated.__module__ == entry.module)):
+            _load_installed(entry)
+
+
 def _load_installed(entry: EntryPoint) -> None:
     """Import an entry point; one that fails is remembered as broken."""
     package, registered = entry.dist.name if entry.dist else "?", dict(registry)
@@ -69,7 +82,9 @@ def _load_installed(entry: EntryPoint) -> None:
 
     def run() -> None:
         try:
-            entry.load()
+            loaded = entry.load()
+            if entry.group == COMMANDS:
+                command(entry.name.replace(".", " "))(loaded)
         finally:
             tried.update(name for _, name in registry.keys() - registered.keys())
 
@@ -77,7 +92,7 @@ def _load_installed(entry: EntryPoint) -> None:
     try:
         _import(entry.value, label, None, run)
     except PluginError as error:
-        names = frozenset({entry.name, *tried})
+        names = frozenset({entry.name.replace(".", " "), *tried})
         broken.append(Broken(entry.name, package, entry.value, names, str(error)))
 
 
@@ -126,7 +141,9 @@ def loaded_contents() -> dict[Path, str]:
 
 def packages() -> dict[str, list[tuple[str, str]]]:
     """Return kind and name of the plugins of each installed package and file, by its name."""
-    owners = {e.module.partition(".")[0]: e.dist.name for e in entry_points(group=GROUP) if e.dist}
+    load_commands()
+    entries = (*entry_points(group=GROUP), *entry_points(group=COMMANDS))
+    owners = {entry.module.partition(".")[0]: entry.dist.name for entry in entries if entry.dist}
     inside: dict[str, list[tuple[str, str]]] = {}
     for key, cls in sorted(registry.items()):
         module = cls.__module__.partition(".")[0]
@@ -136,7 +153,7 @@ def packages() -> dict[str, list[tuple[str, str]]]:
 
 def plugin_keys(names: Sequence[str]) -> list[tuple[str, str]]:
     """Return kind and name of each plugin of these names, or packages; of all without any."""
-    known, inside = {plugin for _, plugin in registry}, packages()
+    inside, known = packages(), {plugin for _, plugin in registry}
     chosen: set[tuple[str, str]] = set()
     for name in names:
         package = {_canonical(p): keys for p, keys in inside.items()}.get(_canonical(name), [])
@@ -160,6 +177,7 @@ def broken_plugins(names: Sequence[str] = ()) -> list[dict[str, Any]]:
     Raises:
         PluginError: one of the names is theirs, and of no other plugin.
     """
+    load_commands()
     known = {plugin for _, plugin in registry}
     for one in broken:
         for name in names:
@@ -292,7 +310,7 @@ def _import(name: str, label: str, file: Path | None, run: Callable[[], object])
         raise _EmptyError(
             f"plugin {label} registers nothing; "
             "decorate a class with @terrain, @reward, @network, @controller, @engine, @sensor, "
-            "@measure or @logger"
+            "@measure or @logger, or a function with @command"
         )
     _loaded.add(name)
 

@@ -42,6 +42,7 @@ _MODULES = {
     "logger": "recorded",
     "network": "policies",
     "controller": "policies",
+    "command": "command",
     "agent": "learner",
 }
 """Kind of plugin → module with its checks."""
@@ -145,7 +146,7 @@ def _checks(cls: type[Plugin], pictures: Path | None) -> Iterator[Check]:
     searches = getattr(cls, "searches_first", False)
     for name, test, everywhere in _tests[cls.kind]:
         yield at(name, test, everywhere=everywhere and not searches)
-    if cls.kind not in ("logger", "agent"):  # which give an environment nothing
+    if cls.kind not in ("logger", "agent", "command"):  # which give an environment nothing
         elsewhere = import_module("flipperctl.testing.elsewhere")
         yield at("another process", elsewhere.another_process, everywhere=False)
     if cls.kind == "terrain" and pictures is not None:

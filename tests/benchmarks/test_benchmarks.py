@@ -30,8 +30,8 @@ from benchmarks.settings import MEASURES, Benchmark, BenchmarkSettings, ratio, s
 from flipperctl.agent.risk import RiskNetwork
 from flipperctl.api import Robot
 from flipperctl.checkpoint import read
-from flipperctl.cli.bench import measure_in_turn, quantity
 from flipperctl.cli.main import run_app
+from flipperctl.commands.speed import measure_in_turn, quantity
 from flipperctl.config import EnvConfig, EvalConfig, TrainConfig
 from flipperctl.core.risk import RiskCalibration, RiskSign
 from flipperctl.env.flipper_env import FlipperEnv

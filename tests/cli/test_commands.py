@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from flipperctl import checkpoint
-from flipperctl.cli import bench
-from flipperctl.cli.train import split_arguments
+from flipperctl.commands import speed as bench
+from flipperctl.commands.bench import split_arguments
 from flipperctl.env.metrics import RESERVED, measures
 from flipperctl.text.files import read_csv
 from flipperctl.training.trainer import Trainer
@@ -157,7 +157,8 @@ def test_one_document_with_machine_settings_and_raw_numbers(tmp_path: Path) -> N
 
 
 def test_decisions_are_timed_without_torch_and_pymunk() -> None:
-    code = "import sys, flipperctl.cli.bench as b; print([n for n in b.HEAVY if n in sys.modules])"
+    code = "import sys; from flipperctl.commands.speed import HEAVY"
+    code += "; print([n for n in HEAVY if n in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
 

@@ -12,7 +12,17 @@ import pytest
 from tests.cli.call import EXACT, Done, call, refused
 
 ROOT = Path(__file__).parents[2]
-KINDS = ("terrain", "reward", "network", "controller", "engine", "sensor", "measure", "logger")
+KINDS = (
+    "terrain",
+    "reward",
+    "network",
+    "controller",
+    "engine",
+    "sensor",
+    "measure",
+    "logger",
+    "command",
+)
 QUICK = [f"{key}={value}" for key, value in EXACT.items()]
 
 
@@ -58,7 +68,8 @@ def test_what_is_new_passes_the_conformance_suite(
     done = call(*shlex.split(check)[1:], cwd=folder)
     assert done.code == 0, done.err
     shown = {"engine": "sim", "sensor": "perception"}.get(kind, kind)
-    assert f"{shown} my_{kind}" in done.out
+    name = "my-command" if kind == "command" else f"my_{kind}"  # as it is typed
+    assert f"{shown} {name}" in done.out
 
 
 @pytest.mark.long

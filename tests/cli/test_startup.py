@@ -10,7 +10,7 @@ from tests.cli.call import GROUPS, SUBCOMMANDS, call
 
 HEAVY = {"torch", "hydra", "ray", "pymunk", "numba", "gymnasium", "matplotlib", "onnxruntime"}
 HEAVY |= {"omegaconf", "scipy", "safetensors", "tensorboard"}
-VALUES = {"numpy", "pydantic", "importlib.metadata"}
+VALUES = {"numpy", "pydantic"}
 
 
 def imported(code: str) -> set[str]:

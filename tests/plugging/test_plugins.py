@@ -243,7 +243,17 @@ def test_a_name_taken_twice_names_both(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "kind",
-    ["terrain", "reward", "network", "controller", "engine", "sensor", "measure", "logger"],
+    [
+        "terrain",
+        "reward",
+        "network",
+        "controller",
+        "engine",
+        "sensor",
+        "measure",
+        "logger",
+        "command",
+    ],
 )
 def test_a_decorator_without_its_name_says_what_to_write(tmp_path: Path, kind: str) -> None:
     file = tmp_path / "bare.py"

@@ -7,11 +7,12 @@ import pytest
 
 from flipperctl.api import Terrain, registry
 from flipperctl.config import resolver
+from flipperctl.plugging import plugins
 from flipperctl.testing import Check, checks
 
 pytestmark = pytest.mark.slow
 
-FAMILIES = "terrain reward network agent controller sim perception measure logger"
+FAMILIES = "terrain reward network agent controller sim perception measure logger command"
 KINDS = FAMILIES.split()
 
 
@@ -24,6 +25,7 @@ AT_NIGHT = re.compile(
 """They take long, and tests of these rooms and one of their kind prove the same in short."""
 
 
+plugins.load_commands()
 HELD = [
     plugin
     for (_, name), plugin in registry.items()

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.slow
 PROGRAMS = {
     "command": "from flipperctl.__main__ import main; main()",
     "runtime": "from flipperctl.runtime.__main__ import main; main()",
-    "clock": "runpy.run_module('flipperctl.cli.bench', run_name='__main__')",
+    "clock": "runpy.run_module('flipperctl.commands.speed', run_name='__main__')",
 }
 
 

@@ -49,6 +49,7 @@ _USAGE = {
         "flipperctl train terrain=step{plugins}",
     ),
     "logger": ("flipperctl train logger=[tensorboard,{name}]{plugins}",),
+    "command": ("flipperctl {name} okada{plugins}",),
 }
 
 
@@ -80,7 +81,7 @@ class Draft:
                 f"{self.name}.py would hide from scripts beside it; "
                 f"{self.name}_{self.kind} is free"
             )
-        taken = api.registry.get((_REGISTERED.get(self.kind, self.kind), self.name))
+        taken = api.registry.get((_REGISTERED.get(self.kind, self.kind), self.typed))
         if taken is not None:
             raise PluginError(
                 f"there is already a {self.kind} plugin {self.name!r}: {guard.definition(taken)}"
@@ -88,13 +89,18 @@ class Draft:
 
     @property
     def cls(self) -> str:
-        """Name of the plugin's class, or of the function of a measure."""
-        if self.kind == "measure":
+        """Name of the plugin's class, or of the function of a measure or command."""
+        if self.kind in ("measure", "command"):
             taken = keyword.iskeyword(self.name) or self.name in (*api.__all__, "Sequence")
-            return f"{self.name}_measure" if taken else self.name
+            return f"{self.name}_{self.kind}" if taken else self.name
         joined = "".join(word.capitalize() for word in self.name.split("_"))
         clashes = joined in (*api.__all__, "ClassVar", "Field", "Self") or keyword.iskeyword(joined)
         return joined + self.kind.capitalize() if clashes else joined
+
+    @property
+    def typed(self) -> str:
+        """Name of the plugin as it is typed."""
+        return self.name.replace("_", "-") if self.kind == "command" else self.name
 
     @property
     def package(self) -> str:
@@ -133,12 +139,20 @@ class Draft:
                 (part / name).write_text(text, encoding="utf-8")
         return path
 
+    @property
+    def _listed(self) -> str:
+        """Lines of a project's pyproject.toml by which ``flipperctl --help`` lists a command."""
+        place = f"{self.package}.{self.name}:{self.cls}"
+        return f'[project.entry-points."flipperctl.commands"]\n{self.typed} = "{place}"\n\n'
+
     def _text(self, template: str) -> str:
         text = files(__package__).joinpath("templates", f"{template}.txt").read_text("utf-8")
         return Template(text).substitute(
             kind=self.kind,
             name=self.name,
+            typed=self.typed,
             cls=self.cls,
+            listed=self._listed if self.kind == "command" else "",
             package=self.package,
             project=self.package.replace("_", "-"),
             commands="\n".join(usage_commands(self)),
@@ -161,7 +175,7 @@ def _module_owner(name: str) -> str | None:
 def usage_commands(draft: Draft, plugins: str = "") -> list[str]:
     """Return commands that use the plugin; ``plugins`` is the option that loads it."""
     check = "flipperctl inspect plugins {name} --check{plugins}"
-    fields = {"name": draft.name, "plugins": plugins}
+    fields = {"name": draft.typed, "plugins": plugins}
     return [command.format(**fields) for command in (check, *_USAGE[draft.kind])]
 
 

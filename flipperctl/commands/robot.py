@@ -1,4 +1,4 @@
-"""``flipperctl robot``: what a robot recorded, and the signs of its devices."""
+"""Check a robot's sensing and signs, and use what it recorded."""
 
 from __future__ import annotations
 
@@ -87,7 +87,6 @@ def check(
     rear: RearJoints = None,
     signs: AngleSigns = Convention.rep103,
     as_json: options.AsJson = False,
-    plugins: options.PluginPaths = None,
 ) -> None:
     """Replay what a robot recorded through the estimator that runs on it: will its sensing do?
 
@@ -141,7 +140,6 @@ def shadow(
     rear: RearJoints = None,
     signs: AngleSigns = Convention.rep103,
     as_json: options.AsJson = False,
-    plugins: options.PluginPaths = None,
 ) -> None:
     """Run an exported policy on what a robot recorded, and log what it would have done.
 
@@ -186,7 +184,6 @@ def ground(
         typer.Option(min=0.005, max=0.2, help="One point is kept in a cube of this edge in m."),
     ] = 0.02,
     as_json: options.AsJson = False,
-    plugins: options.PluginPaths = None,
 ) -> None:
     """Make recorded ground from a bag of ROS 1 or 2, or from a folder of clouds with poses.
 
@@ -223,7 +220,6 @@ def self_test(
         Convention, typer.Option(metavar="NAME", help="Signs of the messages.")
     ] = Convention.flipperctl,
     as_json: options.AsJson = False,
-    plugins: options.PluginPaths = None,
 ) -> int:
     """Find wrong signs on a robot: move each part when told, and see how it was measured.
 

@@ -1,7 +1,7 @@
 """How fast training, evaluation and one decision are on this machine.
 
 In: a training configuration. Out: plain data with the numbers of every round, medians, quartiles,
-versions, processor and load. ``python -m flipperctl.cli.bench POLICY CALLS SEED`` times the
+versions, processor and load. ``python -m flipperctl.commands.speed POLICY CALLS SEED`` times the
 decisions of an exported policy alone, in a process without torch and pymunk, as on a robot. So
 everything heavy is imported inside functions.
 """
@@ -180,7 +180,7 @@ def clocked(policy: Path, calls: int, seed: int = 0) -> dict[str, Any]:
     Raises:
         MissingExtraError: ONNX Runtime is not installed.
     """
-    words = [sys.executable, "-m", "flipperctl.cli.bench", str(policy), str(calls), str(seed)]
+    words = [sys.executable, "-m", "flipperctl.commands.speed", str(policy), str(calls), str(seed)]
     timing: dict[str, Any] = json.loads(output(words, "decision: the policy's own process"))
     return timing
 

@@ -49,7 +49,6 @@ def watch(
     speed: Speed = 1.0,
     terminal: InTerminal = False,
     browser: Opens = True,
-    plugins: options.PluginPaths = None,
 ) -> None:
     """Watch policies drive, in a browser.
 
@@ -95,7 +94,6 @@ def demo(
     speed: Speed = 1.0,
     terminal: InTerminal = False,
     browser: Opens = True,
-    plugins: options.PluginPaths = None,
 ) -> None:
     """Watch the shipped policy and a rule on a course of obstacles, in a browser.
 
@@ -142,7 +140,6 @@ def drive(
     ] = False,
     port: Port = 8080,
     browser: Opens = True,
-    plugins: options.PluginPaths = None,
 ) -> None:
     """Drive the robot yourself, in a browser.
 

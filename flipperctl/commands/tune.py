@@ -46,7 +46,6 @@ def tune(
         Path | None, typer.Option(metavar="FILE", help="The policy file [CONTROLLER_tuned.yaml].")
     ] = None,
     as_json: options.AsJson = False,
-    plugins: options.PluginPaths = None,
 ) -> None:
     """Tune a controller: search its bounded numbers by CMA-ES, or let it learn its settings.
 
