@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import FunctionType
 from typing import Any, ClassVar, NamedTuple, TypeVar
 
 from flipperctl.api.values import Settings
@@ -92,7 +93,7 @@ def register(
             name.
     """
     decorator = _DECORATORS.get(family.kind, family.kind)
-    if callable(name):  # the decorated class or function itself
+    if isinstance(name, type | FunctionType):  # what is decorated itself
         example = name.__name__.lower()
         raise TypeError(
             f'@{decorator} needs a name in parentheses: write @{decorator}("{example}")'
