@@ -127,7 +127,7 @@ def test_a_subcommand_of_a_file_is_like_ours(tmp_path: Path) -> None:
     assert "given twice: 3 and 4" in refused(
         *wrong, "--episodes", "3", "--episodes=4", cwd=tmp_path
     )
-    assert "did you mean --episodes" in refused(*wrong, "level", "--episode", "3", cwd=tmp_path)
+    assert "did you mean '--episodes'" in refused(*wrong, "level", "--episode", "3", cwd=tmp_path)
     assert "Missing argument" in refused(*wrong, cwd=tmp_path)
     assert (
         "command rougher"
