@@ -129,10 +129,8 @@ def test_a_subcommand_of_a_file_is_like_ours(tmp_path: Path) -> None:
     )
     assert "did you mean '--episodes'" in refused(*wrong, "level", "--episode", "3", cwd=tmp_path)
     assert "Missing argument" in refused(*wrong, cwd=tmp_path)
-    assert (
-        "command rougher"
-        in call("inspect", "plugins", "rougher", "--plugins", file, cwd=tmp_path).out
-    )
+    shown = call("inspect", "plugins", "rougher", "--plugins", file, cwd=tmp_path).out
+    assert re.search("command +rougher", shown)
 
 
 def test_a_subcommand_that_fails_names_its_line(tmp_path: Path) -> None:
