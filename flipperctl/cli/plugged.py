@@ -47,6 +47,8 @@ def function(words: Words) -> Callable[..., Any]:
     """
     if words in (registered := _registered()):
         return registered[words]
+
+    # A stranger's command that does not load says so as other plugins do.
     entry = _installed()[words]
     try:
         run: Callable[..., Any] = entry.load()
@@ -81,6 +83,7 @@ def with_plugins(words: Words, run: Callable[..., Any]) -> Callable[..., Any]:
             plugin.plugin_name = " ".join(words)
             raise_named(error, plugin, "run")
 
+    # Every command loads plugins, so that each has the option.
     extra = inspect.Parameter(
         "plugins", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=options.PluginPaths
     )

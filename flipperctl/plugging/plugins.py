@@ -42,7 +42,7 @@ _files: dict[type[Plugin], str] = {}
 
 
 def load(paths: Iterable[str | Path] = ()) -> None:
-    """Import every installed plugin, those in ``FLIPPERCTL_PLUGINS`` and those at ``paths``.
+    """Import every installed plugin, and the plugins in ``FLIPPERCTL_PLUGINS`` and at ``paths``.
 
     ``paths`` (``.py`` files or folders) are remembered for worker processes. A repeated call
     imports only new plugins, and files that have changed, whose plugins replace those of before.
@@ -52,7 +52,10 @@ def load(paths: Iterable[str | Path] = ()) -> None:
         PluginError: a file is missing, does not import, registers nothing, or uses a name that is
             taken. One of an earlier call that fails now is forgotten instead.
     """
+    # Installed plugins, each tried once
     _load_group(GROUP)
+
+    # Paths of this call must load; earlier ones that fail by now are forgotten.
     named = [str(Path(at_home(p)).absolute()) for p in paths]
     required = {*_in_variable(), *named}
     _given[:] = [
@@ -69,7 +72,7 @@ def load_commands() -> None:
 
 def _load_group(group: str) -> None:
     for entry in sorted(entry_points(group=group), key=lambda e: (e.name, e.value)):
-        tried = entry.value in _loaded or entry.value in {one.module for one in broken}
+        tried = entry.value in _loaded or entry.value in {package.module for package in broken}
         decorated = registry.get(("command", entry.name.replace(".", " ")))
         if not (tried or (decorated is not None and decorated.__module__ == entry.module)):
             _load_installed(entry)
@@ -99,6 +102,7 @@ def _load_installed(entry: EntryPoint) -> None:
 def _load_path(path: Path, *, required: bool) -> bool:
     """Import the files at a path; return False for one that fails and is not required."""
     try:
+        # A file without a plugin may be the neighbour that another one imports.
         empty: dict[Path, PluginError] = {}
         for file in _files_at(path):
             try:
@@ -125,13 +129,13 @@ def _in_variable() -> list[str]:
 
 
 def folders() -> list[Path]:
-    """Return the folders of the plugins at ``configured_paths`` and of those that are installed."""
-    found = [path if path.is_dir() else path.parent for path in map(Path, configured_paths())]
+    """Return the folders of the plugins at ``configured_paths`` and of installed ones."""
+    places = [path if path.is_dir() else path.parent for path in map(Path, configured_paths())]
     for entry in entry_points(group=GROUP):
         file = getattr(sys.modules.get(entry.module), "__file__", None)
         if file is not None:
-            found.append(Path(file).parent)
-    return list(dict.fromkeys(found))
+            places.append(Path(file).parent)
+    return list(dict.fromkeys(places))
 
 
 def loaded_contents() -> dict[Path, str]:
@@ -154,7 +158,7 @@ def packages() -> dict[str, list[tuple[str, str]]]:
 def plugin_keys(names: Sequence[str]) -> list[tuple[str, str]]:
     """Return kind and name of each plugin of these names, or packages; of all without any."""
     inside, known = packages(), {plugin for _, plugin in registry}
-    chosen: set[tuple[str, str]] = set()
+    selected: set[tuple[str, str]] = set()
     for name in names:
         package = {_canonical(p): keys for p, keys in inside.items()}.get(_canonical(name), [])
         if not package and name not in known:
@@ -162,8 +166,8 @@ def plugin_keys(names: Sequence[str]) -> list[tuple[str, str]]:
             raise PluginError(
                 f"there is no plugin or package {name!r}{missing_name('', name, also)}"
             )
-        chosen |= {*package, *(key for key in registry if key[1] == name)}
-    return sorted(chosen if names else registry)
+        selected |= {*package, *(key for key in registry if key[1] == name)}
+    return sorted(selected if names else registry)
 
 
 def _canonical(package: str) -> str:
@@ -179,20 +183,20 @@ def broken_plugins(names: Sequence[str] = ()) -> list[dict[str, Any]]:
     """
     load_commands()
     known = {plugin for _, plugin in registry}
-    for one in broken:
+    for package in broken:
         for name in names:
-            if name in one.names - known or _canonical(name) == _canonical(one.package):
-                raise PluginError(f"{name}: {one.reason}")
+            if name in package.names - known or _canonical(name) == _canonical(package.package):
+                raise PluginError(f"{name}: {package.reason}")
     return [
         {
             "kind": "broken",
-            "name": one.name,
-            "summary": one.reason,
-            "module": one.module,
-            "source": one.reason,
+            "name": package.name,
+            "summary": package.reason,
+            "module": package.module,
+            "source": package.reason,
             "fields": [],
         }
-        for one in broken
+        for package in broken
     ]
 
 
@@ -235,9 +239,9 @@ def _load_file(file: Path) -> None:
     """Import a file in the package of its folder, so that ``from .helper import …`` works in it."""
     file = file.resolve()
     name, package = _module_name(file), _package_name(file)
-    beside = {m: kept for m, kept in _contents.items() if m.startswith(f"{package}.")}
-    if any(_content(path) != content for path, content in beside.values()):
-        _unload(beside)  # processes that begin from now on run other code, and so does this one
+    neighbours = {m: content for m, content in _contents.items() if m.startswith(f"{package}.")}
+    if any(_content(path) != content for path, content in neighbours.values()):
+        _unload(neighbours)  # processes that begin from now on run other code, and so does this one
     if name in _loaded:
         return
 
@@ -253,13 +257,14 @@ def _load_file(file: Path) -> None:
         spec.loader.exec_module(module)
         return module
 
+    # What it brings: modules, their contents, and the file of each plugin
     before, modules = dict(registry), set(sys.modules) - {name}
     _import(name, str(file), file, run)
     for module in sorted(set(sys.modules) - modules):  # the file, and neighbours that it imports
-        found = getattr(sys.modules[module], "__file__", None)
-        if module.startswith(f"{package}.") and found is not None:
+        location = getattr(sys.modules[module], "__file__", None)
+        if module.startswith(f"{package}.") and location is not None:
             _loaded.add(module)
-            _contents[module] = Path(found), _content(Path(found))
+            _contents[module] = Path(location), _content(Path(location))
     for key, cls in registry.items():
         if before.get(key) is not cls:
             _files[cls] = _contents.get(cls.__module__, (file, ""))[0].name
@@ -297,6 +302,7 @@ def _import(name: str, label: str, file: Path | None, run: Callable[[], object])
     try:
         run()
     except BaseException as error:  # SystemExit too: a plugin must not end the process
+        # A half-imported plugin leaves nothing behind.
         registry.clear()
         registry.update(before)
         _forget(name, *(set(sys.modules) - modules))
@@ -316,7 +322,7 @@ def _import(name: str, label: str, file: Path | None, run: Callable[[], object])
 
 
 def _forget(name: str, *others: str) -> None:
-    """Let a module, and those beside it that it imported, be imported anew."""
+    """Let a module, and the modules beside it that it imported, be imported anew."""
     for module in (name, *(other for other in others if other.startswith(USER_MODULE))):
         sys.modules.pop(module, None)
         package, _, leaf = module.rpartition(".")
@@ -328,8 +334,8 @@ def _describe_failure(error: BaseException, file: Path | None) -> str:
     """Return the file and line in the plugin that led to the error, and the error."""
     if isinstance(error, SyntaxError) and error.filename:
         return f"{error.filename}:{error.lineno}: {error.msg}"
-    found = guard.import_place(error, file)
-    text = f"{found}: {guard.error_line(error)}" if found else guard.error_line(error)
+    place = guard.import_place(error, file)
+    text = f"{place}: {guard.error_line(error)}" if place else guard.error_line(error)
     missing = error.name if isinstance(error, ModuleNotFoundError) and error.name else ""
     if file is not None and missing and (file.parent / f"{missing}.py").is_file():
         text += f"; {missing}.py lies beside it: write from .{missing} import …"

@@ -46,6 +46,7 @@ def an_example_is_shown(command: Subcommand) -> None:
 @of("command", "bad input")
 def a_wrong_request_is_refused(command: Subcommand) -> None:
     """Check that an unknown option leaves with exit code 2 and a line that names it."""
+    # As a user meets it: in a process of its own
     words = [sys.executable, "-m", "flipperctl", *command.plugin_name.split(), _UNKNOWN]
     paths = os.pathsep.join(plugins.configured_paths())
     done = subprocess.run(  # noqa: S603  # of this package

@@ -179,9 +179,9 @@ def usage_commands(draft: Draft, plugins: str = "") -> list[str]:
     return [command.format(**fields) for command in (check, *_USAGE[draft.kind])]
 
 
-def next_commands(draft: Draft, made: Path, *, package: bool) -> list[str]:
+def next_commands(draft: Draft, written: Path, *, package: bool) -> list[str]:
     """Return the commands to run next."""
-    where = shlex.quote(str(made))
+    where = shlex.quote(str(written))
     if package:
         return [f"pip install -e {where}", *usage_commands(draft), f"python -m pytest {where}"]
     return usage_commands(draft, f" --plugins {where}")
