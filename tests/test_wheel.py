@@ -24,7 +24,7 @@ import gymnasium
 from flipperctl.cli.main import main
 for command in (
     "eval --checkpoint run --episodes 2 --output judged",
-    "export onnx --checkpoint run --output step.onnx",
+    "export onnx run --output step.onnx",
     "inspect terrain stair --output stair.png",
     "inspect checkpoint run",
     "inspect run run",

@@ -161,8 +161,6 @@ def map_success(
         str | None,
         typer.Option(metavar="SETTINGS", help="Two settings, such as terrain.height,sim.friction."),
     ] = None,
-    checkpoint: options.CheckpointFile = None,
-    controller: options.ControllerName = None,
     episodes: Annotated[
         str | None, typer.Option(metavar="N", help="Episodes at each point [10].")
     ] = None,
@@ -196,7 +194,7 @@ def map_success(
         raise RequestError(f"name two settings, as in --over {EXAMPLE}")
     flagged = with_flags(words, episodes=episodes, seed=seed, jobs=jobs)
     flagged = with_default(flagged, "eval.episodes", EPISODES)
-    entry = one_scene(flagged, checkpoint, controller, "map")
+    entry = one_scene(flagged, "map")
     if entry.config.eval.ray is not None:
         raise RequestError("eval.ray: a map is played here; leave it out")
 

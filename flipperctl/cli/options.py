@@ -52,9 +52,6 @@ CheckpointFile = Annotated[
 ControllerName = Annotated[
     str | None, typer.Option(metavar="NAME", help="A controller plugin, such as okada.")
 ]
-DefaultOkada = Annotated[
-    str | None, typer.Option(metavar="NAME", help="A controller plugin, by default okada.")
-]
 Picture = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="A picture: .png, .svg or .pdf.", callback=check_picture),

@@ -78,12 +78,9 @@ def scenes(
     return [(config, source) for config in configs]
 
 
-def one_scene(
-    words: Sequence[str] | None, checkpoint: Path | None, controller: str | None, command: str
-) -> Entry:
-    """Return the policy that the words or the options name, on the only scene."""
+def one_scene(words: Sequence[str] | None, command: str) -> Entry:
+    """Return the policy that the words name, on the only scene."""
     names, settings = split_policies(words)
-    names += [str(name) for name in (checkpoint, controller) if name is not None]
     policies = entrants(names, print_note)
     if len(policies) != 1:
         given = ", ".join(names) or "none"

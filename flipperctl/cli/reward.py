@@ -21,23 +21,18 @@ _REWARD_KEY = re.compile(r"[+~]*(rewards(?=[.=]|$)|reward@)")
 _DEFAULT = "paper"
 """Preset of ``configs/eval.yaml``."""
 _FIELD = "controller."
+_REFERENCES = ("level", "okada", "mpc")
+"""References of --regret unless others are named."""
 
 
 def reward(
-    overrides: options.Overrides = None,
-    checkpoint: options.CheckpointFile = None,
-    controller: options.DefaultOkada = None,
-    compare: Annotated[
-        str | None,
-        typer.Option(metavar="NAMES", help="Policies to rank, such as level,okada,planner."),
+    words: Annotated[
+        list[str] | None,
+        typer.Argument(metavar="[POLICY...] [SETTING...]", help="Policies [okada]; key=value."),
     ] = None,
     regret: Annotated[
         bool, typer.Option("--regret", help="The return that a policy lacks.")
     ] = False,
-    against: Annotated[
-        str | None,
-        typer.Option(metavar="NAMES", help="References of --regret, by default level,okada,mpc."),
-    ] = None,
     episodes: Annotated[
         str | None, typer.Option(metavar="N", help="Episodes to play [20].")
     ] = None,
@@ -52,56 +47,51 @@ def reward(
     A term with a small share of the return has no effect; one that saturates at most steps carries
     no information. The episodes are those of an evaluation, with conditions=… as for eval.
 
-    --compare plays the same episodes with several policies (controllers, checkpoints, generalist)
-    and ranks them by reward and by pitch variation. It warns if a rougher policy earns more than a
-    smoother one: both paired t-tests are significant at 5 %, corrected for all comparisons (Holm).
-    Fields of a controller (controller.<field>) apply to each compared controller that has them, and
-    eval.seed and eval.jobs set the seed and the number of processes.
+    Several policies (controllers, checkpoints, generalist) play the same episodes, and are ranked
+    by reward and by pitch variation. A warning says if a rougher policy earns more than a smoother
+    one: both paired t-tests are significant at 5 %, corrected for all comparisons (Holm). Fields of
+    a controller (controller.<field>) apply to each policy that has them, and eval.seed and
+    eval.jobs set the seed and the number of processes.
 
-    --regret compares the reward of a policy with those of --against on the same episodes, and says
-    if it earns less than holding the flippers still (level). Regret is what the policy lacks to the
-    highest reward of each episode. All episodes count, failed ones too. With --checkpoint,
-    controller.<field> applies to the controllers of --against.
+    --regret compares the reward of the first policy with those of the others, by default level,
+    okada and mpc, on the same episodes. It says if the policy earns less than holding the flippers
+    still (level). Regret is what it lacks to the highest reward of each episode. All episodes
+    count, failed ones too. controller.<field> applies to the first policy, if it is a controller,
+    else to the others.
 
     [bold]Examples[/]
 
       flipperctl inspect reward terrain=stair
 
-      flipperctl inspect reward --checkpoint runs/first rewards.swing.weight=4
+      flipperctl inspect reward runs/first rewards.swing.weight=4
 
-      flipperctl inspect reward --compare level,okada rewards=paper,tuned
+      flipperctl inspect reward level okada rewards=paper,tuned
 
-      flipperctl inspect reward --compare okada,planner controller.width=8
+      flipperctl inspect reward okada planner controller.width=8
 
-      flipperctl inspect reward --regret --checkpoint generalist terrain=ramp
+      flipperctl inspect reward generalist --regret terrain=ramp
     """
     from flipperctl.config.words import with_default, with_flags
-    from flipperctl.evaluation.plan import controller_or_okada, require_one_policy
+    from flipperctl.evaluation.plan import split_names, split_policies
 
-    chosen = controller_or_okada(checkpoint, controller)
-    words = with_default(with_flags(overrides, episodes=episodes), "eval.episodes", 20)
-    if against is not None and not regret:
-        raise RequestError("--against names the references of --regret; add --regret")
-    if compare is not None:
-        if checkpoint is not None or controller is not None or regret:
-            other = "--regret" if regret else "--checkpoint and --controller"
-            raise RequestError(f"--compare names all policies; omit {other}")
-        _compare(compare, words, as_json=as_json)
-        return
+    named, settings = split_policies(words)
+    names = [name for text in named for name in split_names(text)]
+    settings = with_default(with_flags(settings, episodes=episodes), "eval.episodes", 20)
     if regret:
-        require_one_policy(checkpoint, controller, overrides)
-        references = against or "level,okada,mpc"
-        _regret(words, checkpoint, controller, references, output, as_json=as_json)
+        _regret(names, settings, output, as_json=as_json)
         return
-    from flipperctl.cli.hydra.compose import only_one
-    from flipperctl.cli.plan import scenes
+    if len(names) > 1:
+        _compare(names, settings, as_json=as_json)
+        return
+    from flipperctl.cli.plan import one_scene
     from flipperctl.evaluation.conditions import Conditions
     from flipperctl.evaluation.rewards import audit
     from flipperctl.terminal.progress import episodes_progress
     from flipperctl.text.show import console, print_table
     from flipperctl.views.rewards import audit_table
 
-    config, source = only_one(scenes(words, checkpoint, chosen))
+    entry = one_scene([*(names or ["okada"]), *settings], "inspect reward")
+    config, source = entry.config, entry.source
     count = config.eval.episodes
     with episodes_progress(f"{config.terrain.plugin_name}, {source.label()}", count) as report:
         found = audit(config, source, episodes=count, report=report)
@@ -110,7 +100,7 @@ def reward(
     show(found, lambda: print_table(audit_table(found, notes), console()), as_json=as_json)
 
 
-def _compare(names: str, words: Sequence[str], *, as_json: bool) -> None:
+def _compare(names: Sequence[str], words: Sequence[str], *, as_json: bool) -> None:
     """Rank policies on each combination of the lists of settings other than rewards.
 
     Lists of rewards, as in ``rewards=paper,tuned``, give the sets of each scene. The robot is that
@@ -124,7 +114,7 @@ def _compare(names: str, words: Sequence[str], *, as_json: bool) -> None:
     from flipperctl.text.show import console, print_lines, print_table
     from flipperctl.views import rewards
 
-    fields, overrides = controller_fields(Overrides.parse(words), "--compare")
+    fields, overrides = controller_fields(Overrides.parse(words))
     sources = policies(names, fields, print_note)
     primary = register_robot(common_robot(sources, overrides.typed))
     scenes: dict[tuple[str, ...], RewardScene] = {}
@@ -147,32 +137,35 @@ def _compare(names: str, words: Sequence[str], *, as_json: bool) -> None:
 
 
 def _regret(
-    words: Sequence[str],
-    checkpoint: Path | None,
-    controller: str | None,
-    against: str,
-    output: Path | None,
-    *,
-    as_json: bool,
+    names: Sequence[str], words: Sequence[str], output: Path | None, *, as_json: bool
 ) -> None:
-    """Compare a policy with references on each combination of the lists, rewards included."""
+    """Compare a policy with references on each combination of the lists, rewards included.
+
+    The first of the ``names`` is the policy's, the others are those of the references.
+    """
     from flipperctl.cli.hydra.overrides import Overrides
     from flipperctl.cli.plan import player, scenes
-    from flipperctl.evaluation.plan import policies
+    from flipperctl.evaluation.plan import entrants, policies
     from flipperctl.evaluation.regret import RegretScene, measure
     from flipperctl.text.show import console, print_lines, print_table
     from flipperctl.views import regret
 
+    if not names or len(measured := entrants(names[:1], print_note)) != 1:
+        raise RequestError(
+            "--regret: name a policy, and perhaps its references, as in: flipperctl inspect reward "
+            "generalist level okada --regret"
+        )
+    (policy,) = measured
     overrides, fields = Overrides.parse(words), dict[str, Any]()
-    if checkpoint is not None:
-        fields, overrides = controller_fields(overrides, "--against")
-    others = policies(against, fields, print_note, "--against", fewest=1)
+    if policy.run is not None:
+        fields, overrides = controller_fields(overrides)
+    others = policies(names[1:] or _REFERENCES, fields, print_note)
     labels = [_split(combination)[1] for combination in overrides.combinations()]
-    default, name = "own" if checkpoint else _DEFAULT, str(checkpoint or controller)
+    default = "own" if policy.run else _DEFAULT
     chosen = [
-        RegretScene(config, label or default, name, source, others)
+        RegretScene(config, label or default, names[0], source, others)
         for (config, source), label in zip(
-            scenes(overrides.words, checkpoint, controller), labels, strict=True
+            scenes(overrides.words, policy.run, policy.controller), labels, strict=True
         )
     ]
     with player(output, "regret") as (plays, _):
@@ -196,15 +189,17 @@ def _split(combination: Overrides) -> tuple[tuple[str, ...], str]:
     return others, " ".join(word.removeprefix("rewards=") for word in rewards)
 
 
-def controller_fields(overrides: Overrides, option: str) -> tuple[dict[str, Any], Overrides]:
+def controller_fields(overrides: Overrides) -> tuple[dict[str, Any], Overrides]:
     """Return the overrides of ``controller.<field>`` by field, and the others.
 
-    Each field applies to the controllers of ``option`` that have it.
+    Each field applies to the controllers among the policies that have it.
     """
     from flipperctl.cli.hydra.compose import with_preset
 
     if "controller" in overrides.typed:
-        raise RequestError(f"controller: {option} names the controllers; leave the override out")
+        raise RequestError(
+            "controller: the policies are named by words, as in level okada; leave the override out"
+        )
     own = overrides.where(lambda key: key.startswith(_FIELD)).values()
     others = overrides.where(lambda key: not key.startswith(_FIELD))
     fields = {key.removeprefix(_FIELD): value for key, value in own.items()}

@@ -24,9 +24,9 @@ class Kind(StrEnum):
 
 def export(
     kind: Annotated[Kind, typer.Argument(help="The format.")],
-    checkpoint: options.CheckpointFile = None,
-    overrides: options.Overrides = None,
-    controller: options.DefaultOkada = None,
+    words: Annotated[
+        list[str] | None, typer.Argument(metavar="POLICY [SETTING...]", help="A policy; key=value.")
+    ] = None,
     seed: options.Seed = None,
     episode: Annotated[int, typer.Option(metavar="N", min=0, help="Episode; mcap.")] = 0,
     output: Annotated[
@@ -41,10 +41,11 @@ def export(
     [bold]urdf[/]; an episode as a bag of ROS 2, [bold]mcap[/].
 
     Before a policy is saved, it is compared with torch on at least 1,000 observations of real
-    rollouts; a mismatch is an error. OVERRIDES are then the robot, as in robot.angle_limit=0.9, if
+    rollouts; a mismatch is an error. SETTINGS are then the robot, as in robot.angle_limit=0.9, if
     it is another than that of the training; the command prints the changes.
 
-    A scene or an episode is the first one of eval with the same policy, OVERRIDES and seed.
+    A scene or an episode is the first one of eval with the same policy, by default okada, SETTINGS
+    and seed.
 
     [bold]Examples[/]
 
@@ -56,19 +57,18 @@ def export(
 
       flipperctl export mcap okada sim=mujoco perception=lidar
     """  # noqa: D205  # the summary, which help prints, has two lines
-    words = list(overrides or [])
+    from flipperctl.evaluation.plan import split_policies
+
     if kind is Kind.onnx:
-        if controller is not None or seed is not None:
-            raise RequestError(f"--controller and --seed are for mjcf, urdf and mcap, not {kind}")
-        if checkpoint is None and words and "=" not in words[0]:
-            checkpoint = Path(words.pop(0))
-        if checkpoint is None:
+        if seed is not None:
+            raise RequestError(f"--seed is for mjcf, urdf and mcap, not {kind}")
+        names, settings = split_policies(words)
+        if len(names) != 1:
             raise RequestError(f"{kind}: name a policy, as in: flipperctl export {kind} runs/first")
-        _export_policy(checkpoint, words, output, as_json=as_json)
+        _export_policy(Path(names[0]), settings, output, as_json=as_json)
         return
     from flipperctl.cli.plan import one_scene
     from flipperctl.config.words import with_engine, with_flags
-    from flipperctl.evaluation.plan import split_policies
     from flipperctl.export.scene import export_scene
     from flipperctl.ros.episode import export_bag
     from flipperctl.terminal.tables import print_bag, print_scene
@@ -76,9 +76,9 @@ def export(
     words = with_flags(words, seed=seed)
     if kind is not Kind.mcap:
         words = with_engine(words)
-    if checkpoint is None and controller is None and not split_policies(words)[0]:
-        controller = "okada"
-    entry = one_scene(words, checkpoint, controller, f"export {kind}")
+    if not split_policies(words)[0]:
+        words = ["okada", *words]
+    entry = one_scene(words, f"export {kind}")
     config, source = entry.config, entry.source
     name = config.terrain.plugin_name
     if kind is Kind.mcap:

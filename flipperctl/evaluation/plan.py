@@ -225,34 +225,12 @@ def split_suite(words: list[str]) -> tuple[Suite | None, list[str]]:
     return suite, [word for word in words if word not in chosen]
 
 
-def require_one_policy(
-    checkpoint: Path | None, controller: str | None, overrides: Sequence[str] | None
-) -> None:
-    """Check that exactly one of the two is given; suggest a word without ``=`` as one."""
-    if (checkpoint is None) != (controller is None):
-        return
-    words = [word for word in overrides or () if "=" not in word and not word.startswith("~")]
-    if checkpoint is None and words:
-        raise RequestError(
-            f"{words[0]}: give either --checkpoint {words[0]}, if it is a run, a file or a shipped "
-            f"policy, or --controller {words[0]}, if it is a controller"
-        )
-    raise RequestError("give either --checkpoint RUN_OR_FILE or --controller NAME")
-
-
 def refuse_beside(option: str, others: Mapping[str, Any]) -> None:
     """Refuse options that have no meaning beside ``option``; ``others`` has their values."""
     for name, value in others.items():
         if value:
             name = name if name == "overrides" or "=" in name else f"--{name}"
             raise RequestError(f"{name}: no meaning beside {option}; leave it out")
-
-
-def controller_or_okada(checkpoint: Path | None, controller: str | None) -> str | None:
-    """Return the controller to evaluate, by default okada; None if a checkpoint is given."""
-    if checkpoint is not None and controller is not None:
-        raise RequestError("give --checkpoint or --controller, not both")
-    return None if checkpoint else controller or "okada"
 
 
 DEFAULT_CONTROLLERS = ("level", "okada")
@@ -293,23 +271,16 @@ def _controllers(
 
 
 def policies(
-    names: str,
-    fields: Mapping[str, Any],
-    tell: Callable[[str], None],
-    option: str = "--compare",
-    fewest: int = 2,
+    names: Sequence[str], fields: Mapping[str, Any], tell: Callable[[str], None]
 ) -> dict[str, PolicySource]:
-    """Return the policies named between commas with ``option``.
+    """Return the policies of several names, each of which may join some by commas.
 
     Each of the ``fields`` applies to the controllers that have it. ``tell`` is called with a line
     if a run has no best policy yet.
     """
-    labels = [name.strip() for name in names.split(",")]
-    if len(set(labels)) < max(fewest, len(labels)) or not all(labels):
-        least = "two different names are" if fewest > 1 else "one name is"
-        allowed = f"at least {least} allowed, as in level,okada, each once"
-        raise RequestError(f"{option}: {allowed}; got {names!r}")
-    sources = {label: load_policy(label, option, tell=tell) for label in labels}
+    labels = [part for text in names for part in split_names(text)]
+    check_different("POLICY", labels)
+    sources = {label: load_policy(label, "POLICY", tell=tell) for label in labels}
     for label, source in sources.items():
         settings = source.settings or {}
         if changes := {name: value for name, value in fields.items() if name in settings}:
@@ -318,7 +289,7 @@ def policies(
     for field in fields:
         if field not in known:
             raise ConfigError(
-                f"controller.{field}: no controller of {option} has such a field"
+                f"controller.{field}: no controller among the policies has such a field"
                 f"{close_match(field, sorted(known))}; known: {', '.join(sorted(known)) or 'none'}"
             )
     return sources
@@ -335,7 +306,7 @@ def common_robot(sources: Mapping[str, PolicySource], keys: Collection[str]) -> 
             if not {"robot", key} & set(keys):
                 first_value, value = ("null" if v is None else f"{v:.6g}" for v in values)
                 raise ConfigError(
-                    f"--compare: {first} is for {key}={first_value}, {other} for {value}; give "
+                    f"{first} is for {key}={first_value}, {other} for {value}; give "
                     f"{key}=… to choose the robot"
                 )
     return first_robot
@@ -371,7 +342,7 @@ def entrants(names: Sequence[str], tell: Callable[[str], None]) -> list[NamedPol
     repeats another one, or is not finished.
     """
     policies: dict[NamedPolicy, None] = {}
-    for name in (part for text in names for part in _split(text)):
+    for name in (part for text in names for part in split_names(text)):
         if ("controller", name) in registry or is_policy_file(name):
             policies[NamedPolicy(name)] = None
         else:
@@ -379,7 +350,7 @@ def entrants(names: Sequence[str], tell: Callable[[str], None]) -> list[NamedPol
     return list(policies)
 
 
-def _split(text: str) -> list[str]:
+def split_names(text: str) -> list[str]:
     """Return the names that commas join; a path may have commas of its own."""
     if _exists(text) or "," not in text:
         return [text]

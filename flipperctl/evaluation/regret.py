@@ -189,7 +189,7 @@ def final_regret(
         raise InterruptedRunError(
             "interrupted while the best policy was compared with simple rules; the training is "
             "finished and saved. "
-            f"Compare with: {command('inspect', 'reward', '--regret', '--checkpoint', directory)}"
+            f"Compare with: {command('inspect', 'reward', directory, '--regret')}"
         )
     # Terrain, rewards and conditions are the training's.
     results = {k: v for k, v in regret.items() if k not in ("terrain", "rewards", "conditions")}

@@ -122,7 +122,7 @@ def rank_policies(
         source.build(config)  # raises for a wrong layout or robot
         if len(rewards) > 1 and source.plans_for_rewards:
             raise ConfigError(
-                f"--compare: {label} drives otherwise for each of the rewards "
+                f"{label} drives otherwise for each of the rewards "
                 f"{', '.join(rewards)}; one of them is allowed"
             )
     return decide([_scene(*scene, policies, player) for scene in scenes])

@@ -86,9 +86,10 @@ def attributed(error: BaseException) -> FlipperctlError | None:
         return None
     plugin, method = _culprit(called)
     # An object that a plugin built has a class in the plugin's module.
-    classes = [cls for cls in registry.values() if cls.__module__ == _module(called[-1][0])]
+    modules = {_module(frame) for frame, _ in called}
+    classes = [cls for cls in registry.values() if cls.__module__ in modules]
     labels = " or ".join(plugin_label(cls) for cls in ([plugin] if plugin else classes))
-    return _named(error, f"{labels}: " if labels else "", method, _last(called))
+    return _named(error, f"{labels}: ", method, _last(called)) if labels else None
 
 
 def raise_named(

@@ -372,7 +372,7 @@ def check_robot(interface: Interface, robot: Robot, file: Path) -> None:
     # The settings with which a new file would agree, as they are typed
     values = {name: json.dumps(getattr(robot, name)) for name in changed}
     overrides = " ".join(f"robot.{name}={value}" for name, value in values.items())
-    advice = f"export a matching file: flipperctl export onnx --checkpoint RUN {overrides}"
+    advice = f"export a matching file: flipperctl export onnx RUN {overrides}"
     if changed == ["flipper_speed"]:
         speed = values["flipper_speed"]
         advice += f", or keep the file's period with randomise.flipper_speed={speed}"

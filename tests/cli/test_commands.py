@@ -88,7 +88,7 @@ def test_repeats_that_are_one_drive_are_named(tmp_path: Path) -> None:
 
 
 def test_export_takes_another_robot_and_says_so(short_run: Path, tmp_path: Path) -> None:
-    export = ("export", "onnx", "--checkpoint", str(short_run), "--output", "p.onnx")
+    export = ("export", "onnx", str(short_run), "--output", "p.onnx")
     done = call(*export, "robot.flipper_speed=0.5", cwd=tmp_path)
     assert done.code == 0, done.err
     assert "the chosen action agrees on 100.00%" in done.out
@@ -96,7 +96,7 @@ def test_export_takes_another_robot_and_says_so(short_run: Path, tmp_path: Path)
         "for another robot than that of the training: robot.flipper_speed 0.5 rad/s (training "
         "0.436332), decision period 0.523599 s (training 0.6)"
     )
-    again = call("export", "onnx", "--checkpoint", "p.onnx", cwd=tmp_path)
+    again = call("export", "onnx", "p.onnx", cwd=tmp_path)
     assert "p.onnx: an exported file holds no training; give its run or checkpoint" in again.err
     (tmp_path / "p.onnx").unlink()
     for override, error in {

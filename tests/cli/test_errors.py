@@ -56,7 +56,7 @@ def test_a_damaged_checkpoint_is_refused_by_every_command(short_run: Path, tmp_p
     data = bytearray((short_run / checkpoint.BEST).read_bytes())
     data[len(data) // 2] ^= 4
     (tmp_path / "c.safetensors").write_bytes(data)
-    for words in ("eval --checkpoint", "export onnx --checkpoint", "inspect checkpoint",
+    for words in ("eval --checkpoint", "export onnx", "inspect checkpoint",
                   "train --resume"):  # fmt: skip
         error = refused(*words.split(), "c.safetensors", cwd=tmp_path)
         assert "c.safetensors" in error
@@ -66,7 +66,7 @@ def test_a_damaged_checkpoint_is_refused_by_every_command(short_run: Path, tmp_p
 def test_an_output_that_cannot_be_written_is_refused(short_run: Path, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for arguments in (
-        ["export", "onnx", "--checkpoint", str(short_run), "--output", "file/x.onnx"],
+        ["export", "onnx", str(short_run), "--output", "file/x.onnx"],
         ["eval", "--checkpoint", str(short_run), "--episodes", "1", "--output", "file/out"],
         ["train", *QUICK, "hydra.run.dir=file/run"],
     ):

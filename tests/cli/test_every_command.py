@@ -35,7 +35,7 @@ def test_help_is_there_with_examples(
 
 @pytest.mark.parametrize("command", SUBCOMMANDS)
 def test_every_subcommand_takes_plugins(command: list[str], tmp_path: Path) -> None:
-    needed = {"export": ["onnx", "--checkpoint", "x"], "terrain": ["ridge"]}
+    needed = {"export": ["onnx", "x"], "terrain": ["ridge"]}
     needed |= {"new": ["terrain", "x"], "eval": ["--controller", "level"]}
     needed |= {"checkpoint": ["x"], "run": ["x"], "check": ["x"], "self-test": ["x"]}
     needed |= {"shadow": ["x.onnx", "x"], "ground": ["x", "--output", "x.xyz"]}
@@ -68,7 +68,7 @@ EVAL = ("eval", "--controller", "okada", "terrain=flat", "--episodes", "1")
         ((*EVAL, "--film"), ".gif"),
         ((*EVAL, "--record"), ".safetensors"),
         (("replay", "failure.json", "--film"), ".gif"),
-        (("export", "onnx", "--checkpoint", "generalist", "--output"), ".onnx"),
+        (("export", "onnx", "generalist", "--output"), ".onnx"),
         (("export", "mjcf", "terrain=flat", "--output"), ".xml"),
         (("export", "urdf", "terrain=flat", "--output"), ".urdf"),
         (("robot", "shadow", "policy.onnx", "bag", "--output"), ".jsonl"),

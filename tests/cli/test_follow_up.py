@@ -70,7 +70,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     refused = call("train", *words, *QUICK, *ALL, cwd=folder)
     assert refused.code == 2
     assert f"resume it with: flipperctl train --resume run {typed}, or choose" in refused.err
-    export = ("export", "onnx", "--checkpoint", "run", "--output", "run.onnx")
+    export = ("export", "onnx", "run", "--output", "run.onnx")
     assert call(*export, *ALL, cwd=folder).code == 0
     return folder
 

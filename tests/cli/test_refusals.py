@@ -41,7 +41,7 @@ train agent=sb3 agent.settings.tau=5 -> agent.settings.tau: ≥ 0, ≤ 1 is allo
 train agent=sb3 agent.settings.learning_rat=1 -> no such argument (did you mean 'learning_rate'
 train agent=sb3 agent.settings.gamma=0.9 -> it is the run's; set agent.gamma
 train agent=sb3 agent.settings.train_freq=[1,"day"] -> agent.settings: DQN refuses them
-inspect reward conditions=nominal,varied -> give 2 configurations
+inspect reward conditions=nominal,varied -> takes one scene
 inspect terrain stair eval.seed=4 -> eval.seed=4 | --seed
 eval okada terrain=stair,stair -> is given twice; once is allowed
 eval planner okada controller.smoothness=9 -> controller.smoothness | known in controller=okada:
@@ -124,7 +124,7 @@ eval --controller okada --episodes 0 -> eval.episodes | ≥ 1
 eval --controller okada conditions=wet.yaml \
     -> 'wet' | conditions of your own are overrides | suite=FILE.yaml
 eval --checkpoint nowhere -> nowhere: there is no | controller | generalist
-export onxx --checkpoint x -> onxx | onnx
+export onxx x -> onxx | onnx
 list terain -> there is no kind 'terain' | 'terrains' | known: terrains, rewards
 list stair -> flipperctl explain stair
 list runs -> runs: there is no such folder
@@ -164,15 +164,13 @@ tune okada --for reward '~rewards' -> --for reward: there is no reward term
 tune hfc terrain=stair -> hfc learns from demonstrations; add from=POLICY or a folder of drives
 tune okada from=level -> from=level: okada takes no demonstrations here; leave it out
 tune zimmermann budget=5 terrain=step -> budget: at least 11 episodes are needed | is 5
-inspect reward --regret -> give either --checkpoint RUN_OR_FILE or --controller NAME
-inspect reward --against level -> add --regret
-inspect reward --regret --compare level,okada -> omit --regret
-inspect reward --regret --controller level --against okda -> did you mean 'okada'
-inspect reward --regret --controller level --against generalist perception.bins=9 -> bins=15
-inspect reward --compare level -> at least two different names
-inspect reward --compare level,okada --controller okada -> --compare names all policies
-inspect reward --compare level,okada '~rewards' -> leaves no term
-inspect reward --compare level,value_iteration terrain=step rewards=paper,smooth \
+inspect reward --regret -> --regret: name a policy
+inspect reward level okda --regret -> did you mean 'okada'
+inspect reward level generalist --regret perception.bins=9 -> bins=15
+inspect reward level okada level -> level is given twice
+inspect reward level okada controller=level -> the policies are named by words
+inspect reward level okada '~rewards' -> leaves no term
+inspect reward level value_iteration terrain=step rewards=paper,smooth \
     -> value_iteration drives otherwise for each of the rewards paper, smooth
 new terian mine -> 'terian' | 'terrain'
 new terrain 'My Own' -> 'My Own' | lower-case letters
@@ -226,7 +224,7 @@ drive --study none.yaml --no-open -> --study none.yaml: it cannot be read
 drive terrain=stare --no-open -> stair
 drive --port 99999 --no-open -> --port
 drive --output file --no-open -> it is a file
-inspect reward --compare okada,level seed=1 seed=1 \
+inspect reward okada level seed=1 seed=1 \
     -> seed is given twice: seed=1 and seed=1; one is allowed
 """
 

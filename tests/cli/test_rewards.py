@@ -1,4 +1,4 @@
-"""``inspect reward --regret`` and ``--compare``, and the line that ``train`` prints at its end."""
+"""``inspect reward`` of one and of several policies, and what ``train`` says at its end."""
 
 import json
 import shutil
@@ -23,7 +23,7 @@ def train(episodes: int, run: str = "run") -> list[str]:
 
 
 def regret(*arguments: str, cwd: Path) -> list[dict[str, Any]]:
-    done = call("inspect", "reward", "--regret", "--json", *arguments, cwd=cwd)
+    done = call("inspect", "reward", *arguments, "--regret", "--json", cwd=cwd)
     assert done.code == 0, done.err
     scenes = json.loads(done.out)["scenes"]
     assert isinstance(scenes, list)
@@ -31,9 +31,9 @@ def regret(*arguments: str, cwd: Path) -> list[dict[str, Any]]:
 
 
 def test_returns_are_those_of_an_evaluation_on_the_same_episodes(tmp_path: Path) -> None:
-    asked = ["--controller", "okada", "terrain=step,ramp", "--episodes", "2", "eval.seed=5"]
-    scenes = regret(*asked, "--against", "level", cwd=tmp_path)
-    evaluated = json.loads(call("eval", *asked, "--json", cwd=tmp_path).out)["scenes"]
+    asked = ["terrain=step,ramp", "--episodes", "2", "eval.seed=5"]
+    scenes = regret("okada", "level", *asked, cwd=tmp_path)
+    evaluated = json.loads(call("eval", "okada", *asked, "--json", cwd=tmp_path).out)["scenes"]
     assert [scene["terrain"] for scene in scenes] == ["step", "ramp"]
     for one, scene in zip(scenes, evaluated, strict=True):
         assert one["policy"]["return"]["mean"] == pytest.approx(scene["return"]["mean"])
@@ -49,7 +49,7 @@ def test_returns_are_those_of_an_evaluation_on_the_same_episodes(tmp_path: Path)
 def test_a_run_is_judged_by_its_own_reward_unless_another_is_chosen(
     short_run: Path, tmp_path: Path
 ) -> None:
-    asked = ["--checkpoint", str(short_run), "--episodes", "1", "--against", "okada"]
+    asked = [str(short_run), "okada", "--episodes", "1"]
     (own,) = regret(*asked, cwd=tmp_path)
     assert (own["rewards"], own["terrain"], own["name"]) == ("own", "step", str(short_run))
     assert set(own["references"]) == {"level", "okada"}
@@ -75,8 +75,8 @@ def test_a_training_ends_with_what_the_inspection_says(
     (line,) = [line for line in err.splitlines() if line.startswith("Check on 2 new episodes")]
     assert "; flippers held still " in line
     found = json.loads((run / "summary.json").read_text())["regret"]
-    again = ["--checkpoint", str(run), "conditions=trained", f"eval.seed={SEED}", "--episodes", "2"]
-    (inspected,) = regret(*again, "--against", "level,okada", cwd=tmp_path)
+    again = ["conditions=trained", f"eval.seed={SEED}", "--episodes", "2"]
+    (inspected,) = regret(str(run), "level,okada", *again, cwd=tmp_path)
     assert found["policy"] == inspected["policy"]
     assert found["references"] == inspected["references"]
     assert found["seed"] == inspected["seed"]
@@ -144,7 +144,7 @@ def test_the_presets_pay_the_smooth_way_and_a_price_of_turning_does_not(tmp_path
     small = ["controller.beam=4", "controller.horizon=6"]
     ramp = ["terrain=ramp", "terrain.slope=[20,25]"]
     sets = ["rewards=tuned,smooth", "rewards.travel.weight=0.02,0.8"]
-    options = ["--compare", "okada,mpc", "--episodes", "5", "--json"]
+    options = ["okada", "mpc", "--episodes", "5", "--json"]
     done = call("inspect", "reward", *options, *ramp, *sets, *small, cwd=tmp_path)
     (scene,) = json.loads(done.out)["scenes"]
     assert scene["by_pitch_variation_100hz"] == ["mpc", "okada"]

@@ -120,7 +120,7 @@ def test_the_command_chooses_robot_and_engine(tmp_path):
     assert f'mass value="{ROBOT.chassis_mass:g}' in (tmp_path / "flat.urdf").read_text()
     text = "onnx: name a policy, as in: flipperctl export onnx runs/first"
     assert text in refused("export", "onnx", cwd=tmp_path)
-    text = "--controller and --seed are for mjcf, urdf and mcap, not onnx"
+    text = "--seed is for mjcf, urdf and mcap, not onnx"
     assert text in refused("export", "onnx", "--seed", "1", cwd=tmp_path)
     with pytest.raises(ConfigError, match="planar has no model in 3-D to write; sim=mujoco"):
         export_scene(EvalConfig(terrain="flat"), "mjcf", tmp_path / "x.xml")

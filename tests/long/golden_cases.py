@@ -147,9 +147,9 @@ EVALUATIONS = (
 """Commands that print JSON; the second ones read what the first ones wrote."""
 
 EXPORTS = {
-    "generalist": "export onnx --checkpoint generalist --output generalist.onnx",
-    "paper": "export onnx --checkpoint paper --output paper.onnx",
-    "risk": "export onnx --checkpoint risk --output risk.onnx robot.flipper_speed=0.5",
+    "generalist": "export onnx generalist --output generalist.onnx",
+    "paper": "export onnx paper --output paper.onnx",
+    "risk": "export onnx risk --output risk.onnx robot.flipper_speed=0.5",
     "mjcf": "export mjcf terrain=stair --seed 3 --output stair.xml",
     "urdf": "export urdf terrain=stair robot=absolem --output absolem.urdf",
 }
@@ -177,8 +177,8 @@ train: hydra.run.dir=paper | hydra.run.dir=file/run | --resume sweep
 train: -m seed=1,2 agent.gamma=0.9,7 | --resume paper agent.gamma=0.9
 compare: nowhere
 card: nowhere | paper nowhere
-export onnx: --checkpoint nowhere | --checkpoint paper --output no/x.onnx | --controller okada
-export: onxx --checkpoint paper | onnx --checkpoint paper --output calm.py
+export onnx: nowhere | paper --output no/x.onnx | okada
+export: onxx paper | onnx paper --output calm.py
 robot ground: nowhere --output x.xyz | file --output x.xyz
 robot shadow: nowhere.onnx nowhere | text.onnx nowhere
 robot: check nowhere | self-test nowhere | shadow

@@ -105,7 +105,7 @@ def test_what_the_file_applies_itself_is_not_overridden(
         build(file, robot)
     line = str(caught.value)
     assert line.startswith(f"{file} applies ")
-    assert line.endswith(f"flipperctl export onnx --checkpoint RUN {export}")
+    assert line.endswith(f"flipperctl export onnx RUN {export}")
     assert "\n" not in line
 
 
@@ -140,8 +140,8 @@ def test_eval_drives_the_file_s_own_robot_and_refuses_another(tmp_path: Path) ->
     for command in (evaluate, ("map", "p.onnx", "--over", "sim.friction,sim.gravity")):
         text = refused(*command, "robot.angle_limit=0.9", cwd=tmp_path)
         assert "error: p.onnx applies a limit of 0.3 rad" in text
-    compare = ("inspect", "reward", "--episodes", "1", "terrain=flat", "--compare")
-    assert refused(*compare, "p.onnx,generalist", cwd=tmp_path) == (
-        "error: --compare: p.onnx is for robot.angle_limit=0.3, generalist for 1.0472; "
+    compare = ("inspect", "reward", "--episodes", "1", "terrain=flat")
+    assert refused(*compare, "p.onnx", "generalist", cwd=tmp_path) == (
+        "error: p.onnx is for robot.angle_limit=0.3, generalist for 1.0472; "
         "give robot.angle_limit=… to choose the robot\n"
     )

@@ -20,7 +20,7 @@ COMMANDS = {
     "eval": ["eval", "okada", "terrain=flat", "conditions=nominal,varied", "--episodes", "3",
              "--baseline", "level", "--passable", "level", "--columns", "all",
              "--by", "start_shift"],
-    "rewards": ["inspect", "reward", "--compare", "okada,level", "terrain=flat",
+    "rewards": ["inspect", "reward", "okada", "level", "terrain=flat",
                 "rewards=paper,tuned", "--episodes", "1"],
     "conventions": ["inspect", "checkpoint", "generalist", "--check", "sim=planar"],
     "list": ["list", "experiments"],

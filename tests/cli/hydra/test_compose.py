@@ -180,13 +180,13 @@ def test_a_teacher_has_presets_with_the_discount_of_the_training() -> None:
 
 def test_compared_controllers_with_that_field_have_the_preset() -> None:
     words = Overrides.parse(["controller.rewards=tuned", "terrain=step"])
-    fields, others = controller_fields(words, "--compare")
-    sources = policies("level,mpc", fields, print)
+    fields, others = controller_fields(words)
+    sources = policies(["level,mpc"], fields, print)
     assert (sources["mpc"].settings or {})["rewards"] == preset("tuned")
     assert "rewards" not in (sources["level"].settings or {})
     assert others.words == ["terrain=step"]
     with pytest.raises(ConfigError, match=r"controller.rewards: .*'tune' .did you mean 'tuned'"):
-        controller_fields(Overrides.parse(["controller.rewards=tune"]), "--compare")
+        controller_fields(Overrides.parse(["controller.rewards=tune"]))
 
 
 def test_a_preset_of_a_configuration_folder_counts_in_a_training(tmp_path: Path) -> None:
