@@ -9,10 +9,12 @@ run by `tests/test_documentation.py`.
 
 from __future__ import annotations
 
+import ast
 import re
 import shlex
 import sys
 import tomllib
+from collections import Counter
 from collections.abc import Iterator
 from importlib.util import find_spec
 from inspect import signature
@@ -39,6 +41,11 @@ CHANGELOG_LINES = 150
 """Largest number of lines of a version in the changelog [-]."""
 README_BYTES = 8_000
 """Largest size of the README [B]."""
+VAGUE = ("found", "one", "own", "told", "given", "made", "asked", "chosen", "held", "kept")
+VAGUE += ("ours", "theirs", "beside", "every")
+"""Names that do not say what a variable is."""
+MOST_VAGUE, LANDMARKS = 1, 20
+"""Largest number of each of them per 1,000 bindings, least of comments per 1,000 lines [-]."""
 PACKAGES = {
     "flipperctl": "flipperctl",
     "flipperctl.configs": "configs",
@@ -188,6 +195,26 @@ def missing_places() -> Iterator[str]:
             yield f"README.md: the link {link} leads nowhere"
 
 
+def vague_names() -> Iterator[str]:
+    """Yield names that stand too often in the package, and whether it has too few landmarks."""
+    bound: Counter[str] = Counter()
+    lines: list[str] = []
+    for path in (ROOT / "flipperctl").rglob("*.py"):
+        text = path.read_text()
+        lines += text.splitlines()
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+                bound[node.id] += 1
+            elif isinstance(node, ast.arg):
+                bound[node.arg] += 1
+    for name in VAGUE:
+        if 1000 * bound[name] > MOST_VAGUE * bound.total():
+            yield f"flipperctl/: {bound[name]} variables are called {name!r}; say what they are"
+    comments = sum(line.lstrip().startswith("#") for line in lines)
+    if 1000 * comments < LANDMARKS * len(lines):
+        yield f"flipperctl/: {comments} of {len(lines)} lines are comments; long bodies need some"
+
+
 # The project's files
 
 
@@ -236,7 +263,14 @@ def _read(name: str) -> Any:
     return yaml.load((ROOT / name).read_text(), Loader=yaml.BaseLoader)  # noqa: S506  # texts alone
 
 
-CHECKS = (long_sentences, unknown_options, unknown_settings, missing_places, disagreements)
+CHECKS = (
+    long_sentences,
+    unknown_options,
+    unknown_settings,
+    missing_places,
+    vague_names,
+    disagreements,
+)
 
 
 def main(titles: list[str]) -> int:
