@@ -27,13 +27,13 @@ def __getattr__(name: str) -> object:
         from flipperctl.process.undisturbed import undisturbed
 
         with undisturbed():  # libraries draw random numbers when they are imported
-            found: object = getattr(import_module("flipperctl.scripting"), name)
+            value: object = getattr(import_module("flipperctl.scripting"), name)
     elif name == "__version__":
-        found = _version()
+        value = _version()
     else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    globals()[name] = found
-    return found
+    globals()[name] = value
+    return value
 
 
 def __dir__() -> list[str]:

@@ -64,8 +64,8 @@ class Command(TyperCommand):
                     text += f"; several names are written as {name} {first},{second}"
                 raise RequestError(text)
         arguments = [p for p in self.get_params(ctx) if p.param_type_name == "argument"]
-        for found in filter(None, (values.get(argument.name) for argument in arguments)):
-            words += [found] if isinstance(found, str) else found
+        for typed in filter(None, (values.get(argument.name) for argument in arguments)):
+            words += [typed] if isinstance(typed, str) else typed
         known = [name for option in options for name in option.opts] + [*self.foreign_options]
         for word in words:
             name = word.partition("=")[0]
@@ -165,7 +165,7 @@ class Group(TyperGroup):
                 break
             if name not in known:
                 named = next((self.commands[w] for w in args if w in self.commands), None)
-                value = "" if (found := _value(name, args)) in self.commands else found
+                value = "" if (typed := _value(name, args)) in self.commands else typed
                 raise _unknown(name, value, known, getattr(named, "primary", "train"))
         return super().parse_args(ctx, args)
 
@@ -189,8 +189,8 @@ def _unknown(
 
     key = name.lstrip("-").replace("-", "_")
     start = f"no such option: {name}"
-    if found := list(_settings(key, primary)) if primary else []:
-        words = (shlex.quote(f"{path}={value}") if value else f"{path}=…" for path in found)
+    if settings := list(_settings(key, primary)) if primary else []:
+        words = (shlex.quote(f"{path}={value}") if value else f"{path}=…" for path in settings)
         return RequestError(f"{start}; settings are written as {' or '.join(words)}")
     if name == "--checkpoint" and takes_run:
         return RequestError(f"{start}; write {value or 'the run or policy'} alone")

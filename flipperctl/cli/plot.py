@@ -131,17 +131,17 @@ def plot(
         sources, metrics=_names(metric), names=name or (), only=only or (), against=against,
         scene=scene, episode=episode, width=None if width is None else length(width),
     )  # fmt: skip
-    found = draw(asked, kind=kind, average=average, style=style, tell=print_note)
+    drawn = draw(asked, kind=kind, average=average, style=style, tell=print_note)
     given = {
         "--kind": kind, "--name": name, "--only": only, "--metric": metric, "--scene": scene,
         "--episode": episode, "--against": against, "--width": width,
     }  # fmt: skip
     typed: list[str] = []
     for option, value in given.items():
-        for one in value if isinstance(value, list) else [value] if value is not None else []:
-            typed += [option, str(one)]
-    about = [session.command("plot", *sources, *typed), *found.sources]
-    save(found.figure, path, "; ".join(about))
+        for part in value if isinstance(value, list) else [value] if value is not None else []:
+            typed += [option, str(part)]
+    about = [session.command("plot", *sources, *typed), *drawn.sources]
+    save(drawn.figure, path, "; ".join(about))
     print_note(f"wrote {path}")
 
 
@@ -178,15 +178,15 @@ def draw(
     _known("--kind", kind, list(KINDS))
     for source in sources:
         if (sort := _sort(source)) != KINDS[kind]:
-            fitting = ", ".join(one for one, own in KINDS.items() if own == sort)
+            fitting = ", ".join(name for name, shown in KINDS.items() if shown == sort)
             raise RequestError(
                 f"--kind {kind}: it is drawn from {_FROM[KINDS[kind]]}; "
                 f"of {_path(source)}: {fitting}"
             )
     _known("--style", style, ["paper", "slides"])
     _known("--average", average, ["mean", "iqm"])
-    own = {"--against": asked.against, "--scene": asked.scene, "--episode": asked.episode}
-    for option, value in own.items():
+    options = {"--against": asked.against, "--scene": asked.scene, "--episode": asked.episode}
+    for option, value in options.items():
         if value is not None and kind not in (kinds := _OWN[option]):
             raise RequestError(
                 f"{option}: it has a meaning for --kind {' and '.join(kinds)} alone, not {kind}"
@@ -259,7 +259,7 @@ def _sort(source: str) -> Sort:
 def _kind_of(sources: Sequence[str]) -> str:
     """Return the default kind of what is named."""
     sort = _sort(sources[0])
-    return next(kind for kind, own in KINDS.items() if own == sort)
+    return next(kind for kind, shown in KINDS.items() if shown == sort)
 
 
 def _digest(*files: Path) -> tuple[str, ...]:
@@ -276,28 +276,28 @@ def _curves(asked: Request, average: Literal["mean", "iqm"], tell: Callable[[str
     from flipperctl.training.folder import read_run
 
     runs: dict[str, list[Path]] = {}
-    own: dict[str, str] = {}  # names that the user gave with the paths
+    names: dict[str, str] = {}  # names that the user gave with the paths
     for source in asked.folders:
         path = _path(source)
         named = str(path) != source
         if holds_run(path) or (path / METRICS).is_file():
-            found = {str(path): [path]}
+            folders = {str(path): [path]}
         else:
-            found = {}
-            for one in entrants([str(path)], tell):
-                if one.run is not None:
-                    found.setdefault(one.method, []).append(one.run)
-            if named and len(found) > 1:
+            folders = {}
+            for entrant in entrants([str(path)], tell):
+                if entrant.run is not None:
+                    folders.setdefault(entrant.method, []).append(entrant.run)
+            if named and len(folders) > 1:
                 raise RequestError(
-                    f"{source}: the sweep has {len(found)} methods, {', '.join(found)}; "
+                    f"{source}: the sweep has {len(folders)} methods, {', '.join(folders)}; "
                     "--name NAME=METHOD names each"
                 )
-        for method, members in found.items():
+        for method, members in folders.items():
             name = source.removesuffix(f"={path}") if named else method
-            own |= {name: name} if named else {}
+            names |= {name: name} if named else {}
             runs.setdefault(name, []).extend(m for m in members if m not in runs.get(name, ()))
-    free = renamed([name for name in runs if name not in own], asked.names)
-    called = {name: own.get(name) or free[name] for name in runs}
+    free = renamed([name for name in runs if name not in names], asked.names)
+    called = {name: names.get(name) or free[name] for name in runs}
     if asked.only:
         called = {
             label: called[label] for label in (taken(o, called, "--only") for o in asked.only)
@@ -343,5 +343,5 @@ def _results(asked: Request, kind: str, tell: Callable[[str], None]) -> Drawn:
     figure, notices = view.KINDS[kind](asked)
     for notice in notices:
         tell(f"warning: {notice}")
-    own = [sorted({*path.glob(FILE), *path.glob(f"*/{FILE}")}) for path in asked.paths()]
-    return Drawn(figure, _digest(*(file for files in own for file in files)))
+    groups = [sorted({*path.glob(FILE), *path.glob(f"*/{FILE}")}) for path in asked.paths()]
+    return Drawn(figure, _digest(*(file for files in groups for file in files)))

@@ -94,10 +94,10 @@ def reward(
     config, source = entry.config, entry.source
     count = config.eval.episodes
     with episodes_progress(f"{config.terrain.plugin_name}, {source.label()}", count) as report:
-        found = audit(config, source, episodes=count, report=report)
+        judgement = audit(config, source, episodes=count, report=report)
     conditions = Conditions.of(config)
     notes = [f"conditions {conditions.name}: {text}"] if (text := conditions.line()) else []
-    show(found, lambda: print_table(audit_table(found, notes), console()), as_json=as_json)
+    show(judgement, lambda: print_table(audit_table(judgement, notes), console()), as_json=as_json)
 
 
 def _compare(names: Sequence[str], words: Sequence[str], *, as_json: bool) -> None:
@@ -126,14 +126,14 @@ def _compare(names: Sequence[str], words: Sequence[str], *, as_json: bool) -> No
         sets: dict[str, Rewards] = {**scenes[scene][1]} if scene in scenes else {}
         scenes[scene] = config, sets | {label or _DEFAULT: config.rewards}
     with player(None, "reward") as (plays, _):
-        found = rank_policies(list(scenes.values()), sources, plays)
+        ranking = rank_policies(list(scenes.values()), sources, plays)
 
     def printed() -> None:
         out = console()
-        print_table(rewards.table(found), out)
-        print_lines(out, rewards.verdict_lines(found))
+        print_table(rewards.table(ranking), out)
+        print_lines(out, rewards.verdict_lines(ranking))
 
-    show({"scenes": found}, printed, as_json=as_json)
+    show({"scenes": ranking}, printed, as_json=as_json)
 
 
 def _regret(
@@ -169,17 +169,17 @@ def _regret(
         )
     ]
     with player(output, "regret") as (plays, _):
-        found = [one for scene in chosen if (one := measure(scene, plays)) is not None]
-    if not found:
+        regrets = [one for scene in chosen if (one := measure(scene, plays)) is not None]
+    if not regrets:
         raise InterruptedRunError("interrupted: no scene is finished")
 
     def printed() -> None:
         out = console()
-        print_table(regret.table(found), out)
-        for text, alarm in regret.sentences(found):
+        print_table(regret.table(regrets), out)
+        for text, alarm in regret.sentences(regrets):
             print_lines(out, [text], "bold red" if alarm else "")
 
-    show({"scenes": found}, printed, as_json=as_json)
+    show({"scenes": regrets}, printed, as_json=as_json)
 
 
 def _split(combination: Overrides) -> tuple[tuple[str, ...], str]:

@@ -60,8 +60,8 @@ def bench(
     sizes = speed.SMALL if small else speed.Sizes()
     sizes = sizes if repeats is None else replace(sizes, repeats=repeats)
     config = only_one(compose_train(Overrides.parse(overrides)))
-    own = {"machine": speed.machine(), "settings": asdict(sizes), "overrides": overrides}
-    document = {**own, "measures": (measures := {})}
+    header = {"machine": speed.machine(), "settings": asdict(sizes), "overrides": overrides}
+    document = {**header, "measures": (measures := {})}
     with json_result(output, "bench") as write:
         for name in chosen:
             with steps_progress(name) as report:
@@ -71,8 +71,8 @@ def bench(
         write(document)
 
     def printed() -> None:
-        for name, found in measures.items():
-            print_table(speed.table(name, found), console())
+        for name, measured in measures.items():
+            print_table(speed.table(name, measured), console())
 
     show(document, printed, as_json=as_json)
 
@@ -91,4 +91,4 @@ def split_arguments(words: Sequence[str], known: Sequence[str]) -> tuple[list[st
                 f"known: {', '.join(allowed)}; an override is key=value"
             )
     every = not names or "all" in names
-    return [one for one in known if every or one in names], overrides
+    return [name for name in known if every or name in names], overrides

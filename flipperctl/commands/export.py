@@ -108,5 +108,5 @@ def _export_policy(
     check_output(target, FILE)
     robot = robot_fields(Overrides.parse(words).values())
     print_note(f"exporting {saved.path} and comparing it with torch …")
-    found = export(saved, target, robot)
-    show(found, lambda: print_export(target, saved.path, found), as_json=as_json)
+    exported = export(saved, target, robot)
+    show(exported, lambda: print_export(target, saved.path, exported), as_json=as_json)

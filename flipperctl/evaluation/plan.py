@@ -168,8 +168,8 @@ class SuiteScene:
 
         Tables name the terrain by themselves.
         """
-        own = {key_of(word): word for word in self.words if key_of(word) != "terrain"}
-        changed = [word for word in words if own.get(key_of(word), word) != word]
+        typed = {key_of(word): word for word in self.words if key_of(word) != "terrain"}
+        changed = [word for word in words if typed.get(key_of(word), word) != word]
         return " ".join([f"{self.name},", *changed]) if changed else self.name
 
     def with_words(self, words: list[str]) -> list[str]:
